@@ -14,9 +14,6 @@ fn main() {
     println!("cargo::rustc-env=BENCH_RUSTC={version}");
     println!("cargo::rustc-env=BENCH_TARGET={}", told("TARGET"));
     println!("cargo::rustc-env=BENCH_OPT_LEVEL={}", told("OPT_LEVEL"));
-    println!(
-        "cargo::rustc-env=BENCH_TARGET_FEATURES={}",
-        told("CARGO_CFG_TARGET_FEATURE")
-    );
+    println!("cargo::rustc-env=BENCH_TARGET_FEATURES={}", told("CARGO_CFG_TARGET_FEATURE"));
     println!("cargo::rerun-if-changed=build.rs");
 }

@@ -39,17 +39,10 @@ fn main() -> anyhow::Result<()> {
             println!("robot {} refused: {:?}", refusal.robot, refusal.reason());
             refused = true;
         }
-        if let Some(robot) = frame
-            .robots()
-            .iter()
-            .find(|robot| robot.alarms().has(Alarm::StuckSensor))
+        if let Some(robot) =
+            frame.robots().iter().find(|robot| robot.alarms().has(Alarm::StuckSensor))
         {
-            println!(
-                "robot {}: {} ({:?})",
-                robot.robot,
-                robot.alarm().name(),
-                robot.level()
-            );
+            println!("robot {}: {} ({:?})", robot.robot, robot.alarm().name(), robot.level());
             stuck = true;
         }
         if stuck && refused {

@@ -38,10 +38,7 @@ fn main() -> anyhow::Result<()> {
     for ranked in rank(&robots, &path, Some(dock), 0.9)? {
         let (answer, turn_back_s) = (ranked.trip.answer, ranked.trip.turn_back_s);
         let energy = answer.energy.map_or("unknown energy".to_owned(), |energy| {
-            format!(
-                "{:.0} J ({:.0} to {:.0})",
-                energy.mean_j, energy.lo_j, energy.hi_j
-            )
+            format!("{:.0} J ({:.0} to {:.0})", energy.mean_j, energy.lo_j, energy.hi_j)
         });
         println!("robot {}: {}, {energy}", ranked.robot, answer.verdict);
         if let Some(turn_back_s) = turn_back_s {

@@ -42,22 +42,12 @@ fn main() -> anyhow::Result<()> {
             path: Path::new(&[dock, Point::new(1.5, 0.0)], 0.15),
             back_to: Some(dock),
         },
-        Plan::Idle {
-            robots: vec![1],
-            duration_s: 60.0,
-        },
+        Plan::Idle { robots: vec![1], duration_s: 60.0 },
         // Robot 2 has not sent a sample: refused, with the reason.
-        Plan::Idle {
-            robots: vec![2],
-            duration_s: 60.0,
-        },
+        Plan::Idle { robots: vec![2], duration_s: 60.0 },
     ];
     for plan in plans {
-        let question = Question {
-            plan,
-            coverage: 0.9,
-            power: false,
-        };
+        let question = Question { plan, coverage: 0.9, power: false };
         match client.ask(&question, Duration::from_secs(10)) {
             Ok(answered) => {
                 for row in answered.reply.rows {

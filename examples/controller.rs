@@ -12,9 +12,7 @@ fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let config = arguments.next();
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    let ticks = arguments
-        .next()
-        .map_or(Ok(u32::MAX), |number| number.parse())?;
+    let ticks = arguments.next().map_or(Ok(u32::MAX), |number| number.parse())?;
     let sent = run(config.as_ref(), ticks)?;
     println!("{sent} samples sent");
     Ok(())

@@ -17,10 +17,7 @@ async fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config: &Path = config.as_deref().unwrap_or("configs/fleet.toml").as_ref();
     let mut subscriber = Subscriber::connect(config)?;
-    #[expect(
-        deprecated,
-        reason = "safe here: the descriptor is open as long as this exists"
-    )]
+    #[expect(deprecated, reason = "safe here: the descriptor is open as long as this exists")]
     let readiness = AsyncFd::new(subscriber.readiness()?)?;
     let mut seconds = interval(Duration::from_secs(1));
     let mut frames = 0_u64;

@@ -39,9 +39,7 @@ fn main() -> anyhow::Result<()> {
         // Two seconds. Where a program gets no processor for a while, the windows of its robots
         // begin anew.
         let frame = subscriber.current();
-        let known = frame.map_or(0, |frame| {
-            frame.iter().filter_map(Forecast::expected_w).count()
-        });
+        let known = frame.map_or(0, |frame| frame.iter().filter_map(Forecast::expected_w).count());
         if tick >= 59 && known == 13 {
             break;
         }
@@ -49,18 +47,9 @@ fn main() -> anyhow::Result<()> {
     let Some(frame) = subscriber.current() else {
         anyhow::bail!("the worker has sent no forecasts");
     };
-    for (platform, ids) in [
-        ("gternal", 0..100),
-        ("husky", 100..200),
-        ("rover", 200..300),
-    ] {
-        let robots = frame
-            .robots()
-            .iter()
-            .filter(|forecast| ids.contains(&forecast.robot));
-        let powers_w: Vec<f32> = robots
-            .filter_map(|forecast| forecast.expected_w())
-            .collect();
+    for (platform, ids) in [("gternal", 0..100), ("husky", 100..200), ("rover", 200..300)] {
+        let robots = frame.robots().iter().filter(|forecast| ids.contains(&forecast.robot));
+        let powers_w: Vec<f32> = robots.filter_map(|forecast| forecast.expected_w()).collect();
         let sum_w: f32 = powers_w.iter().sum();
         println!("{platform}: {} robots, {sum_w:.1} W", powers_w.len());
     }

@@ -17,16 +17,9 @@ fn main() -> anyhow::Result<()> {
     // Files do not state how features were computed: the convention that forecasts recordings best
     // is chosen.
     let recordings = [protocol::trial(1, 7)?, protocol::trial(5, 7)?];
-    let origin = Origin {
-        name: "imported",
-        file: "arrays",
-        sha256: "",
-    };
+    let origin = Origin { name: "imported", file: "arrays", sha256: "" };
     let choice = found.choose(&recordings, None, &origin)?;
-    println!(
-        "convention {}: R² {:.3}",
-        choice.convention, choice.ranking[0].r2
-    );
+    println!("convention {}: R² {:.3}", choice.convention, choice.ranking[0].r2);
 
     let model_file = choice.network().to_safetensors()?;
     println!("a model file of {} bytes", model_file.len());

@@ -18,15 +18,9 @@ robots = ["0-99"]
 
 fn main() -> anyhow::Result<()> {
     // Recordings as .npy, CSV or CSV.gz; by default two simulated trials.
-    let mut trials = std::env::args()
-        .skip(1)
-        .map(Trial::read)
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut trials = std::env::args().skip(1).map(Trial::read).collect::<Result<Vec<_>, _>>()?;
     if trials.is_empty() {
-        trials = vec![
-            joulebus_sim::protocol::trial(1, 7)?,
-            joulebus_sim::protocol::trial(5, 7)?,
-        ];
+        trials = vec![joulebus_sim::protocol::trial(1, 7)?, joulebus_sim::protocol::trial(5, 7)?];
     }
     // A robot's id determines its platform, and so its model.
     let trials: Vec<(u32, Trial)> = (0..).zip(trials).collect();

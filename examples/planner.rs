@@ -11,9 +11,7 @@ fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let config = arguments.next();
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    let frames = arguments
-        .next()
-        .map_or(Ok(u64::MAX), |number| number.parse())?;
+    let frames = arguments.next().map_or(Ok(u64::MAX), |number| number.parse())?;
     run(config.as_ref(), frames)
 }
 

@@ -32,9 +32,6 @@ fn main() -> anyhow::Result<()> {
     for (topic, count) in messages {
         println!("{topic}: {count} messages");
     }
-    println!(
-        "{forecasts} forecasts, {:.2} W on average",
-        sum_w / f64::from(forecasts)
-    );
+    println!("{forecasts} forecasts, {:.2} W on average", sum_w / f64::from(forecasts));
     Ok(())
 }

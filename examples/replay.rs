@@ -22,11 +22,7 @@ fn main() -> anyhow::Result<()> {
 
     // The config and the models that the worker ran with are attached to the capture.
     let attachments = reader.attachments();
-    let fleet = attachments
-        .fleets()
-        .next()
-        .context("no fleet in it")?
-        .to_owned();
+    let fleet = attachments.fleets().next().context("no fleet in it")?.to_owned();
     let unpacked = attachments.unpack(&fleet, directory.path())?;
     let config = Config::load(unpacked.context("no config in it")?)?;
 

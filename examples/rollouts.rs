@@ -18,10 +18,7 @@ fn main() -> anyhow::Result<()> {
     // A network does not extrapolate: started outside its training range, a rollout may diverge.
     // Feature 6 is the newest reading.
     if let Some(range) = model.training_range() {
-        println!(
-            "{name} was trained on {:.2} to {:.2} W",
-            range.min[6], range.max[6]
-        );
+        println!("{name} was trained on {:.2} to {:.2} W", range.min[6], range.max[6]);
     }
     let candidates = [(0.05, 0.0), (0.15, 0.0), (0.0, 3.0)];
     let steps = 60;

@@ -23,10 +23,7 @@ fn main() -> anyhow::Result<()> {
         ..TrainSettings::new("example", "simulation", FeatureSet::Full, 7)
     };
     let trained = train(&dataset, &settings, |epoch| {
-        println!(
-            "epoch {}: validation loss {:.4}",
-            epoch.number, epoch.validation_loss
-        );
+        println!("epoch {}: validation loss {:.4}", epoch.number, epoch.validation_loss);
     })?;
 
     let scores = &trained.network.card().scores;

@@ -85,9 +85,7 @@ impl Comparison {
     /// [`CompareError`]: another layout, or nothing in common.
     pub fn new(old: &Suite, new: &Suite) -> Result<Self, CompareError> {
         if old.schema != new.schema {
-            return Err(CompareError::Schema {
-                found: old.schema.clone(),
-            });
+            return Err(CompareError::Schema { found: old.schema.clone() });
         }
         let (before, now) = (keyed(old), keyed(new));
         let changes: Vec<Change> = now
@@ -98,10 +96,7 @@ impl Comparison {
             })
             .collect();
         if changes.is_empty() {
-            return Err(CompareError::NothingInCommon {
-                old: before.len(),
-                new: now.len(),
-            });
+            return Err(CompareError::NothingInCommon { old: before.len(), new: now.len() });
         }
         Ok(Self {
             differing: differing(old, new),
@@ -128,9 +123,7 @@ fn keyed(suite: &Suite) -> Vec<(Key<'_>, &Figure)> {
         .iter()
         .flat_map(|report| {
             report.figures.iter().map(|figure| {
-                let Figure {
-                    name, case, unit, ..
-                } = figure;
+                let Figure { name, case, unit, .. } = figure;
                 ([report.benchmark.as_str(), name, case, unit], figure)
             })
         })
@@ -174,10 +167,7 @@ fn missing(these: &[(Key<'_>, &Figure)], those: &[(Key<'_>, &Figure)]) -> Vec<St
 fn differing(old: &Suite, new: &Suite) -> Vec<String> {
     let mut differing = Vec::new();
     if old.machine != new.machine {
-        differing.push(format!(
-            "machine: {} before, now {}",
-            old.machine, new.machine
-        ));
+        differing.push(format!("machine: {} before, now {}", old.machine, new.machine));
     }
     if old.build != new.build {
         differing.push(format!("build: {} before, now {}", old.build, new.build));
@@ -223,10 +213,7 @@ impl fmt::Display for Comparison {
                 writeln!(out, "only {when}: {name}")?;
             }
         }
-        writeln!(
-            out,
-            "noise: the interquartile ranges of both runs overlap; medians are compared"
-        )
+        writeln!(out, "noise: the interquartile ranges of both runs overlap; medians are compared")
     }
 }
 

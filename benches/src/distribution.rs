@@ -85,9 +85,7 @@ mod tests {
     fn quantiles_are_measured_values() {
         let values: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
         let all = Distribution::of(&values).expect("there are values");
-        let found = [
-            all.min, all.p25, all.p50, all.p75, all.p99, all.p999, all.max,
-        ];
+        let found = [all.min, all.p25, all.p50, all.p75, all.p99, all.p999, all.max];
         assert_eq!(found, [1.0, 250.0, 500.0, 750.0, 990.0, 999.0, 1000.0]);
         let one = Distribution::once(7.0).expect("there is a value");
         assert_eq!((one.count, one.min, one.p999, one.max), (1, 7.0, 7.0, 7.0));
@@ -107,10 +105,8 @@ mod tests {
         for value in &values {
             histogram.saturating_record(*value as u64);
         }
-        let (binned, exact) = (
-            Distribution::of_histogram(&histogram, 1.0),
-            Distribution::of(&values),
-        );
+        let (binned, exact) =
+            (Distribution::of_histogram(&histogram, 1.0), Distribution::of(&values));
         assert_eq!(binned, exact);
     }
 

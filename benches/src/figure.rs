@@ -42,13 +42,7 @@ impl Figure {
     }
 
     fn new(name: &str, case: &str, unit: &str, better: Better, spread: Distribution) -> Self {
-        Self {
-            name: name.to_owned(),
-            case: case.to_owned(),
-            unit: unit.to_owned(),
-            better,
-            spread,
-        }
+        Self { name: name.to_owned(), case: case.to_owned(), unit: unit.to_owned(), better, spread }
     }
 }
 

@@ -60,9 +60,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
 
 /// A kernel by name, or all that this processor supports, slowest first.
 pub(crate) fn kernels(name_wanted: Option<&str>) -> anyhow::Result<Vec<Kernel>> {
-    let available = Kernel::ALL
-        .into_iter()
-        .filter(|kernel| kernel.is_available());
+    let available = Kernel::ALL.into_iter().filter(|kernel| kernel.is_available());
     let available: Vec<Kernel> = available.collect();
     let Some(wanted) = name_wanted else {
         return Ok(available);
@@ -205,10 +203,8 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
             isas.push(isa);
         }
     }
-    let about: Vec<(String, String, Option<Isa>)> = cases
-        .iter()
-        .map(|case| (case.name(), robots(case.batch()), isa(case.kernel)))
-        .collect();
+    let about: Vec<(String, String, Option<Isa>)> =
+        cases.iter().map(|case| (case.name(), robots(case.batch()), isa(case.kernel))).collect();
     let mut measurements: Vec<Measurement<'_>> = isas
         .iter()
         .map(|isa| Measurement::new(|| isa.peak_gmac_per_s().unwrap_or(f64::NAN)))
@@ -219,13 +215,7 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
     let mut shares = Vec::new();
     for (isa, measurement) in isas.iter().zip(peaks) {
         let title = format!("{isa:?}_peak_gmac_per_s").to_lowercase();
-        report.push(
-            Figure::more,
-            &title,
-            "1 thread",
-            "GMAC/s",
-            measurement.values(),
-        );
+        report.push(Figure::more, &title, "1 thread", "GMAC/s", measurement.values());
     }
     for ((kernel, case, isa), measurement) in about.iter().zip(measurements) {
         let title = format!("{kernel}_ns_per_robot");

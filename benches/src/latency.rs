@@ -124,12 +124,9 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
         Role::Worker { config } => broker::worker(config),
         Role::Planner { config, period_ns } => broker::planner(config, *period_ns),
         Role::Relay { root, robots } => raw::relay(root, *robots),
-        Role::Sink {
-            root,
-            robots,
-            period_ns,
-            acknowledge,
-        } => raw::sink(root, *robots, *period_ns, *acknowledge),
+        Role::Sink { root, robots, period_ns, acknowledge } => {
+            raw::sink(root, *robots, *period_ns, *acknowledge)
+        }
     }
 }
 
@@ -222,11 +219,7 @@ fn describe(scheduling: &Scheduling) -> String {
         "the worker has CPUs {:?}, SCHED_FIFO priority {}, memory {}",
         scheduling.cpus,
         scheduling.priority,
-        if scheduling.lock_memory {
-            "locked"
-        } else {
-            "unlocked"
-        }
+        if scheduling.lock_memory { "locked" } else { "unlocked" }
     )
 }
 
@@ -254,10 +247,7 @@ pub fn record_places(
 fn ready(child: &mut Child) -> anyhow::Result<()> {
     use std::io::Read as _;
     let begin = std::time::Instant::now();
-    let stdout = child
-        .stdout
-        .as_mut()
-        .context("the child's output is not piped")?;
+    let stdout = child.stdout.as_mut().context("the child's output is not piped")?;
     let mut byte = [0];
     loop {
         stdout
@@ -282,9 +272,7 @@ pub fn finish<T: serde::de::DeserializeOwned>(child: Child) -> anyhow::Result<T>
         bail!("a process of the measurement ended with {}", output.status);
     }
     let last = output.stdout.trim_ascii().rsplit(|byte| *byte == b'\n');
-    Ok(serde_json::from_slice(
-        last.into_iter().next().unwrap_or_default(),
-    )?)
+    Ok(serde_json::from_slice(last.into_iter().next().unwrap_or_default())?)
 }
 
 #[cfg(test)]
@@ -304,10 +292,8 @@ mod tests {
         ] {
             let mut times = histogram();
             record_places(&mut times, (1_000, sent_ns, now_ns), 100, frames);
-            let found: Vec<u64> = times
-                .iter_recorded()
-                .map(|value| value.value_iterated_to())
-                .collect();
+            let found: Vec<u64> =
+                times.iter_recorded().map(|value| value.value_iterated_to()).collect();
             assert_eq!(found, expected);
         }
     }

@@ -45,10 +45,7 @@ mod tests {
     #[test]
     fn the_main_program_shows_these_options() {
         let verb = BenchArguments::augment_args(clap::Command::new("bench"));
-        let file = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../crates/cli/verbs/bench.json"
-        );
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../crates/cli/verbs/bench.json");
         joulebus_program::described::check(file.as_ref(), &[verb]);
     }
 }

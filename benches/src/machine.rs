@@ -71,11 +71,7 @@ impl Machine {
 impl Build {
     /// This program.
     pub fn here() -> Self {
-        let profile = if cfg!(debug_assertions) {
-            "dev"
-        } else {
-            "release"
-        };
+        let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
         Self {
             joulebus: env!("CARGO_PKG_VERSION").to_owned(),
             rustc: env!("BENCH_RUSTC").to_owned(),
@@ -103,14 +99,7 @@ fn turbo(boost: &str, no_turbo: &str) -> String {
 
 impl fmt::Display for Machine {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            processor,
-            processors,
-            kernel,
-            governor,
-            turbo,
-            virtual_machine,
-        } = self;
+        let Self { processor, processors, kernel, governor, turbo, virtual_machine } = self;
         write!(
             out,
             "{processor}, {processors} processors, Linux {kernel}, governor {governor}, turbo {turbo}"
@@ -124,14 +113,7 @@ impl fmt::Display for Machine {
 
 impl fmt::Display for Build {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            joulebus,
-            rustc,
-            iceoryx2,
-            profile,
-            target,
-            target_features,
-        } = self;
+        let Self { joulebus, rustc, iceoryx2, profile, target, target_features } = self;
         write!(
             out,
             "joulebus {joulebus}, {rustc}, iceoryx2 {iceoryx2}, {profile}, {target} \
@@ -143,9 +125,7 @@ impl fmt::Display for Build {
 /// Anonymous memory of this process: neither files nor shared memory; `None` if unknown.
 pub(crate) fn anonymous_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("RssAnon:"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
     let kilobytes: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
     Some(kilobytes * 1024)
 }

@@ -87,10 +87,7 @@ mod tests {
     fn a_peak_is_a_number_wherever_the_instructions_exist() {
         for isa in [Isa::Avx2, Isa::Avx512, Isa::Neon] {
             let peak = isa.peak_gmac_per_s();
-            assert!(
-                peak.is_none_or(|peak| peak > 0.0 && peak.is_finite()),
-                "{isa:?}: {peak:?}"
-            );
+            assert!(peak.is_none_or(|peak| peak > 0.0 && peak.is_finite()), "{isa:?}: {peak:?}");
         }
     }
 
@@ -105,9 +102,6 @@ mod tests {
             expected += f64::from(value);
         }
         let found = fearless_simd::dispatch!(Level::new(), simd => multiply_add(simd, 0.5, 0.25));
-        assert!(
-            (f64::from(found) - expected).abs() < 1e-4,
-            "{found} instead of {expected}"
-        );
+        assert!((f64::from(found) - expected).abs() < 1e-4, "{found} instead of {expected}");
     }
 }

@@ -46,10 +46,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         let (v_mps, omega_radps) = commands(count * steps, options.seed);
         let candidates = Candidates::new(count, STEP_S, &v_mps, &omega_radps)?;
         let mut answers = robot.what_if(&candidates, COVERAGE)?;
-        let case = format!(
-            "1 robot x {} candidates x {steps} steps",
-            grouped(count as u64)
-        );
+        let case = format!("1 robot x {} candidates x {steps} steps", grouped(count as u64));
         let ask = || timed(|| what_if(&robot, &candidates, &mut answers));
         let mut measured = [Measurement::new(ask), Measurement::new(|| rollout.run())];
         interleave(&mut measured, options.repetitions(), options.each());
@@ -57,11 +54,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         let us: Vec<f64> = asked.values().iter().map(|ns| ns * 1e-3).collect();
         report.push(Figure::less, "what_if_us", &case, "µs", &us);
         if let Some(rollout_ns) = Distribution::of(rolled.values()) {
-            let over: Vec<f64> = asked
-                .values()
-                .iter()
-                .map(|ns| ns / rollout_ns.p50)
-                .collect();
+            let over: Vec<f64> = asked.values().iter().map(|ns| ns / rollout_ns.p50).collect();
             report.push(Figure::less, "what_if_over_rollout", &case, "1", &over);
         }
     }
@@ -127,10 +120,7 @@ fn commands(count: usize, seed: u64) -> (Vec<f32>, Vec<f32>) {
 fn fleet() -> anyhow::Result<Fleet> {
     let settings = tick::uniform_settings(1)?;
     let energy = EnergyModel {
-        command: CommandModel {
-            weights: [0.3; TERMS],
-            ..CommandModel::constant(3.0)
-        },
+        command: CommandModel { weights: [0.3; TERMS], ..CommandModel::constant(3.0) },
         calibrated: 6,
         errors: [[-0.16, -0.1, -0.08, -0.04, 0.0, 0.04, 0.08, 0.1, 0.16]; 6],
         v_mps: [-0.2, 0.2],

@@ -132,9 +132,7 @@ fn publish(config: &Config, robots: usize, rate_hz: u64, stop: &AtomicBool) -> a
         step += 1;
         let states = (0..robots as u32).map(|robot| {
             let wave = ((step * 7 + robot * 3) % 100) as f32 * 0.001;
-            RobotState::new(robot)
-                .command(0.05 + wave, 0.3)
-                .reading(3.5 + wave)
+            RobotState::new(robot).command(0.05 + wave, 0.3).reading(3.5 + wave)
         });
         publisher.publish(states)?;
     }
@@ -182,18 +180,15 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
         })
     })?;
     let case = format!("1 robot x {CANDIDATES} candidates x {STEPS} steps");
-    for (name, us) in [
-        ("through_worker_us", &times.through_us),
-        ("in_process_us", &times.here_us),
-    ] {
+    for (name, us) in [("through_worker_us", &times.through_us), ("in_process_us", &times.here_us)]
+    {
         report.push(Figure::less, name, &case, "µs", us);
     }
     let figure = |spread| Figure::less("raw_two_hops_us", &case, "µs", spread);
     report.figures.extend(distribution(&raw).map(figure));
-    if let (Some(through), Some(here)) = (
-        Distribution::of(&times.through_us),
-        Distribution::of(&times.here_us),
-    ) {
+    if let (Some(through), Some(here)) =
+        (Distribution::of(&times.through_us), Distribution::of(&times.here_us))
+    {
         let ratio = (through.p50 - here.p50) / raw.p50_us;
         report.push(Figure::less, "way_p50_over_raw_hops", &case, "1", &[ratio]);
     }
@@ -218,11 +213,7 @@ fn ask(config: &Config, rounds: usize, launcher: &Launcher) -> anyhow::Result<(T
     loop {
         let is_known = client.ask(&question, PATIENCE);
         if let Ok(answered) = &is_known
-            && answered
-                .reply
-                .rows
-                .iter()
-                .all(|row| row.answer.energy.is_some())
+            && answered.reply.rows.iter().all(|row| row.answer.energy.is_some())
         {
             break;
         }
@@ -281,13 +272,7 @@ fn ticks(report: &mut Report, options: &BenchOptions, robots: usize) -> anyhow::
     })?;
     let case = format!("{robots} robots");
     let [without, with] = &us;
-    report.push(
-        Figure::less,
-        "tick_without_questions_us",
-        &case,
-        "µs",
-        without,
-    );
+    report.push(Figure::less, "tick_without_questions_us", &case, "µs", without);
     report.push(Figure::less, "tick_with_questions_us", &case, "µs", with);
     if let (Some(without), Some(with)) = (Distribution::of(without), Distribution::of(with)) {
         report.push(

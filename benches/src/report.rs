@@ -39,12 +39,7 @@ pub struct Report {
 impl Suite {
     /// Reports of this machine and this build.
     pub fn here(reports: Vec<Report>) -> Self {
-        Self {
-            schema: SCHEMA.to_owned(),
-            machine: Machine::here(),
-            build: Build::here(),
-            reports,
-        }
+        Self { schema: SCHEMA.to_owned(), machine: Machine::here(), build: Build::here(), reports }
     }
 }
 
@@ -69,8 +64,7 @@ impl Report {
         values: &[f64],
     ) {
         let spread = Distribution::of(values);
-        self.figures
-            .extend(spread.map(|spread| figure(name, case, unit, spread)));
+        self.figures.extend(spread.map(|spread| figure(name, case, unit, spread)));
     }
 
     /// Adds an input.
@@ -84,19 +78,14 @@ impl Report {
 impl fmt::Display for Suite {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "{}\n{}", self.machine, self.build)?;
-        self.reports
-            .iter()
-            .try_for_each(|report| write!(out, "\n{report}"))
+        self.reports.iter().try_for_each(|report| write!(out, "\n{report}"))
     }
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let input: Vec<String> = self
-            .input
-            .iter()
-            .map(|(name, value)| format!("{name} {value}"))
-            .collect();
+        let input: Vec<String> =
+            self.input.iter().map(|(name, value)| format!("{name} {value}")).collect();
         writeln!(out, "{}: {}", self.benchmark, input.join("; "))?;
         let width = |text: fn(&Figure) -> &str| {
             let widths = self.figures.iter().map(|figure| text(figure).len());
@@ -110,11 +99,7 @@ impl fmt::Display for Report {
         writeln!(out, " {:>6}", "n")?;
         let mut name = "";
         for figure in &self.figures {
-            let shown = if figure.name == name {
-                ""
-            } else {
-                &figure.name
-            };
+            let shown = if figure.name == name { "" } else { &figure.name };
             write!(out, "{shown:<name_width$}  {:<case_width$}", figure.case)?;
             let spread = &figure.spread;
             for value in [spread.p50, spread.p99, spread.p999, spread.max] {
@@ -123,19 +108,13 @@ impl fmt::Display for Report {
             writeln!(out, " {:>6}", spread.count)?;
             name = &figure.name;
         }
-        self.notes
-            .iter()
-            .try_for_each(|note| writeln!(out, "{note}"))
+        self.notes.iter().try_for_each(|note| writeln!(out, "{note}"))
     }
 }
 
 /// Four significant digits.
 pub(crate) fn significant(value: f64) -> String {
-    let whole_digits = if value == 0.0 {
-        1
-    } else {
-        value.abs().log10().floor() as i32 + 1
-    };
+    let whole_digits = if value == 0.0 { 1 } else { value.abs().log10().floor() as i32 + 1 };
     let decimals = (4 - whole_digits).clamp(0, 9) as usize;
     format!("{value:.decimals$}")
 }
@@ -151,9 +130,7 @@ mod tests {
             Figure::less("avx512_ns_per_robot", "1 robot", "ns", spread),
             Figure::less("avx512_ns_per_robot", "100 robots", "ns", spread),
         ];
-        report
-            .notes
-            .push("Hot: the same rows in every repetition.".to_owned());
+        report.notes.push("Hot: the same rows in every repetition.".to_owned());
         Suite::here(vec![report])
     }
 

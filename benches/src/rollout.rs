@@ -15,13 +15,8 @@ use crate::rounds::{Measurement, interleave};
 use crate::{Distribution, Figure, Report, input, kernel, threads};
 
 /// Robots, candidates per robot, steps per candidate.
-const CASES: [(usize, usize, usize); 5] = [
-    (1, 16, 50),
-    (1, 256, 50),
-    (1, 1_024, 50),
-    (100, 64, 50),
-    (1_000, 16, 30),
-];
+const CASES: [(usize, usize, usize); 5] =
+    [(1, 16, 50), (1, 256, 50), (1, 1_024, 50), (100, 64, 50), (1_000, 16, 30)];
 /// Time between two steps, s.
 const STEP_S: f32 = 1.0 / 30.0;
 /// Rows of the bare kernel: enough for its best tiling, few enough for the core's cache.
@@ -42,10 +37,8 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         .with_input("step_s", STEP_S)
         .with_input("repetitions", options.repetitions());
     let cases = if options.quick { &CASES[..2] } else { &CASES };
-    let mut works: Vec<Work> = cases
-        .iter()
-        .map(|case| Work::new(&network, *case, options.seed))
-        .collect();
+    let mut works: Vec<Work> =
+        cases.iter().map(|case| Work::new(&network, *case, options.seed)).collect();
     alone(&mut report, &network, &mut works, options);
     if options.threads > 1 {
         for case in cases.iter().filter(|(_, candidates, _)| *candidates >= 64) {
@@ -85,9 +78,7 @@ impl Work {
         let lanes = robots * candidates;
         let command = |rows: &[Features], name: &str| -> Vec<f32> {
             let feature = FEATURE_NAMES.iter().position(|other| *other == name);
-            rows.iter()
-                .map(|row| feature.map_or(0.0, |feature| row[feature]))
-                .collect()
+            rows.iter().map(|row| feature.map_or(0.0, |feature| row[feature])).collect()
         };
         let commands = input::rows(network, seed, lanes * steps);
         let starts = input::rows(network, seed + 1, robots);
@@ -128,9 +119,7 @@ impl Work {
             v_mps: &self.v_mps,
             omega_radps: &self.omega_radps,
         };
-        let done = self
-            .model
-            .rollout(&rollouts, self.lanes.clone(), &mut self.energy_j, None);
+        let done = self.model.rollout(&rollouts, self.lanes.clone(), &mut self.energy_j, None);
         assert!(done.is_ok(), "lengths agree by construction: {done:?}");
         black_box(&mut self.energy_j);
     }
@@ -168,13 +157,7 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &B
         measurement.values().iter().map(|ns| ns * scale).collect()
     };
     for ((case, _), measurement) in about.iter().zip(&measurements[1..]) {
-        report.push(
-            Figure::less,
-            "rollout_us",
-            case,
-            "µs",
-            &scaled(measurement, 1e-3),
-        );
+        report.push(Figure::less, "rollout_us", case, "µs", &scaled(measurement, 1e-3));
     }
     for ((case, forecasts), measurement) in about.iter().zip(&measurements[1..]) {
         let each = scaled(measurement, 1.0 / forecasts);
@@ -185,13 +168,7 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &B
         report.push(Figure::less, "step_over_kernel", case, "1", &over);
     }
     let case = format!("{} rows", grouped(KERNEL_ROWS as u64));
-    report.push(
-        Figure::less,
-        "kernel_ns_per_robot",
-        &case,
-        "ns",
-        measurements[0].values(),
-    );
+    report.push(Figure::less, "kernel_ns_per_robot", &case, "ns", measurements[0].values());
 }
 
 /// One pinned thread and several on the same candidates, interleaved.
@@ -206,19 +183,11 @@ fn shared(
     let each = lanes.div_ceil(options.threads);
     let part = |place: usize| (place * each).min(lanes)..((place + 1) * each).min(lanes);
     let mut whole = [new()];
-    let mut parts: Vec<Work> = (0..options.threads)
-        .map(|place| new().part(part(place)))
-        .collect();
+    let mut parts: Vec<Work> = (0..options.threads).map(|place| new().part(part(place))).collect();
     let pinned = threads::compare(&mut whole, &mut parts, Work::call, options);
     let (name, case) = (options.threads, title(case));
     report.push(Figure::less, "pinned_1_us", &case, "µs", &pinned.one_us);
-    report.push(
-        Figure::less,
-        &format!("pinned_{name}_us"),
-        &case,
-        "µs",
-        &pinned.several_us,
-    );
+    report.push(Figure::less, &format!("pinned_{name}_us"), &case, "µs", &pinned.several_us);
     let title = format!("pinned_{name}_over_1_speed_up");
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
 }

@@ -16,11 +16,7 @@ pub(crate) struct Measurement<'a> {
 impl<'a> Measurement<'a> {
     /// `run` executes one repetition and returns its figure.
     pub(crate) fn new(run: impl FnMut() -> f64 + 'a) -> Self {
-        Self {
-            run: Box::new(run),
-            every: 1,
-            values: Vec::new(),
-        }
+        Self { run: Box::new(run), every: 1, values: Vec::new() }
     }
 
     /// The figures, repetition by repetition.
@@ -41,9 +37,7 @@ pub(crate) fn interleave(measurements: &mut [Measurement<'_>], rounds: usize, ea
         measurement.every = every(rounds, one, each.as_secs_f64());
     }
     for round in 0..rounds {
-        let due = measurements
-            .iter_mut()
-            .filter(|measurement| round % measurement.every == 0);
+        let due = measurements.iter_mut().filter(|measurement| round % measurement.every == 0);
         for measurement in due {
             measurement.values.push((measurement.run)());
         }

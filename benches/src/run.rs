@@ -69,18 +69,11 @@ fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     let worse: Vec<String> = worse
         .map(|change| {
             let times = change.times_worse;
-            format!(
-                "{} {}, {}: {times:.3} times worse",
-                change.benchmark, change.name, change.case
-            )
+            format!("{} {}, {}: {times:.3} times worse", change.benchmark, change.name, change.case)
         })
         .collect();
     let is_worse = !worse.is_empty();
-    output.report(&Measured {
-        suite,
-        comparison,
-        worse,
-    })?;
+    output.report(&Measured { suite, comparison, worse })?;
     Ok(Outcome::unless_lost(is_worse))
 }
 

@@ -15,9 +15,7 @@ pub(crate) fn processors() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else {
         return Vec::new();
     };
-    (0..CpuSet::MAX_CPU)
-        .filter(|processor| allowed.is_set(*processor))
-        .collect()
+    (0..CpuSet::MAX_CPU).filter(|processor| allowed.is_set(*processor)).collect()
 }
 
 /// Scheduling of the measured thread, which must be granted.
@@ -120,11 +118,8 @@ pub(crate) fn compare<W: Send>(
     call(&mut whole[0]);
     let each_s = options.each().as_secs_f64() / turns as f64;
     let repetitions = (each_s / start.elapsed().as_secs_f64().max(1e-9)).clamp(1.0, 100.0) as usize;
-    let mut compared = Compared {
-        one_us: Vec::new(),
-        several_us: Vec::new(),
-        speed_up: Vec::new(),
-    };
+    let mut compared =
+        Compared { one_us: Vec::new(), several_us: Vec::new(), speed_up: Vec::new() };
     for _ in 0..turns {
         let one_us = side_by_side(whole, call, repetitions);
         let several_us = side_by_side(parts, call, repetitions);

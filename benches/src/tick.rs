@@ -53,10 +53,8 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     }
     // Sorted by name, so that sizes are adjacent.
     let names = sized.iter().max_by_key(|figures| figures.len());
-    let names: Vec<String> = names
-        .iter()
-        .flat_map(|figures| figures.iter().map(|figure| figure.name.clone()))
-        .collect();
+    let names: Vec<String> =
+        names.iter().flat_map(|figures| figures.iter().map(|figure| figure.name.clone())).collect();
     for name in &names {
         let of_name = sized.iter().flatten().filter(|figure| figure.name == *name);
         report.figures.extend(of_name.cloned());
@@ -88,11 +86,8 @@ fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Re
     let one = back_to_back(&mut bench, options);
     push_one_thread(&mut report, size, &one);
     if size >= LEAST_WEIGHED {
-        let each: Vec<f64> = bench
-            .own_bytes()
-            .map(|bytes| bytes / size as f64)
-            .into_iter()
-            .collect();
+        let each: Vec<f64> =
+            bench.own_bytes().map(|bytes| bytes / size as f64).into_iter().collect();
         let title = "fleet_bytes_per_robot";
         report.push(Figure::less, title, &robots(size), "bytes", &each);
     }
@@ -101,12 +96,8 @@ fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Re
     if options.threads > 1 {
         // The pool's first thread belongs to it permanently, so it gets a new thread.
         let shared = || -> anyhow::Result<()> {
-            let mut bench = Bench::new(
-                network,
-                (options.fleet, size),
-                options.threads,
-                options.seed,
-            )?;
+            let mut bench =
+                Bench::new(network, (options.fleet, size), options.threads, options.seed)?;
             let several = back_to_back(&mut bench, options);
             push_several(&mut report, size, options.threads, &one, &several);
             let title = format!("{}_threads", options.threads);
@@ -142,13 +133,7 @@ fn push_one_thread(report: &mut Report, size: usize, rounds: &[Round]) {
     let each = 1.0 / size as f64;
     let mut ns = |name: &str, of: fn(&Round) -> f64| {
         let values = values(rounds, |round| of(round) * each);
-        report.push(
-            Figure::less,
-            &format!("{name}_ns_per_robot"),
-            &case,
-            "ns",
-            &values,
-        );
+        report.push(Figure::less, &format!("{name}_ns_per_robot"), &case, "ns", &values);
     };
     ns("tick", |round| round.tick());
     ns("take", |round| round.take);
@@ -156,9 +141,7 @@ fn push_one_thread(report: &mut Report, size: usize, rounds: &[Round]) {
     ns("network", |round| round.stages[1]);
     ns("bookkeeping", |round| round.stages[2]);
     ns("writing", |round| round.stages[3]);
-    ns("tick_in_two", |round| {
-        round.take_in_two + round.forecast + round.account
-    });
+    ns("tick_in_two", |round| round.take_in_two + round.forecast + round.account);
     ns("forecast", |round| round.forecast);
     ns("account", |round| round.account);
     ns("kernel", |round| round.kernel);
@@ -166,12 +149,8 @@ fn push_one_thread(report: &mut Report, size: usize, rounds: &[Round]) {
         report.push(Figure::less, name, &case, "1", &values(rounds, of));
     };
     ratio("tick_over_kernel", |round| round.tick() / round.kernel);
-    ratio("tick_with_plan_states_over_tick", |round| {
-        round.with_plan_states / round.tick()
-    });
-    ratio("forecast_over_kernel", |round| {
-        round.forecast / round.kernel
-    });
+    ratio("tick_with_plan_states_over_tick", |round| round.with_plan_states / round.tick());
+    ratio("forecast_over_kernel", |round| round.forecast / round.kernel);
     ratio("take_and_forecast_over_kernel", |round| {
         (round.take_in_two + round.forecast) / round.kernel
     });
@@ -209,11 +188,7 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOpt
     let period_us = 1e6 / options.rate_hz as f64;
     let paced = bench.paced(options.rate_hz, options.seconds_or(10));
     let case = robots(bench.robots());
-    let shard: Vec<f64> = paced
-        .due_to_done_us
-        .iter()
-        .map(|us| us / period_us)
-        .collect();
+    let shard: Vec<f64> = paced.due_to_done_us.iter().map(|us| us / period_us).collect();
     let mut less = |name: &str, unit: &str, values: &[f64]| {
         let name = name.replacen('_', &format!("_{title}_"), 1);
         report.push(Figure::less, &name, &case, unit, values);

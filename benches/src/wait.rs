@@ -30,26 +30,13 @@ enum WaitMethod {
 }
 
 const METHODS: [(&str, WaitMethod); 4] = [
-    (
-        "ppoll with a timeout, slack 1 ns (the worker's)",
-        WaitMethod::Timeout { slack_ns: 1 },
-    ),
-    (
-        "timer descriptor, slack 1 ns",
-        WaitMethod::Timer { slack_ns: 1 },
-    ),
+    ("ppoll with a timeout, slack 1 ns (the worker's)", WaitMethod::Timeout { slack_ns: 1 }),
+    ("timer descriptor, slack 1 ns", WaitMethod::Timer { slack_ns: 1 }),
     (
         "ppoll with a timeout, slack 50 µs (the system's)",
-        WaitMethod::Timeout {
-            slack_ns: USUAL_SLACK_NS,
-        },
+        WaitMethod::Timeout { slack_ns: USUAL_SLACK_NS },
     ),
-    (
-        "timer descriptor, slack 50 µs",
-        WaitMethod::Timer {
-            slack_ns: USUAL_SLACK_NS,
-        },
-    ),
+    ("timer descriptor, slack 50 µs", WaitMethod::Timer { slack_ns: USUAL_SLACK_NS }),
 ];
 
 /// Measures all methods, interleaved.
@@ -97,10 +84,7 @@ impl WaitMethod {
                 poll(&mut polled, Some(&time(left_ns)))?;
             }
             Self::Timer { .. } => {
-                let due = Itimerspec {
-                    it_interval: time(0),
-                    it_value: time(deadline_ns),
-                };
+                let due = Itimerspec { it_interval: time(0), it_value: time(deadline_ns) };
                 timerfd_settime(timer, TimerfdTimerFlags::ABSTIME, &due)?;
                 let mut polled = [
                     PollFd::from_borrowed_fd(silent.as_fd(), PollFlags::IN),
@@ -141,10 +125,7 @@ mod tests {
             .and_then(|matches| BenchArguments::from_arg_matches(&matches))
             .unwrap_or_else(|error| panic!("{error}"));
         let report = measure(&arguments.options).unwrap_or_else(|error| panic!("{error:#}"));
-        let late = report
-            .figures
-            .iter()
-            .filter(|figure| figure.name == "late_us");
+        let late = report.figures.iter().filter(|figure| figure.name == "late_us");
         let late: Vec<_> = late.collect();
         assert_eq!(late.len(), METHODS.len());
         for figure in late {

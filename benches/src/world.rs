@@ -47,9 +47,7 @@ impl World {
             step: 0,
             missing_every: (kind == TickFleet::MissingReadings).then_some(10),
             command: (0..CYCLE).map(command).collect(),
-            power_w: (0..CYCLE)
-                .map(|step| 3.65 + 0.3 * wave(step, 7.0))
-                .collect(),
+            power_w: (0..CYCLE).map(|step| 3.65 + 0.3 * wave(step, 7.0)).collect(),
         };
         world.write();
         world
@@ -89,10 +87,7 @@ impl World {
             *sample = Sample::new(sample.robot, self.step, stamp_ns).command(v_mps, omega_radps);
             // A stride without a common factor: other robots each time.
             let draw = (robot as u64).wrapping_add(self.step * 7);
-            if self
-                .missing_every
-                .is_some_and(|every| draw.is_multiple_of(every))
-            {
+            if self.missing_every.is_some_and(|every| draw.is_multiple_of(every)) {
                 continue;
             }
             *sample = sample.reading(power_w, stamp_ns - since * self.period_ns);

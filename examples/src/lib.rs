@@ -67,12 +67,7 @@ impl PrivateFleet {
         let domain = format!("[domain]\nroot = \"{}\"\n", root.display());
         let ledger = "[ledger]\ncheckpoint = \"ledger.json\"\n";
         fs::write(&config, [fleet, &domain, ledger, platforms].concat())?;
-        Ok(Self {
-            config,
-            stop: Arc::default(),
-            worker: None,
-            _directory: directory,
-        })
+        Ok(Self { config, stop: Arc::default(), worker: None, _directory: directory })
     }
 
     /// As [`PrivateFleet::new`], with a worker in a thread of this process, ready for samples.
@@ -139,14 +134,8 @@ pub fn record(file: &Path) -> anyhow::Result<()> {
     let attachments = attach(std::slice::from_ref(&config), clock)?;
     let target = Target::File(file.to_owned());
     // Started before the worker, so that its first tick is in the capture.
-    let recorder = Recorder::start(
-        &config,
-        Vec::new(),
-        clock,
-        attachments,
-        target,
-        &Options::default(),
-    )?;
+    let recorder =
+        Recorder::start(&config, Vec::new(), clock, attachments, target, &Options::default())?;
     fleet.start_worker()?;
     let mut publisher = Publisher::with_config(&config, "controller")?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
@@ -154,9 +143,7 @@ pub fn record(file: &Path) -> anyhow::Result<()> {
         pace.wait();
         let robots = (0..10).map(|robot| {
             let v_mps = 0.1 + 0.05 * (0.1 * tick as f32 + robot as f32).sin();
-            RobotState::new(robot)
-                .command(v_mps, 0.0)
-                .reading(2.8 + 9.0 * v_mps)
+            RobotState::new(robot).command(v_mps, 0.0).reading(2.8 + 9.0 * v_mps)
         });
         publisher.publish(robots)?;
     }

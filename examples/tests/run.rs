@@ -64,10 +64,7 @@ fn run(name: &str) -> Vec<String> {
 fn assert_starts(lines: &[String], starts: &[&str]) {
     assert_eq!(lines.len(), starts.len(), "{lines:#?}");
     for (line, start) in lines.iter().zip(starts) {
-        assert!(
-            line.starts_with(start),
-            "{line:?} does not begin with {start:?}"
-        );
+        assert!(line.starts_with(start), "{line:?} does not begin with {start:?}");
     }
 }
 
@@ -111,14 +108,8 @@ fn every_example_has_a_test() {
         if path.extension().is_some_and(|extension| extension == "rs") {
             let name = path.file_stem().unwrap().to_str().unwrap();
             let called = ["run", "start"].map(|function| format!("{function}(\"{name}\""));
-            assert!(
-                called.iter().any(|call| tests.contains(call)),
-                "{name} is not run"
-            );
-            assert!(
-                manifest.contains(&format!("name = \"{name}\"")),
-                "{name} is not built"
-            );
+            assert!(called.iter().any(|call| tests.contains(call)), "{name} is not run");
+            assert!(manifest.contains(&format!("name = \"{name}\"")), "{name} is not built");
         }
     }
 }
@@ -141,28 +132,18 @@ fn a_controller_and_a_planner_meet_in_a_worker() {
 fn budgets() {
     assert_starts(
         &run("budgets"),
-        &[
-            "robot 0: ",
-            "robot 1: ",
-            "robot 2: 0.0 J metered over 0.0 s",
-        ],
+        &["robot 0: ", "robot 1: ", "robot 2: 0.0 J metered over 0.0 s"],
     );
 }
 
 #[test]
 fn alarms() {
-    assert_starts(
-        &run("alarms"),
-        &["robot 2 refused: Some(NotFinite)", "robot 1: StuckSensor"],
-    );
+    assert_starts(&run("alarms"), &["robot 2 refused: Some(NotFinite)", "robot 1: StuckSensor"]);
 }
 
 #[test]
 fn worker_death() {
-    assert_starts(
-        &run("worker_death"),
-        &["tick ", "the worker is gone", "tick "],
-    );
+    assert_starts(&run("worker_death"), &["tick ", "the worker is gone", "tick "]);
 }
 
 #[test]
@@ -191,26 +172,14 @@ fn an_event_loop_gets_frames_and_the_end_of_a_killed_worker() {
 fn mixed_fleet() {
     assert_starts(
         &run("mixed_fleet"),
-        &[
-            "gternal: 10 robots",
-            "husky: 2 robots, 280.0 W",
-            "rover: 1 robots, 31.0 W",
-        ],
+        &["gternal: 10 robots", "husky: 2 robots, 280.0 W", "rover: 1 robots, 31.0 W"],
     );
 }
 
 #[test]
 fn rollouts() {
     let lines = run("rollouts");
-    assert_starts(
-        &lines,
-        &[
-            "gternal-sim was trained on 3.09",
-            "0.05 m/s",
-            "0.15 m/s",
-            "0.00 m/s",
-        ],
-    );
+    assert_starts(&lines, &["gternal-sim was trained on 3.09", "0.05 m/s", "0.15 m/s", "0.00 m/s"]);
     assert!(!lines.concat().contains("NaN"), "{lines:#?}");
 }
 
@@ -218,13 +187,7 @@ fn rollouts() {
 fn training() {
     assert_starts(
         &run("training"),
-        &[
-            "epoch 1",
-            "epoch 2",
-            "epoch 3",
-            "1180 forecasts of held-out robots",
-            "a model file of",
-        ],
+        &["epoch 1", "epoch 2", "epoch 3", "1180 forecasts of held-out robots", "a model file of"],
     );
 }
 
@@ -232,10 +195,7 @@ fn training() {
 fn offline_evaluation() {
     assert_starts(
         &run("offline_evaluation"),
-        &[
-            "simulated/energy_data_trial1",
-            "simulated/energy_data_trial5",
-        ],
+        &["simulated/energy_data_trial1", "simulated/energy_data_trial5"],
     );
 }
 
@@ -257,23 +217,13 @@ fn model_import() {
 #[test]
 fn read_capture() {
     let lines = recorded(|| start("read_capture", &[]));
-    assert!(
-        lines
-            .iter()
-            .any(|line| line == "joulebus/example/samples: 60 messages"),
-        "{lines:#?}"
-    );
+    assert!(lines.iter().any(|line| line == "joulebus/example/samples: 60 messages"), "{lines:#?}");
     assert!(lines.last().unwrap().contains(" forecasts, "), "{lines:#?}");
 }
 
 #[test]
 fn replay() {
-    let [line] = &recorded(|| start("replay", &[]))[..] else {
-        panic!("one line")
-    };
-    assert!(
-        line.ends_with(" forecasts compared, 0 values differ"),
-        "{line}"
-    );
+    let [line] = &recorded(|| start("replay", &[]))[..] else { panic!("one line") };
+    assert!(line.ends_with(" forecasts compared, 0 values differ"), "{line}");
     assert!(!line.starts_with("0 of "), "{line}");
 }

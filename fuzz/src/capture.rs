@@ -12,11 +12,7 @@ use joulebus_capture_format::scan::{Event, Scan, ScanError};
 
 /// Maximum length of an input, bytes; offsets are below it.
 fn place_lies_in(offset: u64, bytes: &[u8]) {
-    assert!(
-        offset <= bytes.len() as u64,
-        "byte {offset} of {}",
-        bytes.len()
-    );
+    assert!(offset <= bytes.len() as u64, "byte {offset} of {}", bytes.len());
 }
 
 pub(crate) fn scan(bytes: &[u8]) -> bool {
@@ -47,11 +43,7 @@ pub(crate) fn scan(bytes: &[u8]) -> bool {
         }
     }
     let found = inspect(Cursor::new(bytes)).expect("its first bytes are those of an MCAP file");
-    assert!(
-        found.messages <= messages,
-        "{} > {messages}",
-        found.messages
-    );
+    assert!(found.messages <= messages, "{} > {messages}", found.messages);
     assert_eq!(found.is_sound(), found.errors == 0);
     let read = damaged::read(bytes);
     assert!(read <= messages, "{read} > {messages}");
@@ -64,14 +56,8 @@ pub(crate) fn recover(bytes: &[u8]) -> bool {
     };
     let sum: u64 = recovery.topics.values().sum();
     assert_eq!(sum, recovery.messages.recovered);
-    assert!(
-        recovery.messages.suspect <= recovery.messages.recovered,
-        "{recovery}"
-    );
-    assert!(
-        recovery.passed_over_bytes <= bytes.len() as u64,
-        "{recovery}"
-    );
+    assert!(recovery.messages.suspect <= recovery.messages.recovered, "{recovery}");
+    assert!(recovery.passed_over_bytes <= bytes.len() as u64, "{recovery}");
     assert!(recovery.troubles.len() as u64 <= recovery.trouble_count);
     recovery.messages.recovered > 0
 }
@@ -89,9 +75,8 @@ pub(crate) fn import(bytes: &[u8]) -> bool {
     let Some((which, bytes)) = bytes.split_first() else {
         return false;
     };
-    let mapping: Mapping = MAPPINGS[usize::from(*which) % MAPPINGS.len()]
-        .parse()
-        .expect("a sound mapping");
+    let mapping: Mapping =
+        MAPPINGS[usize::from(*which) % MAPPINGS.len()].parse().expect("a sound mapping");
     let Ok(imported) = joulebus_capture_format::import::import(Cursor::new(bytes), "bag", &mapping)
     else {
         return false;
@@ -103,17 +88,11 @@ pub(crate) fn import(bytes: &[u8]) -> bool {
 fn adds_up(imported: &Imported) {
     for robot in &imported.robots {
         assert_eq!(robot.row_count, robot.rows.len() as u64);
-        let times = robot
-            .rows
-            .windows(2)
-            .all(|pair| pair[0].time_ns <= pair[1].time_ns);
+        let times = robot.rows.windows(2).all(|pair| pair[0].time_ns <= pair[1].time_ns);
         assert!(times, "{}: rows out of order", robot.name);
         for row in &robot.rows {
             let power_w = row.voltage_v * row.current_a;
-            assert!(
-                row.voltage_v.is_finite() && row.current_a.is_finite(),
-                "{row:?}"
-            );
+            assert!(row.voltage_v.is_finite() && row.current_a.is_finite(), "{row:?}");
             assert_eq!(row.power_w.to_bits(), power_w.to_bits(), "{row:?}");
         }
         let refused: u64 = robot.battery.refused.values().sum();

@@ -36,11 +36,7 @@ pub(crate) fn whole(bytes: &[u8]) -> bool {
             let outputs = found.layer.bias.len();
             assert_eq!(found.layer.weights.len(), inputs * outputs);
             let mut values = found.layer.weights.iter().chain(&found.layer.bias);
-            assert!(
-                values.all(|value| value.is_finite()),
-                "{}",
-                found.weight_path
-            );
+            assert!(values.all(|value| value.is_finite()), "{}", found.weight_path);
             inputs = outputs;
         }
         assert_eq!(inputs, 1);

@@ -22,10 +22,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
             return false;
         }
     };
-    config
-        .settings()
-        .check()
-        .expect("what was read has been checked");
+    config.settings().check().expect("what was read has been checked");
     assert_eq!(config.models().len(), config.settings().platforms.len());
     assert!(config.threads().count > 0 && config.tick_period_ns() > 0);
     let shown = config.to_toml();
@@ -33,10 +30,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let again = again.unwrap_or_else(|error| panic!("{error}\n---\n{shown}"));
     assert_eq!(again.settings(), config.settings());
     assert_eq!(again.models(), config.models());
-    assert_eq!(
-        (again.fleet(), again.root()),
-        (config.fleet(), config.root())
-    );
+    assert_eq!((again.fleet(), again.root()), (config.fleet(), config.root()));
     assert_eq!(again.prefix(), config.prefix());
     assert_eq!(again.policy(), config.policy());
     assert_eq!(again.tick_period_ns(), config.tick_period_ns());
@@ -59,10 +53,7 @@ fn refused(error: &ConfigError, text: &str) {
     assert!(!problems.is_empty());
     let lines = 1 + text.bytes().filter(|byte| *byte == b'\n').count();
     for problem in problems {
-        assert!(
-            !problem.what.is_empty() && !problem.remedy.is_empty(),
-            "{problem:?}"
-        );
+        assert!(!problem.what.is_empty() && !problem.remedy.is_empty(), "{problem:?}");
         let named = problem.file == "<config>";
         let line = problem.line.unwrap_or(1);
         assert!(line >= 1 && (!named || line <= lines), "{problem:?}");

@@ -44,19 +44,13 @@ struct Sources {
 
 impl Sources {
     fn new() -> Self {
-        Self {
-            runs: std::array::from_fn(|id| Source::new(id as u64, 10)),
-            seqs: [0; ROBOTS.len()],
-        }
+        Self { runs: std::array::from_fn(|id| Source::new(id as u64, 10)), seqs: [0; ROBOTS.len()] }
     }
 
     fn restart(&mut self, input: &mut Input<'_>) {
         let run = &mut self.runs[usize::from(input.u8()) % 6];
         let header = run.header;
-        *run = Source::new(
-            header.source_id,
-            header.source_epoch + u64::from(input.u8()),
-        );
+        *run = Source::new(header.source_id, header.source_epoch + u64::from(input.u8()));
         self.seqs = [0; ROBOTS.len()];
     }
 
@@ -150,19 +144,13 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let drops = fleet.drops();
     let refused = drops.iter().filter(|(reason, _)| !lost.contains(reason));
     let refused: u64 = refused.map(|(_, count)| count).sum();
-    assert_eq!(
-        offered,
-        fleet.accepted() + refused,
-        "sent = accepted + dropped"
-    );
+    assert_eq!(offered, fleet.accepted() + refused, "sent = accepted + dropped");
     assert!(fleet.len() <= CAPACITY as usize, "{} robots", fleet.len());
 
     let mut other = Fleet::new(settings, models).expect("the settings agree");
     let kept = encoded(&fleet);
     let state = FleetState::decode(&kept).expect("what was encoded is decoded");
-    other
-        .restore_state(&state)
-        .expect("the same settings and models");
+    other.restore_state(&state).expect("the same settings and models");
     assert_eq!(encoded(&other), kept, "a fleet goes on from its own state");
     fleet.accepted() > 0
 }

@@ -20,12 +20,8 @@ fn varint_bytes(number: u64) -> usize {
 
 /// The head of the state of `fleet`, up to its counters.
 pub(crate) fn beginning(fleet: &Fleet, settings_hash: u64, platforms: usize) -> Vec<u8> {
-    let numbers = [
-        u64::from(fleet.capacity()),
-        platforms as u64,
-        settings_hash,
-        fleet.model_hash(),
-    ];
+    let numbers =
+        [u64::from(fleet.capacity()), platforms as u64, settings_hash, fleet.model_hash()];
     let mut state = encoded(fleet);
     state.truncate(8 + numbers.map(varint_bytes).iter().sum::<usize>());
     state
@@ -39,11 +35,9 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let mut fleet = new();
     let bytes = match options & 4 {
         0 => input.0.to_vec(),
-        _ => [
-            &beginning(&fleet, settings.fingerprint(), settings.platforms.len()),
-            input.0,
-        ]
-        .concat(),
+        _ => {
+            [&beginning(&fleet, settings.fingerprint(), settings.platforms.len()), input.0].concat()
+        }
     };
     let Ok(state) = FleetState::decode(&bytes) else {
         return false;
@@ -85,11 +79,8 @@ fn exercise(fleet: &mut Fleet) {
         sent += samples.len() as u64;
         fleet.tick(now_ns, false);
         for place in 0..fleet.len() {
-            let (forecast, _, _) = (
-                fleet.forecast(place),
-                fleet.diagnostic(place),
-                fleet.budget(place),
-            );
+            let (forecast, _, _) =
+                (fleet.forecast(place), fleet.diagnostic(place), fleet.budget(place));
             let shown = forecast.expected_w();
             assert!(shown.is_none_or(f32::is_finite), "{forecast:?}");
         }

@@ -35,12 +35,7 @@ pub struct Target {
 }
 
 const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target {
-    Target {
-        name,
-        seeds: name,
-        run,
-        max_bytes: most_mib << 20,
-    }
+    Target { name, seeds: name, run, max_bytes: most_mib << 20 }
 }
 
 /// All targets. A scan buffers a record of at most 64 MiB, an archive at most 32 MiB.
@@ -54,14 +49,8 @@ pub const TARGETS: [Target; 13] = [
     of("model", 16, model::run),
     of("pickle", 96, checkpoints::pickle),
     of("questions", 16, questions::run),
-    Target {
-        seeds: "mcap",
-        ..of("recover", 24, capture::recover)
-    },
-    Target {
-        seeds: "mcap",
-        ..of("scan", 24, capture::scan)
-    },
+    Target { seeds: "mcap", ..of("recover", 24, capture::recover) },
+    Target { seeds: "mcap", ..of("scan", 24, capture::scan) },
     of("trial_csv", 16, trials::csv),
     of("trial_npy", 16, trials::npy),
 ];
@@ -74,10 +63,7 @@ impl Target {
     pub fn run(&self, bytes: &[u8]) -> bool {
         let (accepted, peak_bytes) = counting::peak(|| (self.run)(bytes));
         let (name, most) = (self.name, self.max_bytes);
-        assert!(
-            peak_bytes <= most,
-            "{name}: {peak_bytes} bytes, allowed are {most}"
-        );
+        assert!(peak_bytes <= most, "{name}: {peak_bytes} bytes, allowed are {most}");
         accepted
     }
 }
@@ -106,11 +92,7 @@ macro_rules! program {
             let target = joulebus_fuzz::target($name);
             for path in std::env::args_os().skip(1).map(std::path::PathBuf::from) {
                 let accepted = target.run(&std::fs::read(&path)?);
-                println!(
-                    "{}: {}",
-                    path.display(),
-                    if accepted { "accepted" } else { "refused" }
-                );
+                println!("{}: {}", path.display(), if accepted { "accepted" } else { "refused" });
             }
             Ok(())
         }

@@ -36,9 +36,7 @@ fn grown(bytes: &[u8]) -> Option<Vec<u8>> {
     let (header, data) = (&bytes[..end], &bytes[end + 1..]);
     let map: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(header).ok()?;
     map.get("__metadata__")?.as_object()?;
-    let ends = map
-        .values()
-        .filter_map(|entry| entry["data_offsets"][1].as_u64());
+    let ends = map.values().filter_map(|entry| entry["data_offsets"][1].as_u64());
     let wanted = usize::try_from(ends.max().unwrap_or(0)).ok()?;
     let data = data.iter().cycle().take(wanted.min(MAX_DATA_BYTES));
     let length = (header.len() as u64).to_le_bytes();
@@ -53,9 +51,7 @@ fn read(bytes: &[u8]) -> bool {
             return false;
         }
     };
-    let written = network
-        .to_safetensors()
-        .expect("what was read can be written");
+    let written = network.to_safetensors().expect("what was read can be written");
     let again = Network::from_safetensors(&written).expect("what was written can be read");
     assert_eq!(again.parameters(), network.parameters());
     assert_eq!(again.card(), network.card());

@@ -71,14 +71,7 @@ fn question(choice: u8) -> Question {
     let wave = |at: u8| f32::from(at % 5) * 0.01;
     let path = |heading_rad| Path {
         heading_rad,
-        ..Path::new(
-            &[
-                Point::new(0.0, 0.0),
-                Point::new(0.3, 0.0),
-                Point::new(0.3, 0.2),
-            ],
-            0.1,
-        )
+        ..Path::new(&[Point::new(0.0, 0.0), Point::new(0.3, 0.0), Point::new(0.3, 0.2)], 0.1)
     };
     let plan = match choice % 4 {
         0 => Plan::WhatIf {
@@ -88,34 +81,20 @@ fn question(choice: u8) -> Question {
             v_mps: (0..12).map(wave).collect(),
             omega_radps: (1..13).map(wave).collect(),
         },
-        1 => Plan::Idle {
-            robots: ROBOTS[..3].to_vec(),
-            duration_s: 20.0,
-        },
-        2 => Plan::Follow {
-            robots: vec![101],
-            path: path(Some(0.5)),
-            back_to: None,
-        },
+        1 => Plan::Idle { robots: ROBOTS[..3].to_vec(), duration_s: 20.0 },
+        2 => Plan::Follow { robots: vec![101], path: path(Some(0.5)), back_to: None },
         _ => Plan::Follow {
             robots: ROBOTS[..3].to_vec(),
             path: path(None),
             back_to: Some(Point::new(0.1, -0.0)),
         },
     };
-    Question {
-        plan,
-        coverage: 0.9,
-        power: choice % 4 != 1,
-    }
+    Question { plan, coverage: 0.9, power: choice % 4 != 1 }
 }
 
 fn set_header(header: &mut QueryHeader, field: u8, value: u64) {
-    let (small, single, double) = (
-        value as u32,
-        f32::from_bits(value as u32),
-        f64::from_bits(value),
-    );
+    let (small, single, double) =
+        (value as u32, f32::from_bits(value as u32), f64::from_bits(value));
     match field % 15 {
         0 => header.schema = small,
         1 => header.kind = small,
@@ -161,10 +140,7 @@ fn asked(choice: u8, input: &mut Input<'_>) -> bool {
     let again = Question::decode(&header, &values, FLEET).expect("what was encoded is decoded");
     let (header_again, values_again) = again.encode(FLEET).expect("it fits");
     // As bytes: NaN is not equal to itself.
-    assert_eq!(
-        bytemuck::bytes_of(&header),
-        bytemuck::bytes_of(&header_again)
-    );
+    assert_eq!(bytemuck::bytes_of(&header), bytemuck::bytes_of(&header_again));
     assert_eq!(
         bytemuck::cast_slice::<f64, u64>(&values),
         bytemuck::cast_slice::<f64, u64>(&values_again)

@@ -29,11 +29,7 @@ use super::keyframes::beginning;
 pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     let mut all = Vec::new();
     let mut add = |directory, seeds: Vec<(String, Vec<u8>)>| {
-        all.extend(
-            seeds
-                .into_iter()
-                .map(|(name, bytes)| (directory, name, bytes)),
-        );
+        all.extend(seeds.into_iter().map(|(name, bytes)| (directory, name, bytes)));
     };
     add("archive", archives());
     add("checkpoint", checkpoints());
@@ -85,19 +81,11 @@ fn archives() -> Vec<(String, Vec<u8>)> {
         ("a/version", b"3\n"),
     ];
     let arrays = to_arrays(&network(1, FeatureSet::PowerOnly)).expect("a network of ours");
-    let arrays: Vec<_> = arrays
-        .into_iter()
-        .map(|(name, bytes)| (format!("{name}.npy"), bytes))
-        .collect();
-    let all: Vec<(&str, &[u8])> = arrays
-        .iter()
-        .map(|(name, bytes)| (&**name, &**bytes))
-        .collect();
-    let few: Vec<(&str, &[u8])> = all
-        .iter()
-        .filter(|(_, bytes)| bytes.len() < 500)
-        .copied()
-        .collect();
+    let arrays: Vec<_> =
+        arrays.into_iter().map(|(name, bytes)| (format!("{name}.npy"), bytes)).collect();
+    let all: Vec<(&str, &[u8])> = arrays.iter().map(|(name, bytes)| (&**name, &**bytes)).collect();
+    let few: Vec<(&str, &[u8])> =
+        all.iter().filter(|(_, bytes)| bytes.len() < 500).copied().collect();
     vec![
         named("torch", packed(&torch)),
         named("arrays", packed(&all)),
@@ -106,20 +94,15 @@ fn archives() -> Vec<(String, Vec<u8>)> {
 }
 
 fn checkpoints() -> Vec<(String, Vec<u8>)> {
-    let small = wrapped::zipped(&[
-        ("a.npy", &wrapped::in_npy(PLAIN)),
-        ("b.npy", &numbers("<f4", false)),
-    ]);
+    let small =
+        wrapped::zipped(&[("a.npy", &wrapped::in_npy(PLAIN)), ("b.npy", &numbers("<f4", false))]);
     vec![
         named("object.npy", wrapped::in_npy(NUMPY)),
         named("numbers.npy", numbers("<f8", false)),
         named("torch.pt", wrapped::in_zip(PLAIN)),
         named("legacy.pt", wrapped::in_legacy(PLAIN)[0].clone()),
         named("small.npz", small),
-        named(
-            "own.npz",
-            to_npz(&network(1, FeatureSet::PowerOnly)).expect("a network of ours"),
-        ),
+        named("own.npz", to_npz(&network(1, FeatureSet::PowerOnly)).expect("a network of ours")),
     ]
 }
 
@@ -180,10 +163,7 @@ fn written(robot: &str, name: &str) -> Vec<u8> {
         let mut values = [f64::NAN; Column::ALL.len()];
         values[Column::Power as usize] = 3.5 + f64::from(step % 2) / 8.0;
         values[Column::V as usize] = 0.1 * f64::from(step);
-        Row {
-            timestamp_s: f64::from(step) / 30.0,
-            values,
-        }
+        Row { timestamp_s: f64::from(step) / 30.0, values }
     });
     let trial = Trial::from_rows(Path::new("rows"), robot, rows).expect("rows are sound");
     let directory = tempfile::tempdir().expect("a directory");
@@ -248,34 +228,18 @@ fn keyframes() -> Vec<(String, Vec<u8>)> {
         }
         [&[options | 4], &encoded(&fleet)[begins..]].concat()
     };
-    vec![
-        named("paper", of(0)),
-        named("freshness-and-learning", of(3)),
-    ]
+    vec![named("paper", of(0)), named("freshness-and-learning", of(3))]
 }
 
 fn questions() -> Vec<(String, Vec<u8>)> {
     let steps = |field: u8, value: u64| [&[1, field][..], &value.to_le_bytes(), &[0; 3]].concat();
-    let row = AnswerRow {
-        robot: 1,
-        flags: answer_flag::ENERGY,
-        verdict: 1,
-        ..AnswerRow::default()
-    };
+    let row =
+        AnswerRow { robot: 1, flags: answer_flag::ENERGY, verdict: 1, ..AnswerRow::default() };
     let mut words: Vec<u64> = bytemuck::cast_slice(&[row]).to_vec();
     let mut records = Vec::new();
-    let answer = AnswerHeader {
-        rows: 1,
-        ..AnswerHeader::default()
-    };
-    let record = QueryRecord {
-        answer,
-        ..QueryRecord::default()
-    };
-    assert!(
-        push_record(&mut records, record, &[1.0, 2.0], &words),
-        "it fits"
-    );
+    let answer = AnswerHeader { rows: 1, ..AnswerHeader::default() };
+    let record = QueryRecord { answer, ..QueryRecord::default() };
+    assert!(push_record(&mut records, record, &[1.0, 2.0], &words), "it fits");
     words.extend(records);
     let lengths = [[1_u32, 2, 0], [0, 0, 4]].map(|of| of.map(u32::to_le_bytes).concat());
     let bytes: &[u8] = bytemuck::cast_slice(&words);
@@ -285,23 +249,11 @@ fn questions() -> Vec<(String, Vec<u8>)> {
         .map(|(name, choice)| named(name, [choice, 0, 0, 0, 0]))
         .collect();
     all.extend([
-        named(
-            "nan-coverage",
-            [&[0][..], &steps(9, f32::NAN.to_bits().into())].concat(),
-        ),
-        named(
-            "far-return",
-            [&[3][..], &steps(13, 1e6_f64.to_bits())].concat(),
-        ),
-        named(
-            "answer-and-records",
-            [&[4, 0][..], &lengths[0], bytes].concat(),
-        ),
+        named("nan-coverage", [&[0][..], &steps(9, f32::NAN.to_bits().into())].concat()),
+        named("far-return", [&[3][..], &steps(13, 1e6_f64.to_bits())].concat()),
+        named("answer-and-records", [&[4, 0][..], &lengths[0], bytes].concat()),
         named("records", [&[4, 0][..], &[0; 12], &bytes[64..]].concat()),
-        named(
-            "refusal",
-            [&[4, 7][..], &lengths[1], b"why \0\0\0\0"].concat(),
-        ),
+        named("refusal", [&[4, 7][..], &lengths[1], b"why \0\0\0\0"].concat()),
     ]);
     all
 }
@@ -313,11 +265,7 @@ fn models() -> Vec<(String, Vec<u8>)> {
         let weights = &file[header..header + 256];
         [&[1], file[8..header].trim_ascii_end(), &[0], weights].concat()
     };
-    let sets = [
-        FeatureSet::Full,
-        FeatureSet::PowerOnly,
-        FeatureSet::Freshness,
-    ];
+    let sets = [FeatureSet::Full, FeatureSet::PowerOnly, FeatureSet::Freshness];
     let mut all: Vec<_> = sets.map(|set| named(set.name(), of(set))).into();
     let empty = b"\x00\x10\x00\x00\x00\x00\x00\x00\x00{\"__metadata__\":{}";
     all.push(named("as-it-is", *empty));
@@ -332,15 +280,9 @@ fn captures() -> Vec<(String, Vec<u8>)> {
     let settings = CaptureSettings::of(Preset::ZstdSmall);
     let mut writer = Writer::new(Vec::new(), settings, &Attachments::default()).expect("memory");
     for step in 0..3 {
-        let header = SampleHeader {
-            samples_before: step,
-            ..Source::new(1, 10).header
-        };
+        let header = SampleHeader { samples_before: step, ..Source::new(1, 10).header };
         let message = Message::of::<Samples>(header, vec![healthy(1, step, step, PERIOD_NS)]);
-        let times = Times {
-            log_ns: step,
-            publish_ns: step,
-        };
+        let times = Times { log_ns: step, publish_ns: step };
         writer.write("lab", times, &message).expect("memory");
     }
     let (_, _, own) = writer.finish().expect("memory");
@@ -351,28 +293,15 @@ fn captures() -> Vec<(String, Vec<u8>)> {
 fn recordings() -> Vec<(String, Vec<u8>)> {
     let of = |mapping: u8, options: WriteOptions| {
         let mut bag = bag::Bag::with(options);
-        bag.channel(
-            "/r/battery",
-            "sensor_msgs/msg/BatteryState",
-            "cdr",
-            bag::BATTERY,
-        );
+        bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", bag::BATTERY);
         bag.channel("/r/cmd_vel", "geometry_msgs/msg/Twist", "cdr", "");
         bag.channel("/r/odom", "nav_msgs/msg/Odometry", "cdr", "");
         for step in 0..3_u64 {
             let now_ns = 1_700_000_000_000_000_000 + step * 100_000_000;
-            bag.message(
-                "/r/battery",
-                now_ns,
-                &bag::battery(now_ns, 12.0, -0.5 - step as f32),
-            );
+            bag.message("/r/battery", now_ns, &bag::battery(now_ns, 12.0, -0.5 - step as f32));
             bag.message("/r/cmd_vel", now_ns, &bag::twist(step as f64, -1.0));
         }
-        bag.message(
-            "/r/odom",
-            1_700_000_000_000_000_001,
-            &bag::odometry(1 << 60, 1.5, 0.5, 0.3),
-        );
+        bag.message("/r/odom", 1_700_000_000_000_000_001, &bag::odometry(1 << 60, 1.5, 0.5, 0.3));
         [vec![mapping], bag.bytes()].concat()
     };
     let plain = || WriteOptions::new().use_chunks(false);

@@ -24,8 +24,7 @@ fn read(bytes: &[u8], ending: &str) -> bool {
     let directory = tempfile::tempdir().expect("a directory");
     let path = directory.path().join(format!("input{ending}"));
     let file = std::fs::File::create(&path);
-    file.and_then(|mut file| file.write_all(bytes))
-        .expect("room for the input");
+    file.and_then(|mut file| file.write_all(bytes)).expect("room for the input");
     match Table::read_robots(&path) {
         Ok(tables) => {
             assert!(!tables.is_empty());
@@ -39,10 +38,7 @@ fn read(bytes: &[u8], ending: &str) -> bool {
             true
         }
         Err(error) => {
-            assert!(
-                error.to_string().starts_with(&path.display().to_string()),
-                "{error}"
-            );
+            assert!(error.to_string().starts_with(&path.display().to_string()), "{error}");
             false
         }
     }
@@ -100,10 +96,7 @@ fn samples(table: Table) {
 const MAX_RESAMPLED_ROWS: f64 = 65_536.0;
 
 fn resampled(trial: &Trial, method: Method) {
-    let how = Resample {
-        method,
-        rate_hz: 1e9 / trial.period_ns() as f64,
-    };
+    let how = Resample { method, rate_hz: 1e9 / trial.period_ns() as f64 };
     if let Ok((again, told)) = trial.resampled(how) {
         assert_eq!(again.rows(), told.rows);
         assert_eq!(told.rows_before, trial.rows());

@@ -112,11 +112,8 @@ impl Setup {
         // Writing to a string cannot fail.
         let ledger = if self.ledger { ledger } else { Path::new("") };
         if !self.default_ledger {
-            let _ = write!(
-                text,
-                "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n",
-                ledger.display()
-            );
+            let _ =
+                write!(text, "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n", ledger.display());
         }
         let _ = write!(
             text,
@@ -148,15 +145,8 @@ impl Arena {
         let shm = Path::new("/dev/shm");
         let (files, root) = (shm.join(format!("{name}.f")), shm.join(name));
         let domain = Domain::new(FLEET, &root, PREFIX).expect("valid names");
-        fs::DirBuilder::new()
-            .mode(0o755)
-            .create(&files)
-            .expect("the name is unique to this test");
-        let arena = Self {
-            files,
-            domain,
-            closed: false,
-        };
+        fs::DirBuilder::new().mode(0o755).create(&files).expect("the name is unique to this test");
+        let arena = Self { files, domain, closed: false };
         arena.configure(setup);
         arena
     }
@@ -192,9 +182,7 @@ impl Arena {
         let mut command = Command::new(program("joulebus-under-test"));
         command.args(arguments).arg("--config").arg(self.config());
         // Not into the user's own.
-        command
-            .env("XDG_STATE_HOME", self.state())
-            .env_remove("STATE_DIRECTORY");
+        command.env("XDG_STATE_HOME", self.state()).env_remove("STATE_DIRECTORY");
         command
     }
 
@@ -310,10 +298,7 @@ impl Drop for Arena {
         }
         let _ = fs::remove_dir_all(&self.files);
         if !std::thread::panicking() {
-            assert!(
-                self.closed,
-                "an arena must be closed, otherwise its stale files go unnoticed"
-            );
+            assert!(self.closed, "an arena must be closed, otherwise its stale files go unnoticed");
         }
     }
 }

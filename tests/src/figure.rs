@@ -46,10 +46,7 @@ impl fmt::Display for Spread {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (p50, p99, max) = (self.ms(0.5), self.ms(0.99), self.ms(1.0));
         let count = self.count();
-        write!(
-            out,
-            "p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms (n = {count})"
-        )
+        write!(out, "p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms (n = {count})")
     }
 }
 
@@ -88,9 +85,9 @@ impl Dice {
 
 fn count(name: &str, default: u64) -> u64 {
     match std::env::var(name) {
-        Ok(text) => text
-            .parse()
-            .unwrap_or_else(|_| panic!("{name} is {text:?}; an integer is required")),
+        Ok(text) => {
+            text.parse().unwrap_or_else(|_| panic!("{name} is {text:?}; an integer is required"))
+        }
         Err(_) => default,
     }
 }

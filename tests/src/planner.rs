@@ -26,18 +26,12 @@ pub struct Planner {
 impl Planner {
     /// Wraps a process that prints the lines of the probe's readers; does not wait.
     pub const fn new(child: Child) -> Self {
-        Self {
-            child,
-            lines: Vec::new(),
-            at: 0,
-        }
+        Self { child, lines: Vec::new(), at: 0 }
     }
 
     pub(crate) fn ready(child: Child) -> Self {
         let mut planner = Self::new(child);
-        planner.until("it has joined", |line| {
-            (*line == ReaderLine::Ready).then_some(())
-        });
+        planner.until("it has joined", |line| (*line == ReaderLine::Ready).then_some(()));
         planner
     }
 
@@ -75,20 +69,12 @@ impl Planner {
             let is_over = match &mut source {
                 None => self.fetch(left) == 0,
                 Some(source) => {
-                    assert!(
-                        source.is_running(),
-                        "without a source: {what}; {}",
-                        source.tail()
-                    );
+                    assert!(source.is_running(), "without a source: {what}; {}", source.tail());
                     self.fetch(left.min(LOOK_EVERY)) == 0 && !self.child.is_running()
                 }
             };
             if left.is_zero() || is_over {
-                panic!(
-                    "timeout of {:?}: {what}; {}",
-                    begin.elapsed(),
-                    self.child.tail()
-                );
+                panic!("timeout of {:?}: {what}; {}", begin.elapsed(), self.child.tail());
             }
         }
     }
@@ -107,9 +93,7 @@ impl Planner {
 
     /// Reads until `is_it` holds for the quality of a robot.
     pub fn quality(&mut self, what: &str, robot: u32, is_it: impl Fn(Quality) -> bool) {
-        self.forecast(what, |frame| {
-            is_it(frame.robot(robot)?.quality()).then_some(())
-        });
+        self.forecast(what, |frame| is_it(frame.robot(robot)?.quality()).then_some(()));
     }
 
     /// Reads until each of `samples` is the newest one answered by its robot's forecast.
@@ -150,14 +134,10 @@ impl Planner {
     pub fn answers(&mut self, is_one: impl Fn(u32) -> bool) -> Answers {
         let mut answers = Answers::new();
         for line in self.forecasts().flat_map(|frame| &frame.robots) {
-            let answered = matches!(
-                line.quality(),
-                Quality::Fresh | Quality::Held | Quality::Warmup { .. }
-            );
+            let answered =
+                matches!(line.quality(), Quality::Fresh | Quality::Held | Quality::Warmup { .. });
             if answered && line.stamp_ns > 0 && is_one(line.robot) {
-                answers
-                    .entry((line.robot, line.seq))
-                    .or_insert((line.code, line.bits));
+                answers.entry((line.robot, line.seq)).or_insert((line.code, line.bits));
             }
         }
         answers

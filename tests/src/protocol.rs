@@ -26,30 +26,15 @@ impl From<Sample> for SampleLine {
         let (robot, flags, seq) = (sample.robot, sample.flags, sample.seq);
         let (stamp_ns, measured_ns) = (sample.stamp_ns, sample.measured_ns);
         let bits = values.map(f32::to_bits);
-        Self(
-            robot,
-            flags,
-            seq,
-            stamp_ns,
-            measured_ns,
-            bits,
-            sample.reserved,
-        )
+        Self(robot, flags, seq, stamp_ns, measured_ns, bits, sample.reserved)
     }
 }
 
 impl From<SampleLine> for Sample {
     fn from(line: SampleLine) -> Self {
         let SampleLine(robot, flags, seq, stamp_ns, measured_ns, bits, reserved) = line;
-        let [
-            v_mps,
-            omega_radps,
-            power_w,
-            voltage_v,
-            current_a,
-            soc,
-            return_j,
-        ] = bits.map(f32::from_bits);
+        let [v_mps, omega_radps, power_w, voltage_v, current_a, soc, return_j] =
+            bits.map(f32::from_bits);
         Self {
             robot,
             flags,
@@ -249,12 +234,7 @@ pub struct ForecastLine {
 
 impl ForecastLine {
     fn new(forecast: &Forecast) -> Self {
-        let watts = [
-            forecast.power_w,
-            forecast.lo_w,
-            forecast.hi_w,
-            forecast.reading_w,
-        ];
+        let watts = [forecast.power_w, forecast.lo_w, forecast.hi_w, forecast.reading_w];
         Self {
             robot: forecast.robot,
             code: (forecast.quality, forecast.quality_detail),
@@ -418,10 +398,7 @@ impl BudgetLine {
 }
 
 fn by_name(drops: &DropCounts) -> BTreeMap<String, u64> {
-    drops
-        .iter()
-        .map(|(reason, count)| (reason.name().to_owned(), count))
-        .collect()
+    drops.iter().map(|(reason, count)| (reason.name().to_owned(), count)).collect()
 }
 
 /// A line of a client that asks about plans.

@@ -18,20 +18,13 @@ pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
     let v_mps = 0.05 + (noise & 0xff) as f32 * 0.0005;
     let omega_radps = ((noise >> 8) & 0xff) as f32 * 0.02 - 2.5;
     let power_w = 3.2 + ((noise >> 16) & 0xff) as f32 * 0.004;
-    Sample::new(robot, seq, stamp_ns)
-        .command(v_mps, omega_radps)
-        .reading(power_w, stamp_ns)
+    Sample::new(robot, seq, stamp_ns).command(v_mps, omega_radps).reading(power_w, stamp_ns)
 }
 
 /// `frames` frames with one sample of each of `robots`.
 pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
     (0..frames)
-        .map(|seq| {
-            robots
-                .iter()
-                .map(|robot| sample(*robot, seq, period_ns))
-                .collect()
-        })
+        .map(|seq| robots.iter().map(|robot| sample(*robot, seq, period_ns)).collect())
         .collect()
 }
 

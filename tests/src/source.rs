@@ -16,11 +16,7 @@ pub struct Source {
 
 impl Source {
     pub(crate) fn new(child: Child) -> Self {
-        let mut source = Self {
-            child,
-            source_epoch: 0,
-            read: 0,
-        };
+        let mut source = Self { child, source_epoch: 0, read: 0 };
         match source.answer() {
             SourceLine::Ready { source_epoch } => source.source_epoch = source_epoch,
             other => panic!("{other:?}: {}", source.child.tail()),

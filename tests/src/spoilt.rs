@@ -18,13 +18,8 @@ pub fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     for entry in reader {
         let mut entry = entry.expect("a capture");
         done = done || spoil(&mut entry.message);
-        let times = Times {
-            log_ns: entry.log_time_ns,
-            publish_ns: entry.publish_time_ns,
-        };
-        writer
-            .write(&entry.fleet, times, &entry.message)
-            .expect("a capture");
+        let times = Times { log_ns: entry.log_time_ns, publish_ns: entry.publish_time_ns };
+        writer.write(&entry.fleet, times, &entry.message).expect("a capture");
     }
     assert!(done, "nothing was spoilt");
     writer.finish().expect("a capture");

@@ -62,9 +62,7 @@ pub struct Broker {
 
 impl fmt::Debug for Broker {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Broker")
-            .field("robots", &self.robots)
-            .finish_non_exhaustive()
+        out.debug_struct("Broker").field("robots", &self.robots).finish_non_exhaustive()
     }
 }
 
@@ -101,12 +99,9 @@ impl Broker {
     pub fn send(&mut self, intended_ns: u64, frame: u64) -> anyhow::Result<()> {
         let state = |robot: usize| {
             let power_w = 3.5 + ((robot as u64 + frame) % 100) as f32 * 0.001;
-            RobotState::new(robot as u32)
-                .command(0.1, 0.2)
-                .reading(power_w)
+            RobotState::new(robot as u32).command(0.1, 0.2).reading(power_w)
         };
-        self.publisher
-            .publish_intended(intended_ns, (0..self.robots).map(state))?;
+        self.publisher.publish_intended(intended_ns, (0..self.robots).map(state))?;
         Ok(())
     }
 
@@ -136,10 +131,8 @@ fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf
         prefix: "jbb_".into(),
         robots: u32::try_from(robots)?,
     };
-    let path = std::env::temp_dir().join(format!(
-        "joulebus-bench-{}-{robots}.toml",
-        std::process::id()
-    ));
+    let path =
+        std::env::temp_dir().join(format!("joulebus-bench-{}-{robots}.toml", std::process::id()));
     std::fs::write(&path, with_scheduling(demo.toml(), scheduling))?;
     Ok(path)
 }
@@ -150,24 +143,15 @@ fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
         return toml;
     }
     let cpus: Vec<String> = scheduling.cpus.iter().map(ToString::to_string).collect();
-    let memory = if scheduling.lock_memory {
-        "locked"
-    } else {
-        "unlocked"
-    };
+    let memory = if scheduling.lock_memory { "locked" } else { "unlocked" };
     [
         ("cpus = \"\"", format!("cpus = \"{}\"", cpus.join(","))),
-        (
-            "priority = 0",
-            format!("priority = {}", scheduling.priority),
-        ),
+        ("priority = 0", format!("priority = {}", scheduling.priority)),
         ("memory = \"unlocked\"", format!("memory = {memory:?}")),
         ("if_refused = \"warn\"", "if_refused = \"stop\"".to_owned()),
     ]
     .into_iter()
-    .fold(toml, |toml, (from, to)| {
-        toml.replacen(&format!("\n{from}"), &format!("\n{to}"), 1)
-    })
+    .fold(toml, |toml, (from, to)| toml.replacen(&format!("\n{from}"), &format!("\n{to}"), 1))
 }
 
 /// The worker's process.
@@ -192,14 +176,9 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     worker.run(&stop)?;
     let report = worker.finish();
     let tick_us = report.tick;
-    let own_bytes = measuring
-        .join()
-        .map_err(|_| anyhow!("measuring panicked"))?
-        .context("no RssAnon")?;
-    println!(
-        "{}",
-        serde_json::to_string(&WorkerFigures { tick_us, own_bytes })?
-    );
+    let own_bytes =
+        measuring.join().map_err(|_| anyhow!("measuring panicked"))?.context("no RssAnon")?;
+    println!("{}", serde_json::to_string(&WorkerFigures { tick_us, own_bytes })?);
     Ok(())
 }
 
@@ -277,11 +256,7 @@ impl Seen {
         record(&mut self.source, due_ns, sent_ns);
         record(&mut self.sent_to_readable, sent_ns, now_ns);
         record(&mut self.one_way, sent_ns, header.first_taken_ns);
-        record(
-            &mut self.compute,
-            header.compute_start_ns,
-            header.compute_end_ns,
-        );
+        record(&mut self.compute, header.compute_start_ns, header.compute_end_ns);
     }
 
     fn figures(&self) -> Figures {

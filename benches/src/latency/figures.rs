@@ -41,9 +41,7 @@ const TIMES: [Time; 8] = [
 const ONCE: [Once; 5] = [
     ("over_hops_and_kernel_at_p50", "1", |row| row.ratio_p50),
     ("over_hops_and_kernel_at_p99", "1", |row| row.ratio_p99),
-    ("worker_memory_bytes", "bytes", |row| {
-        row.broker.worker_bytes as f64
-    }),
+    ("worker_memory_bytes", "bytes", |row| row.broker.worker_bytes as f64),
     ("missed_frames", "frames", |row| row.broker.missed as f64),
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];

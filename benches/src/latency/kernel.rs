@@ -34,11 +34,9 @@ impl<'a> Alone<'a> {
     /// One batch; `counts`: the warm-up is over.
     pub(super) fn run(&mut self, counts: bool) {
         let start = Instant::now();
-        self.model
-            .predict(black_box(&self.rows), &mut self.forecasts_w);
+        self.model.predict(black_box(&self.rows), &mut self.forecasts_w);
         if counts {
-            self.times
-                .saturating_record(start.elapsed().as_nanos() as u64);
+            self.times.saturating_record(start.elapsed().as_nanos() as u64);
         }
         black_box(&mut self.forecasts_w);
     }

@@ -39,9 +39,7 @@ pub struct RawHops {
 
 impl fmt::Debug for RawHops {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("RawHops")
-            .field("robots", &self.robots)
-            .finish_non_exhaustive()
+        out.debug_struct("RawHops").field("robots", &self.robots).finish_non_exhaustive()
     }
 }
 
@@ -57,10 +55,7 @@ impl RawHops {
         period_ns: u64,
         acknowledge: bool,
     ) -> anyhow::Result<Self> {
-        let root = PathBuf::from(format!(
-            "/dev/shm/joulebus-bench-raw-{}",
-            std::process::id()
-        ));
+        let root = PathBuf::from(format!("/dev/shm/joulebus-bench-raw-{}", std::process::id()));
         std::fs::create_dir_all(&root)?;
         let (name, size) = (root.display().to_string(), robots.to_string());
         let relay = launcher.start(&["relay".into(), name.clone(), size.clone()])?;
@@ -69,15 +64,7 @@ impl RawHops {
         let sink = launcher.start(&role)?;
         let node = node(&root)?;
         let (publisher, notifier) = sending::<Sample, SampleHeader>(&node, "samples", robots)?;
-        Ok(Self {
-            publisher,
-            notifier,
-            _node: node,
-            relay,
-            sink,
-            root,
-            robots,
-        })
+        Ok(Self { publisher, notifier, _node: node, relay, sink, root, robots })
     }
 
     /// Waits until the sink has received one more frame.
@@ -97,8 +84,7 @@ impl RawHops {
         let mut loan = self.publisher.loan_slice_uninit(self.robots)?;
         loan.user_header_mut().intended_ns = intended_ns;
         loan.user_header_mut().sent_ns = clock::monotonic_ns();
-        loan.write_from_fn(|robot| Sample::new(robot as u32, 0, 0))
-            .send()?;
+        loan.write_from_fn(|robot| Sample::new(robot as u32, 0, 0)).send()?;
         self.notifier.notify()?;
         Ok(())
     }
@@ -148,19 +134,15 @@ pub fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     let (subscriber, listener) = receiving::<Sample, SampleHeader>(&node, "samples")?;
     println!("ready");
     loop {
-        listener
-            .blocking_wait(|_| {})
-            .map_err(|error| anyhow!("{error:?}"))?;
+        listener.blocking_wait(|_| {}).map_err(|error| anyhow!("{error:?}"))?;
         while let Some(frame) = subscriber.receive()? {
             let mut loan = publisher.loan_slice_uninit(robots)?;
             let intended_ns = frame.user_header().intended_ns;
             loan.user_header_mut().first_intended_ns = intended_ns;
             loan.user_header_mut().first_sent_ns = frame.user_header().sent_ns;
             let payload = frame.payload();
-            let forecast = |place: usize| Forecast {
-                robot: payload[place].robot,
-                ..Forecast::default()
-            };
+            let forecast =
+                |place: usize| Forecast { robot: payload[place].robot, ..Forecast::default() };
             loan.write_from_fn(forecast).send()?;
             notifier.notify()?;
             if intended_ns == 0 {
@@ -182,9 +164,7 @@ pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> an
     let mut stdout = std::io::stdout();
     let (mut times, mut seen) = (histogram(), 0);
     loop {
-        listener
-            .blocking_wait(|_| {})
-            .map_err(|error| anyhow!("{error:?}"))?;
+        listener.blocking_wait(|_| {}).map_err(|error| anyhow!("{error:?}"))?;
         while let Some(frame) = subscriber.receive()? {
             let now_ns = clock::monotonic_ns();
             anyhow::ensure!(frame.payload().len() == robots, "a frame of another size");
@@ -209,9 +189,7 @@ pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> an
 fn node(root: &Path) -> anyhow::Result<Node<ipc::Service>> {
     let mut config = Config::default();
     config.global.prefix = FileName::new(prefix(root).as_bytes())?;
-    config
-        .global
-        .set_root_path(&IoxPath::new(root.as_os_str().as_encoded_bytes())?);
+    config.global.set_root_path(&IoxPath::new(root.as_os_str().as_encoded_bytes())?);
     let node = NodeBuilder::new()
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -224,19 +202,14 @@ where
     T: std::fmt::Debug + ZeroCopySend + 'static,
     H: std::fmt::Debug + Default + ZeroCopySend + 'static,
 {
-    let service = node
-        .service_builder(&name.try_into()?)
-        .publish_subscribe::<[T]>();
+    let service = node.service_builder(&name.try_into()?).publish_subscribe::<[T]>();
     let publisher = service
         .user_header::<H>()
         .open_or_create()?
         .publisher_builder()
         .initial_max_slice_len(robots)
         .create()?;
-    let event = node
-        .service_builder(&name.try_into()?)
-        .event()
-        .open_or_create()?;
+    let event = node.service_builder(&name.try_into()?).event().open_or_create()?;
     Ok((publisher, event.notifier_builder().create()?))
 }
 
@@ -245,17 +218,8 @@ where
     T: std::fmt::Debug + ZeroCopySend + 'static,
     H: std::fmt::Debug + Default + ZeroCopySend + 'static,
 {
-    let service = node
-        .service_builder(&name.try_into()?)
-        .publish_subscribe::<[T]>();
-    let subscriber = service
-        .user_header::<H>()
-        .open_or_create()?
-        .subscriber_builder()
-        .create()?;
-    let event = node
-        .service_builder(&name.try_into()?)
-        .event()
-        .open_or_create()?;
+    let service = node.service_builder(&name.try_into()?).publish_subscribe::<[T]>();
+    let subscriber = service.user_header::<H>().open_or_create()?.subscriber_builder().create()?;
+    let event = node.service_builder(&name.try_into()?).event().open_or_create()?;
     Ok((subscriber, event.listener_builder().create()?))
 }

@@ -169,8 +169,7 @@ impl Bench {
     /// ns of the network alone, on as many rows as there are robots.
     fn kernel(&mut self) -> f64 {
         let start = Instant::now();
-        self.network
-            .predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+        self.network.predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
         start.elapsed().as_nanos() as f64
     }
 
@@ -189,8 +188,7 @@ impl Bench {
         let now_ns = self.world.now_ns();
         let start = Instant::now();
         let (header, samples) = self.world.frame();
-        self.fleet
-            .take(black_box(header), black_box(samples), now_ns);
+        self.fleet.take(black_box(header), black_box(samples), now_ns);
         let taken = Instant::now();
         self.fleet.begin(now_ns, false);
         let outputs = Outputs {
@@ -198,11 +196,7 @@ impl Bench {
             accounts: Accounts {
                 diagnostics: &mut self.diagnostics,
                 budgets: &mut self.budgets,
-                plan_states: if plans {
-                    &mut self.plan_states
-                } else {
-                    &mut []
-                },
+                plan_states: if plans { &mut self.plan_states } else { &mut [] },
             },
         };
         self.pool.run(self.fleet.shard(), outputs);
@@ -243,11 +237,7 @@ impl Bench {
     /// Ticks on a time grid, with a sleep before each.
     pub(super) fn paced(&mut self, rate_hz: u64, seconds: u64) -> Paced {
         let mut pace = Pace::every(Duration::from_nanos(1_000_000_000 / rate_hz));
-        let mut paced = Paced {
-            tick_us: Vec::new(),
-            due_to_done_us: Vec::new(),
-            missed: 0,
-        };
+        let mut paced = Paced { tick_us: Vec::new(), due_to_done_us: Vec::new(), missed: 0 };
         for _ in 0..seconds * rate_hz {
             let slot = pace.wait();
             let late_ns = clock::monotonic_ns().saturating_sub(slot.intended_ns);

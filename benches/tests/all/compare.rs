@@ -6,9 +6,7 @@ use joulebus_bench::{
 use joulebus_testkit::says;
 
 fn spread(median: f64, half_width: f64) -> Distribution {
-    let values: Vec<f64> = (-2..=2)
-        .map(|step| median + f64::from(step) * half_width)
-        .collect();
+    let values: Vec<f64> = (-2..=2).map(|step| median + f64::from(step) * half_width).collect();
     Distribution::of(&values).expect("there are values")
 }
 
@@ -36,23 +34,14 @@ fn worse_is_reported_for_either_direction_of_improvement() {
         (Better::More, 100.0, 200.0, Verdict::Better, 0.5),
         (Better::More, 200.0, 100.0, Verdict::Worse, 2.0),
         (Better::Less, 100.0, 101.0, Verdict::WithinNoise, 1.01),
-        (
-            Better::More,
-            100.0,
-            101.0,
-            Verdict::WithinNoise,
-            100.0 / 101.0,
-        ),
+        (Better::More, 100.0, 101.0, Verdict::WithinNoise, 100.0 / 101.0),
     ] {
         let old = suite(vec![figure("ns_per_robot", better, old)]);
         let new = suite(vec![figure("ns_per_robot", better, new)]);
         let comparison = Comparison::new(&old, &new).expect("a figure in common");
         let change = &comparison.changes[0];
         assert_eq!(change.verdict, verdict, "{change:?}");
-        assert!(
-            (change.times_worse - times_worse).abs() < 1e-12,
-            "{change:?}"
-        );
+        assert!((change.times_worse - times_worse).abs() < 1e-12, "{change:?}");
         let ratio = change.old.p50 / change.new.p50;
         assert!((change.old_over_new - ratio).abs() < 1e-12, "{change:?}");
     }
@@ -78,14 +67,8 @@ fn only_what_is_worse_beyond_noise_and_beyond_the_ratio_is_too_slow() {
 
 #[test]
 fn figures_of_one_run_alone_are_named_and_not_compared() {
-    let old = suite(vec![
-        figure("kept", Better::Less, 1.0),
-        figure("gone", Better::Less, 1.0),
-    ]);
-    let new = suite(vec![
-        figure("kept", Better::Less, 1.0),
-        figure("fresh", Better::Less, 1.0),
-    ]);
+    let old = suite(vec![figure("kept", Better::Less, 1.0), figure("gone", Better::Less, 1.0)]);
+    let new = suite(vec![figure("kept", Better::Less, 1.0), figure("fresh", Better::Less, 1.0)]);
     let comparison = Comparison::new(&old, &new).expect("a figure in common");
     assert_eq!(comparison.changes.len(), 1);
     assert_eq!(comparison.only_old, ["kernel gone, 100 robots"]);
@@ -118,9 +101,7 @@ fn a_different_machine_build_or_input_is_reported() {
     let mut old = new.clone();
     old.machine.processor = "abacus".to_owned();
     old.build.rustc = "rustc 0.1".to_owned();
-    old.reports[0]
-        .input
-        .insert("seed".to_owned(), "8".to_owned());
+    old.reports[0].input.insert("seed".to_owned(), "8".to_owned());
     let comparison = Comparison::new(&old, &new).expect("a figure in common");
     assert_eq!(comparison.differing.len(), 3);
     let text = comparison.to_string();

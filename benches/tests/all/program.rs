@@ -13,44 +13,24 @@ fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
 
 fn figures(suite: &Value) -> Vec<&Value> {
     let reports = suite["reports"].as_array().unwrap();
-    reports
-        .iter()
-        .flat_map(|report| report["figures"].as_array().unwrap())
-        .collect()
+    reports.iter().flat_map(|report| report["figures"].as_array().unwrap()).collect()
 }
 
 #[test]
 fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
     let measured = output(["kernel", "--quick", "--format", "json"]).exits(0);
     let suite = measured.json();
-    for (part, name) in [
-        ("machine", "processor"),
-        ("build", "rustc"),
-        ("build", "iceoryx2"),
-    ] {
-        assert!(
-            suite[part][name].as_str().unwrap().len() > 2,
-            "{part} {name}"
-        );
+    for (part, name) in [("machine", "processor"), ("build", "rustc"), ("build", "iceoryx2")] {
+        assert!(suite[part][name].as_str().unwrap().len() > 2, "{part} {name}");
     }
     let input = &suite["reports"][0]["input"];
-    assert_eq!(
-        (&input["seed"], &input["model"]),
-        (&"7".into(), &"builtin:gternal-sim".into())
-    );
+    assert_eq!((&input["seed"], &input["model"]), (&"7".into(), &"builtin:gternal-sim".into()));
     let figures = figures(&suite);
-    assert!(
-        figures
-            .iter()
-            .any(|figure| figure["name"] == "scalar_ns_per_robot")
-    );
+    assert!(figures.iter().any(|figure| figure["name"] == "scalar_ns_per_robot"));
     for figure in figures {
         for quantile in ["min", "p25", "p50", "p75", "p99", "p999", "max"] {
             let value = figure[quantile].as_f64();
-            assert!(
-                value.is_some_and(|value| value > 0.0),
-                "{quantile} of {figure}"
-            );
+            assert!(value.is_some_and(|value| value > 0.0), "{quantile} of {figure}");
         }
         assert!(figure["count"].as_u64().unwrap() > 0, "{figure}");
     }
@@ -64,10 +44,7 @@ fn the_tick_and_rollouts_are_measured_too() {
                 .exits(0);
         let suite = measured.json();
         let figures = figures(&suite);
-        assert!(
-            figures.iter().any(|figure| figure["name"] == name),
-            "{figures:?}"
-        );
+        assert!(figures.iter().any(|figure| figure["name"] == name), "{figures:?}");
     }
 }
 
@@ -76,11 +53,7 @@ fn flatter(path: &Path, times: f64) {
     let mut suite: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
     for report in suite["reports"].as_array_mut().unwrap() {
         for figure in report["figures"].as_array_mut().unwrap() {
-            let times = if figure["better"] == "less" {
-                1.0 / times
-            } else {
-                times
-            };
+            let times = if figure["better"] == "less" { 1.0 / times } else { times };
             for quantile in ["min", "p25", "p50", "p75", "p99", "p999", "max"] {
                 figure[quantile] = (figure[quantile].as_f64().unwrap() * times).into();
             }
@@ -94,27 +67,15 @@ fn a_comparison_fails_only_on_request() {
     let place = tempfile::tempdir().unwrap();
     let old = place.path().join("old.json");
     let old_name = old.display().to_string();
-    let base = [
-        "kernel",
-        "--repetitions",
-        "5",
-        "--robots",
-        "7",
-        "--kernel",
-        "scalar",
-        "--threads",
-        "1",
-    ];
+    let base =
+        ["kernel", "--repetitions", "5", "--robots", "7", "--kernel", "scalar", "--threads", "1"];
     let with = |more: &[&str]| output(base.into_iter().chain(more.iter().copied()));
     with(&["--json", &old_name]).exits(0);
     flatter(&old, 1e6);
     let compared = with(&["--compare", &old_name]).exits(0);
     assert!(compared.text().contains("WORSE"), "{}", compared.text());
     let failed = with(&["--compare", &old_name, "--fail-above", "100"]).exits(3);
-    says(
-        &failed.text(),
-        ["too slow: kernel scalar_ns_per_robot, 7 robots"],
-    );
+    says(&failed.text(), ["too slow: kernel scalar_ns_per_robot, 7 robots"]);
     with(&["--compare", &old_name, "--fail-above", "1e12"]).exits(0);
 }
 
@@ -129,23 +90,13 @@ fn invalid_requests_are_refused_before_measuring() {
         (vec!["--compare", "/nowhere.json"], 1, "/nowhere.json"),
         (vec!["--compare", &other], 1, "--json"),
         (vec!["--fail-above", "1.1"], 2, "--compare"),
-        (
-            vec!["--fail-above", "0.5", "--compare", &other],
-            2,
-            "from 1",
-        ),
+        (vec!["--fail-above", "0.5", "--compare", &other], 2, "from 1"),
         (vec!["--robots", "0"], 2, "1 to 1000000"),
     ] {
-        let arguments = ["kernel", "--quick"]
-            .into_iter()
-            .chain(more.iter().copied());
+        let arguments = ["kernel", "--quick"].into_iter().chain(more.iter().copied());
         let refused = output(arguments);
         assert_eq!(refused.exit_code(), exit, "{more:?}: {}", refused.errors());
-        assert!(
-            refused.errors().contains(says),
-            "{more:?}: {}",
-            refused.errors()
-        );
+        assert!(refused.errors().contains(says), "{more:?}: {}", refused.errors());
         assert_eq!(refused.text(), "", "{more:?}");
     }
 }

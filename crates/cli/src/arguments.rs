@@ -78,24 +78,10 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
     ("What to know of it", &["watch", "ask", "alarms", "serve"]),
-    (
-        "Captures",
-        &[
-            "record", "replay", "info", "cat", "recover", "import", "export",
-        ],
-    ),
+    ("Captures", &["record", "replay", "info", "cat", "recover", "import", "export"]),
     (
         "Models and data",
-        &[
-            "data",
-            "train",
-            "eval",
-            "analyze",
-            "calibrate",
-            "report",
-            "model",
-            "mission",
-        ],
+        &["data", "train", "eval", "analyze", "calibrate", "report", "model", "mission"],
     ),
     ("This program", &["bench", "completions", "man", "help"]),
 ];
@@ -119,9 +105,7 @@ fn listed(command: &clap::Command) -> String {
         list.push_str(&format!("\n{title}\n"));
         for name in names {
             let verb = command.find_subcommand(name);
-            let about = verb
-                .and_then(clap::Command::get_about)
-                .map(ToString::to_string);
+            let about = verb.and_then(clap::Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Show the help of a verb: `help VERB`".to_owned());
             let mut line = format!("  {name:<11}");
             for word in about.split_whitespace() {

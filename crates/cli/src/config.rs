@@ -100,10 +100,7 @@ impl Checked {
                 let settings = config.settings();
                 checked.fleet = Some(config.fleet().to_owned());
                 checked.capacity = Some(settings.capacity);
-                let names = settings
-                    .platforms
-                    .iter()
-                    .map(|platform| platform.name.clone());
+                let names = settings.platforms.iter().map(|platform| platform.name.clone());
                 checked.platforms = names.collect();
                 checked.warnings = config.warnings().to_vec();
                 match refusal(&config) {
@@ -125,10 +122,7 @@ impl Checked {
 /// The models, or why the worker would refuse a well-formed config before it joins the fleet.
 fn refusal(config: &Config) -> Result<Vec<Model>, String> {
     let models = load_models(config).map_err(|error| error.to_string())?;
-    config
-        .settings()
-        .check()
-        .map_err(|error| error.to_string())?;
+    config.settings().check().map_err(|error| error.to_string())?;
     config.domain().map_err(|error| error.to_string())?;
     Ok(models)
 }
@@ -140,10 +134,7 @@ impl fmt::Display for CheckReport {
             let capacity = checked.capacity.unwrap_or_default();
             let platforms = checked.platforms.join(", ");
             let file = &checked.file;
-            writeln!(
-                out,
-                "{file}: ok: fleet {fleet}, capacity {capacity} robots, {platforms}"
-            )?;
+            writeln!(out, "{file}: ok: fleet {fleet}, capacity {capacity} robots, {platforms}")?;
         }
         Ok(())
     }
@@ -197,11 +188,7 @@ impl fmt::Display for Shown<'_> {
 fn show(file: Option<PathBuf>, output: Output) -> anyhow::Result<Outcome> {
     let chosen = ConfigFile { config: file };
     let config = chosen.load()?;
-    output.report(&Shown {
-        file: chosen.name(),
-        fleet: config.fleet(),
-        toml: config.to_toml(),
-    })?;
+    output.report(&Shown { file: chosen.name(), fleet: config.fleet(), toml: config.to_toml() })?;
     Ok(Outcome::Done)
 }
 

@@ -49,19 +49,11 @@ pub(crate) fn look(path: &Path) -> anyhow::Result<FileReport> {
         .iter()
         .find(|metadata| metadata.name == "joulebus")
         .map(|metadata| metadata.entries.clone());
-    Ok(FileReport {
-        file: named(),
-        joulebus,
-        found,
-    })
+    Ok(FileReport { file: named(), joulebus, found })
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let files = args
-        .files
-        .iter()
-        .map(|path| look(path))
-        .collect::<anyhow::Result<Vec<_>>>()?;
+    let files = args.files.iter().map(|path| look(path)).collect::<anyhow::Result<Vec<_>>>()?;
     let report = InfoReport { files };
     output.report(&report)?;
     let is_sound = report.files.iter().all(|file| file.found.is_sound());
@@ -122,9 +114,7 @@ pub(crate) fn diagnose(files: &[PathBuf], output: Output) -> anyhow::Result<Outc
         .collect::<anyhow::Result<Vec<_>>>()?;
     let diagnosis = Diagnosis { files };
     output.report(&diagnosis)?;
-    Ok(Outcome::unless_lost(
-        diagnosis.files.iter().any(|file| !file.sound),
-    ))
+    Ok(Outcome::unless_lost(diagnosis.files.iter().any(|file| !file.sound)))
 }
 
 impl From<FileReport> for Checked {

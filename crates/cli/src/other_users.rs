@@ -58,10 +58,7 @@ impl std::fmt::Display for OtherRoot {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { path, uid, pid } = self;
         let path = path.display();
-        write!(
-            out,
-            "{path} is of uid {uid}, whose joulebus runs (pid {pid})"
-        )
+        write!(out, "{path} is of uid {uid}, whose joulebus runs (pid {pid})")
     }
 }
 

@@ -57,11 +57,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
-    let mut worker = if args.standby {
-        Worker::open_standby(&config)?
-    } else {
-        Worker::open(&config)?
-    };
+    let mut worker =
+        if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
     if args.standby {
         let waits = format!(
@@ -91,11 +88,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let worker = worker.finish();
     let is_recorded = recorder.is_none_or(|started| started.is_ok_and(RecorderProcess::finish));
     let is_lossy = !is_recorded || worker.ledger_unsaved;
-    output.report(&RunReport {
-        worker,
-        queries,
-        alarms,
-    })?;
+    output.report(&RunReport { worker, queries, alarms })?;
     Ok(Outcome::unless_lost(is_lossy))
 }
 
@@ -155,11 +148,7 @@ impl fmt::Display for RunReport {
             parts.writing_us
         )?;
         let dropped: u64 = report.samples_dropped.values().sum();
-        writeln!(
-            out,
-            "samples: {} accepted, {dropped} dropped",
-            report.samples_accepted
-        )?;
+        writeln!(out, "samples: {} accepted, {dropped} dropped", report.samples_accepted)?;
         for (reason, count) in &report.samples_dropped {
             writeln!(out, "  {reason}: {count}")?;
         }
@@ -187,10 +176,7 @@ impl fmt::Display for RunReport {
         }
         if report.frames_unsent > 0 || report.receive_errors > 0 {
             let (unsent, receive) = (report.frames_unsent, report.receive_errors);
-            writeln!(
-                out,
-                "errors: {unsent} frames not sent, {receive} receive errors"
-            )?;
+            writeln!(out, "errors: {unsent} frames not sent, {receive} receive errors")?;
         }
         if report.ledger_unsaved {
             writeln!(

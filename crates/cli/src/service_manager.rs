@@ -32,9 +32,7 @@ impl ServiceManager {
                 })
             })
         });
-        Ok(Self {
-            watchdog: watchdog.transpose()?,
-        })
+        Ok(Self { watchdog: watchdog.transpose()? })
     }
 
     /// The service is ready; `status` is one line for operators.

@@ -158,14 +158,7 @@ impl AlarmHistory {
             tell(
                 &mut self.listed,
                 each,
-                AlarmChange {
-                    robot,
-                    alarm,
-                    change,
-                    at_ns,
-                    raised_ns,
-                    acknowledged: None,
-                },
+                AlarmChange { robot, alarm, change, at_ns, raised_ns, acknowledged: None },
             );
         }
         raised.alarms = alarms;
@@ -221,10 +214,7 @@ impl AlarmHistory {
     /// Ends the alarms of the robots that were not in the newest frame.
     fn remove_others(&mut self, at_ns: u64, each: &mut impl FnMut(AlarmChange)) {
         let newest = self.ticks;
-        let left = self
-            .robots
-            .iter()
-            .filter(|(_, raised)| raised.seen != newest);
+        let left = self.robots.iter().filter(|(_, raised)| raised.seen != newest);
         let mut left: Vec<u32> = left.map(|(robot, _)| *robot).collect();
         left.sort_unstable();
         for robot in left {
@@ -248,10 +238,7 @@ impl AlarmHistory {
         let raised = self.robots.get(&robot).copied();
         raised.into_iter().flat_map(|raised| {
             let since_ns = move |alarm: Alarm| raised.since_ns[usize::from(alarm.code()) - 1];
-            raised
-                .alarms
-                .iter()
-                .map(move |alarm| (alarm, since_ns(alarm)))
+            raised.alarms.iter().map(move |alarm| (alarm, since_ns(alarm)))
         })
     }
 
@@ -286,10 +273,7 @@ fn tell(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: Alarm
         return each(change);
     };
     let acknowledged = (listed.raise == Raise::Lasts).then_some(listed.row);
-    each(AlarmChange {
-        acknowledged,
-        ..change
-    });
+    each(AlarmChange { acknowledged, ..change });
     if change.change != Change::Raised {
         listed.raise = Raise::Over;
     } else if listed.raise == Raise::Awaited {
@@ -371,9 +355,7 @@ impl AlarmFeed {
 
 impl fmt::Debug for AlarmFeed {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("AlarmFeed")
-            .field("history", &self.history)
-            .finish_non_exhaustive()
+        out.debug_struct("AlarmFeed").field("history", &self.history).finish_non_exhaustive()
     }
 }
 
@@ -386,20 +368,11 @@ mod tests {
     use super::*;
 
     fn header(worker_epoch: u64, tick: u64) -> DiagnosticHeader {
-        DiagnosticHeader {
-            schema: SCHEMA_VERSION,
-            worker_epoch,
-            tick,
-            ..Default::default()
-        }
+        DiagnosticHeader { schema: SCHEMA_VERSION, worker_epoch, tick, ..Default::default() }
     }
 
     fn row((robot, alarms): (&u32, &u32)) -> Diagnostic {
-        Diagnostic {
-            robot: *robot,
-            alarms: *alarms,
-            ..Default::default()
-        }
+        Diagnostic { robot: *robot, alarms: *alarms, ..Default::default() }
     }
 
     /// Expected changes from one frame to the next, for each alarm of each robot.
@@ -489,10 +462,7 @@ mod tests {
         for (tick, (robots, listed, expected)) in (1..).zip(steps) {
             let header = header(1, tick);
             history.take(&header, robots, tick, |change| told.push(change));
-            let header = AcknowledgementHeader {
-                number: tick,
-                ..AcknowledgementHeader::default()
-            };
+            let header = AcknowledgementHeader { number: tick, ..AcknowledgementHeader::default() };
             history.acknowledge(&header, listed, tick, |change| told.push(change));
             let shown = told.drain(..).map(|change: AlarmChange| {
                 let by = change.acknowledged.map(|row| row.by().to_owned());
@@ -504,12 +474,7 @@ mod tests {
             assert_eq!(now.is_some(), is_acknowledged, "{tick}");
         }
         // An earlier frame is passed over.
-        history.acknowledge(
-            &AcknowledgementHeader::default(),
-            &[ann],
-            9,
-            |_| unreachable!(),
-        );
+        history.acknowledge(&AcknowledgementHeader::default(), &[ann], 9, |_| unreachable!());
     }
 
     #[test]

@@ -23,12 +23,7 @@ pub struct Feed<C: Channel> {
 
 impl<C: Channel> Feed<C> {
     pub(crate) fn new(reader: Reader<C>) -> Self {
-        Self {
-            reader,
-            place: None,
-            frames: 0,
-            index: RefCell::default(),
-        }
+        Self { reader, place: None, frames: 0, index: RefCell::default() }
     }
 
     /// The newest frame, whether or not it was returned before: its header has the tick. `None`
@@ -40,12 +35,7 @@ impl<C: Channel> Feed<C> {
         let (mut place, mut foreign) = (self.place, None);
         let found = self.reader.hold_latest(|header, _, run| {
             let at = header.place();
-            newer(
-                header.schema(),
-                (run, at.run, at.number),
-                &mut place,
-                &mut foreign,
-            )
+            newer(header.schema(), (run, at.run, at.number), &mut place, &mut foreign)
         })?;
         check_schema(found, foreign)?;
         self.place = place;

@@ -26,13 +26,7 @@ impl<'a, C: Channel> Frame<'a, C> {
         index: &'a RefCell<RobotIndex>,
         arrival: Arrival,
     ) -> Self {
-        Self {
-            header,
-            robots,
-            number,
-            index,
-            arrival,
-        }
+        Self { header, robots, number, index, arrival }
     }
 
     /// The frame's header.

@@ -33,8 +33,7 @@ impl RobotIndex {
         }
         self.frame = Some(frame);
         self.positions.clear();
-        self.positions
-            .extend((0..len).rev().map(|position| (id(position), position)));
+        self.positions.extend((0..len).rev().map(|position| (id(position), position)));
         known(self)
     }
 }

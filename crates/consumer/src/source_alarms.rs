@@ -37,11 +37,7 @@ impl SourceAlarms {
     /// Of the sources of a fleet.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        Self {
-            config: config.clone(),
-            raised: BTreeMap::new(),
-            look_at_ns: 0,
-        }
+        Self { config: config.clone(), raised: BTreeMap::new(), look_at_ns: 0 }
     }
 
     /// Looks once a second, and calls `each` for every raise and end. Does not wait.
@@ -53,12 +49,7 @@ impl SourceAlarms {
         self.look_at_ns = now_ns + LOOK_EVERY_NS;
         let found = implausible_robots(&self.config);
         let mut pass_on = |robot, change, raised_ns| {
-            each(SourceChange {
-                robot,
-                change,
-                at_ns: now_ns,
-                raised_ns,
-            });
+            each(SourceChange { robot, change, at_ns: now_ns, raised_ns });
         };
         self.raised.retain(|robot, raised_ns| {
             let stays = found.contains(robot);
@@ -77,8 +68,6 @@ impl SourceAlarms {
 
     /// The robots that have it, and since when, monotonic ns.
     pub fn raised(&self) -> impl Iterator<Item = (u32, u64)> {
-        self.raised
-            .iter()
-            .map(|(robot, since_ns)| (*robot, *since_ns))
+        self.raised.iter().map(|(robot, since_ns)| (*robot, *since_ns))
     }
 }

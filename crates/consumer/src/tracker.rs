@@ -95,12 +95,7 @@ impl Tracker {
             last: None,
             over: None,
             told: Told::Nothing,
-            counts: Counts {
-                frames: 0,
-                gaps: 0,
-                ticks_missed: 0,
-                workers: 0,
-            },
+            counts: Counts { frames: 0, gaps: 0, ticks_missed: 0, workers: 0 },
         }
     }
 
@@ -119,18 +114,12 @@ impl Tracker {
                 restarted: false,
             },
             // Ticks count from 1.
-            Some(_) => Arrival {
-                ticks_missed: tick.saturating_sub(1),
-                restarted: true,
-            },
+            Some(_) => Arrival { ticks_missed: tick.saturating_sub(1), restarted: true },
         };
         self.counts.frames += 1;
         self.counts.workers += u64::from(self.last.is_none() || arrival.restarted);
         self.counts.gaps += u64::from(arrival.ticks_missed > 0);
-        self.counts.ticks_missed = self
-            .counts
-            .ticks_missed
-            .saturating_add(arrival.ticks_missed);
+        self.counts.ticks_missed = self.counts.ticks_missed.saturating_add(arrival.ticks_missed);
         // Frames sent before the detected end do not revive a run; frames sent after it show that
         // the run had not ended, despite the detection (possibly of a process in another
         // container).
@@ -158,9 +147,9 @@ impl Tracker {
         match (&self.last, self.over) {
             (None, _) => WorkerState::Waiting,
             (Some(_), Some((end, _))) => WorkerState::Gone(end),
-            (Some(last), None) if now_ns >= stale_ns(last) => WorkerState::Stale {
-                age_ns: now_ns - last.sent_ns,
-            },
+            (Some(last), None) if now_ns >= stale_ns(last) => {
+                WorkerState::Stale { age_ns: now_ns - last.sent_ns }
+            }
             (Some(_), None) => WorkerState::Alive,
         }
     }
@@ -196,9 +185,7 @@ impl Tracker {
 
 /// The first time at which the frame is older than two periods.
 const fn stale_ns(last: &Last) -> u64 {
-    last.sent_ns
-        .saturating_add(last.period_ns.saturating_mul(2))
-        .saturating_add(1)
+    last.sent_ns.saturating_add(last.period_ns.saturating_mul(2)).saturating_add(1)
 }
 
 /// Whether people hear that the worker is late: later than planners, who may not rely on an old
@@ -214,11 +201,7 @@ pub(crate) struct Lateness {
 
 impl Lateness {
     pub(crate) const fn new(after_ns: u64) -> Self {
-        Self {
-            after_ns,
-            is_late: false,
-            calm_from_ns: None,
-        }
+        Self { after_ns, is_late: false, calm_from_ns: None }
     }
 
     /// The state for people, of a worker whose state for planners is `state`.
@@ -283,12 +266,7 @@ mod tests {
             );
             assert_eq!(tracker.counts().gaps, gaps, "{epoch}:{tick}");
         }
-        let expected = Counts {
-            frames: 8,
-            gaps: 3,
-            ticks_missed: u64::MAX,
-            workers: 3,
-        };
+        let expected = Counts { frames: 8, gaps: 3, ticks_missed: u64::MAX, workers: 3 };
         assert_eq!(tracker.counts(), expected);
     }
 
@@ -372,10 +350,7 @@ mod tests {
     fn the_end_of_a_stale_worker_is_reported() {
         let mut tracker = Tracker::new();
         tracker.frame(1, &header(1, 1, 1_000));
-        assert!(matches!(
-            tracker.change(1_500),
-            Some(WorkerState::Stale { age_ns: 500 })
-        ));
+        assert!(matches!(tracker.change(1_500), Some(WorkerState::Stale { age_ns: 500 })));
         tracker.over(End::Exited, 1_600);
         assert_eq!(tracker.change(1_600), Some(WorkerState::Gone(End::Exited)));
     }
@@ -388,10 +363,7 @@ mod tests {
         tracker.frame(1, &wild);
         assert_eq!(tracker.state(0), WorkerState::Alive);
         // At the maximum time everything is stale.
-        assert!(matches!(
-            tracker.state(u64::MAX),
-            WorkerState::Stale { age_ns: 0 }
-        ));
+        assert!(matches!(tracker.state(u64::MAX), WorkerState::Stale { age_ns: 0 }));
         wild.period_ns = 0;
         wild.sent_ns = 10;
         tracker.frame(1, &wild);
@@ -418,11 +390,7 @@ mod tests {
             (259, alive, stale(0)),
             (260, alive, alive),
             (300, stale(100), stale(100)),
-            (
-                310,
-                WorkerState::Gone(End::Exited),
-                WorkerState::Gone(End::Exited),
-            ),
+            (310, WorkerState::Gone(End::Exited), WorkerState::Gone(End::Exited)),
             // The next run begins anew.
             (320, alive, alive),
         ] {

@@ -121,10 +121,7 @@ impl Checkpoint {
     /// Robots whose battery was exchanged, according to a frame, since the last frame taken.
     pub(crate) fn exchanged<'a>(&'a self, budgets: &'a [Budget]) -> impl Iterator<Item = u32> + 'a {
         let changed = |budget: &&Budget| {
-            let known = self
-                .robots
-                .get(&budget.robot)
-                .and_then(|known| known.battery);
+            let known = self.robots.get(&budget.robot).and_then(|known| known.battery);
             known.is_some_and(|known| budget.battery_changes > known.changes())
         };
         budgets.iter().filter(changed).map(|budget| budget.robot)
@@ -188,12 +185,7 @@ impl Checkpoint {
                 unmetered_ns,
                 account.stamp_ns,
             );
-            Restored {
-                robot: *robot,
-                ledger,
-                charged: account.charged,
-                battery: account.battery,
-            }
+            Restored { robot: *robot, ledger, charged: account.charged, battery: account.battery }
         };
         robots.into_iter().map(ledger).collect()
     }
@@ -204,11 +196,7 @@ pub(crate) mod tests {
     use super::*;
 
     fn sent(sent_ns: u64) -> BudgetHeader {
-        BudgetHeader {
-            sent_ns,
-            sent_unix_ns: 50_000,
-            ..BudgetHeader::default()
-        }
+        BudgetHeader { sent_ns, sent_unix_ns: 50_000, ..BudgetHeader::default() }
     }
 
     pub(crate) fn checkpoint() -> Checkpoint {
@@ -222,15 +210,9 @@ pub(crate) mod tests {
             stamp_ns: 900,
             ..Budget::default()
         };
-        let unheard = Budget {
-            robot: 4,
-            ..Budget::default()
-        };
+        let unheard = Budget { robot: 4, ..Budget::default() };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        assert_eq!(
-            checkpoint.take(&sent(1_000), &[budget, unheard], (9, |_| true)),
-            0
-        );
+        assert_eq!(checkpoint.take(&sent(1_000), &[budget, unheard], (9, |_| true)), 0);
         checkpoint
     }
 
@@ -322,11 +304,8 @@ pub(crate) mod tests {
         let frame = [(7, 300), (1, 900), (5, 100), (9, 300)].map(of);
         assert_eq!(ledger.take(&sent(1_000), &frame, (9, |_| true)), 0);
         let carried = ledger.carried_over("boot-b", 5_000, 0);
-        let order: Vec<u32> = carried
-            .ledgers()
-            .into_iter()
-            .map(|restored| restored.robot)
-            .collect();
+        let order: Vec<u32> =
+            carried.ledgers().into_iter().map(|restored| restored.robot).collect();
         assert_eq!(order, [5, 7, 9, 1]);
     }
 
@@ -354,11 +333,7 @@ pub(crate) mod tests {
             now_ns += MAX_AHEAD_NS;
             let stamp_ns = far_ns[liar as usize % 3];
             // One of the robots is stamped a little ahead.
-            let frame = [
-                (1, now_ns),
-                (2, now_ns + MAX_AHEAD_NS / 9),
-                (900 + liar, stamp_ns),
-            ];
+            let frame = [(1, now_ns), (2, now_ns + MAX_AHEAD_NS / 9), (900 + liar, stamp_ns)];
             gone += ledger.take(&sent(now_ns), &frame.map(of), (16, |_| true));
             assert!(ledger.robots.contains_key(&(900 + liar)), "it is there");
         }

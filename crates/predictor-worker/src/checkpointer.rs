@@ -217,11 +217,7 @@ impl Checkpointer {
             self.failures.receive.load(Ordering::Relaxed),
         );
         if failed != self.failed {
-            tracing::warn!(
-                unsent = failed.0,
-                receive = failed.1,
-                "frames failed so far"
-            );
+            tracing::warn!(unsent = failed.0, receive = failed.1, "frames failed so far");
             self.failed = failed;
         }
         self.log_shed();
@@ -236,10 +232,9 @@ impl Checkpointer {
                 ticks,
                 "ticks take longer than their period: diagnostics are left out"
             ),
-            (false, true) => tracing::info!(
-                ticks,
-                "ticks are within their period again: diagnostics resume"
-            ),
+            (false, true) => {
+                tracing::info!(ticks, "ticks are within their period again: diagnostics resume")
+            }
             _ => {}
         }
         self.sheds = more;
@@ -283,11 +278,7 @@ impl Steps for Checkpointer {
             return None;
         }
         self.keyframes.poll();
-        let pause_ns = if self.keyframes.is_busy() {
-            POLL_EVERY_NS
-        } else {
-            PERIOD_NS
-        };
+        let pause_ns = if self.keyframes.is_busy() { POLL_EVERY_NS } else { PERIOD_NS };
         let due_ns = self.schedule.next_ns();
         let due_ns = due_ns.saturating_sub(clock::monotonic_ns());
         Some(Duration::from_nanos(pause_ns.min(due_ns)))
@@ -303,10 +294,8 @@ pub(crate) struct SavedLedger {
 
 /// The ledger of an earlier run of this fleet, converted to the current boot.
 pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileError> {
-    let io = |source| LedgerFileError::Io {
-        path: "/proc/sys/kernel/random/boot_id".into(),
-        source,
-    };
+    let io =
+        |source| LedgerFileError::Io { path: "/proc/sys/kernel/random/boot_id".into(), source };
     let boot_id = clock::boot_id().map_err(io)?;
     let path = checkpoint_path(config);
     let mut files = path.as_deref().map(LedgerFiles::new);

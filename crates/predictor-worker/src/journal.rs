@@ -19,11 +19,7 @@ impl Journal {
     /// Opens the port. The list's memory is allocated here, once.
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         let writer = bus.writer::<Ticks>(limits)?;
-        Ok(Self {
-            taken: Vec::with_capacity(writer.max_len()),
-            writer,
-            unlisted: 0,
-        })
+        Ok(Self { taken: Vec::with_capacity(writer.max_len()), writer, unlisted: 0 })
     }
 
     /// Records a frame that is passed to ingest with the time `now_ns`.

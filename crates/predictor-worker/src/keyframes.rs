@@ -71,11 +71,7 @@ pub(crate) struct KeyframeOrders {
 pub(crate) fn keyframes(current_permit: Arc<CurrentPermit>) -> (Keyframes, KeyframeOrders) {
     let (ask, asked) = sync_channel(1);
     let (give, taken) = sync_channel(1);
-    let orders = KeyframeOrders {
-        ask,
-        taken,
-        current_permit,
-    };
+    let orders = KeyframeOrders { ask, taken, current_permit };
     (Keyframes { asked, taken: give }, orders)
 }
 

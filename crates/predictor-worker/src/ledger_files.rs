@@ -108,11 +108,7 @@ enum Flaw {
 
 impl LedgerFiles {
     pub(crate) fn new(path: &Path) -> Self {
-        Self {
-            newest: path.to_owned(),
-            generation: 0,
-            is_unfinished: false,
-        }
+        Self { newest: path.to_owned(), generation: 0, is_unfinished: false }
     }
 
     /// The newest valid ledger of `fleet`; `None` if there is no file. A damaged file is renamed
@@ -131,10 +127,7 @@ impl LedgerFiles {
             }
             match read(&path, fleet) {
                 Ok(Some((generation, ledger))) => {
-                    if whole
-                        .as_ref()
-                        .is_none_or(|(newest, ..)| *newest < generation)
-                    {
+                    if whole.as_ref().is_none_or(|(newest, ..)| *newest < generation) {
                         whole = Some((generation, ledger, path));
                     }
                 }
@@ -153,10 +146,8 @@ impl LedgerFiles {
             };
         };
         for (path, reason) in damaged {
-            let aside = set_aside(&path).map_err(|source| LedgerFileError::Io {
-                path: path.clone(),
-                source,
-            })?;
+            let aside = set_aside(&path)
+                .map_err(|source| LedgerFileError::Io { path: path.clone(), source })?;
             tracing::error!(
                 ?path, ?aside, %reason, ?taken,
                 written_unix_ns = ledger.written_unix_ns,
@@ -180,10 +171,7 @@ impl LedgerFiles {
             // It was synced before it was renamed.
             (false, _) => disk::sync_directory(self.folder()),
         };
-        secured.map_err(|source| LedgerFileError::Io {
-            path: self.newest.clone(),
-            source,
-        })
+        secured.map_err(|source| LedgerFileError::Io { path: self.newest.clone(), source })
     }
 
     /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
@@ -192,10 +180,8 @@ impl LedgerFiles {
     /// The system call failed; the newest whole ledger is intact, and so is the one before it if
     /// there was one.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
-        self.replace(ledger).map_err(|source| LedgerFileError::Io {
-            path: self.newest.clone(),
-            source,
-        })
+        self.replace(ledger)
+            .map_err(|source| LedgerFileError::Io { path: self.newest.clone(), source })
     }
 
     fn replace(&mut self, ledger: &Checkpoint) -> io::Result<()> {
@@ -366,12 +352,7 @@ impl Flaw {
 
 /// Reads a file; `None` if it does not exist.
 fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
-    let failed = |source| {
-        Flaw::Fatal(LedgerFileError::Io {
-            path: path.to_owned(),
-            source,
-        })
-    };
+    let failed = |source| Flaw::Fatal(LedgerFileError::Io { path: path.to_owned(), source });
     let bytes = match joulebus_files::read(path, MAX_BYTES) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -382,10 +363,7 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
         && schema != BEFORE
         && !is_of_known_version(&bytes)
     {
-        return Err(Flaw::Fatal(LedgerFileError::Version {
-            path: path.to_owned(),
-            found: schema,
-        }));
+        return Err(Flaw::Fatal(LedgerFileError::Version { path: path.to_owned(), found: schema }));
     }
     let content: Content<Checkpoint> =
         serde_json::from_slice(&bytes).map_err(|error| Flaw::Damaged(error.to_string()))?;
@@ -517,11 +495,7 @@ mod tests {
             assert_eq!(kept(&path), Some(drawn_uj));
             assert!(!new.exists());
         };
-        for text in [
-            "precious",
-            "{\"schema\":\"of another program\"}",
-            "\0\0and more",
-        ] {
+        for text in ["precious", "{\"schema\":\"of another program\"}", "\0\0and more"] {
             fs::write(&new, text).unwrap();
             save(1);
             assert_eq!(fs::read_to_string(&aside).unwrap(), text);
@@ -552,12 +526,7 @@ mod tests {
         files.write(&checkpoint()).unwrap();
         assert_eq!(files.read("lab").unwrap(), Some(checkpoint()));
         // Relative, without a directory.
-        assert_eq!(
-            LedgerFiles::new(Path::new("no-such.json"))
-                .read("lab")
-                .unwrap(),
-            None
-        );
+        assert_eq!(LedgerFiles::new(Path::new("no-such.json")).read("lab").unwrap(), None);
     }
 
     #[test]
@@ -577,19 +546,10 @@ mod tests {
             flipped[bit / 8] ^= 1 << (bit % 8);
             flipped
         });
-        for damaged in [edited.into_bytes()]
-            .into_iter()
-            .chain(truncations)
-            .chain(flips)
-        {
+        for damaged in [edited.into_bytes()].into_iter().chain(truncations).chain(flips) {
             fs::write(&path, &damaged).unwrap();
             fs::write(&older, &before).unwrap();
-            assert_eq!(
-                kept(&path),
-                Some(50),
-                "{}",
-                String::from_utf8_lossy(&damaged)
-            );
+            assert_eq!(kept(&path), Some(50), "{}", String::from_utf8_lossy(&damaged));
             assert_eq!(fs::read(&aside).unwrap(), damaged);
             assert!(!path.exists(), "the damaged file stays in place");
             fs::remove_file(&aside).unwrap();
@@ -613,10 +573,7 @@ mod tests {
         files.write(&drawn(78)).unwrap();
         assert_eq!(kept(&path), Some(78));
         let text = fs::read_to_string(&path).unwrap();
-        assert!(
-            text.starts_with("{\"schema\":3,\"generation\":9,"),
-            "{text}"
-        );
+        assert!(text.starts_with("{\"schema\":3,\"generation\":9,"), "{text}");
     }
 
     /// Bytes of generation `generation`, which has drawn as many µJ.
@@ -729,10 +686,7 @@ mod tests {
         fs::write(&path, "y").unwrap();
         assert_eq!(kept(&path), Some(50), "what was good before the damage");
         let aside: Vec<_> = [1, 2].map(|n| with(&path, &format!("damaged-{n}"))).into();
-        let texts: Vec<_> = aside
-            .iter()
-            .map(|path| fs::read_to_string(path).unwrap())
-            .collect();
+        let texts: Vec<_> = aside.iter().map(|path| fs::read_to_string(path).unwrap()).collect();
         assert_eq!(texts, ["x", "y"], "nothing is overwritten");
     }
 
@@ -745,16 +699,11 @@ mod tests {
         assert!(matches!(error("mine"), LedgerFileError::Foreign { .. }));
         fs::write(&path, "{}").unwrap();
         fs::write(with(&path, "older"), "").unwrap();
-        assert!(
-            matches!(error("lab"), LedgerFileError::Damaged { .. }),
-            "{}",
-            error("lab")
-        );
+        assert!(matches!(error("lab"), LedgerFileError::Damaged { .. }), "{}", error("lab"));
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
-        for (text, found) in [
-            ("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1),
-            ("{\"schema\":4}", 4),
-        ] {
+        for (text, found) in
+            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":4}", 4)]
+        {
             fs::write(&path, text).unwrap();
             let error = error("lab");
             assert!(

@@ -66,10 +66,7 @@ impl Outbox {
         };
         let mut shard = fleet.shard();
         let unsent = if pool.shares(robots) {
-            let outputs = Outputs {
-                forecasts: payload(Some(&mut forecasts)),
-                accounts,
-            };
+            let outputs = Outputs { forecasts: payload(Some(&mut forecasts)), accounts };
             pool.run(shard, outputs);
             send_forecasts(forecasts, &self.planners, header, current_permit)
         } else {
@@ -124,13 +121,7 @@ impl Headers {
                 tick,
                 refused: fleet.refusals(),
             },
-            budgets: BudgetHeader {
-                schema,
-                pid,
-                worker_epoch,
-                tick,
-                ..BudgetHeader::default()
-            },
+            budgets: BudgetHeader { schema, pid, worker_epoch, tick, ..BudgetHeader::default() },
             plan_states: PlanStateHeader {
                 schema,
                 pid,
@@ -151,8 +142,7 @@ impl Headers {
 fn payload<'a, C: Channel>(
     loan: Option<&'a mut Result<Loan<'_, C>, SendError>>,
 ) -> &'a mut [C::Row] {
-    loan.and_then(|loan| loan.as_mut().ok())
-        .map_or(&mut [], Loan::payload_mut)
+    loan.and_then(|loan| loan.as_mut().ok()).map_or(&mut [], Loan::payload_mut)
 }
 
 /// Sends the forecasts and wakes the planners. Returns the number of frames that could not be sent.

@@ -73,8 +73,5 @@ impl Parts {
 
 /// Drops by the name of their reason.
 pub(crate) fn by_name(drops: &DropCounts) -> BTreeMap<&'static str, u64> {
-    drops
-        .iter()
-        .map(|(reason, count)| (reason.name(), count))
-        .collect()
+    drops.iter().map(|(reason, count)| (reason.name(), count)).collect()
 }

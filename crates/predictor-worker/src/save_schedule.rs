@@ -12,11 +12,7 @@ pub(crate) struct SaveSchedule {
 impl SaveSchedule {
     /// Starts at `now_ns`. The saved state must not become older than `every_ns`.
     pub(crate) const fn new(every_ns: u64, now_ns: u64) -> Self {
-        Self {
-            every_ns,
-            saved_ns: now_ns,
-            next_ns: now_ns.saturating_add(every_ns / 2),
-        }
+        Self { every_ns, saved_ns: now_ns, next_ns: now_ns.saturating_add(every_ns / 2) }
     }
 
     /// Start time of the next save, monotonic ns.
@@ -44,9 +40,7 @@ impl SaveSchedule {
         }
         let within_ns = (self.every_ns / 4 * 3).saturating_sub(took_ns.saturating_mul(2));
         let pause_ns = (self.every_ns / 8).max(took_ns);
-        self.next_ns = of_ns
-            .saturating_add(within_ns)
-            .max(ended_ns.saturating_add(pause_ns));
+        self.next_ns = of_ns.saturating_add(within_ns).max(ended_ns.saturating_add(pause_ns));
         (exposed_ns > self.every_ns).then_some(exposed_ns)
     }
 }
@@ -93,19 +87,9 @@ mod tests {
         let refused = schedule.tried(next, (next, next), false);
         assert_eq!(refused, Some(next - at));
         let again = schedule.next_ns();
-        assert!(
-            again > next && again <= next + SECOND_NS,
-            "a refused save is tried again"
-        );
-        assert_eq!(
-            schedule.tried(again, (again, again), true),
-            Some(again - at)
-        );
+        assert!(again > next && again <= next + SECOND_NS, "a refused save is tried again");
+        assert_eq!(schedule.tried(again, (again, again), true), Some(again - at));
         let next = schedule.next_ns();
-        assert_eq!(
-            schedule.tried(next, (next, next), true),
-            None,
-            "in time again"
-        );
+        assert_eq!(schedule.tried(next, (next, next), true), None, "in time again");
     }
 }

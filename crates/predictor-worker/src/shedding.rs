@@ -24,16 +24,9 @@ impl Shedding {
     /// Records that a tick took `took_ns` of its `period_ns`.
     pub(crate) fn ticked(&mut self, took_ns: u64, period_ns: u64) {
         self.ticks += u64::from(self.sheds);
-        self.calm_ticks = if took_ns <= period_ns / 2 {
-            self.calm_ticks.saturating_add(1)
-        } else {
-            0
-        };
-        self.long_ticks = if took_ns > period_ns {
-            self.long_ticks.saturating_add(1)
-        } else {
-            0
-        };
+        self.calm_ticks =
+            if took_ns <= period_ns / 2 { self.calm_ticks.saturating_add(1) } else { 0 };
+        self.long_ticks = if took_ns > period_ns { self.long_ticks.saturating_add(1) } else { 0 };
         self.sheds = self.long_ticks >= LONG_TICKS || self.sheds && self.calm_ticks < CALM_TICKS;
     }
 }

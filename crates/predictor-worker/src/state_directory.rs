@@ -69,14 +69,8 @@ mod tests {
         for (set, expected) in [
             (&[home, xdg, systemd][..], Some("/var/lib/joulebus")),
             (&[home, xdg], Some("/state/joulebus")),
-            (
-                &[home, ("XDG_STATE_HOME", "")],
-                Some("/home/ada/.local/state/joulebus"),
-            ),
-            (
-                &[home, ("XDG_STATE_HOME", "here")],
-                Some("/home/ada/.local/state/joulebus"),
-            ),
+            (&[home, ("XDG_STATE_HOME", "")], Some("/home/ada/.local/state/joulebus")),
+            (&[home, ("XDG_STATE_HOME", "here")], Some("/home/ada/.local/state/joulebus")),
             (&[home], Some("/home/ada/.local/state/joulebus")),
             (&[("HOME", "")], None),
             (&[], None),
@@ -107,9 +101,6 @@ mod tests {
         let [one, two] = ["/dev/shm/a", "/dev/shm/b"].map(|root| config(root, battery, ""));
         assert_ne!(file_name(&one), file_name(&two));
         let name = file_name(&one);
-        assert!(
-            name.starts_with("lab-") && name.ends_with(".json"),
-            "{name}"
-        );
+        assert!(name.starts_with("lab-") && name.ends_with(".json"), "{name}");
     }
 }

@@ -81,10 +81,7 @@ impl TickPool {
                 threads
             }
         };
-        Ok(Self {
-            scratch: (0..threads).map(|_| Mutex::default()).collect(),
-            from,
-        })
+        Ok(Self { scratch: (0..threads).map(|_| Mutex::default()).collect(), from })
     }
 
     /// Whether a tick of that many robots is parallel.
@@ -124,9 +121,7 @@ impl TickPool {
     pub(crate) fn spent(&self) -> StageTimes {
         let mut sum = StageTimes::default();
         for scratch in &self.scratch {
-            let scratch = scratch
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner);
+            let scratch = scratch.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             for (sum, spent) in sum.0.iter_mut().zip(scratch.spent.0) {
                 *sum += spent;
             }
@@ -142,10 +137,7 @@ impl TickPool {
         }
         let (first, second) = shard.split_at(robots / 2);
         let (to_first, to_second) = outputs.split_at(first.len());
-        rayon::join(
-            || self.divide(first, to_first, part),
-            || self.divide(second, to_second, part),
-        );
+        rayon::join(|| self.divide(first, to_first, part), || self.divide(second, to_second, part));
     }
 
     fn run_here(&self, mut shard: Shard<'_>, outputs: Outputs<'_>) {
@@ -157,9 +149,7 @@ impl TickPool {
         let place = rayon::current_thread_index().unwrap_or(0);
         let scratch = &self.scratch[place % self.scratch.len()];
         // Scratch and sums: the state left by a panic is harmless.
-        let mut scratch = scratch
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut scratch = scratch.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let ThreadScratch { batch, spent } = &mut *scratch;
         let mut since_ns = clock::monotonic_ns();
         work(batch, &mut |stage| {

@@ -191,14 +191,7 @@ impl Worker {
         touch_own_memory();
         let mut bus = Bus::join(&domain, "worker")?;
         // After joining, which frees the resources of dead processes.
-        check_capacity(
-            &limits,
-            Ports {
-                sources: 1,
-                workers: 1,
-                planners: 1,
-            },
-        )?;
+        check_capacity(&limits, Ports { sources: 1, workers: 1, planners: 1 })?;
         bus.needs_lock(&lock);
         let outbox = Outbox::open(&bus, &limits)?;
         let journal = Journal::open(&bus, &limits)?;
@@ -227,11 +220,8 @@ impl Worker {
         if current_permit.holds(clock::boot_ns()) {
             keyframes.offer(&fleet, (header.worker_epoch, 0));
         }
-        let schedule = Schedule::new(
-            config.policy(),
-            config.tick_period_ns(),
-            clock::monotonic_ns(),
-        );
+        let schedule =
+            Schedule::new(config.policy(), config.tick_period_ns(), clock::monotonic_ns());
         Ok(Self {
             part,
             ticks_ns,
@@ -302,11 +292,7 @@ impl Worker {
                         samples.extend_from_slice(part);
                     }
                     let header = *incoming.header();
-                    let has_room = following.keep(Held {
-                        header,
-                        samples,
-                        taken_ns,
-                    });
+                    let has_room = following.keep(Held { header, samples, taken_ns });
                     if !has_room {
                         following.advance(&mut self.fleet, places);
                     }
@@ -409,10 +395,7 @@ impl Worker {
             return Err(self.current_permit.over().into());
         }
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);
-        match self
-            .schedule
-            .next(now_ns, taken_ns, self.fleet.complete(now_ns))
-        {
+        match self.schedule.next(now_ns, taken_ns, self.fleet.complete(now_ns)) {
             Next::Wait { until_ns } => {
                 self.waiter.wait_until(Some(until_ns), None)?;
                 Ok(false)
@@ -486,33 +469,23 @@ impl Worker {
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
         let sheds = self.shedding.sheds;
-        let left_out = LeftOut {
-            diagnostics: sheds,
-            plan_states: !self.outbox.plans(),
-        };
-        let unsent = self.outbox.tick(
-            (&mut self.fleet, &self.pool),
-            header,
-            left_out,
-            &self.current_permit,
-        );
+        let left_out = LeftOut { diagnostics: sheds, plan_states: !self.outbox.plans() };
+        let unsent =
+            self.outbox.tick((&mut self.fleet, &self.pool), header, left_out, &self.current_permit);
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         if !self.current_permit.holds(clock::boot_ns()) {
             // The next turn ends it.
             return;
         }
         let place = (self.header.worker_epoch, self.header.tick);
-        self.journal
-            .send(place, start_ns, (missed, left_out), &self.failures.unsent);
+        self.journal.send(place, start_ns, (missed, left_out), &self.failures.unsent);
         self.keyframes.offer(&self.fleet, place);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);
         let took_ns = end_ns.saturating_sub(start_ns);
         self.shedding.ticked(took_ns, self.header.period_ns);
-        self.failures
-            .shed
-            .store(self.shedding.ticks, Ordering::Relaxed);
+        self.failures.shed.store(self.shedding.ticks, Ordering::Relaxed);
         self.ticks_ns.saturating_record(took_ns);
     }
 

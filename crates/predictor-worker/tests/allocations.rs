@@ -28,11 +28,7 @@ struct Case {
 }
 
 fn config(root: &Path, case: Case) -> Config {
-    let Case {
-        policy,
-        robots,
-        threads,
-    } = case;
+    let Case { policy, robots, threads } = case;
     let capacity = robots + 24;
     let text = format!(
         "[fleet]\nname = \"alloc\"\ncapacity = {capacity}\n\
@@ -49,9 +45,7 @@ fn config(root: &Path, case: Case) -> Config {
 /// Publishes frames with missing, refused, unknown and late robots, and with missing readings.
 fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "source").unwrap();
-    let mut writer = bus
-        .sample_writer(&config.limits(), robots as usize)
-        .unwrap();
+    let mut writer = bus.sample_writer(&config.limits(), robots as usize).unwrap();
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         source_id: 1,
@@ -69,20 +63,14 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
                 1 => sample.command(0.1, 0.5),
                 2 => sample.reading(3.5, now_ns),
                 3 => Sample::new(90_000, seq, now_ns),
-                _ => sample
-                    .command(0.1, 0.5)
-                    .reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
+                _ => sample.command(0.1, 0.5).reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
             }
         };
         writer.send(header, robots as usize, sample).unwrap();
         header.frame_seq += 1;
         sent.store(header.frame_seq, Ordering::Relaxed);
         header.samples_before += u64::from(robots);
-        std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) {
-            60
-        } else {
-            5
-        }));
+        std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) { 60 } else { 5 }));
     }
 }
 
@@ -125,10 +113,7 @@ fn others() -> Vec<u64> {
 }
 
 fn measure(case: Case) {
-    let root = PathBuf::from(format!(
-        "/dev/shm/joulebus-test-alloc-{}",
-        std::process::id()
-    ));
+    let root = PathBuf::from(format!("/dev/shm/joulebus-test-alloc-{}", std::process::id()));
     let config = config(&root, case);
     let domain = config.domain().unwrap();
     let (sent, keyframes) = (AtomicU64::new(0), AtomicU32::new(0));
@@ -180,17 +165,9 @@ fn measure(case: Case) {
 
 #[test]
 fn after_warm_up_the_worker_allocates_nothing_of_its_own() {
-    let few = |policy| Case {
-        policy,
-        robots: 40,
-        threads: 1,
-    };
+    let few = |policy| Case { policy, robots: 40, threads: 1 };
     measure(few("on_frame"));
     measure(few("timer"));
     // Enough robots for each thread to get a part.
-    measure(Case {
-        policy: "on_frame",
-        robots: 1_000,
-        threads: 2,
-    });
+    measure(Case { policy: "on_frame", robots: 1_000, threads: 2 });
 }

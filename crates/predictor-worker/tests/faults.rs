@@ -30,9 +30,7 @@ fn config(root: &Path, policy: &str) -> Config {
 /// per frame.
 fn feed(domain: &Domain, config: &Config, sent: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "source").unwrap();
-    let mut writer = bus
-        .sample_writer(&config.limits(), ROBOTS as usize)
-        .unwrap();
+    let mut writer = bus.sample_writer(&config.limits(), ROBOTS as usize).unwrap();
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         source_id: 1,
@@ -61,10 +59,7 @@ fn feed(domain: &Domain, config: &Config, sent: &AtomicU64, stop: &AtomicBool) {
 
 /// Faults, minor and major, of `ticks` ticks after `warm_up` ones.
 fn measure(policy: &str, warm_up: u32, ticks: u32) -> (u64, u64) {
-    let root = PathBuf::from(format!(
-        "/dev/shm/joulebus-test-faults-{}",
-        std::process::id()
-    ));
+    let root = PathBuf::from(format!("/dev/shm/joulebus-test-faults-{}", std::process::id()));
     let config = config(&root, policy);
     let domain = config.domain().unwrap();
     let (sent, stop) = (AtomicU64::new(0), AtomicBool::new(false));

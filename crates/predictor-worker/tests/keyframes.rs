@@ -75,20 +75,14 @@ fn record(config: &Config, ready: &AtomicBool, read: &AtomicU64, stop: &AtomicBo
         }
         while let Some(frame) = ticks.take_next().unwrap() {
             let tick = frame.header().tick;
-            recorded
-                .ticks
-                .insert(tick, (*frame.header(), frame.payload().to_vec()));
+            recorded.ticks.insert(tick, (*frame.header(), frame.payload().to_vec()));
             read.store(tick, Ordering::Relaxed);
         }
         while let Some(frame) = forecasts.take_next().unwrap() {
-            recorded
-                .forecasts
-                .insert(frame.header().tick, frame.payload().to_vec());
+            recorded.forecasts.insert(frame.header().tick, frame.payload().to_vec());
         }
         while let Some(frame) = budgets.take_next().unwrap() {
-            recorded
-                .budgets
-                .insert(frame.header().tick, frame.payload().to_vec());
+            recorded.budgets.insert(frame.header().tick, frame.payload().to_vec());
         }
         while let Some(piece) = states.take_next().unwrap() {
             add_piece(piece.header(), piece.payload(), &mut pieces, &mut recorded);
@@ -163,33 +157,14 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
             };
             fleet.take(header, samples, taken.taken_ns);
         }
-        fleet.tick(
-            header.start_ns,
-            header.flags & tick_flag::DEADLINE_MISSED != 0,
-        );
-        for (place, forecast) in recorded
-            .forecasts
-            .get(&tick)
-            .into_iter()
-            .flatten()
-            .enumerate()
-        {
+        fleet.tick(header.start_ns, header.flags & tick_flag::DEADLINE_MISSED != 0);
+        for (place, forecast) in recorded.forecasts.get(&tick).into_iter().flatten().enumerate() {
             let again = fleet.forecast(place);
             assert_eq!(format!("{forecast:?}"), format!("{again:?}"), "tick {tick}");
-            assert_eq!(
-                forecast.power_w.to_bits(),
-                again.power_w.to_bits(),
-                "tick {tick}"
-            );
+            assert_eq!(forecast.power_w.to_bits(), again.power_w.to_bits(), "tick {tick}");
             compared += 1;
         }
-        for (place, budget) in recorded
-            .budgets
-            .get(&tick)
-            .into_iter()
-            .flatten()
-            .enumerate()
-        {
+        for (place, budget) in recorded.budgets.get(&tick).into_iter().flatten().enumerate() {
             let again = fleet.budget(place);
             assert_eq!(format!("{budget:?}"), format!("{again:?}"), "tick {tick}");
         }
@@ -235,31 +210,15 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         let _ = worker.finish();
         (early.join().unwrap(), late.join().unwrap())
     });
-    assert!(
-        early.keyframes.contains_key(&0),
-        "the state before the first tick"
-    );
+    assert!(early.keyframes.contains_key(&0), "the state before the first tick");
     let compared = verify(&config, &early, 0);
-    assert!(
-        compared > 100 * ROBOTS as usize,
-        "{compared} forecasts compared"
-    );
-    let first = *late
-        .keyframes
-        .keys()
-        .next()
-        .expect("a late reader gets a keyframe at once");
+    assert!(compared > 100 * ROBOTS as usize, "{compared} forecasts compared");
+    let first = *late.keyframes.keys().next().expect("a late reader gets a keyframe at once");
     assert!(first > 0);
     let compared = verify(&config, &late, first);
-    assert!(
-        compared > 20 * ROBOTS as usize,
-        "{compared} forecasts compared"
-    );
+    assert!(compared > 20 * ROBOTS as usize, "{compared} forecasts compared");
     // Keyframes of the same tick are the same for both.
-    let both = early
-        .keyframes
-        .keys()
-        .filter(|tick| late.keyframes.contains_key(tick));
+    let both = early.keyframes.keys().filter(|tick| late.keyframes.contains_key(tick));
     assert!(both.count() > 0, "all readers get the same keyframes");
     let _ = std::fs::remove_dir(&root);
     assert!(!root.exists(), "stale files: {root:?}");

@@ -79,9 +79,7 @@ impl Scene {
 
     fn source(&self) {
         let bus = Bus::join(&self.config.domain().unwrap(), "source").unwrap();
-        let mut writer = bus
-            .sample_writer(&self.config.limits(), ROBOTS as usize)
-            .unwrap();
+        let mut writer = bus.sample_writer(&self.config.limits(), ROBOTS as usize).unwrap();
         let mut header = SampleHeader {
             schema: SCHEMA_VERSION,
             source_id: 1,
@@ -120,8 +118,7 @@ impl Scene {
         let mut budgets = bus.reader::<Budgets>(&limits).unwrap();
         while !self.stop.load(Ordering::Relaxed) {
             while let Some(frame) = forecasts.take_next().unwrap() {
-                self.sent_ns
-                    .fetch_max(frame.header().sent_ns, Ordering::Relaxed);
+                self.sent_ns.fetch_max(frame.header().sent_ns, Ordering::Relaxed);
                 self.read.lock().unwrap().0 = frame.payload().to_vec();
                 self.frames.fetch_add(1, Ordering::Relaxed);
             }
@@ -144,11 +141,7 @@ impl Scene {
     }
 
     fn permit(&self, term: u64, until_ns: Option<u64>) {
-        let permit = Permit {
-            term,
-            until_ns,
-            lease: 0,
-        };
+        let permit = Permit { term, until_ns, lease: 0 };
         permit.write(&self.places.permit).unwrap();
     }
 
@@ -167,9 +160,7 @@ impl Scene {
     fn read_all(&self) {
         let before = self.looks.load(Ordering::Relaxed);
         // The first one may have begun before.
-        eventually("the planner looks twice", || {
-            self.looks.load(Ordering::Relaxed) > before + 1
-        });
+        eventually("the planner looks twice", || self.looks.load(Ordering::Relaxed) > before + 1);
     }
 
     /// Energy and time of all robots' accounts, of the newest budgets.
@@ -177,11 +168,7 @@ impl Scene {
         let read = self.read.lock().unwrap();
         let budgets = read.1.iter();
         budgets.fold((0, 0, 0), |(drawn, metered, unmetered), it| {
-            (
-                drawn + it.drawn_uj,
-                metered + it.metered_ns,
-                unmetered + it.unmetered_ns,
-            )
+            (drawn + it.drawn_uj, metered + it.metered_ns, unmetered + it.unmetered_ns)
         })
     }
 
@@ -189,19 +176,13 @@ impl Scene {
         let read = self.read.lock().unwrap();
         let forecasts = &read.0;
         forecasts.len() == ROBOTS as usize
-            && forecasts
-                .iter()
-                .all(|it| matches!(it.quality(), Quality::Fresh | Quality::Held))
+            && forecasts.iter().all(|it| matches!(it.quality(), Quality::Fresh | Quality::Held))
     }
 }
 
 impl Drop for Scene {
     fn drop(&mut self) {
-        for file in [
-            &self.places.permit,
-            &self.places.keyframe,
-            &self.places.replica,
-        ] {
+        for file in [&self.places.permit, &self.places.keyframe, &self.places.replica] {
             let _ = fs::remove_file(file);
         }
         // All members have left, and taken their files with them.
@@ -213,9 +194,7 @@ impl Drop for Scene {
 fn first_frame(scene: &Scene, worker: &mut Worker) -> Vec<Quality> {
     let before = scene.frames.load(Ordering::Relaxed);
     worker.turn().unwrap();
-    scene.until(worker, "a frame", |_| {
-        scene.frames.load(Ordering::Relaxed) > before
-    });
+    scene.until(worker, "a frame", |_| scene.frames.load(Ordering::Relaxed) > before);
     let read = scene.read.lock().unwrap();
     read.0.iter().map(Forecast::quality).collect()
 }
@@ -234,9 +213,7 @@ fn a_worker_that_waits_longer_than_it_keeps_samples_goes_on_without_a_loss() {
 
 /// A worker is killed, and another one leads after that many frames.
 fn goes_on_after(frames: u64) {
-    let _one = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let scene = Scene::new();
     let never = AtomicBool::new(false);
     scene.play(|| {
@@ -260,11 +237,7 @@ fn goes_on_after(frames: u64) {
         // killed.
         let saved = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
         assert_eq!(saved.term, 1);
-        let in_it = turns
-            .iter()
-            .rfind(|(ns, _)| *ns < saved.taken_ns)
-            .unwrap()
-            .1;
+        let in_it = turns.iter().rfind(|(ns, _)| *ns < saved.taken_ns).unwrap().1;
         fs::rename(&scene.places.keyframe, &scene.places.replica).unwrap();
         Permit::withdraw(&scene.places.permit).unwrap();
         scene.read_all();
@@ -275,9 +248,7 @@ fn goes_on_after(frames: u64) {
         let sent = scene.sent.load(Ordering::Relaxed);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                eventually("samples", || {
-                    scene.sent.load(Ordering::Relaxed) > sent + frames
-                });
+                eventually("samples", || scene.sent.load(Ordering::Relaxed) > sent + frames);
                 scene.permit(2, None);
             });
             assert!(worker.stand_by(&never).unwrap());
@@ -288,23 +259,13 @@ fn goes_on_after(frames: u64) {
         let is_warm = |it: &Quality| !matches!(it, Quality::Warmup { .. });
         assert!(first.iter().all(is_warm), "{first:?}");
         assert_eq!(first.len(), ROBOTS as usize);
-        scene.until(&mut worker, "budgets of all", |_| {
-            scene.accounts().0 > accounts.0
-        });
+        scene.until(&mut worker, "budgets of all", |_| scene.accounts().0 > accounts.0);
         let after = scene.accounts();
-        assert!(
-            after.1 >= accounts.1,
-            "metered time continues: {accounts:?} {after:?}"
-        );
+        assert!(after.1 >= accounts.1, "metered time continues: {accounts:?} {after:?}");
         let dropped = &worker.report().samples_dropped;
-        assert!(
-            !dropped.contains_key("Duplicate"),
-            "no sample is taken twice: {dropped:?}"
-        );
+        assert!(!dropped.contains_key("Duplicate"), "no sample is taken twice: {dropped:?}");
         // Only the time before the second worker's port was open is unmetered.
-        let lost = dropped
-            .get("Overflow")
-            .map_or(0, |lost| lost / u64::from(ROBOTS));
+        let lost = dropped.get("Overflow").map_or(0, |lost| lost / u64::from(ROBOTS));
         assert!(
             lost <= sent + 1 - in_it,
             "{lost} frames were lost, {in_it} to {sent} were sent while there was no worker"
@@ -323,33 +284,22 @@ fn goes_on_after(frames: u64) {
 
 #[test]
 fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit_does_not_help() {
-    let _one = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let scene = Scene::new();
     let never = AtomicBool::new(false);
     scene.play(|| {
         let mut accounts = (0, 0, 0);
-        for (term, how) in [
-            (1, "it runs out"),
-            (2, "it is withdrawn"),
-            (3, "another term"),
-        ] {
+        for (term, how) in [(1, "it runs out"), (2, "it is withdrawn"), (3, "another term")] {
             let mut worker = Worker::open_standby(&scene.config).unwrap();
             scene.permit(term, None);
             assert!(worker.stand_by(&never).unwrap());
             let before = scene.frames.load(Ordering::Relaxed);
-            scene.until(&mut worker, how, |_| {
-                scene.frames.load(Ordering::Relaxed) > before + 3
-            });
+            scene.until(&mut worker, how, |_| scene.frames.load(Ordering::Relaxed) > before + 3);
             // It continues where it ended itself, as after an outage of the store of leases.
             scene.until(&mut worker, "budgets", |_| scene.accounts() != accounts);
             let now = scene.accounts();
             assert!(now.0 >= accounts.0, "{accounts:?}, {now:?}");
-            assert!(
-                now.1 >= accounts.1 && now.2 >= accounts.2,
-                "{accounts:?}, {now:?}"
-            );
+            assert!(now.1 >= accounts.1 && now.2 >= accounts.2, "{accounts:?}, {now:?}");
             // Long enough for the thread that reads the permit, which was without an end, to get a
             // processor.
             let until_ns = clock::boot_ns() + 3_000_000_000;
@@ -386,9 +336,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
 
 #[test]
 fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_taken() {
-    let _one = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let scene = Scene::new();
     let never = AtomicBool::new(false);
     scene.play(|| {
@@ -409,12 +357,9 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
         let mut other = saved.bytes.clone();
         // The fleet's capacity, the first number behind the magic.
         other[8] ^= 1;
-        for (term, replica) in [
-            (2, &cut[..]),
-            (3, &other[..]),
-            (4, &[][..]),
-            (5, &b"jbstate\xff"[..]),
-        ] {
+        for (term, replica) in
+            [(2, &cut[..]), (3, &other[..]), (4, &[][..]), (5, &b"jbstate\xff"[..])]
+        {
             fs::write(&scene.places.keyframe, &whole).unwrap();
             let of = (term + 10, clock::monotonic_ns(), i64::MIN);
             SavedState::write(&scene.places.replica, of, replica).unwrap();
@@ -438,10 +383,7 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
                 after = scene.accounts();
                 after != before && after.0 > 0 && after.2 > 0
             });
-            assert!(
-                after.0 > 0 && after.2 > 0,
-                "term {term}: {before:?} {after:?}"
-            );
+            assert!(after.0 > 0 && after.2 > 0, "term {term}: {before:?} {after:?}");
             assert_eq!(worker.report().robots, ROBOTS as usize, "term {term}");
             drop(worker);
         }

@@ -76,10 +76,7 @@ impl Judgement {
     /// than was published. States without one, or with a held one, say nothing new: leave them out.
     pub fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
-        let new = || Robot {
-            judge: Box::new(Judge::new(Known::default())),
-            found: Vec::new(),
-        };
+        let new = || Robot { judge: Box::new(Judge::new(Known::default())), found: Vec::new() };
         if self.robots.len() >= self.max_robots && !self.robots.contains_key(&state.robot) {
             self.others_wait |= !self.plausible.contains(&state.robot);
             return;
@@ -122,10 +119,8 @@ impl Judgement {
             }
         }
         if count < ENDS_AFTER {
-            let ended = robot
-                .found
-                .iter()
-                .filter(|known| !found.iter().any(|one| is_same(one, known)));
+            let ended =
+                robot.found.iter().filter(|known| !found.iter().any(|one| is_same(one, known)));
             let ended: Vec<Finding> = ended.cloned().collect();
             found.extend(ended);
         }
@@ -196,10 +191,7 @@ mod tests {
         };
         let (judgement, news) = judged(turned, 30_000);
         assert_eq!(news.len(), 1, "{news:?}");
-        assert!(
-            news[0].contains("robot 7: sign") && news[0].contains("negate = true"),
-            "{news:?}"
-        );
+        assert!(news[0].contains("robot 7: sign") && news[0].contains("negate = true"), "{news:?}");
         assert_eq!(judgement.records()[0].robot, 7);
     }
 
@@ -245,10 +237,7 @@ mod tests {
         let percent =
             |step: u64, state: &mut RobotState| state.soc = Some(96.0 - 1e-4 * step as f32);
         let (_, news) = judged(percent, 200);
-        assert!(
-            news.iter().any(|line| line.contains("percentage")),
-            "{news:?}"
-        );
+        assert!(news.iter().any(|line| line.contains("percentage")), "{news:?}");
         let mends = |step: u64, state: &mut RobotState| {
             if step < 20_000 {
                 state.soc = Some(96.0);

@@ -27,11 +27,7 @@ impl Grid {
     /// A grid that begins at `first_ns` (monotonic), with a period of `period_ns`, at least 1.
     #[must_use]
     pub const fn new(first_ns: u64, period_ns: u64) -> Self {
-        Self {
-            due_ns: first_ns,
-            period_ns: if period_ns == 0 { 1 } else { period_ns },
-            skipped: 0,
-        }
+        Self { due_ns: first_ns, period_ns: if period_ns == 0 { 1 } else { period_ns }, skipped: 0 }
     }
 
     /// The next grid time, monotonic ns.
@@ -53,14 +49,10 @@ impl Grid {
             return None;
         };
         let skipped = late_ns / self.period_ns;
-        let slot = Slot {
-            intended_ns: self.due_ns,
-            skipped,
-        };
+        let slot = Slot { intended_ns: self.due_ns, skipped };
         self.skipped = self.skipped.saturating_add(skipped);
-        self.due_ns = self
-            .due_ns
-            .saturating_add(skipped.saturating_add(1).saturating_mul(self.period_ns));
+        self.due_ns =
+            self.due_ns.saturating_add(skipped.saturating_add(1).saturating_mul(self.period_ns));
         Some(slot)
     }
 }
@@ -87,9 +79,7 @@ impl Pace {
     #[must_use]
     pub fn every(period: Duration) -> Self {
         let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
-        Self {
-            grid: Grid::new(clock::monotonic_ns(), period_ns),
-        }
+        Self { grid: Grid::new(clock::monotonic_ns(), period_ns) }
     }
 
     /// Sleeps until the next grid time, and takes it. Returns at once when it is past. Signals do

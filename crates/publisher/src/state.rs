@@ -73,10 +73,7 @@ impl Charger {
 impl RobotState {
     /// A robot without known values.
     pub fn new(robot: u32) -> Self {
-        Self {
-            robot,
-            ..Self::default()
-        }
+        Self { robot, ..Self::default() }
     }
 
     /// With the command just issued: m/s and rad/s.
@@ -187,10 +184,8 @@ impl Registry {
         let least_ns = before.map_or(self.stamp_floor_ns, |last| last.stamp_ns + 1);
         let stamp_ns = now_ns.max(least_ns);
         let repeated_ns = before.and_then(|last| last.measured_ns);
-        let measured_ns = state
-            .measured_ns
-            .or(repeated_ns.filter(|_| state.held))
-            .unwrap_or(stamp_ns);
+        let measured_ns =
+            state.measured_ns.or(repeated_ns.filter(|_| state.held)).unwrap_or(stamp_ns);
         let last = Last {
             seq,
             stamp_ns,
@@ -230,11 +225,7 @@ fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Samp
     }
     for (value, place, flag) in [
         (state.v_mps, &mut sample.v_mps, sample_flag::V),
-        (
-            state.omega_radps,
-            &mut sample.omega_radps,
-            sample_flag::OMEGA,
-        ),
+        (state.omega_radps, &mut sample.omega_radps, sample_flag::OMEGA),
         (state.voltage_v, &mut sample.voltage_v, sample_flag::VOLTAGE),
         (state.current_a, &mut sample.current_a, sample_flag::CURRENT),
         (state.soc, &mut sample.soc, sample_flag::SOC),
@@ -269,11 +260,7 @@ mod tests {
         assert_eq!(told(1, 1, 200), Some((1, 200)));
         assert_eq!(told(1, 2, 200), Some((2, 201)), "the clock stood still");
         assert_eq!(told(1, 3, 150), Some((3, 202)), "the clock went back");
-        assert_eq!(
-            told(2, 9, 900),
-            Some((1, 900)),
-            "robot 2 was silent for a while"
-        );
+        assert_eq!(told(2, 9, 900), Some((1, 900)), "robot 2 was silent for a while");
     }
 
     #[test]
@@ -283,13 +270,7 @@ mod tests {
         for frame in 0..100_000_u64 {
             // One robot that is always there, and four that change; each comes back later or soon.
             let name = (frame * 4) as u32;
-            let robots = [
-                u32::MAX,
-                name,
-                name + 1,
-                name.wrapping_sub(7),
-                (frame % 40) as u32,
-            ];
+            let robots = [u32::MAX, name, name + 1, name.wrapping_sub(7), (frame % 40) as u32];
             for robot in robots {
                 let sample = registry.sample(&RobotState::new(robot), frame, 1_000 * frame);
                 let Some(sample) = sample else {
@@ -333,10 +314,7 @@ mod tests {
             CHARGING, CURRENT, FULL, HELD, OMEGA, POWER, RETURN, SOC, SWAPPED, V, VOLTAGE,
         };
         let new = RobotState::new(1);
-        let only_v = RobotState {
-            v_mps: Some(0.0),
-            ..new
-        };
+        let only_v = RobotState { v_mps: Some(0.0), ..new };
         for (state, flags) in [
             (new, 0),
             (only_v, V),
@@ -347,10 +325,7 @@ mod tests {
             (new.charger(Charger::Disconnected), 0),
             (new.charger(Charger::Charging), CHARGING),
             (new.charger(Charger::Full), CHARGING | FULL),
-            (
-                new.charger(Charger::Full).swapped(),
-                CHARGING | FULL | SWAPPED,
-            ),
+            (new.charger(Charger::Full).swapped(), CHARGING | FULL | SWAPPED),
             (new.swapped(), SWAPPED),
             (new.state_of_charge(0.0), SOC),
             (new.return_energy(0.0), RETURN),
@@ -371,12 +346,7 @@ mod tests {
                 assert_eq!(value.is_nan(), !sample.has(flag), "{state:?}");
             }
         }
-        let claimed = Registry::new(4)
-            .sample(&new.reading(f32::NAN), 0, 5)
-            .unwrap();
-        assert!(
-            claimed.has(POWER) && claimed.power_w.is_nan(),
-            "the worker refuses it"
-        );
+        let claimed = Registry::new(4).sample(&new.reading(f32::NAN), 0, 5).unwrap();
+        assert!(claimed.has(POWER) && claimed.power_w.is_nan(), "the worker refuses it");
     }
 }

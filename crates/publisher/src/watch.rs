@@ -53,12 +53,7 @@ impl Watch {
         let thread = thread::Builder::new()
             .name("joulebus-judge".to_owned())
             .spawn(move || judge(&own, taken, findings))?;
-        Ok(Self {
-            waiting: room(),
-            shared,
-            thread: Some(thread),
-            pid: process::id(),
-        })
+        Ok(Self { waiting: room(), shared, thread: Some(thread), pid: process::id() })
     }
 
     /// Adds a state that is published at `now_ns`, if it has a new reading and there is room.
@@ -111,9 +106,8 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
         for (state, now_ns) in taken.drain(..) {
             // Without commands a robot on its dock looks like one with the other sign.
             let is_known = state.v_mps.is_some() || state.charger != Charger::default();
-            let power_w = state
-                .power_w
-                .map(|power_w| if is_known { power_w } else { power_w.abs() });
+            let power_w =
+                state.power_w.map(|power_w| if is_known { power_w } else { power_w.abs() });
             judgement.take(&RobotState { power_w, ..state }, state.soc, now_ns);
         }
         // The program's own warnings are its `Judgement`'s.

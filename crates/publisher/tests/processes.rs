@@ -40,12 +40,7 @@ impl Intake {
         let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
         let reader = bus.sample_reader(&config.limits()).unwrap();
         let arrivals = bus.arrivals_waiter(&config.limits()).unwrap();
-        Self {
-            reader,
-            arrivals,
-            buffer: FrameBuf::new(config.limits().capacity),
-            _bus: bus,
-        }
+        Self { reader, arrivals, buffer: FrameBuf::new(config.limits().capacity), _bus: bus }
     }
 
     fn take(&mut self) -> Option<(SampleHeader, Vec<Sample>)> {
@@ -79,10 +74,7 @@ fn worker(config: &Path) {
             }
         }
         told_of = newest.source_epoch;
-        send_to_test(format!(
-            "{frames} {samples} {} {}",
-            newest.source_id, newest.source_epoch
-        ));
+        send_to_test(format!("{frames} {samples} {} {}", newest.source_id, newest.source_epoch));
     }
 }
 
@@ -188,9 +180,7 @@ fn implausible(config: &Path) {
     let mut frames = 0..;
     eventually("the alarm of robot 2", || {
         let frame = frames.next().unwrap_or_default();
-        publisher
-            .publish((0..3).map(|id| robot(id, frame)))
-            .unwrap();
+        publisher.publish((0..3).map(|id| robot(id, frame))).unwrap();
         implausible_robots(&loaded) == [2].into()
     });
     drop(publisher);
@@ -212,10 +202,7 @@ fn misuse(config: &Path) {
     for _ in 0..2 {
         assert!(matches!(
             publisher.publish(robots(70)),
-            Err(PublishError::TooMany {
-                found: 70,
-                allowed: 64
-            })
+            Err(PublishError::TooMany { found: 70, allowed: 64 })
         ));
         assert!(matches!(
             publisher.publish(robots(3).chain([RobotState::new(1)])),
@@ -229,9 +216,7 @@ fn misuse(config: &Path) {
     assert!(intake.take().is_none(), "no frame was sent");
 
     assert_eq!(publisher.publish(robots(64)).unwrap().samples, 64);
-    let wild = RobotState::new(0)
-        .command(f32::INFINITY, f32::NAN)
-        .reading(f32::NAN);
+    let wild = RobotState::new(0).command(f32::INFINITY, f32::NAN).reading(f32::NAN);
     publisher.publish([wild]).unwrap();
     assert_eq!(publisher.publish([]).unwrap().samples, 0);
     let mine = Sample::new(9, 77, clock::monotonic_ns()).reading(-2.0, 5);
@@ -260,8 +245,6 @@ fn a_refused_frame_does_not_affect_later_ones() {
 
 #[test]
 fn a_missing_config_is_an_error_that_names_it() {
-    let error = Publisher::connect("/no/such/fleet.toml", "x")
-        .err()
-        .unwrap();
+    let error = Publisher::connect("/no/such/fleet.toml", "x").err().unwrap();
     assert!(error.to_string().contains("/no/such/fleet.toml"), "{error}");
 }

@@ -125,12 +125,7 @@ impl fmt::Display for Failed {
             self.seed, self.failure.invariant
         )?;
         writeln!(out, "  {}", self.failure.found)?;
-        writeln!(
-            out,
-            "  {} of {} faults are left:",
-            self.left.len(),
-            self.planned
-        )?;
+        writeln!(out, "  {} of {} faults are left:", self.left.len(), self.planned)?;
         for (number, at_s, fault) in &self.left {
             writeln!(out, "  {number:>5} {at_s:>12.3} s  {fault}")?;
         }
@@ -207,24 +202,15 @@ fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Fa
 }
 
 fn command(scenario: &Scenario) -> String {
-    let numbers: Vec<String> = scenario
-        .faults
-        .iter()
-        .map(|(number, _)| number.to_string())
-        .collect();
+    let numbers: Vec<String> =
+        scenario.faults.iter().map(|(number, _)| number.to_string()).collect();
     // The plan depends on the duration: it is that of the whole scenario, cut at the end.
     let until = match scenario.whole_ns == scenario.duration_ns {
         true => String::new(),
         false => format!(" --until-ns {}", scenario.duration_ns),
     };
-    let hours = scenario
-        .asked_ns
-        .map(|ns| format!(" --hours {}", ns as f64 / HOUR_NS));
-    let only = if numbers.is_empty() {
-        "none".to_owned()
-    } else {
-        numbers.join(",")
-    };
+    let hours = scenario.asked_ns.map(|ns| format!(" --hours {}", ns as f64 / HOUR_NS));
+    let only = if numbers.is_empty() { "none".to_owned() } else { numbers.join(",") };
     format!(
         "joulebus-sim --seed {}{}{until} --only {only}",
         scenario.seed,

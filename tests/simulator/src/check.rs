@@ -42,11 +42,7 @@ pub struct Failure {
 pub(crate) type Checked = Result<(), Failure>;
 
 pub(crate) fn failure(invariant: &'static str, found: String) -> Failure {
-    Failure {
-        invariant,
-        found,
-        at_ns: time::now_ns(),
-    }
+    Failure { invariant, found, at_ns: time::now_ns() }
 }
 
 fn remember<T>(all: &mut VecDeque<T>, next: T) {
@@ -197,10 +193,7 @@ impl Checker {
     fn open(&self) -> Option<Ports> {
         let bus = Bus::join(&self.config.domain().ok()?, "observer").ok()?;
         let limits = self.config.limits();
-        Some(Ports {
-            forecasts: bus.reader(&limits).ok()?,
-            budgets: bus.reader(&limits).ok()?,
-        })
+        Some(Ports { forecasts: bus.reader(&limits).ok()?, budgets: bus.reader(&limits).ok()? })
     }
 
     /// A client's answer is computed from frames that the worker has sent.
@@ -215,11 +208,9 @@ impl Checker {
                 self.last_epoch
             )
         })?;
-        ensure(
-            is_possible(&answered.reply),
-            "an energy lies in its interval",
-            || format!("{answered:?}"),
-        )
+        ensure(is_possible(&answered.reply), "an energy lies in its interval", || {
+            format!("{answered:?}")
+        })
     }
 
     pub(crate) fn worker_begins(&mut self, pid: u32) {
@@ -246,11 +237,7 @@ impl Checker {
         let (run, _) = self.life.take()?.place?;
         remember(&mut self.ends, (run, ending));
         let lives = self.lives;
-        for account in self
-            .accounts
-            .values_mut()
-            .filter(|account| account.life == lives)
-        {
+        for account in self.accounts.values_mut().filter(|account| account.life == lives) {
             account.ended_ns = time::now_ns();
         }
         Some(run)
@@ -262,11 +249,9 @@ impl Checker {
             (*run, *run) == (before.1, after.1) && before.2 < *tick && *tick < after.2
         };
         let missing = self.sent.iter().find(is_missing);
-        ensure(
-            missing.is_none(),
-            "planners that poll see every frame",
-            || format!("{after:?} after {before:?}: {missing:?} is missing"),
-        )
+        ensure(missing.is_none(), "planners that poll see every frame", || {
+            format!("{after:?} after {before:?}: {missing:?} is missing")
+        })
     }
 
     /// A planner that polls tells a shutdown of the run `followed` from a death.
@@ -357,43 +342,24 @@ impl Checker {
     fn forecasts(&mut self, header: &ForecastHeader, rows: &[Forecast]) -> Checked {
         self.ticks += 1;
         let Some(life) = &mut self.life else {
-            return Err(failure(
-                "only the worker is believed",
-                format!("{header:?}"),
-            ));
+            return Err(failure("only the worker is believed", format!("{header:?}")));
         };
-        ensure(
-            header.pid == life.pid,
-            "only the worker is believed",
-            || {
-                format!(
-                    "a frame of process {} while {} is the worker",
-                    header.pid, life.pid
-                )
-            },
-        )?;
+        ensure(header.pid == life.pid, "only the worker is believed", || {
+            format!("a frame of process {} while {} is the worker", header.pid, life.pid)
+        })?;
         let place = (header.worker_epoch, header.tick);
         let is_next = match life.place {
             Some((epoch, tick)) => epoch == place.0 && tick < place.1,
             None => place.0 > self.last_epoch,
         };
         ensure(is_next, "runs and ticks only grow", || {
-            format!(
-                "{place:?} after {:?}, the run before was {}",
-                life.place, self.last_epoch
-            )
+            format!("{place:?} after {:?}, the run before was {}", life.place, self.last_epoch)
         })?;
         (life.place, self.last_epoch) = (Some(place), place.0);
         remember(&mut self.sent, place);
-        let counted = header
-            .samples_accepted
-            .saturating_add(header.samples_dropped.total());
+        let counted = header.samples_accepted.saturating_add(header.samples_dropped.total());
         let sent = life.taken + life.lost;
-        let adds_up = if life.is_regular {
-            counted == sent
-        } else {
-            counted >= life.taken
-        };
+        let adds_up = if life.is_regular { counted == sent } else { counted >= life.taken };
         ensure(adds_up, "sent = accepted + dropped", || {
             format!(
                 "{counted} accepted or dropped; {} taken, {} lost before; regular: {}",
@@ -406,11 +372,7 @@ impl Checker {
         })?;
         self.newest.clear();
         for row in rows {
-            ensure(
-                row.robot != FALSE_ROBOT,
-                "only the worker is believed",
-                || format!("{row:?}"),
-            )?;
+            ensure(row.robot != FALSE_ROBOT, "only the worker is believed", || format!("{row:?}"))?;
             if let (Some(power_w), Some((lo_w, hi_w))) = (row.expected_w(), row.interval_w()) {
                 ensure(
                     lo_w <= power_w && power_w <= hi_w,
@@ -433,28 +395,19 @@ impl Checker {
         {
             let bits = [row.power_w, row.lo_w, row.hi_w, row.reading_w].map(f32::to_bits);
             let answer = ((row.quality, row.quality_detail), bits);
-            answers
-                .forecasts
-                .entry((row.robot, row.sample_seq))
-                .or_insert(answer);
+            answers.forecasts.entry((row.robot, row.sample_seq)).or_insert(answer);
         }
     }
 
     fn budgets(&mut self, header: &BudgetHeader, rows: &[Budget]) -> Checked {
         ensure(
-            self.life
-                .as_ref()
-                .is_some_and(|life| life.pid == header.pid),
+            self.life.as_ref().is_some_and(|life| life.pid == header.pid),
             "only the worker is believed",
             || format!("{header:?}"),
         )?;
         self.frames += 1;
         for row in rows {
-            ensure(
-                row.robot != FALSE_ROBOT,
-                "only the worker is believed",
-                || format!("{row:?}"),
-            )?;
+            ensure(row.robot != FALSE_ROBOT, "only the worker is believed", || format!("{row:?}"))?;
             if row.flags & budget_flag::LEDGER != 0 && row.robot < REGULAR_BELOW {
                 self.account(row)?;
             }
@@ -467,16 +420,8 @@ impl Checker {
         if let Some(answers) = &mut self.answers
             && robot < self.setup.robots as u32
         {
-            let entry = (
-                row.drawn_uj,
-                row.drawn_remainder,
-                row.metered_ns,
-                row.unmetered_ns,
-            );
-            answers
-                .ledgers
-                .entry((robot, row.stamp_ns))
-                .or_insert(entry);
+            let entry = (row.drawn_uj, row.drawn_remainder, row.metered_ns, row.unmetered_ns);
+            answers.ledgers.entry((robot, row.stamp_ns)).or_insert(entry);
         }
         if is_constant(robot) {
             let drawn = i128::from(row.drawn_uj) * PER_MICROJOULE + i128::from(row.drawn_remainder);
@@ -487,10 +432,7 @@ impl Checker {
             })?;
         }
         let times_ns = row.metered_ns + row.unmetered_ns;
-        let Some(born_ns) = row
-            .stamp_ns
-            .checked_sub(times_ns)
-            .or(self.is_rebooted.then_some(0))
+        let Some(born_ns) = row.stamp_ns.checked_sub(times_ns).or(self.is_rebooted.then_some(0))
         else {
             return Err(failure("metered + unmetered = elapsed", format!("{row:?}")));
         };
@@ -521,11 +463,9 @@ impl Checker {
             return Ok(());
         }
         if account.life == lives {
-            ensure(
-                account.born_ns == born_ns,
-                "metered + unmetered = elapsed",
-                || format!("robot {robot}: {before:?}, then {row:?}"),
-            )?;
+            ensure(account.born_ns == born_ns, "metered + unmetered = elapsed", || {
+                format!("robot {robot}: {before:?}, then {row:?}")
+            })?;
             let only_grows = before.metered_ns <= row.metered_ns
                 && before.unmetered_ns <= row.unmetered_ns
                 && before.stamp_ns <= row.stamp_ns;
@@ -536,11 +476,7 @@ impl Checker {
             // Of the earlier worker's account at most the last `every_s` is lost.
             let ended_ns = account.ended_ns;
             let promised_ns = ended_ns.saturating_sub(self.setup.save_every_ns + slack_ns);
-            let floor = account
-                .history
-                .iter()
-                .rev()
-                .find(|(at_ns, _)| *at_ns <= promised_ns);
+            let floor = account.history.iter().rev().find(|(at_ns, _)| *at_ns <= promised_ns);
             if let Some((at_ns, metered_ns)) = floor
                 && ended_ns > self.excused_until_ns
             {
@@ -561,9 +497,7 @@ impl Checker {
             let began_ns = self.life.as_ref().map_or(now_ns, |life| life.began_ns);
             let found_ns = row.metered_ns.saturating_sub(now_ns - began_ns);
             let is_known = ended_ns > self.excused_until_ns;
-            account
-                .history
-                .retain(|(_, metered_ns)| is_known && *metered_ns <= found_ns);
+            account.history.retain(|(_, metered_ns)| is_known && *metered_ns <= found_ns);
             let known_ns = now_ns.saturating_sub(self.setup.save_every_ns);
             for (at_ns, _) in &mut account.history {
                 *at_ns = known_ns.max(*at_ns);
@@ -571,11 +505,7 @@ impl Checker {
             (account.life, account.born_ns) = (lives, born_ns);
         }
         let every_ns = self.setup.save_every_ns / 4;
-        if account
-            .history
-            .back()
-            .is_none_or(|(at_ns, _)| at_ns + every_ns <= now_ns)
-        {
+        if account.history.back().is_none_or(|(at_ns, _)| at_ns + every_ns <= now_ns) {
             account.history.push_back((now_ns, row.metered_ns));
             if account.history.len() > 24 {
                 account.history.pop_front();
@@ -604,33 +534,25 @@ impl Checker {
     pub(crate) fn capture(&mut self, path: &str, summary: Option<&Summary>) -> Checked {
         let mut messages = 0;
         let names = disk::names();
-        let parts = names
-            .iter()
-            .filter(|name| name.to_string_lossy().starts_with(path));
+        let parts = names.iter().filter(|name| name.to_string_lossy().starts_with(path));
         let is_closed = summary.is_some_and(|summary| summary.failure.is_none());
         let mut count = 0;
         for part in parts {
             let is_durable = !is_closed || disk::is_durable(part);
-            ensure(
-                is_durable,
-                "a closed capture survives a power failure",
-                || format!("{} is not on the disk", part.display()),
-            )?;
+            ensure(is_durable, "a closed capture survives a power failure", || {
+                format!("{} is not on the disk", part.display())
+            })?;
             messages += self.part(part)?;
             count += 1;
         }
         let is_short = time::now_ns() < Options::default().max_file_ns;
-        ensure(count <= 1 || !is_short, "a file ends after an hour", || {
-            format!("{count} files")
-        })?;
+        ensure(count <= 1 || !is_short, "a file ends after an hour", || format!("{count} files"))?;
         let Some(summary) = summary else {
             return Ok(());
         };
-        ensure(
-            messages == summary.messages(),
-            "written messages can be read",
-            || format!("{messages} of {} can be read", summary.messages()),
-        )
+        ensure(messages == summary.messages(), "written messages can be read", || {
+            format!("{messages} of {} can be read", summary.messages())
+        })
     }
 
     /// Number of messages in a file of a capture.
@@ -642,10 +564,7 @@ impl Checker {
         };
         let settings = self.config.settings().clone();
         let Ok(mut verifier) = Verifier::new(settings, self.models.clone()) else {
-            return Err(failure(
-                "captures verify",
-                "the settings are refused".to_owned(),
-            ));
+            return Err(failure("captures verify", "the settings are refused".to_owned()));
         };
         let mut messages = 0_u64;
         // A killed recorder's file has no end.
@@ -670,10 +589,7 @@ impl Life {
         if !self.is_regular {
             return;
         }
-        let run = self
-            .sources
-            .entry(header.source_id)
-            .or_insert((header.source_epoch, 0));
+        let run = self.sources.entry(header.source_id).or_insert((header.source_epoch, 0));
         if header.source_epoch > run.0 {
             *run = (header.source_epoch, 0);
         }

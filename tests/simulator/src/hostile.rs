@@ -30,11 +30,7 @@ fn any(near: u64) -> u64 {
 }
 
 fn schema() -> u32 {
-    if host::once_in(10) {
-        host::below(9) as u32
-    } else {
-        SCHEMA_VERSION
-    }
+    if host::once_in(10) { host::below(9) as u32 } else { SCHEMA_VERSION }
 }
 
 /// Sends `frames` false frames on each service, and leaves.
@@ -130,30 +126,12 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
             period_ns: any(1_000_000_000),
             ..ForecastHeader::default()
         };
-        let row = Forecast {
-            robot: FALSE_ROBOT,
-            ..Forecast::default()
-        };
+        let row = Forecast { robot: FALSE_ROBOT, ..Forecast::default() };
         let _ = forecasts.send(header, 1, |_| row);
-        let header = DiagnosticHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            ..Default::default()
-        };
-        let row = Diagnostic {
-            robot: FALSE_ROBOT,
-            ..Diagnostic::default()
-        };
+        let header = DiagnosticHeader { schema, pid, worker_epoch, tick, ..Default::default() };
+        let row = Diagnostic { robot: FALSE_ROBOT, ..Diagnostic::default() };
         let _ = diagnostics.send(header, 1, |_| row);
-        let header = BudgetHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            ..Default::default()
-        };
+        let header = BudgetHeader { schema, pid, worker_epoch, tick, ..Default::default() };
         let row = Budget {
             robot: FALSE_ROBOT,
             flags: budget_flag::LEDGER,
@@ -169,26 +147,11 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
             sent_ns: any(now_ns),
             ..Default::default()
         };
-        let row = PlanState {
-            robot: FALSE_ROBOT,
-            ..PlanState::default()
-        };
+        let row = PlanState { robot: FALSE_ROBOT, ..PlanState::default() };
         let _ = plan_states.send(header, 1, |_| row);
-        let header = TickHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            ..Default::default()
-        };
+        let header = TickHeader { schema, pid, worker_epoch, tick, ..Default::default() };
         let _ = ticks.send(header, 0, |_| Default::default());
-        let header = StateHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            ..Default::default()
-        };
+        let header = StateHeader { schema, pid, worker_epoch, tick, ..Default::default() };
         let _ = state.send(header, 9, |_| host::below(256) as u8);
         let event = [WakeEvent::Frame, WakeEvent::Died, WakeEvent::Ended][host::below(3)];
         let _ = waker.wake(event);
@@ -213,11 +176,7 @@ fn samples(bus: &Bus, config: &Config, frames: u64, regular: usize) -> Option<()
         };
         let _ = writer.send(header, 1 + host::below(4), |_| {
             let own = host::once_in(2);
-            let robot = if own {
-                OWN_ROBOTS[host::below(3)]
-            } else {
-                host::below(10 * regular)
-            };
+            let robot = if own { OWN_ROBOTS[host::below(3)] } else { host::below(10 * regular) };
             let mut sample = Sample::new(robot as u32, any(number), any(now_ns));
             let wrong = [f32::NAN, f32::INFINITY, -5.0, 1e30][host::below(4)];
             let power_w = if own && host::once_in(2) { 3.0 } else { wrong };

@@ -49,9 +49,7 @@ pub(crate) fn damage(bits: u64) {
 /// There is an earlier one, unless it was damaged too.
 fn has_another_generation(newest: &[u8]) -> bool {
     let content = serde_json::from_slice::<serde_json::Value>(newest).unwrap_or_default();
-    let is_first = content["generation"]
-        .as_u64()
-        .is_none_or(|number| number < 2);
+    let is_first = content["generation"].as_u64().is_none_or(|number| number < 2);
     let is_aside = |path: &PathBuf| path.to_string_lossy().contains(".damaged-");
     let older = PathBuf::from(format!("{LEDGER}.older"));
     disk::peek(&older).is_some() || !(is_first || disk::names().iter().any(is_aside))

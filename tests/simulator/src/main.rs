@@ -58,9 +58,7 @@ fn numbers(text: &str) -> Result<Numbers, String> {
         return Ok(Numbers(Vec::new()));
     }
     let parsed: Result<_, _> = text.split(',').map(str::parse).collect();
-    parsed
-        .map(Numbers)
-        .map_err(|error| format!("{error}: give numbers as 3,17, or none"))
+    parsed.map(Numbers).map_err(|error| format!("{error}: give numbers as 3,17, or none"))
 }
 
 fn hours(text: &str) -> Result<f64, String> {
@@ -87,19 +85,11 @@ fn work(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let campaign = Campaign {
         first: arguments.seed.unwrap_or(arguments.from),
-        seeds: if arguments.seed.is_some() {
-            1
-        } else {
-            arguments.seeds
-        },
+        seeds: if arguments.seed.is_some() { 1 } else { arguments.seeds },
         duration_ns: arguments.hours.map(|hours| (hours * 3_600e9) as u64),
         until_ns: arguments.until_ns,
         only: arguments.only.clone().map(|Numbers(numbers)| numbers),
-        threads: if arguments.threads == 0 {
-            processors
-        } else {
-            arguments.threads
-        },
+        threads: if arguments.threads == 0 { processors } else { arguments.threads },
         shrinks: !arguments.no_shrink,
     };
     let said = Mutex::new(Instant::now());

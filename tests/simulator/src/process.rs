@@ -227,9 +227,8 @@ impl PlannerProgram {
         let looks = planner.look_every();
         Some(Self {
             polls: looks.is_some(),
-            every_ns: looks.map_or(LOOK_EVERY_NS.max(setup.period_ns / 2), |every| {
-                every.as_nanos() as u64
-            }),
+            every_ns: looks
+                .map_or(LOOK_EVERY_NS.max(setup.period_ns / 2), |every| every.as_nanos() as u64),
             diagnostics: planner.diagnostics().ok()?,
             budgets: planner.budgets().ok()?,
             plan_states: planner.plan_states().ok()?,
@@ -238,15 +237,10 @@ impl PlannerProgram {
     }
 
     fn step(&mut self) -> Stepped {
-        let mut learned = Learned {
-            polls: self.polls,
-            every_ns: self.every_ns,
-            ..Learned::default()
-        };
+        let mut learned =
+            Learned { polls: self.polls, every_ns: self.every_ns, ..Learned::default() };
         let mut note = |header: &ForecastHeader, robots: &[Forecast]| {
-            learned
-                .frames
-                .push((header.pid, header.worker_epoch, header.tick));
+            learned.frames.push((header.pid, header.worker_epoch, header.tick));
             learned.is_false |= robots.iter().any(|row| row.robot == FALSE_ROBOT);
         };
         let event = if self.polls {
@@ -336,9 +330,7 @@ impl ClientProgram {
             return Stepped::Asked(self.next_ns, Heard::Nothing);
         }
         self.asked_ns = time::now_ns();
-        let sent = self
-            .client
-            .send(&self.question(), Self::patience(self.period_ns));
+        let sent = self.client.send(&self.question(), Self::patience(self.period_ns));
         match sent {
             Ok(()) => {
                 self.is_asking = true;
@@ -351,14 +343,8 @@ impl ClientProgram {
     fn question(&self) -> Question {
         let robot = self.robots[host::below(self.robots.len())];
         let plan = match host::below(3) {
-            0 => Plan::Idle {
-                robots: self.robots.clone(),
-                duration_s: 10.0,
-            },
-            1 => Plan::Idle {
-                robots: vec![robot, 999_999],
-                duration_s: 1.0,
-            },
+            0 => Plan::Idle { robots: self.robots.clone(), duration_s: 10.0 },
+            1 => Plan::Idle { robots: vec![robot, 999_999], duration_s: 1.0 },
             _ => Plan::WhatIf {
                 robot,
                 candidates: 2,
@@ -367,18 +353,13 @@ impl ClientProgram {
                 omega_radps: vec![0.0; 20],
             },
         };
-        Question {
-            plan,
-            ..Question::default()
-        }
+        Question { plan, ..Question::default() }
     }
 
     fn fails(&mut self, error: &ClientError) -> Stepped {
         self.last = error.to_string();
-        let is_removed = matches!(
-            error,
-            ClientError::Unanswered(QueryError::Removed(_) | QueryError::Wait(_))
-        );
+        let is_removed =
+            matches!(error, ClientError::Unanswered(QueryError::Removed(_) | QueryError::Wait(_)));
         if is_removed {
             return Stepped::Ended(self.last.clone());
         }
@@ -405,20 +386,11 @@ pub(crate) fn is_possible(reply: &Reply) -> bool {
 
 /// Starts a recorder whose files begin with `path`.
 pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
-    let options = Options {
-        settings: CaptureSettings::of(Preset::FastWrite),
-        ..Options::default()
-    };
+    let options =
+        Options { settings: CaptureSettings::of(Preset::FastWrite), ..Options::default() };
     let target = Target::File(PathBuf::from(format!("{path}.mcap")));
     let attachments = Attachments::default();
-    let started = Recorder::start(
-        config,
-        Vec::new(),
-        host_clock(),
-        attachments,
-        target,
-        &options,
-    );
+    let started = Recorder::start(config, Vec::new(), host_clock(), attachments, target, &options);
     Some(Program::Recorder(started.ok()?, path))
 }
 

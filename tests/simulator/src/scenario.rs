@@ -152,11 +152,8 @@ impl Setup {
     }
 
     fn draw(noise: &mut Noise, is_long: bool) -> Self {
-        let periods_ms: &[u64] = if is_long {
-            &[10_000]
-        } else {
-            &[33, 100, 200, 500, 500, 1_000, 1_000, 2_000]
-        };
+        let periods_ms: &[u64] =
+            if is_long { &[10_000] } else { &[33, 100, 200, 500, 500, 1_000, 1_000, 2_000] };
         let period_ns = periods_ms[noise.below(periods_ms.len())] * MS;
         let uptimes_s = [0, 90, 4_294_967, 4_294_968, 315_360_000];
         Self {
@@ -187,11 +184,8 @@ impl Setup {
         let seconds = |ns: u64| ns as f64 * 1e-9;
         let hz = 1.0 / seconds(self.period_ns);
         let policy = if self.by_timer { "timer" } else { "on_frame" };
-        let model = if self.persistence {
-            "model = \"persistence\"\nresidual_std_w = 0.1\n"
-        } else {
-            ""
-        };
+        let model =
+            if self.persistence { "model = \"persistence\"\nresidual_std_w = 0.1\n" } else { "" };
         format!(
             "[fleet]\nname = \"sim\"\ncapacity = {}\n\
              [domain]\nroot = \"/dev/shm/joulebus-simulated\"\nprefix = \"jbs_\"\n\
@@ -232,24 +226,12 @@ impl Scenario {
         let mut asking = Noise::new(seed, 3);
         setup.clients = if is_long { 0 } else { asking.below(4) };
         faults.extend(faults_of_clients(&mut asking, &setup, duration_ns));
-        faults.extend(faults_at_the_disk(
-            &mut Noise::new(seed, 4),
-            &setup,
-            duration_ns,
-        ));
-        faults.extend(hostile_at_starts(
-            &mut Noise::new(seed, 6),
-            &setup,
-            duration_ns,
-        ));
+        faults.extend(faults_at_the_disk(&mut Noise::new(seed, 4), &setup, duration_ns));
+        faults.extend(hostile_at_starts(&mut Noise::new(seed, 6), &setup, duration_ns));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
         // The first source that comes owns a robot: source 0, which starts while there is memory,
         // if nothing is to happen to it.
-        let begin_ns = if setup.everything {
-            0
-        } else {
-            SECOND + 3 * setup.period_ns
-        };
+        let begin_ns = if setup.everything { 0 } else { SECOND + 3 * setup.period_ns };
         faults.retain(|(at_ns, _)| *at_ns >= begin_ns);
         faults.sort_by_key(|(at_ns, _)| *at_ns);
         Self {
@@ -345,11 +327,7 @@ fn faults_at_the_disk(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec
             return faults;
         }
         let is_recorder = setup.records && noise.below(4) == 0;
-        let role = if is_recorder {
-            Role::Recorder
-        } else {
-            Role::Worker
-        };
+        let role = if is_recorder { Role::Recorder } else { Role::Worker };
         let accesses = 1 + noise.below(12) as u64;
         let fault = match noise.below(3) {
             0 => Fault::PowerLossAtDisk(role, accesses, (1 + noise.below(9)) as u64 * SECOND),
@@ -438,10 +416,7 @@ fn draw(noise: &mut Noise, setup: &Setup, kind: usize) -> Option<Fault> {
     let long = short * (1 + noise.below(20)) as u64;
     let only = |fault: Fault| setup.everything.then_some(fault);
     match kind {
-        0 => Some(Fault::Kill(
-            role(noise, setup)?,
-            1 + noise.below(400) as u64,
-        )),
+        0 => Some(Fault::Kill(role(noise, setup)?, 1 + noise.below(400) as u64)),
         1 => Some(Fault::End(role(noise, setup)?)),
         2 => Some(Fault::Pause(role(noise, setup)?, long)),
         3 => {
@@ -464,21 +439,10 @@ fn draw(noise: &mut Noise, setup: &Setup, kind: usize) -> Option<Fault> {
         9 => Some(Fault::NoDescriptors(role(noise, setup)?, long)),
         10 => only(Fault::FilesRemoved),
         11 => only(Fault::DamagedLedger(noise.bits())),
-        12 => Some(Fault::Flood(
-            source(noise, setup)?,
-            1 + noise.below(100) as u64,
-        )),
+        12 => Some(Fault::Flood(source(noise, setup)?, 1 + noise.below(100) as u64)),
         13 => Some(Fault::Hostile(1 + noise.below(40) as u64)),
-        14 => Some(Fault::Newcomers(
-            1 + noise.below(2 * setup.max_sources) as u64,
-        )),
-        15 => Some(Fault::Rival(
-            noise.below(setup.sources),
-            1 + noise.below(30) as u64,
-        )),
-        _ => Some(Fault::Namesake(
-            source(noise, setup)?,
-            1 + noise.below(30) as u64,
-        )),
+        14 => Some(Fault::Newcomers(1 + noise.below(2 * setup.max_sources) as u64)),
+        15 => Some(Fault::Rival(noise.below(setup.sources), 1 + noise.below(30) as u64)),
+        _ => Some(Fault::Namesake(source(noise, setup)?, 1 + noise.below(30) as u64)),
     }
 }

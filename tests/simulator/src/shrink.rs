@@ -11,18 +11,10 @@ pub fn shrink(
     run: impl Fn(&Scenario) -> Outcome,
     give_up: impl Fn() -> bool,
 ) -> (Scenario, Outcome) {
-    let mut small = Small {
-        scenario: scenario.clone(),
-        outcome: outcome.clone(),
-        run,
-    };
+    let mut small = Small { scenario: scenario.clone(), outcome: outcome.clone(), run };
     // Later events do not matter.
     if let Some(failure) = &outcome.failure {
-        small.accepts(
-            scenario
-                .clone()
-                .until(failure.at_ns + scenario.setup.period_ns),
-        );
+        small.accepts(scenario.clone().until(failure.at_ns + scenario.setup.period_ns));
     }
     let mut part = small.scenario.faults.len().div_ceil(2).max(1);
     loop {
@@ -75,30 +67,20 @@ mod tests {
     /// Fails if all of `needed` happen before the end.
     fn outcome(scenario: &Scenario, needed: &[usize]) -> Outcome {
         let happens = |number: &usize| scenario.faults.iter().any(|(other, _)| other == number);
-        let last_ns = scenario
-            .faults
-            .iter()
-            .map(|(_, (at_ns, _))| *at_ns)
-            .max()
-            .unwrap_or(0);
+        let last_ns = scenario.faults.iter().map(|(_, (at_ns, _))| *at_ns).max().unwrap_or(0);
         let failure = needed.iter().all(happens).then(|| Failure {
             invariant: "invented",
             found: String::new(),
             at_ns: last_ns,
         });
-        Outcome {
-            failure,
-            ..Outcome::default()
-        }
+        Outcome { failure, ..Outcome::default() }
     }
 
     #[test]
     fn of_all_faults_those_that_are_needed_are_left() {
         let whole = (1..).map(|seed| Scenario::of(seed, None));
-        let whole = whole
-            .into_iter()
-            .find(|scenario| scenario.faults.len() > 200)
-            .expect("there are many");
+        let whole =
+            whole.into_iter().find(|scenario| scenario.faults.len() > 200).expect("there are many");
         for needed in [&[][..], &[0], &[3, 17], &[5, 6, 150], &[199]] {
             let run = |scenario: &Scenario| outcome(scenario, needed);
             let (small, _) = shrink(&whole, &run(&whole), run, || false);

@@ -18,10 +18,7 @@ pub const PATIENCE: Duration = Duration::from_secs(180);
 pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !condition() {
-        assert!(
-            begin.elapsed() < PATIENCE,
-            "timeout of {PATIENCE:?}: {what}"
-        );
+        assert!(begin.elapsed() < PATIENCE, "timeout of {PATIENCE:?}: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -30,10 +27,7 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
 /// it.
 pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     let draft = format!(".{}.", root.file_name().unwrap_or_default().display());
-    let shared = std::fs::read_dir("/dev/shm")
-        .into_iter()
-        .flatten()
-        .flatten();
+    let shared = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
     let objects = shared.filter(|entry| {
         let name = entry.file_name();
         let name = name.to_string_lossy();
@@ -241,12 +235,7 @@ impl Child {
     pub fn wait(&mut self) -> Ended {
         let begin = Instant::now();
         while self.is_running() {
-            assert!(
-                begin.elapsed() < PATIENCE,
-                "{} does not exit: {}",
-                self.name,
-                self.tail()
-            );
+            assert!(begin.elapsed() < PATIENCE, "{} does not exit: {}", self.name, self.tail());
             std::thread::sleep(Duration::from_millis(1));
         }
         Ended {
@@ -346,13 +335,8 @@ impl Output {
                 let mut source = BufReader::new(source);
                 let mut line = Vec::new();
                 // Bytes, not text: the last line of a killed process may be truncated anywhere.
-                while source
-                    .read_until(b'\n', &mut line)
-                    .is_ok_and(|length| length > 0)
-                {
-                    let text = String::from_utf8_lossy(&line)
-                        .trim_end_matches('\n')
-                        .to_owned();
+                while source.read_until(b'\n', &mut line).is_ok_and(|length| length > 0) {
+                    let text = String::from_utf8_lossy(&line).trim_end_matches('\n').to_owned();
                     line.clear();
                     lock(&inside.0).lines.push(text);
                     inside.1.notify_all();

@@ -30,10 +30,7 @@ impl Member {
 
     /// Starts a member; `name` is used in messages.
     pub fn spawn(name: &str, command: Command) -> Self {
-        Self {
-            child: Child::spawn(name, command),
-            lines_read: 0,
-        }
+        Self { child: Child::spawn(name, command), lines_read: 0 }
     }
 
     /// Its pid.
@@ -51,8 +48,7 @@ impl Member {
     /// # Panics
     /// It has exited, or prints nothing for [`PATIENCE`].
     pub fn next_line(&mut self) -> String {
-        self.try_next_line(PATIENCE)
-            .unwrap_or_else(|| panic!("no line: {}", self.child.tail()))
+        self.try_next_line(PATIENCE).unwrap_or_else(|| panic!("no line: {}", self.child.tail()))
     }
 
     /// Its next line, if it prints one within `time`.

@@ -47,11 +47,7 @@ impl Place {
             root.display()
         );
         fs::write(&config, text).expect("a file for temporary use");
-        Self {
-            config,
-            root,
-            prefix,
-        }
+        Self { config, root, prefix }
     }
 
     /// Its config.
@@ -97,10 +93,8 @@ impl Drop for Place {
 fn names(pid: u32, number: u32) -> (String, String) {
     let name = format!("joulebus-test-{pid}-{number}");
     // A pid has at most 22 bits: five of these digits.
-    let (mut rest, mut prefix) = (
-        u64::from(pid) * 36 * 36 + u64::from(number % (36 * 36)),
-        String::from("j"),
-    );
+    let (mut rest, mut prefix) =
+        (u64::from(pid) * 36 * 36 + u64::from(number % (36 * 36)), String::from("j"));
     for _ in 0..7 {
         let digit = (rest % 36) as u32;
         prefix.extend(char::from_digit(digit, 36));

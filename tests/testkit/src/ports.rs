@@ -20,10 +20,7 @@ pub fn free_port() -> u16 {
             continue;
         };
         if TcpListener::bind(("127.0.0.1", port)).is_ok() {
-            RESERVED
-                .lock()
-                .expect("nobody panics with it")
-                .push(reserved);
+            RESERVED.lock().expect("nobody panics with it").push(reserved);
             return port;
         }
     }

@@ -15,11 +15,7 @@ pub fn shared(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "{} is missing",
-        path.display()
-    );
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{} is missing", path.display());
     println!("skipped: {} is missing", path.display());
     None
 }

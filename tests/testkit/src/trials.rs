@@ -54,10 +54,7 @@ pub fn npy(header: &str, data: &[u8]) -> Vec<u8> {
 /// Rows in C order as a plain little-endian f8 array.
 pub fn npy_f8(rows: &[[f64; 11]]) -> Vec<u8> {
     let data = rows.iter().flatten().flat_map(|value| value.to_le_bytes());
-    npy(
-        &header("<f8", "False", rows.len()),
-        &data.collect::<Vec<_>>(),
-    )
+    npy(&header("<f8", "False", rows.len()), &data.collect::<Vec<_>>())
 }
 
 /// The header of a NumPy file of so many rows of eleven columns.
@@ -91,21 +88,11 @@ const NAN: f64 = f64::NAN;
 
 /// Five rows at 10 Hz: a held reading (row 2), a missing one (row 4), a pose that was not recorded.
 pub const ROWS: [[f64; 11]; 5] = [
-    [
-        7.0, 100.0, 1.0, 0.1, 1.0, NAN, NAN, NAN, 7000.0, 500.0, 3500.0,
-    ],
-    [
-        7.0, 100.1, 1.0, 0.2, -1.5, NAN, NAN, NAN, 7000.0, 500.0, 3500.0,
-    ],
-    [
-        7.0, 100.2, 1.0, 0.3, 2.0, NAN, NAN, NAN, 7100.0, 500.0, 3550.0,
-    ],
-    [
-        7.0, 100.3, 2.0, 0.4, -2.5, NAN, NAN, NAN, 7100.0, 500.0, NAN,
-    ],
-    [
-        7.0, 100.4, 2.0, NAN, 3.0, NAN, NAN, NAN, 7200.0, 250.0, -1800.0,
-    ],
+    [7.0, 100.0, 1.0, 0.1, 1.0, NAN, NAN, NAN, 7000.0, 500.0, 3500.0],
+    [7.0, 100.1, 1.0, 0.2, -1.5, NAN, NAN, NAN, 7000.0, 500.0, 3500.0],
+    [7.0, 100.2, 1.0, 0.3, 2.0, NAN, NAN, NAN, 7100.0, 500.0, 3550.0],
+    [7.0, 100.3, 2.0, 0.4, -2.5, NAN, NAN, NAN, 7100.0, 500.0, NAN],
+    [7.0, 100.4, 2.0, NAN, 3.0, NAN, NAN, NAN, 7200.0, 250.0, -1800.0],
 ];
 
 /// Rows with only time (s) and power (mW).

@@ -51,10 +51,7 @@ fn status(pid: u32, name: &str) -> i64 {
     let text = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let line = text.lines().find_map(|line| line.strip_prefix(name));
     let words = line.unwrap().split_whitespace();
-    words
-        .into_iter()
-        .find_map(|word| word.parse().ok())
-        .unwrap()
+    words.into_iter().find_map(|word| word.parse().ok()).unwrap()
 }
 
 fn files_in(folder: &Path) -> usize {
@@ -72,10 +69,7 @@ impl Held {
                 .map(|pid| files_in(Path::new(&format!("/proc/{pid}/fd"))))
                 .collect(),
             objects: objects.len(),
-            bytes: objects
-                .iter()
-                .map(|path| path.metadata().map_or(0, |it| it.len()))
-                .sum(),
+            bytes: objects.iter().map(|path| path.metadata().map_or(0, |it| it.len())).sum(),
             files: files_in(arena.files()),
         }
     }
@@ -200,26 +194,15 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     assert_eq!(objects(&first), objects(&last));
     for (before, after) in first.descriptors.iter().zip(&last.descriptors) {
         let allowed = before + BRIEFLY_OPEN;
-        assert!(
-            *after <= allowed,
-            "{before} then {after} descriptors, allowed {allowed}"
-        );
+        assert!(*after <= allowed, "{before} then {after} descriptors, allowed {allowed}");
     }
-    assert!(
-        last.files <= first.files + KEPT,
-        "{} then {} files",
-        first.files,
-        last.files
-    );
+    assert!(last.files <= first.files + KEPT, "{} then {} files", first.files, last.files);
     for (place, (before, after)) in first.memory_kb.iter().zip(&last.memory_kb).enumerate() {
         let allowed = match place {
             RECORDER => RECORDER_KB,
             _ => before + SLACK_KB,
         };
-        assert!(
-            *after <= allowed,
-            "{before} then {after} kB, allowed {allowed}"
-        );
+        assert!(*after <= allowed, "{before} then {after} kB, allowed {allowed}");
     }
     arena.close();
 }

@@ -61,9 +61,7 @@ fn collect(source: &str, names: &mut Names) {
         if let Some(function) = function {
             methods.insert(identifier(function).to_owned());
         } else if let Some((field, kind)) = public.split_once(": ")
-            && ["f32", "f64", "[f32", "[f64"]
-                .iter()
-                .any(|number| kind.starts_with(number))
+            && ["f32", "f64", "[f32", "[f64"].iter().any(|number| kind.starts_with(number))
         {
             fields.insert(field.to_owned());
         }
@@ -77,11 +75,7 @@ fn no_method_has_the_name_of_a_field_that_can_be_nan() {
     let mut checked = 0;
     for of in SDK {
         let mut sources = Vec::new();
-        files(
-            &root().join("crates").join(of).join("src"),
-            "rs",
-            &mut sources,
-        );
+        files(&root().join("crates").join(of).join("src"), "rs", &mut sources);
         let mut names = Names::new();
         for source in sources {
             collect(&fs::read_to_string(source).unwrap(), &mut names);
@@ -89,10 +83,7 @@ fn no_method_has_the_name_of_a_field_that_can_be_nan() {
         for (name, [fields, methods]) in names {
             checked += fields.len();
             let both: Vec<_> = fields.intersection(&methods).collect();
-            assert!(
-                both.is_empty(),
-                "{of}: {name} has fields and methods {both:?}"
-            );
+            assert!(both.is_empty(), "{of}: {name} has fields and methods {both:?}");
         }
     }
     assert!(checked > 100, "only {checked} fields were found");
@@ -104,10 +95,7 @@ fn the_check_of_names_finds_a_shared_one() {
     let source = "rows! {\n    pub struct A: \"a\", 8 {\n        pub power_w: f32,\n    }\n}\n\
                   impl A {\n    pub const fn power_w(&self) -> Option<f32> {\n";
     collect(source, &mut names);
-    collect(
-        "impl<'a> fmt::Debug for B<'a> {\n    pub fn soc(mut self)",
-        &mut names,
-    );
+    collect("impl<'a> fmt::Debug for B<'a> {\n    pub fn soc(mut self)", &mut names);
     let [fields, methods] = &names["A"];
     assert_eq!((fields, fields.len()), (methods, 1));
     assert!(names["B"][1].contains("soc"));
@@ -127,11 +115,7 @@ fn programs_that_are_shown_print_errors_as_sentences() {
     for page in pages {
         let is_crate = page.starts_with(root.join("crates"));
         let is_source = is_crate && page.extension().is_some_and(|extension| extension == "rs");
-        let begin = if is_source {
-            "//! fn main() -> "
-        } else {
-            "fn main() -> "
-        };
+        let begin = if is_source { "//! fn main() -> " } else { "fn main() -> " };
         let text = fs::read_to_string(&page).unwrap();
         for main in text.lines().filter(|line| line.starts_with(begin)) {
             shown += 1;

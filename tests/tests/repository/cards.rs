@@ -13,11 +13,7 @@ fn assert_says(file: &str, mark: &str, text: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
     let old = fs::read_to_string(&path).unwrap();
     let mut parts = old.splitn(3, mark);
-    let mut part = || {
-        parts
-            .next()
-            .unwrap_or_else(|| panic!("{file}: no two {mark}"))
-    };
+    let mut part = || parts.next().unwrap_or_else(|| panic!("{file}: no two {mark}"));
     let (before, between, after) = (part(), part(), part());
     let (end_of_line, _) = between.split_once('\n').unwrap();
     let (_, begin_of_line) = between.rsplit_once('\n').unwrap();
@@ -37,19 +33,10 @@ fn the_page_about_alarms_has_every_card() {
             .to_owned();
     for card in AlarmCard::all() {
         let keys: Vec<String> = card.keys.iter().map(|key| format!("`{key}`")).collect();
-        let AlarmCard {
-            name,
-            meaning,
-            check,
-            found_within,
-            ..
-        } = card;
+        let AlarmCard { name, meaning, check, found_within, .. } = card;
         let (level, keys) = (card.level.name(), keys.join(", "));
-        writeln!(
-            table,
-            "| `{name}` ({level}) | {meaning} | {check} | {keys} | {found_within} |"
-        )
-        .unwrap();
+        writeln!(table, "| `{name}` ({level}) | {meaning} | {check} | {keys} | {found_within} |")
+            .unwrap();
     }
     table.push('\n');
     assert_says("docs/alarms.md", "<!-- cards", &table);
@@ -70,17 +57,9 @@ fn the_alert_rules_say_what_an_alarm_means() {
     let mut text = "          description: >-\n".to_owned();
     let mut word = "if";
     for card in AlarmCard::all() {
-        let AlarmCard {
-            name,
-            meaning,
-            check,
-            ..
-        } = card;
-        writeln!(
-            text,
-            "            {{{{ {word} eq $labels.alarm \"{name}\" }}}}{meaning} {check}"
-        )
-        .unwrap();
+        let AlarmCard { name, meaning, check, .. } = card;
+        writeln!(text, "            {{{{ {word} eq $labels.alarm \"{name}\" }}}}{meaning} {check}")
+            .unwrap();
         word = "else if";
     }
     text.push_str("            {{ end }}\n");
@@ -91,11 +70,7 @@ fn the_alert_rules_say_what_an_alarm_means() {
 fn the_keys_of_every_card_can_be_configured() {
     for card in AlarmCard::all() {
         for key in card.keys {
-            assert!(
-                KEYS.iter().any(|known| known.path == *key),
-                "{}: {key}",
-                card.name
-            );
+            assert!(KEYS.iter().any(|known| known.path == *key), "{}: {key}", card.name);
         }
     }
 }

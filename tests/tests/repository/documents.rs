@@ -75,10 +75,8 @@ fn commands(text: &str) -> Vec<&str> {
 /// variables are neither.
 fn selected(arguments: &str) -> (Vec<&str>, Vec<(&str, &str)>) {
     let words = arguments.split_whitespace();
-    let words: Vec<&str> = words
-        .filter(|word| !word.starts_with("//"))
-        .take_while(|word| *word != "--")
-        .collect();
+    let words: Vec<&str> =
+        words.filter(|word| !word.starts_with("//")).take_while(|word| *word != "--").collect();
     let is_of_name =
         |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || ['-', '_'].contains(&c);
     let (mut packages, mut targets) = (Vec::new(), Vec::new());
@@ -111,19 +109,16 @@ fn a_command_ends_with_its_line_or_its_inline_code() {
     let text = "a `cargo test -p joulebus-bus\n/// --test bus` --test none\n\
                 cargo run --bin joulebus-sim -- --bin none\n";
     let found: Vec<_> = commands(text).into_iter().map(selected).collect();
-    let expected = [
-        (vec!["joulebus-bus"], vec![("test", "bus")]),
-        (vec![], vec![("bin", "joulebus-sim")]),
-    ];
+    let expected =
+        [(vec!["joulebus-bus"], vec![("test", "bus")]), (vec![], vec![("bin", "joulebus-sim")])];
     assert_eq!(found, expected);
 }
 
 #[test]
 fn packages_and_targets_of_commands_exist() {
     let metadata = metadata(false);
-    let known: BTreeMap<&str, BTreeSet<(&str, &str)>> = packages(&metadata)
-        .map(|package| (name(package), targets(package)))
-        .collect();
+    let known: BTreeMap<&str, BTreeSet<(&str, &str)>> =
+        packages(&metadata).map(|package| (name(package), targets(package))).collect();
     let (mut checked, mut missing) = (0, Vec::new());
     for (path, text) in documents() {
         // The words of a command, as Python has them.
@@ -154,10 +149,7 @@ fn expanded(path: &str) -> Vec<String> {
         return vec![path.to_owned()];
     };
     let (choices, after) = rest.split_once('}').expect(path);
-    choices
-        .split(',')
-        .flat_map(|choice| expanded(&format!("{before}{choice}{after}")))
-        .collect()
+    choices.split(',').flat_map(|choice| expanded(&format!("{before}{choice}{after}"))).collect()
 }
 
 /// Paths in backticks may be shortened at their beginning: `tick/infer.rs` of ARCHITECTURE.md is
@@ -171,9 +163,7 @@ fn sources_that_documents_and_comments_name_exist() {
         if !is_source && !path.ends_with(".md") {
             continue;
         }
-        let lines = text
-            .lines()
-            .filter(|line| !is_source || line.trim_start().starts_with("//"));
+        let lines = text.lines().filter(|line| !is_source || line.trim_start().starts_with("//"));
         let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
         let is_path = |quoted: &&str| {
             let is_source = quoted.ends_with(".rs") || quoted.starts_with("crates/");

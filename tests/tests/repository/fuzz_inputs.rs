@@ -22,15 +22,8 @@ fn every_target_accepts_some_of_its_seeds() {
             inputs += 1;
             accepted += usize::from(target.run(&bytes));
         }
-        println!(
-            "figure: {}: {inputs} inputs, {accepted} accepted",
-            target.name
-        );
-        assert!(
-            accepted > 0,
-            "{}: none of {inputs} is accepted",
-            target.name
-        );
+        println!("figure: {}: {inputs} inputs, {accepted} accepted", target.name);
+        assert!(accepted > 0, "{}: none of {inputs} is accepted", target.name);
     }
 }
 
@@ -38,14 +31,8 @@ fn every_target_accepts_some_of_its_seeds() {
 fn newly_generated_seeds_are_accepted() {
     for target in TARGETS {
         let seeds = seeds::seeds();
-        let mut own = seeds
-            .iter()
-            .filter(|(directory, _, _)| *directory == target.seeds);
-        assert!(
-            own.any(|(_, _, bytes)| target.run(bytes)),
-            "{}",
-            target.name
-        );
+        let mut own = seeds.iter().filter(|(directory, _, _)| *directory == target.seeds);
+        assert!(own.any(|(_, _, bytes)| target.run(bytes)), "{}", target.name);
     }
 }
 

@@ -18,11 +18,7 @@ pub(crate) fn metadata(dependencies: bool) -> Value {
         cargo.arg("--no-deps");
     }
     let output = cargo.current_dir(root).output().unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
@@ -32,9 +28,7 @@ pub(crate) fn packages(metadata: &Value) -> impl Iterator<Item = &Value> {
 
 /// Published crates: all without `publish = false`.
 fn published(metadata: &Value) -> Vec<&Value> {
-    packages(metadata)
-        .filter(|package| package["publish"] != serde_json::json!([]))
-        .collect()
+    packages(metadata).filter(|package| package["publish"] != serde_json::json!([])).collect()
 }
 
 pub(crate) fn name(package: &Value) -> &str {
@@ -87,10 +81,7 @@ fn every_published_crate_has_complete_metadata() {
         let text = |key: &str| package[key].as_str().unwrap_or_default();
         let list = |key: &str| package[key].as_array().map_or(0, Vec::len);
         for (what, is_there) in [
-            (
-                "a description of 20 to 200 bytes",
-                (20..=200).contains(&text("description").len()),
-            ),
+            ("a description of 20 to 200 bytes", (20..=200).contains(&text("description").len())),
             ("1 to 5 keywords", (1..=5).contains(&list("keywords"))),
             ("1 to 5 categories", (1..=5).contains(&list("categories"))),
             ("a repository", text("repository").starts_with("https://")),
@@ -116,10 +107,8 @@ fn every_published_crate_has_complete_metadata() {
 #[test]
 fn descriptions_of_crates_are_unique() {
     let metadata = metadata(false);
-    let mut descriptions: Vec<&str> = published(&metadata)
-        .iter()
-        .filter_map(|package| package["description"].as_str())
-        .collect();
+    let mut descriptions: Vec<&str> =
+        published(&metadata).iter().filter_map(|package| package["description"].as_str()).collect();
     let count = descriptions.len();
     descriptions.sort_unstable();
     descriptions.dedup();
@@ -137,9 +126,7 @@ fn workspace_crates_depend_on_each_other_in_one_exact_version() {
             if dependency["path"].is_null() {
                 continue;
             }
-            let is_published = published
-                .iter()
-                .any(|other| other["name"] == dependency["name"]);
+            let is_published = published.iter().any(|other| other["name"] == dependency["name"]);
             // Cargo omits dev-dependencies without a version from a package.
             let is_left_out = dependency["kind"] == "dev" && dependency["req"] == "*";
             assert!(
@@ -166,9 +153,7 @@ fn embedded_files_are_inside_their_crate() {
             let text = fs::read_to_string(&file).unwrap();
             // Unit tests are compiled only in the repository, and are at the end of a file.
             let shipped = text.split("#[cfg(test)]\nmod tests").next().unwrap();
-            let code = shipped
-                .lines()
-                .filter(|line| !line.trim_start().starts_with("//"));
+            let code = shipped.lines().filter(|line| !line.trim_start().starts_with("//"));
             let shipped: String = code.flat_map(|line| [line, "\n"]).collect();
             for embedded in ["include_str!(", "include_bytes!(", "include!("]
                 .iter()
@@ -179,10 +164,7 @@ fn embedded_files_are_inside_their_crate() {
                 let up = Path::new(embedded).components();
                 let up = up.filter(|part| *part == Component::ParentDir).count();
                 assert!(up <= depth, "{} embeds {embedded}", file.display());
-                assert!(
-                    file.parent().unwrap().join(embedded).is_file(),
-                    "{embedded}"
-                );
+                assert!(file.parent().unwrap().join(embedded).is_file(), "{embedded}");
             }
             // `joulebus new` looks whether a clone is there.
             let looks = file.ends_with("cli/src/new/mod.rs");
@@ -212,10 +194,7 @@ fn no_dependency_requires_a_newer_compiler_than_rust_version() {
         .filter(|(_, needed)| version(needed) > promised)
         .map(|(name, needed)| format!("{name} requires {needed}"))
         .collect();
-    assert!(
-        newer.is_empty(),
-        "rust-version is {promised:?}, but {newer:?}"
-    );
+    assert!(newer.is_empty(), "rust-version is {promised:?}, but {newer:?}");
 }
 
 /// Files that match a path, whose last part may have a `*`.
@@ -232,11 +211,7 @@ fn matching(path: &Path) -> Vec<PathBuf> {
             false => name.starts_with(begin) && name.ends_with(end),
         }
     };
-    entries
-        .filter(matches)
-        .map(|entry| entry.path())
-        .filter(|path| path.is_file())
-        .collect()
+    entries.filter(matches).map(|entry| entry.path()).filter(|path| path.is_file()).collect()
 }
 
 /// `tools/deb.sh` builds and installs the package; this finds what would stop it, or is missing.
@@ -265,14 +240,10 @@ fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
         }
     }
     let targets = published(&metadata);
-    let targets = targets
-        .iter()
-        .flat_map(|package| package["targets"].as_array().unwrap());
+    let targets = targets.iter().flat_map(|package| package["targets"].as_array().unwrap());
     let is_program = |target: &&Value| target["kind"] == serde_json::json!(["bin"]);
-    let mut expected: Vec<String> = targets
-        .filter(is_program)
-        .map(|target| name(target).to_owned())
-        .collect();
+    let mut expected: Vec<String> =
+        targets.filter(is_program).map(|target| name(target).to_owned()).collect();
     expected.sort_unstable();
     assert_eq!(programs, expected);
     assert!(script.contains("tools/programs.sh"), "{script}");
@@ -302,21 +273,11 @@ fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
 fn no_file_that_a_test_may_read_is_ignored_by_git() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let verb = "ls-files --others --ignored --exclude-standard --directory crates tests tools";
-    let listed = Command::new("git")
-        .args(verb.split(' '))
-        .current_dir(root)
-        .output();
+    let listed = Command::new("git").args(verb.split(' ')).current_dir(root).output();
     let listed = listed.unwrap();
-    assert!(
-        listed.status.success(),
-        "{}",
-        String::from_utf8_lossy(&listed.stderr)
-    );
+    assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
     let listed = String::from_utf8(listed.stdout).unwrap();
     let made = |path: &&str| !path.ends_with("__pycache__/") && !path.ends_with(".so");
     let found: Vec<&str> = listed.lines().filter(made).collect();
-    assert!(
-        found.is_empty(),
-        "{found:?}: change .gitignore or move them"
-    );
+    assert!(found.is_empty(), "{found:?}: change .gitignore or move them");
 }

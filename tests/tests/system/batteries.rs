@@ -23,9 +23,7 @@ fn saved(arena: &Arena) -> Option<(u64, Vec<f64>)> {
     let path = files.find(|path| path.extension().is_some_and(|ending| ending == "json"))?;
     let file: Value = serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
     let robots = file["ledger"]["robots"].as_object()?.values();
-    let socs: Option<Vec<f64>> = robots
-        .map(|robot| robot["battery"]["soc"].as_f64())
-        .collect();
+    let socs: Option<Vec<f64>> = robots.map(|robot| robot["battery"]["soc"].as_f64()).collect();
     Some((file["generation"].as_u64()?, socs?))
 }
 
@@ -60,11 +58,7 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
 
 #[test]
 fn a_fleet_without_batteries_saves_nothing_by_default() {
-    let arena = Arena::new(&Setup {
-        platform: "builtin:rover",
-        more: String::new(),
-        ..setup()
-    });
+    let arena = Arena::new(&Setup { platform: "builtin:rover", more: String::new(), ..setup() });
     let mut worker = arena.worker();
     worker.stop();
     assert!(!arena.state().exists());

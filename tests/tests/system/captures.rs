@@ -13,12 +13,7 @@ use joulebus_wire::State;
 
 /// 20 robots at 30 Hz, as in the demonstration.
 fn arena() -> Arena {
-    Arena::new(&Setup {
-        tick_hz: 30.0,
-        rate_hz: 30.0,
-        buffer_frames: 64,
-        ..Setup::default()
-    })
+    Arena::new(&Setup { tick_hz: 30.0, rate_hz: 30.0, buffer_frames: 64, ..Setup::default() })
 }
 
 const HZ: f64 = 30.0;
@@ -41,14 +36,7 @@ fn read(path: &Path) -> (Vec<Entry>, Option<ReadError>) {
 }
 
 /// Messages that are sent in every tick, by the ends of their topics.
-const KINDS: [&str; 6] = [
-    "samples",
-    "ticks",
-    "forecasts",
-    "diagnostics",
-    "budgets",
-    "plan_states",
-];
+const KINDS: [&str; 6] = ["samples", "ticks", "forecasts", "diagnostics", "budgets", "plan_states"];
 
 /// Identity of a message.
 fn name(entry: &Entry) -> (String, u64, u64) {
@@ -91,9 +79,7 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         eventually("messages of each kind in the file", || {
             let found = read(&file).0;
             let topics: HashSet<_> = found.iter().map(|entry| &*entry.topic).collect();
-            KINDS
-                .iter()
-                .all(|kind| topics.iter().any(|topic| topic.ends_with(kind)))
+            KINDS.iter().all(|kind| topics.iter().any(|topic| topic.ends_with(kind)))
         });
         std::thread::sleep(
             Duration::from_millis(400) + dice.time_below(Duration::from_millis(600)),
@@ -129,9 +115,7 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         }
         let span = |entry: &Entry| {
             let (topic, run, number) = name(entry);
-            spans
-                .get(&(topic, run))
-                .map(|span| (span.0, number, span.1))
+            spans.get(&(topic, run)).map(|span| (span.0, number, span.1))
         };
         let sent = all.iter().filter(|entry| {
             span(entry).is_some_and(|(first, number, _)| first <= number)
@@ -142,11 +126,7 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         let in_the_middle =
             |entry: &Entry| span(entry).is_some_and(|(_, number, last)| number < last);
         let holes = lost.iter().filter(|entry| in_the_middle(entry)).count();
-        assert!(
-            holes == 0 || was_overrun(&found),
-            "{holes} holes in {}",
-            file.display()
-        );
+        assert!(holes == 0 || was_overrun(&found), "{holes} holes in {}", file.display());
         let oldest = lost.iter().map(|entry| entry.publish_time_ns).min();
         let window_ns = oldest.map_or(0, |oldest| at_ns.saturating_sub(clock.monotonic_ns(oldest)));
         windows.add_ns(window_ns);
@@ -226,9 +206,7 @@ fn two_fleets_are_recorded_into_one_file() {
         let file = one.files().join(format!("both-{attempt}.mcap"));
         // The arena's config comes first on the command line.
         let mut command = Command::new(joulebus_tests::program("joulebus-under-test"));
-        command
-            .args(["record", "--format", "json", "-o"])
-            .arg(&file);
+        command.args(["record", "--format", "json", "-o"]).arg(&file);
         for arena in [&one, &other] {
             command.arg("--config").arg(arena.config());
         }

@@ -17,9 +17,7 @@ type Start = fn(&Arena) -> Child;
 const TASKS: [(&str, Start); 3] = [
     ("worker", Arena::spawn_worker),
     ("controller", |arena| arena.controller("fleet", 0, 4, 30.0)),
-    ("planner", |arena| {
-        Child::spawn("planner", arena.probe(&["planner"]))
-    }),
+    ("planner", |arena| Child::spawn("planner", arena.probe(&["planner"]))),
 ];
 
 /// Restarts processes after a delay, and counts how they ended.
@@ -32,10 +30,7 @@ struct Supervisor {
 impl Supervisor {
     fn start(arena: &Arena) -> Self {
         Self {
-            running: TASKS
-                .iter()
-                .map(|(name, start)| (*name, start(arena)))
-                .collect(),
+            running: TASKS.iter().map(|(name, start)| (*name, start(arena))).collect(),
             by_signal: 0,
             by_error: 0,
         }
@@ -93,9 +88,7 @@ impl Supervisor {
 fn objects(arena: &Arena, end: &str) -> Vec<PathBuf> {
     let is_object = |path: &PathBuf| path.parent() == Some(Path::new("/dev/shm")) && path.is_file();
     let objects = arena.stale_files().into_iter().filter(is_object);
-    objects
-        .filter(|path| path.to_string_lossy().ends_with(end))
-        .collect()
+    objects.filter(|path| path.to_string_lossy().ends_with(end)).collect()
 }
 
 #[test]

@@ -28,10 +28,8 @@ fn burst(round: u64, setup: &Setup) -> Vec<FrameLine> {
     (0..TIMES)
         .map(|place| {
             let seq = round * TIMES + place;
-            let samples = FLOODED.map(|robot| Sample {
-                seq,
-                ..sample(robot, seq, setup.period_ns() / TIMES)
-            });
+            let samples = FLOODED
+                .map(|robot| Sample { seq, ..sample(robot, seq, setup.period_ns() / TIMES) });
             FrameLine {
                 samples: samples.into_iter().map(Into::into).collect(),
                 forge: Forge::default(),
@@ -65,13 +63,7 @@ fn run(setup: &Setup, with_flood: bool) -> Run {
     planner.leave();
     let report = worker.stop().json();
     arena.close();
-    Run {
-        answers,
-        report,
-        refused,
-        flooded,
-        flood_pid,
-    }
+    Run { answers, report, refused, flooded, flood_pid }
 }
 
 /// All refusals reported so far: robot, pid, reason.
@@ -82,9 +74,7 @@ fn refusals(planner: &mut Planner) -> Vec<(u32, u32, String)> {
         _ => None,
     });
     let named = frames.flatten();
-    named
-        .map(|refusal| (refusal.robot, refusal.pid, refusal.reason.clone()))
-        .collect()
+    named.map(|refusal| (refusal.robot, refusal.pid, refusal.reason.clone())).collect()
 }
 
 #[test]
@@ -105,21 +95,13 @@ fn row_5_a_source_that_floods_tenfold_loses_only_its_own_samples() {
         assert_eq!(expected, answer, "robot, sample {key:?}");
         compared += 1;
     }
-    assert!(
-        compared * 10 >= wanted * 9,
-        "{compared} answers of {wanted}"
-    );
+    assert!(compared * 10 >= wanted * 9, "{compared} answers of {wanted}");
 
     // Every sample is accepted or dropped with a reason, and all dropped ones are of the flood.
     let dropped = flooded.report["samples_dropped"].as_object().unwrap();
     let drops: u64 = dropped.values().map(|count| count.as_u64().unwrap()).sum();
     let accepted = flooded.report["samples_accepted"].as_u64().unwrap();
-    assert_eq!(
-        accepted + drops,
-        wanted as u64 + flooded.flooded,
-        "{}",
-        flooded.report
-    );
+    assert_eq!(accepted + drops, wanted as u64 + flooded.flooded, "{}", flooded.report);
     assert!(drops > 0, "{}", flooded.report);
     for (robot, pid, reason) in &flooded.refused {
         assert!(FLOODED.contains(robot), "robot {robot}: {reason}");
@@ -193,10 +175,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
     watcher.leave();
     planner.leave();
     let report = worker.stop().json();
-    let (skipped, shed) = (
-        &report["ticks_skipped"],
-        &report["ticks_without_diagnostics"],
-    );
+    let (skipped, shed) = (&report["ticks_skipped"], &report["ticks_without_diagnostics"]);
     assert!(skipped.as_u64() > Some(0), "{report}");
     assert!(shed.as_u64() > Some(0), "{report}");
     assert!(shed.as_u64() < report["ticks"].as_u64(), "{report}");

@@ -65,10 +65,7 @@ fn everybody(arena: &Arena) -> Vec<(&'static str, Command)> {
         ("planner", arena.probe(&["planner"])),
         ("consumer", arena.probe(&["consumer"])),
         ("recorder", arena.probe(&["recorder"])),
-        (
-            "publish",
-            arena.command(&["publish", "sim", "--seed", "7", "--robots", "2"]),
-        ),
+        ("publish", arena.command(&["publish", "sim", "--seed", "7", "--robots", "2"])),
         ("watch", arena.command(&["watch", "--once"])),
         ("record", arena.command(&["record", "-o", &capture])),
     ]
@@ -136,16 +133,12 @@ fn a_directory_not_created_by_joulebus_is_refused_and_unchanged() {
             let text = "joulebus directory 1\nfleet other\nprefix jbt_00000000_\nboot x\n";
             fs::write(path.join("members.lock"), text).unwrap();
         }),
-        (
-            "a link to somebody's folder",
-            "symbolic link",
-            |arena, path| {
-                let elsewhere = arena.files().join("elsewhere");
-                directory(&elsewhere, 0o700);
-                fill(&elsewhere);
-                symlink(elsewhere, path).unwrap();
-            },
-        ),
+        ("a link to somebody's folder", "symbolic link", |arena, path| {
+            let elsewhere = arena.files().join("elsewhere");
+            directory(&elsewhere, 0o700);
+            fill(&elsewhere);
+            symlink(elsewhere, path).unwrap();
+        }),
     ];
     let count = kinds.len();
     for (what, shows, make) in kinds {
@@ -278,20 +271,12 @@ fn a_directory_of_an_earlier_boot_with_our_marker_is_cleaned_and_reused() {
 
 #[test]
 fn concurrent_starts_create_one_directory_and_none_is_refused() {
-    let arena = Arena::new(&Setup {
-        max_planners: 16,
-        ..Setup::default()
-    });
+    let arena = Arena::new(&Setup { max_planners: 16, ..Setup::default() });
     for round in 0..8 {
-        let mut planners: Vec<Child> = (0..8)
-            .map(|_| Child::spawn("planner", arena.probe(&["planner"])))
-            .collect();
+        let mut planners: Vec<Child> =
+            (0..8).map(|_| Child::spawn("planner", arena.probe(&["planner"]))).collect();
         for planner in &planners {
-            assert!(
-                !planner.lines(0, PATIENCE).is_empty(),
-                "round {round}: {}",
-                planner.tail()
-            );
+            assert!(!planner.lines(0, PATIENCE).is_empty(), "round {round}: {}", planner.tail());
         }
         for planner in &mut planners {
             if round % 2 == 0 {
@@ -325,13 +310,7 @@ fn an_invalid_lock_file_is_refused_and_unchanged() {
         ("a link to numbers", &|| symlink(&numbers, &lock).unwrap()),
         ("a second name", &|| fs::hard_link(&numbers, &lock).unwrap()),
         ("a pipe", &|| {
-            assert!(
-                Command::new("mkfifo")
-                    .arg(&lock)
-                    .status()
-                    .unwrap()
-                    .success()
-            );
+            assert!(Command::new("mkfifo").arg(&lock).status().unwrap().success());
         }),
     ];
     for (what, make) in what {
@@ -339,10 +318,7 @@ fn an_invalid_lock_file_is_refused_and_unchanged() {
         let before = (tree(&root), tree(arena.files()));
         let ended = arena.run(&["run"]);
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
-        assert!(
-            ended.errors().contains("not a lock file"),
-            "{what}: {ended:?}"
-        );
+        assert!(ended.errors().contains("not a lock file"), "{what}: {ended:?}");
         for arguments in [&["doctor"][..], &["doctor", "--fix"]] {
             assert!(arena.run(arguments).code().is_some(), "{what}");
         }

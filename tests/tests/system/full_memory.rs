@@ -26,12 +26,7 @@ impl OwnShm {
         command.args(["-m", "sh", "-c", script]);
         let holder = Child::spawn("holder", command);
         if holder.lines(0, PATIENCE).is_empty() {
-            assert_ne!(
-                std::env::var("CI").as_deref(),
-                Ok("true"),
-                "{}",
-                holder.tail()
-            );
+            assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{}", holder.tail());
             println!("skipped: needs the right to mount");
             arena.close();
             return None;
@@ -41,21 +36,13 @@ impl OwnShm {
         fs::create_dir(&place).expect("no other test has the name");
         let config = place.join("fleet.toml");
         fs::copy(arena.config(), &config).expect("there is room");
-        Some(Self {
-            arena,
-            holder,
-            config,
-            capture: place.join("run.mcap"),
-        })
+        Some(Self { arena, holder, config, capture: place.join("run.mcap") })
     }
 
     fn inside(&self, program: &std::path::Path, arguments: &[&str]) -> Command {
         let mut command = Command::new("nsenter");
         let pid = self.holder.pid().to_string();
-        command
-            .args(["-m", "-t", &pid])
-            .arg(program)
-            .args(arguments);
+        command.args(["-m", "-t", &pid]).arg(program).args(arguments);
         command
     }
 
@@ -146,11 +133,7 @@ const ROLES: [Role; 6] = [
             let _ = fs::remove_file(&shm.capture);
             shm.joulebus(&["record", "-o", &capture])
         },
-        is_ready: |child| {
-            child
-                .try_wait_for_line("recording t into", PATIENCE)
-                .is_some()
-        },
+        is_ready: |child| child.try_wait_for_line("recording t into", PATIENCE).is_some(),
         // One that gets no processor in time loses messages, and says so.
         end: |child| {
             let ended = child.end();
@@ -161,17 +144,14 @@ const ROLES: [Role; 6] = [
 ];
 
 /// KiB left: pages, the memory of joining, the memory of ports, and values found to crash.
-const LEFT_KIB: [u64; 14] = [
-    0, 4, 8, 24, 60, 120, 180, 200, 240, 320, 480, 720, 1_100, 2_400,
-];
+const LEFT_KIB: [u64; 14] = [0, 4, 8, 24, 60, 120, 180, 200, 240, 320, 480, 720, 1_100, 2_400];
 
 /// Starts `count` processes of `role` concurrently with `left` free bytes. Returns how many were
 /// ready; the others must have failed with the numbers.
 fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
     shm.leave_free(left);
-    let mut children: Vec<Child> = (0..at_once)
-        .map(|_| Child::spawn(role.name, (role.command)(shm)))
-        .collect();
+    let mut children: Vec<Child> =
+        (0..at_once).map(|_| Child::spawn(role.name, (role.command)(shm))).collect();
     let mut ready = 0;
     for child in &mut children {
         if (role.is_ready)(child) {
@@ -212,16 +192,10 @@ fn row_24_joining_a_fleet_with_little_memory_left_works_or_fails_with_numbers() 
         for left in LEFT_KIB {
             worked += start(&shm, role, at_once, left << 10);
             started += at_once;
-            assert!(
-                worker.is_running(),
-                "{} {left}: {}",
-                role.name,
-                worker.tail()
-            );
+            assert!(worker.is_running(), "{} {left}: {}", role.name, worker.tail());
             let newest = planner.forecasts().last().map(|frame| frame.tick);
-            planner.forecast("the fleet goes on", |frame| {
-                (Some(frame.tick) > newest).then_some(())
-            });
+            planner
+                .forecast("the fleet goes on", |frame| (Some(frame.tick) > newest).then_some(()));
         }
     }
     assert!(controller.is_running(), "{}", controller.tail());

@@ -20,19 +20,13 @@ fn answer(
 }
 
 fn line(lines: &[ForecastLine], robot: u32) -> ForecastLine {
-    *lines
-        .iter()
-        .find(|line| line.robot == robot)
-        .expect("an answer for each robot")
+    *lines.iter().find(|line| line.robot == robot).expect("an answer for each robot")
 }
 
 #[test]
 fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample() {
     const JOINERS: u32 = 20;
-    let setup = Setup {
-        capacity: 32,
-        ..Setup::default()
-    };
+    let setup = Setup { capacity: 32, ..Setup::default() };
     let arena = Arena::new(&setup);
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -43,19 +37,15 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
     for joiner in 10..10 + JOINERS {
         let mut joined_tick = None;
         for own in 0..=WINDOW {
-            let mut frame: Vec<Sample> = fleet
-                .iter()
-                .map(|robot| sample(*robot, seq, setup.period_ns()))
-                .collect();
+            let mut frame: Vec<Sample> =
+                fleet.iter().map(|robot| sample(*robot, seq, setup.period_ns())).collect();
             frame.push(sample(joiner, own, setup.period_ns()));
             seq += 1;
             let before = planner.forecasts().last().map_or(0, |frame| frame.tick);
             let (tick, lines) = answer(&mut planner, &mut source, &frame);
             let found = line(&lines, joiner);
             let expected = if own + 1 < WINDOW {
-                Quality::Warmup {
-                    have: own as u16 + 1,
-                }
+                Quality::Warmup { have: own as u16 + 1 }
             } else {
                 Quality::Fresh
             };
@@ -74,17 +64,11 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
         }
         let read = |seq: u64| {
             move |frame: &&joulebus_tests::ForecastFrame| {
-                frame
-                    .robot(joiner)
-                    .is_some_and(|line| line.seq >= seq && line.stamp_ns > 0)
+                frame.robot(joiner).is_some_and(|line| line.seq >= seq && line.stamp_ns > 0)
             }
         };
         let joined_ns = planner.forecasts().find(read(0)).expect("answered").read_ns;
-        let forecast_ns = planner
-            .forecasts()
-            .find(read(WINDOW - 1))
-            .expect("answered")
-            .read_ns;
+        let forecast_ns = planner.forecasts().find(read(WINDOW - 1)).expect("answered").read_ns;
         ticks.add_ns(forecast_ns - joined_ns);
     }
     figure(
@@ -102,12 +86,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
     const SAMPLES: u64 = 8;
     let stays = Dice::rounds("JOULEBUS_STAYS", 4);
     // No continuing robot is silent for two seconds, however busy the machine is.
-    let setup = Setup {
-        capacity: 4,
-        stale_after_s: 2.0,
-        leave_after_s: 2.0,
-        ..Setup::default()
-    };
+    let setup = Setup { capacity: 4, stale_after_s: 2.0, leave_after_s: 2.0, ..Setup::default() };
     let arena = Arena::new(&setup);
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -116,9 +95,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
     let mut seq = 0;
     let mut stayers_frame = || {
         seq += 1;
-        stayers
-            .map(|robot| sample(robot, seq, setup.period_ns()))
-            .to_vec()
+        stayers.map(|robot| sample(robot, seq, setup.period_ns())).to_vec()
     };
     let mut first_stay: Vec<Vec<ForecastLine>> = Vec::new();
     let (mut compared, mut generations) = (0, Vec::new());
@@ -132,9 +109,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
             assert_eq!(lines.len(), 4);
             let found = visitors.map(|robot| line(&lines, robot));
             if own + 1 < WINDOW {
-                let expected = Quality::Warmup {
-                    have: own as u16 + 1,
-                };
+                let expected = Quality::Warmup { have: own as u16 + 1 };
                 assert_eq!(
                     found.map(|line| line.quality()),
                     [expected; 2],
@@ -169,11 +144,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
             if lines.len() == 2 {
                 break;
             }
-            assert_eq!(
-                lines.len(),
-                4,
-                "both leave in the same tick, having the same silence"
-            );
+            assert_eq!(lines.len(), 4, "both leave in the same tick, having the same silence");
             std::thread::sleep(Duration::from_millis(20));
         }
     }

@@ -13,10 +13,7 @@ fn to_kill(message: &str) -> Vec<i64> {
     let told = message.split("`kill ").skip(1);
     told.map(|rest| {
         let number = rest.split('`').next().unwrap_or_default();
-        number
-            .trim()
-            .parse()
-            .unwrap_or_else(|_| panic!("{message}"))
+        number.trim().parse().unwrap_or_else(|_| panic!("{message}"))
     })
     .collect()
 }
@@ -64,10 +61,7 @@ fn a_second_worker_names_the_holder_of_the_lock_at_any_contents_of_its_file() {
     }
     worker.stop();
     arena.close();
-    figure(
-        "lock files that lie",
-        format_args!("{}: 0 believed", texts.len()),
-    );
+    figure("lock files that lie", format_args!("{}: 0 believed", texts.len()));
 }
 
 #[test]
@@ -86,21 +80,14 @@ fn an_invisible_holder_is_not_named() {
         .spawn();
     let mut holder = holder.unwrap();
     eventually("the lock is held", || {
-        let taken = Command::new("flock")
-            .args(["-n", "-x"])
-            .arg(&lock)
-            .arg("true")
-            .status();
+        let taken = Command::new("flock").args(["-n", "-x"]).arg(&lock).arg("true").status();
         lock.exists() && !taken.unwrap().success()
     });
     for text in ["", "0 0\n", "1 1\n", "garbage\n"] {
         fs::write(&lock, text).unwrap();
         let ended = arena.run(&["run"]);
         assert_eq!(ended.code(), Some(1), "{text:?}: {ended:?}");
-        assert!(
-            ended.errors().contains("not visible"),
-            "{text:?}: {ended:?}"
-        );
+        assert!(ended.errors().contains("not visible"), "{text:?}: {ended:?}");
         assert_eq!(to_kill(&ended.errors()), Vec::<i64>::new(), "{ended:?}");
         let doctor = arena.run(&["doctor"]);
         assert!(doctor.text().contains("unseen from here"), "{doctor:?}");

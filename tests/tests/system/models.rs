@@ -49,10 +49,7 @@ fn signed(arena: &Arena, path: &Path, mut bytes: Vec<u8>) -> Vec<u8> {
     let after = |words: &str| errors.split(words).nth(1).and_then(|rest| rest.get(..64));
     if let (Some(found), Some(stated)) = (after("SHA-256 "), after("metadata says ")) {
         let is_it = |window: &[u8]| window == stated.as_bytes();
-        let at = bytes
-            .windows(64)
-            .position(is_it)
-            .expect("the message states the digest");
+        let at = bytes.windows(64).position(is_it).expect("the message states the digest");
         bytes[at..at + 64].copy_from_slice(found.as_bytes());
     }
     bytes
@@ -71,16 +68,8 @@ fn forged() -> Vec<Case> {
             with_header("\"dtype\":\"F32\"", "\"dtype\":\"I32\""),
             vec!["I32", "F32"],
         ),
-        (
-            "a NaN weight".to_owned(),
-            with_number(100, f32::NAN),
-            vec!["NaN", "finite"],
-        ),
-        (
-            "an infinite weight".to_owned(),
-            with_number(3000, f32::INFINITY),
-            vec!["inf", "finite"],
-        ),
+        ("a NaN weight".to_owned(), with_number(100, f32::NAN), vec!["NaN", "finite"]),
+        ("an infinite weight".to_owned(), with_number(3000, f32::INFINITY), vec!["inf", "finite"]),
         (
             "another format version".to_owned(),
             with_header("\"format_version\":\"1\"", "\"format_version\":\"2\""),
@@ -100,27 +89,10 @@ fn damaged() -> Vec<Case> {
     let data = data_at(&whole);
     let mut cases = vec![
         ("an empty file".to_owned(), Vec::new(), vec!["refused"]),
-        (
-            "text".to_owned(),
-            b"not a model at all".to_vec(),
-            vec!["refused"],
-        ),
-        (
-            "another weight".to_owned(),
-            with_number(2000, 0.125),
-            vec!["SHA-256", "metadata says"],
-        ),
+        ("text".to_owned(), b"not a model at all".to_vec(), vec!["refused"]),
+        ("another weight".to_owned(), with_number(2000, 0.125), vec!["SHA-256", "metadata says"]),
     ];
-    for length in [
-        4,
-        8,
-        100,
-        data - 1,
-        data,
-        data + 4,
-        whole.len() / 2,
-        whole.len() - 1,
-    ] {
+    for length in [4, 8, 100, data - 1, data, data + 4, whole.len() / 2, whole.len() - 1] {
         cases.push((
             format!("truncated to {length} bytes"),
             whole[..length].to_vec(),
@@ -142,10 +114,7 @@ fn damaged() -> Vec<Case> {
 fn row_12_a_damaged_model_file_is_refused_with_path_and_both_values_and_leaves_no_files() {
     let arena = Arena::new(&Setup::default());
     let path = arena.files().join("model.safetensors");
-    let setup = Setup {
-        model: Some(path.clone()),
-        ..Setup::default()
-    };
+    let setup = Setup { model: Some(path.clone()), ..Setup::default() };
     std::fs::write(&path, shipped()).unwrap();
     arena.configure(&setup);
     arena.worker().stop();
@@ -159,34 +128,20 @@ fn row_12_a_damaged_model_file_is_refused_with_path_and_both_values_and_leaves_n
         let ended = arena.run(&["run"]);
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
         let errors = ended.errors();
-        assert!(
-            errors.contains(&path.display().to_string()),
-            "{what}: no path in {errors}"
-        );
+        assert!(errors.contains(&path.display().to_string()), "{what}: no path in {errors}");
         assert!(!errors.contains("panicked"), "{what}: {errors}");
         let remedies = errors.matches("copy or train the model again").count();
         assert!(remedies <= 1, "more than one remedy: {errors}");
         for part in parts {
             assert!(errors.contains(part), "{what}: {part:?} in {errors}");
         }
-        assert_eq!(
-            arena.stale_files(),
-            Vec::<std::path::PathBuf>::new(),
-            "{what}"
-        );
+        assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new(), "{what}");
     }
     std::fs::remove_file(&path).unwrap();
     let missing = arena.run(&["run"]);
     assert!(matches!(missing.code(), Some(1 | 2)), "{missing:?}");
-    assert!(
-        missing.errors().contains(&path.display().to_string()),
-        "{}",
-        missing.errors()
-    );
-    figure(
-        "row 12, wrong accepts",
-        format_args!("0 of {refused} damaged files, panics 0"),
-    );
+    assert!(missing.errors().contains(&path.display().to_string()), "{}", missing.errors());
+    figure("row 12, wrong accepts", format_args!("0 of {refused} damaged files, panics 0"));
     arena.close();
 }
 
@@ -197,10 +152,7 @@ fn row_12_overwriting_a_loaded_model_file_does_not_affect_the_worker() {
         let arena = Arena::new(&Setup::default());
         let path = arena.files().join("model.safetensors");
         std::fs::write(&path, shipped()).unwrap();
-        let setup = Setup {
-            model: Some(path.clone()),
-            ..Setup::default()
-        };
+        let setup = Setup { model: Some(path.clone()), ..Setup::default() };
         arena.configure(&setup);
         let mut worker = arena.worker();
         let mut planner = arena.planner();
@@ -225,13 +177,7 @@ fn row_12_overwriting_a_loaded_model_file_does_not_affect_the_worker() {
     let (clean, disturbed) = (play(false), play(true));
     assert!(disturbed.len() >= 160, "{}", disturbed.len());
     for (key, answer) in &disturbed {
-        assert_eq!(
-            clean.get(key).unwrap_or(answer),
-            answer,
-            "robot {} sample {}",
-            key.0,
-            key.1
-        );
+        assert_eq!(clean.get(key).unwrap_or(answer), answer, "robot {} sample {}", key.0, key.1);
     }
     figure(
         "row 12, the old model keeps serving",

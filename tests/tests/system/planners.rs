@@ -9,9 +9,7 @@ use rustix::process::Signal;
 const ROBOTS: [u32; 4] = [0, 1, 2, 3];
 
 fn frame(seq: u64, setup: &Setup) -> Vec<Sample> {
-    ROBOTS
-        .map(|robot| sample(robot, seq, setup.period_ns()))
-        .to_vec()
+    ROBOTS.map(|robot| sample(robot, seq, setup.period_ns())).to_vec()
 }
 
 #[test]
@@ -35,9 +33,7 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed(
     for round in 0..rounds {
         let mut planner = Planner::new(Child::spawn("holder", arena.probe(&["holder"])));
         if round % 2 == 0 {
-            planner.until("it holds a frame", |line| {
-                (*line == ReaderLine::Holds).then_some(())
-            });
+            planner.until("it holds a frame", |line| (*line == ReaderLine::Holds).then_some(()));
         } else {
             starting += 1;
         }
@@ -50,9 +46,7 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed(
     let holders: Vec<Planner> = (0..2)
         .map(|_| {
             let mut holder = Planner::new(Child::spawn("holder", arena.probe(&["holder"])));
-            holder.until("it holds a frame", |line| {
-                (*line == ReaderLine::Holds).then_some(())
-            });
+            holder.until("it holds a frame", |line| (*line == ReaderLine::Holds).then_some(()));
             holder
         })
         .collect();
@@ -94,43 +88,29 @@ fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_
     for seq in 0..10 {
         play(&mut witness, seq);
     }
-    stopped.until("a frame is given", |line| {
-        matches!(line, ReaderLine::Given { .. }).then_some(())
-    });
+    stopped
+        .until("a frame is given", |line| matches!(line, ReaderLine::Given { .. }).then_some(()));
     stopped.child.signal(Signal::STOP);
     // Twice the planner's buffers: after this all frames it has not read are overwritten.
     let first = play(&mut witness, 10);
-    let last = (11..10 + FRAMES)
-        .map(|seq| play(&mut witness, seq))
-        .last()
-        .unwrap();
+    let last = (11..10 + FRAMES).map(|seq| play(&mut witness, seq)).last().unwrap();
     stopped.child.signal(Signal::CONT);
 
     let between = last.tick - first.tick;
     let mut gaps_before = None;
     let (tick, missed, gaps) = stopped.until("it resumes", |line| match line {
-        ReaderLine::Given {
-            tick,
-            ticks_missed,
-            gaps,
-            ..
-        } if *ticks_missed + 20 >= between => Some((*tick, *ticks_missed, *gaps)),
+        ReaderLine::Given { tick, ticks_missed, gaps, .. } if *ticks_missed + 20 >= between => {
+            Some((*tick, *ticks_missed, *gaps))
+        }
         ReaderLine::Given { gaps, tick, .. } => {
-            assert!(
-                *tick <= first.tick + 5,
-                "an old frame after it resumed: tick {tick}"
-            );
+            assert!(*tick <= first.tick + 5, "an old frame after it resumed: tick {tick}");
             gaps_before = Some(*gaps);
             None
         }
         ReaderLine::Failed(error) => panic!("{error}"),
         _ => None,
     });
-    assert!(
-        tick >= last.tick,
-        "resumed at tick {tick}, the newest was {}",
-        last.tick
-    );
+    assert!(tick >= last.tick, "resumed at tick {tick}, the newest was {}", last.tick);
     if let Some(before) = gaps_before {
         assert_eq!(gaps, before + 1, "one gap");
     }
@@ -140,9 +120,7 @@ fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_
     });
     assert!(next > tick);
     let mut ticks = Spread::default();
-    for frame in witness
-        .forecasts()
-        .filter(|frame| (first.tick..=last.tick).contains(&frame.tick))
+    for frame in witness.forecasts().filter(|frame| (first.tick..=last.tick).contains(&frame.tick))
     {
         ticks.add_ns(frame.tick_ns);
     }
@@ -153,10 +131,7 @@ fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_
             last.ticks_skipped - first.ticks_skipped
         ),
     );
-    figure(
-        "row 4, start of a tick to its forecasts sent, planner stopped",
-        &ticks,
-    );
+    figure("row 4, start of a tick to its forecasts sent, planner stopped", &ticks);
     source.leave();
     witness.leave();
     stopped.leave();

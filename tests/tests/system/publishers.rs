@@ -20,9 +20,7 @@ const OTHERS: [u32; 4] = [50, 51, 52, 53];
 const PACE: Duration = Duration::from_millis(15);
 
 fn other(seq: u64, setup: &Setup) -> Vec<Sample> {
-    OTHERS
-        .map(|robot| sample(robot, seq, setup.period_ns()))
-        .to_vec()
+    OTHERS.map(|robot| sample(robot, seq, setup.period_ns())).to_vec()
 }
 
 /// Sends samples of the other robots until stopped; returns their answers and the pid of the
@@ -58,9 +56,7 @@ fn start(arena: &Arena, planner: &mut Planner) -> (Child, u64, u64) {
     let started_ns = clock::monotonic_ns();
     let controller = arena.controller("controller", KILLED, ROBOTS, 30.0);
     let lines = controller.lines(0, PATIENCE);
-    let ready = lines
-        .first()
-        .and_then(|line| serde_json::from_str(line).ok());
+    let ready = lines.first().and_then(|line| serde_json::from_str(line).ok());
     let Some(SourceLine::Ready { source_epoch }) = ready else {
         panic!("failed restart: {}", controller.tail());
     };
@@ -120,24 +116,15 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
     let (mut outage, mut starting) = (Spread::default(), 0);
     let (mut stale, mut open_loop) = (0, 0);
     let (answers, others_pid) = std::thread::scope(|scope| {
-        let others = scope.spawn(|| {
-            play_others(
-                &arena,
-                &setup,
-                &sent,
-                |_| stop.load(Ordering::Relaxed),
-                PACE,
-            )
-        });
+        let others = scope
+            .spawn(|| play_others(&arena, &setup, &sent, |_| stop.load(Ordering::Relaxed), PACE));
         // The other source must stop even if this thread panics.
         let _stopped = OnDrop(&stop);
         let (mut controller, ..) = start(&arena, &mut planner);
         for round in 0..rounds {
             let goes_stale = round % 4 == 3;
             if goes_stale {
-                planner.quality("it is forecast", KILLED, |quality| {
-                    quality == Quality::Fresh
-                });
+                planner.quality("it is forecast", KILLED, |quality| quality == Quality::Fresh);
             }
             // Random time of the kill, not a wait for a condition.
             std::thread::sleep(dice.time_below(Duration::from_millis(150)));
@@ -160,9 +147,7 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
             }
             controller = next;
         }
-        planner.quality("all is well in the end", KILLED, |quality| {
-            quality == Quality::Fresh
-        });
+        planner.quality("all is well in the end", KILLED, |quality| quality == Quality::Fresh);
         controller.finish();
         stop.store(true, Ordering::Relaxed);
         others.join().expect("the others are answered")
@@ -172,11 +157,7 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
     for line in recorder.seen() {
         match line {
             // The scripted source has different samples.
-            ReaderLine::Samples {
-                samples,
-                torn: broken,
-                pid,
-            } if *pid != others_pid => {
+            ReaderLine::Samples { samples, torn: broken, pid } if *pid != others_pid => {
                 read += samples;
                 torn += broken;
             }
@@ -205,20 +186,11 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
         assert_eq!(expected, answer, "robot {} sample {}", key.0, key.1);
         compared += 1;
     }
-    assert!(
-        compared * 10 >= frames * 4 * 9,
-        "{compared} answers of {frames} frames"
-    );
+    assert!(compared * 10 >= frames * 4 * 9, "{compared} answers of {frames} frames");
     assert_eq!(torn, 0, "torn samples of {read}");
     assert_eq!(report["frames_unsent"], 0);
-    assert!(
-        open_loop * 2 >= stale,
-        "open loop before {open_loop} of {stale} stale ones"
-    );
-    figure(
-        "row 1, outage from the kill to the first answer after the restart",
-        &outage,
-    );
+    assert!(open_loop * 2 >= stale, "open loop before {open_loop} of {stale} stale ones");
+    figure("row 1, outage from the kill to the first answer after the restart", &outage);
     figure(
         "row 1, kills",
         format_args!(
@@ -226,8 +198,5 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
         ),
     );
     figure("row 1, torn samples", format_args!("0 of {read}"));
-    figure(
-        "row 1, other robots",
-        format_args!("{compared} answers, 0 differ by a bit"),
-    );
+    figure("row 1, other robots", format_args!("{compared} answers, 0 differ by a bit"));
 }

@@ -52,9 +52,7 @@ impl Asker {
     }
 
     fn is_asking(&mut self) {
-        self.until("an answer", |line| {
-            (*line == AskerLine::Asking).then_some(())
-        });
+        self.until("an answer", |line| (*line == AskerLine::Asking).then_some(()));
     }
 
     fn rest(&mut self) -> Vec<AskerLine> {
@@ -83,9 +81,8 @@ fn least(arena: &Arena, pid: u32) -> (usize, usize) {
             std::thread::sleep(std::time::Duration::from_millis(5));
             held(arena, pid)
         });
-        let now = looks.fold((usize::MAX, usize::MAX), |least, now| {
-            (least.0.min(now.0), least.1.min(now.1))
-        });
+        let now = looks
+            .fold((usize::MAX, usize::MAX), |least, now| (least.0.min(now.0), least.1.min(now.1)));
         std::mem::replace(&mut last, now) == now
     });
     last
@@ -105,10 +102,7 @@ fn clients_killed_in_the_middle_of_a_question_leave_nothing_behind_and_others_ar
     while killed < rounds {
         let batch: Vec<Asker> = (0..5)
             .map(|_| {
-                Asker::new(
-                    &arena,
-                    &["asker", if killed % 2 == 0 { "flood" } else { "heavy" }],
-                )
+                Asker::new(&arena, &["asker", if killed % 2 == 0 { "flood" } else { "heavy" }])
             })
             .collect();
         for mut asker in batch {
@@ -136,14 +130,8 @@ fn clients_killed_in_the_middle_of_a_question_leave_nothing_behind_and_others_ar
     let answered = witness.done();
     source.finish();
     let report = worker.stop().json();
-    assert!(
-        report["queries"]["answered"].as_u64().unwrap() >= answered,
-        "{report}"
-    );
-    figure(
-        "questions, clients killed",
-        format_args!("{killed}, {answered} others answered"),
-    );
+    assert!(report["queries"]["answered"].as_u64().unwrap() >= answered, "{report}");
+    figure("questions, clients killed", format_args!("{killed}, {answered} others answered"));
     arena.close();
 }
 
@@ -241,10 +229,7 @@ fn a_killed_worker_is_an_error_at_once_and_the_next_one_answers() {
                 _ => None,
             });
             // Never a time-out: its two minutes have not passed.
-            assert!(
-                ["WorkerGone", "NoWorker"].contains(&name.as_str()),
-                "{name}"
-            );
+            assert!(["WorkerGone", "NoWorker"].contains(&name.as_str()), "{name}");
             spread.add_ns(after_ns);
             *errors.entry(name).or_default() += 1;
         }
@@ -304,15 +289,9 @@ fn a_calm_client_is_served_next_whatever_others_ask() {
     source.finish();
     worker.stop();
     let queries = queries(&file);
-    let (own, others): (Vec<&Query>, Vec<&Query>) = queries
-        .iter()
-        .partition(|query| query.record.client == calm_pid);
-    assert!(
-        own.len() as u64 > ASKED / 2 && others.len() > 10,
-        "{} {}",
-        own.len(),
-        others.len()
-    );
+    let (own, others): (Vec<&Query>, Vec<&Query>) =
+        queries.iter().partition(|query| query.record.client == calm_pid);
+    assert!(own.len() as u64 > ASKED / 2 && others.len() > 10, "{} {}", own.len(), others.len());
     for query in own {
         let answer = &query.record.answer;
         assert_eq!(answer.refusal, 0);
@@ -360,10 +339,7 @@ fn hostile_questions_are_refused_by_reason_and_counted_and_harm_nobody() {
     for (reason, count) in &reasons {
         // Longer ones are not even sent.
         let sent = count - u64::from(reason == "TooLarge");
-        assert!(
-            counted[reason].as_u64().unwrap_or(0) >= sent,
-            "{reason}: {report}"
-        );
+        assert!(counted[reason].as_u64().unwrap_or(0) >= sent, "{reason}: {report}");
     }
     assert_eq!(reasons.len(), 8, "{reasons:?}");
     assert!(answered > 0);
@@ -377,12 +353,7 @@ fn the_worker_answers_with_the_bits_that_a_planner_computes_itself() {
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
     let mut asker = Asker::new(&arena, &["asker", "bits", "60"]);
-    assert_eq!(
-        asker.next(),
-        Some(AskerLine::Done { answered: 60 }),
-        "{}",
-        asker.child.tail()
-    );
+    assert_eq!(asker.next(), Some(AskerLine::Done { answered: 60 }), "{}", asker.child.tail());
     asker.child.finish();
     source.finish();
     worker.stop();
@@ -395,12 +366,7 @@ fn a_question_that_takes_longer_than_two_ticks_is_a_yes_about_a_state_that_is_no
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
     let mut asker = Asker::new(&arena, &["asker", "far", "3"]);
-    assert_eq!(
-        asker.next(),
-        Some(AskerLine::Done { answered: 3 }),
-        "{}",
-        asker.child.tail()
-    );
+    assert_eq!(asker.next(), Some(AskerLine::Done { answered: 3 }), "{}", asker.child.tail());
     asker.child.finish();
     source.finish();
     worker.stop();

@@ -13,9 +13,7 @@ const ROBOTS: u32 = 12;
 
 /// Number of samples in a capture.
 fn samples(file: &Path) -> u64 {
-    let messages = Reader::open(file)
-        .unwrap()
-        .map(|entry| entry.unwrap().message);
+    let messages = Reader::open(file).unwrap().map(|entry| entry.unwrap().message);
     messages
         .filter_map(|message| message.into_frame::<Samples>().ok())
         .map(|frame| frame.rows.len() as u64)
@@ -27,13 +25,7 @@ fn samples(file: &Path) -> u64 {
 fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
     without_loss(|attempt| {
         let file = arena.files().join(format!("{attempt}-{name}"));
-        let arguments = [
-            "run",
-            "--format",
-            "json",
-            "--record",
-            file.to_str().unwrap(),
-        ];
+        let arguments = ["run", "--format", "json", "--record", file.to_str().unwrap()];
         let mut worker = Child::spawn("worker", arena.command(&arguments));
         worker.wait_for_line("ready:");
         arena.simulate(ROBOTS, 60);
@@ -81,12 +73,7 @@ fn a_signal_writes_a_snapshot_and_the_recorder_continues() {
     // Messages of the first snapshot are not written again.
     assert!(samples(&second) > 0);
     let frames = |file: &Path| Reader::open(file).unwrap().count();
-    assert_eq!(
-        report.json()["messages"],
-        frames(&file) + frames(&second),
-        "{}",
-        report.text()
-    );
+    assert_eq!(report.json()["messages"], frames(&file) + frames(&second), "{}", report.text());
     let left = fs::read_dir(arena.files()).unwrap().flatten();
     let captures = left.filter(|entry| entry.path().extension().is_some_and(|end| end == "mcap"));
     assert_eq!(captures.count(), 2, "a snapshot was written at the end");
@@ -100,13 +87,7 @@ fn all_samples_of_a_looped_replay_are_accepted() {
     let (file, _) = recorded(&arena, "loop.mcap");
     let once = samples(&file);
     let mut worker = arena.worker();
-    let played = alone(&[
-        "replay",
-        file.to_str().unwrap(),
-        "--loop=3",
-        "--rate",
-        "max",
-    ]);
+    let played = alone(&["replay", file.to_str().unwrap(), "--loop=3", "--rate", "max"]);
     let report = played.json();
     assert_eq!(played.code(), Some(0), "{report} {}", played.errors());
     assert_eq!(report["samples"], 3 * once, "{report}");
@@ -125,20 +106,10 @@ fn a_capture_is_played_under_another_name() {
     let config = arena.files().join("copy.toml");
     fs::write(&config, renamed).unwrap();
     let mut command = Command::new(program("joulebus-under-test"));
-    command
-        .args(["run", "--format", "json", "--config"])
-        .arg(config);
+    command.args(["run", "--format", "json", "--config"]).arg(config);
     let mut worker = Child::spawn("the copy's worker", command);
     worker.wait_for_line("ready:");
-    alone(&[
-        "replay",
-        file.to_str().unwrap(),
-        "--remap",
-        "t:=copy",
-        "--rate",
-        "max",
-    ])
-    .exits(0);
+    alone(&["replay", file.to_str().unwrap(), "--remap", "t:=copy", "--rate", "max"]).exits(0);
     let report = worker.stop().json();
     assert_eq!(report["samples_accepted"], samples(&file), "{report}");
     let wrong = alone(&["replay", file.to_str().unwrap(), "--remap", "t=copy"]);

@@ -13,20 +13,14 @@ const NOTICED: &str = "while this process used it";
 fn remove(path: &Path) {
     let removed = fs::remove_file(path).or_else(|_| fs::remove_dir_all(path));
     // The fleet may have removed files of a directory at the same time.
-    assert!(
-        removed.is_ok() || !path.exists(),
-        "{}: {removed:?}",
-        path.display()
-    );
+    assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
 }
 
 /// Removes the fleet's objects in shared memory with such a suffix.
 fn remove_objects(arena: &Arena, end: &str) {
     let is_object = |path: &PathBuf| path.parent() == Some(Path::new("/dev/shm")) && path.is_file();
     let objects: Vec<PathBuf> = arena.stale_files().into_iter().filter(is_object).collect();
-    let chosen = objects
-        .iter()
-        .filter(|path| path.to_string_lossy().ends_with(end));
+    let chosen = objects.iter().filter(|path| path.to_string_lossy().ends_with(end));
     assert_ne!(chosen.map(|path| remove(path)).count(), 0, "no {end}");
 }
 
@@ -42,16 +36,7 @@ impl Fleet {
         let capture = arena.files().join(format!("run-{round}.mcap"));
         let recorder = arena.recording(&capture, &[]);
         let controller = arena.controller("fleet", 0, 4, 30.0);
-        let simulation = [
-            "publish",
-            "sim",
-            "--seed",
-            "7",
-            "--robots",
-            "2",
-            "--first-robot",
-            "20",
-        ];
+        let simulation = ["publish", "sim", "--seed", "7", "--robots", "2", "--first-robot", "20"];
         let simulation = Child::spawn("simulation", arena.command(&simulation));
         let watch = Child::spawn("watch", arena.command(&["watch", "--format", "json"]));
         let mut planner = arena.planner();
@@ -62,10 +47,7 @@ impl Fleet {
             works.then_some(())
         });
         assert!(!watch.lines(0, joulebus_tests::PATIENCE).is_empty());
-        Self {
-            worker,
-            members: vec![recorder, controller, simulation, watch, planner.child],
-        }
+        Self { worker, members: vec![recorder, controller, simulation, watch, planner.child] }
     }
 
     /// Stops the processes that have not exited.
@@ -128,9 +110,8 @@ fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works
         let mut controller = arena.controller("fresh", 50, 2, 60.0);
         let mut planner = arena.planner();
         let pid = worker.pid();
-        planner.forecast(what, |frame| {
-            (frame.pid == pid && frame.robot(50).is_some()).then_some(())
-        });
+        planner
+            .forecast(what, |frame| (frame.pid == pid && frame.robot(50).is_some()).then_some(()));
         controller.finish();
         planner.leave();
         worker.stop();
@@ -138,10 +119,7 @@ fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works
     }
     figure(
         "removed under a running fleet",
-        format_args!(
-            "{} ways; the worker says so after {noticed}",
-            REMOVALS.len()
-        ),
+        format_args!("{} ways; the worker says so after {noticed}", REMOVALS.len()),
     );
     arena.close();
 }
@@ -153,14 +131,10 @@ fn every_program_whose_files_are_removed_reports_it_and_exits() {
     for path in arena.stale_files() {
         remove(&path);
     }
-    let Fleet {
-        mut worker,
-        members,
-    } = fleet;
+    let Fleet { mut worker, members } = fleet;
     assert_eq!(worker.wait().code(), Some(1));
-    for (name, mut member) in ["record", "controller", "publish", "watch", "planner"]
-        .into_iter()
-        .zip(members)
+    for (name, mut member) in
+        ["record", "controller", "publish", "watch", "planner"].into_iter().zip(members)
     {
         // A controller may continue; the library returns the error each time.
         if name == "controller" {
@@ -223,10 +197,7 @@ fn doctor_names_processes_that_use_removed_files() {
         let pid = worker.pid().to_string();
         let text = ended.text();
         let line = text.lines().find(|line| line.contains("removed files"));
-        assert!(
-            line.is_some_and(|line| line.contains(&pid)),
-            "{what}: {text}"
-        );
+        assert!(line.is_some_and(|line| line.contains(&pid)), "{what}: {text}");
         assert!(text.contains("RemoveIPC"), "{what}: {text}");
         worker.signal(Signal::CONT);
         assert_eq!(worker.wait().code(), Some(1), "{what}");
@@ -274,9 +245,7 @@ fn no_file_is_reported_missing_while_processes_join_leave_and_are_killed() {
     assert!(worker.is_running() && planner.child.is_running());
     let newest = planner.forecasts().last().map(|frame| frame.tick);
     let mut controller = arena.controller("fleet", 0, 4, 60.0);
-    planner.forecast("they go on", |frame| {
-        (Some(frame.tick) > newest).then_some(())
-    });
+    planner.forecast("they go on", |frame| (Some(frame.tick) > newest).then_some(()));
     controller.finish();
     let ended = planner.leave();
     assert!(!ended.errors().contains(NOTICED), "{ended:?}");

@@ -47,18 +47,11 @@ fn heard(file: &Path) -> Heard {
         heard.samples.extend(samples);
         // Open-loop forecasts by the worker's clock are provisional.
         let live = rows_of::<Forecasts>(message).filter(|row| {
-            matches!(
-                row.quality(),
-                Quality::Fresh | Quality::Held | Quality::Warmup { .. }
-            )
+            matches!(row.quality(), Quality::Fresh | Quality::Held | Quality::Warmup { .. })
         });
-        heard
-            .forecasts
-            .extend(live.map(|row| ((row.robot, row.sample_seq), row)));
+        heard.forecasts.extend(live.map(|row| ((row.robot, row.sample_seq), row)));
         let diagnostics = rows_of::<Diagnostics>(message);
-        heard
-            .diagnostics
-            .extend(diagnostics.map(|row| ((row.robot, row.sample_seq), row)));
+        heard.diagnostics.extend(diagnostics.map(|row| ((row.robot, row.sample_seq), row)));
     }
     heard
 }
@@ -97,11 +90,7 @@ fn same<R>(
     let mut compared = 0;
     for (key, row) in before {
         if let Some(again) = after.get(key) {
-            assert_eq!(
-                timeless(row),
-                timeless(again),
-                "{what} of (robot, sample) {key:?}"
-            );
+            assert_eq!(timeless(row), timeless(again), "{what} of (robot, sample) {key:?}");
             compared += 1;
         }
     }
@@ -112,12 +101,7 @@ fn same<R>(
 fn end(recorder: &mut Child) -> Ended {
     let ended = recorder.end();
     let lost = ended.json()["messages_lost"].as_u64().unwrap();
-    assert_eq!(
-        ended.code(),
-        Some(if lost > 0 { 3 } else { 0 }),
-        "{}",
-        ended.errors()
-    );
+    assert_eq!(ended.code(), Some(if lost > 0 { 3 } else { 0 }), "{}", ended.errors());
     ended
 }
 
@@ -142,10 +126,7 @@ fn assert_every_tick_verified(report: &Value) {
     let verified = count("ticks_verified");
     let told = verified + count("ticks_before_first_keyframe") + count("ticks_cut_off");
     assert_eq!(told, count("ticks"), "{report:#}");
-    assert!(
-        verified > count("ticks_before_first_keyframe"),
-        "{report:#}"
-    );
+    assert!(verified > count("ticks_before_first_keyframe"), "{report:#}");
 }
 
 #[test]
@@ -173,38 +154,30 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
         ticks.set(ticks.get() + 1);
         ticks.get() > unverified + 10
     };
-    spoilt(&file, &flipped, |message| {
-        match message.frame_mut::<Forecasts>() {
-            Some(Frame { header, rows }) if is_verified() && rows.len() == 12 => {
-                rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
-                let mut place = place.borrow_mut();
-                (*place.0, *place.1) = (header.tick, rows[7].robot);
-                true
-            }
-            _ => false,
+    spoilt(&file, &flipped, |message| match message.frame_mut::<Forecasts>() {
+        Some(Frame { header, rows }) if is_verified() && rows.len() == 12 => {
+            rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
+            let mut place = place.borrow_mut();
+            (*place.0, *place.1) = (header.tick, rows[7].robot);
+            true
         }
+        _ => false,
     });
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     let report = ended.json();
     assert_eq!(ended.code(), Some(3), "{report:#}");
     let first = &report["first"];
-    assert_eq!(
-        (&first["tick"], &first["robot"]),
-        (&tick.into(), &robot.into()),
-        "{report:#}"
-    );
+    assert_eq!((&first["tick"], &first["robot"]), (&tick.into(), &robot.into()), "{report:#}");
     assert_eq!(first["field"], "forecast.hi_w");
     assert_ne!(first["recorded"], first["computed"]);
 
     let flipped = arena.files().join("sample.mcap");
-    spoilt(&file, &flipped, |message| {
-        match message.frame_mut::<Samples>() {
-            Some(Frame { header, rows }) if header.frame_seq == 80 => {
-                rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
-                true
-            }
-            _ => false,
+    spoilt(&file, &flipped, |message| match message.frame_mut::<Samples>() {
+        Some(Frame { header, rows }) if header.frame_seq == 80 => {
+            rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
+            true
         }
+        _ => false,
     });
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
@@ -219,10 +192,7 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
     // The weights are random, so every forecast depends on the freshness of the newest reading.
     let model = random::network(1, FeatureSet::Freshness);
     std::fs::write(&path, model.to_safetensors().unwrap()).unwrap();
-    arena.configure(&Setup {
-        model: Some(path),
-        ..Setup::simulated()
-    });
+    arena.configure(&Setup { model: Some(path), ..Setup::simulated() });
     let file = record(&arena, "fresh.mcap", 90);
     let report = alone(&["replay", "--verify", file.to_str().unwrap()]).json();
     assert_eq!(report["differences"], 0, "{report:#}");
@@ -270,38 +240,16 @@ fn the_recording_of_a_replay_equals_the_original() {
     assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
     assert_eq!(before.samples.len(), after.samples.len());
     assert_eq!(report["samples"], before.samples.len());
-    let starts = |heard: &Heard| {
-        *heard
-            .samples
-            .values()
-            .min_by_key(|row| row.stamp_ns)
-            .unwrap()
-    };
+    let starts = |heard: &Heard| *heard.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
     let (one, other) = (starts(&before), starts(&after));
     for (key, row) in &before.samples {
         let again = &after.samples[key];
-        assert_eq!(
-            timeless_sample(row, &one),
-            timeless_sample(again, &other),
-            "{key:?}"
-        );
+        assert_eq!(timeless_sample(row, &one), timeless_sample(again, &other), "{key:?}");
     }
-    let forecasts = same(
-        "forecast",
-        &before.forecasts,
-        &after.forecasts,
-        timeless_forecast,
-    );
-    let residuals = same(
-        "diagnostic",
-        &before.diagnostics,
-        &after.diagnostics,
-        timeless_diagnostic,
-    );
-    assert!(
-        forecasts > 200 && residuals > 200,
-        "{forecasts} forecasts, {residuals} residuals"
-    );
+    let forecasts = same("forecast", &before.forecasts, &after.forecasts, timeless_forecast);
+    let residuals =
+        same("diagnostic", &before.diagnostics, &after.diagnostics, timeless_diagnostic);
+    assert!(forecasts > 200 && residuals > 200, "{forecasts} forecasts, {residuals} residuals");
     let ended = alone(&["replay", "--verify", second.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(0), "{}", ended.text());
     arena.close();
@@ -373,12 +321,7 @@ fn another_model_is_compared_robot_by_robot() {
     });
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/models");
     let other = models.join("gternal-sim-power.safetensors");
-    let arguments = [
-        "replay",
-        file.to_str().unwrap(),
-        "--model",
-        other.to_str().unwrap(),
-    ];
+    let arguments = ["replay", file.to_str().unwrap(), "--model", other.to_str().unwrap()];
     let ended = alone(&arguments);
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
@@ -400,12 +343,7 @@ fn another_model_is_compared_robot_by_robot() {
     }
     // The reported errors of the recorded model are those of the worker's output.
     let heard = heard(&file);
-    let last = |robot: u32| {
-        heard
-            .diagnostics
-            .range((robot, 0)..=(robot, u64::MAX))
-            .next_back()
-    };
+    let last = |robot: u32| heard.diagnostics.range((robot, 0)..=(robot, u64::MAX)).next_back();
     for robot in robots {
         let id = robot["robot"].as_u64().unwrap() as u32;
         let (_, published) = last(id).unwrap();
@@ -431,14 +369,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
 
     let second = arena.files().join("second.mcap");
     let mut recorder = arena.recording(&second, &[]);
-    let span = [
-        "--start-offset",
-        "1.5",
-        "--playback-duration",
-        "1",
-        "--delay",
-        "0.5",
-    ];
+    let span = ["--start-offset", "1.5", "--playback-duration", "1", "--delay", "0.5"];
     let ended = alone(&[&["replay", name][..], &outputs, &span].concat());
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
@@ -456,21 +387,14 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let (before, after) = (frames(&file), frames(&second));
     assert!(after.len() > 10, "{} frames", after.len());
     for (tick, rows) in &after {
-        let (_, recorded) = before
-            .iter()
-            .find(|(recorded, _)| recorded == tick)
-            .unwrap();
+        let (_, recorded) = before.iter().find(|(recorded, _)| recorded == tick).unwrap();
         assert_eq!(rows, recorded, "tick {tick}");
     }
     // Budgets from before the offset were sent first.
     let first = entries(&second)
         .into_iter()
         .find_map(|entry| Some(entry.message.frame::<Budgets>()?.header.tick));
-    assert!(
-        first.unwrap() <= after[0].0,
-        "budgets {first:?}, forecasts {}",
-        after[0].0
-    );
+    assert!(first.unwrap() <= after[0].0, "budgets {first:?}, forecasts {}", after[0].0);
     arena.close();
 }
 
@@ -479,14 +403,7 @@ fn a_replay_can_be_stepped() {
     let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", 60);
     let mut planner = arena.recorder();
-    let arguments = [
-        "replay",
-        "--step",
-        "--no-wait",
-        "--format",
-        "json",
-        file.to_str().unwrap(),
-    ];
+    let arguments = ["replay", "--step", "--no-wait", "--format", "json", file.to_str().unwrap()];
     let mut command = Command::new(program("joulebus-under-test"));
     command.args(arguments);
     let mut replay = Child::spawn("replay", command);

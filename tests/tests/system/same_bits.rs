@@ -21,21 +21,13 @@ use joulebus_wire::{Diagnostic, Diagnostics, Forecast, Forecasts, Quality};
 /// 100 Robotino trials, 12 of the Husky and 12 of the rover, with the ids of the config below.
 fn fleet() -> Option<Vec<(u32, PathBuf)>> {
     let numbered = |first: u32, files: Vec<PathBuf>| (first..).zip(files);
-    let robotino: Vec<PathBuf> = trials("robotino")?
-        .into_iter()
-        .step_by(6)
-        .take(100)
-        .collect();
+    let robotino: Vec<PathBuf> = trials("robotino")?.into_iter().step_by(6).take(100).collect();
     // The shortest ones: minutes of recording test no more than seconds.
     let mut husky = trials("borealtc_husky")?;
     husky.sort_by_key(|path| path.metadata().unwrap().len());
     let rover = trials("ase_rover")?.into_iter().step_by(5);
     let fleet = numbered(0, robotino).chain(numbered(100, husky.into_iter().take(12).collect()));
-    Some(
-        fleet
-            .chain(numbered(200, rover.take(12).collect()))
-            .collect(),
-    )
+    Some(fleet.chain(numbered(200, rover.take(12).collect())).collect())
 }
 
 /// A network with velocities, persistence, and a network without velocities; two of the rovers are
@@ -142,16 +134,8 @@ fn same_forecast(robot: u32, live: &Forecast, step: &Step) {
     let place = format!("robot {robot}, sample {}", step.sample_seq);
     assert_eq!(live.quality(), step.quality, "{place}");
     assert_eq!(bits(live.expected_w()), bits(step.power_w), "{place}");
-    assert_eq!(
-        bits(live.interval_w().map(|(lo_w, _)| lo_w)),
-        bits(step.lo_w),
-        "{place}"
-    );
-    assert_eq!(
-        bits(live.interval_w().map(|(_, hi_w)| hi_w)),
-        bits(step.hi_w),
-        "{place}"
-    );
+    assert_eq!(bits(live.interval_w().map(|(lo_w, _)| lo_w)), bits(step.lo_w), "{place}");
+    assert_eq!(bits(live.interval_w().map(|(_, hi_w)| hi_w)), bits(step.hi_w), "{place}");
 }
 
 fn same_residual(robot: u32, live: &Diagnostic, step: &Step) {
@@ -162,23 +146,12 @@ fn same_residual(robot: u32, live: &Diagnostic, step: &Step) {
 
 fn same_scores(live: &Diagnostic, offline: &RobotEvaluation) {
     let (robot, scores) = (offline.robot, &offline.scores);
-    assert_eq!(
-        live.scored, scores.count,
-        "readings scored of robot {robot}"
-    );
+    assert_eq!(live.scored, scores.count, "readings scored of robot {robot}");
     for (name, live, offline) in [
         ("MAE", live.mae_w, scores.mae_w()),
         ("R²", live.r2, scores.r2()),
-        (
-            "MAE of persistence",
-            live.persistence_mae_w,
-            scores.persistence_mae_w(),
-        ),
-        (
-            "R² of persistence",
-            live.persistence_r2,
-            scores.persistence_r2(),
-        ),
+        ("MAE of persistence", live.persistence_mae_w, scores.persistence_mae_w()),
+        ("R² of persistence", live.persistence_r2, scores.persistence_r2()),
         ("skill", live.skill, scores.skill()),
     ] {
         assert_eq!(
@@ -187,11 +160,7 @@ fn same_scores(live: &Diagnostic, offline: &RobotEvaluation) {
             "{name} of robot {robot}: {live} and {offline}"
         );
     }
-    assert_eq!(
-        live.coverage.to_bits(),
-        offline.coverage.to_bits(),
-        "coverage of robot {robot}"
-    );
+    assert_eq!(live.coverage.to_bits(), offline.coverage.to_bits(), "coverage of robot {robot}");
 }
 
 /// Compares all output. Returns the number of forecasts and residuals.
@@ -225,11 +194,7 @@ fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Child {
     let mut command = Command::new(joulebus_testkit::lab_beside(&tested));
     command.args("publish trial --rate max --window 1 --frame-rate 100 --config".split(' '));
     command.arg(config);
-    command.args(
-        fleet
-            .iter()
-            .map(|(robot, path)| format!("{}@{robot}", path.display())),
-    );
+    command.args(fleet.iter().map(|(robot, path)| format!("{}@{robot}", path.display())));
     Child::spawn("source", command)
 }
 
@@ -262,26 +227,12 @@ fn a_recorded_fleet_has_the_same_bits_live_and_offline() {
     println!(
         "figure: {forecasts} forecasts and {residuals} residuals of {steps} samples compared, 0 differ"
     );
-    assert!(
-        forecasts > steps / 2,
-        "only {forecasts} of {steps} forecasts received"
-    );
-    assert!(
-        residuals > steps / 2,
-        "only {residuals} of {steps} residuals received"
-    );
-    let blind = offline
-        .robots
-        .iter()
-        .find(|robot| robot.robot == 210)
-        .unwrap();
+    assert!(forecasts > steps / 2, "only {forecasts} of {steps} forecasts received");
+    assert!(residuals > steps / 2, "only {residuals} of {steps} residuals received");
+    let blind = offline.robots.iter().find(|robot| robot.robot == 210).unwrap();
     let no_command = Quality::Invalid(joulebus_wire::InvalidReason::NoCommand);
     assert!(
-        blind
-            .steps
-            .iter()
-            .skip(5)
-            .all(|step| step.quality == no_command),
+        blind.steps.iter().skip(5).all(|step| step.quality == no_command),
         "a rover publishes no velocities"
     );
     assert!(!root.exists(), "left behind: {}", root.display());

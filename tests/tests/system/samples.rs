@@ -81,10 +81,8 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
     let mut source = arena.source("fleet");
     let mut expected: BTreeMap<&str, u64> = BTreeMap::new();
     for (at, frame) in frames.iter().enumerate() {
-        let poison = at
-            .checked_sub(10)
-            .filter(|at| at % 2 == 0)
-            .map(|at| &POISON[at / 2 % POISON.len()]);
+        let poison =
+            at.checked_sub(10).filter(|at| at % 2 == 0).map(|at| &POISON[at / 2 % POISON.len()]);
         let Some((reason, what, spoil)) = poison else {
             source.send(frame);
             let answered = planner.answered(frame);
@@ -98,11 +96,8 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
         let mut spoiled = frame.clone();
         spoil(&mut spoiled[VICTIM as usize]);
         source.send(&spoiled);
-        let others: Vec<Sample> = frame
-            .iter()
-            .filter(|sample| sample.robot != VICTIM)
-            .copied()
-            .collect();
+        let others: Vec<Sample> =
+            frame.iter().filter(|sample| sample.robot != VICTIM).copied().collect();
         let answered = planner.answered(&others);
         *expected.entry(reason.name()).or_default() += 1;
         let shown = answered.robot(VICTIM).unwrap();
@@ -127,10 +122,7 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
     let compared = assert_same(&clean, &others, frames.len() * (ROBOTS.len() - 1));
     figure(
         "row 7, contaminated rows",
-        format_args!(
-            "0 of {compared} compared to the bit, {} poisons",
-            2 * POISON.len()
-        ),
+        format_args!("0 of {compared} compared to the bit, {} poisons", 2 * POISON.len()),
     );
     source.leave();
     planner.leave();
@@ -140,10 +132,7 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
 
 #[test]
 fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_effect() {
-    let setup = Setup {
-        robots: "0-9",
-        ..Setup::default()
-    };
+    let setup = Setup { robots: "0-9", ..Setup::default() };
     let frames = script(&ROBOTS, 40, setup.period_ns());
     let clean = clean_run(&setup, &frames);
 
@@ -173,11 +162,7 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
         second.send(&claims);
         owner.send(frame);
         let answered = planner.answered(frame);
-        assert_eq!(
-            answered.robots.len(),
-            ROBOTS.len(),
-            "the unknown get no place"
-        );
+        assert_eq!(answered.robots.len(), ROBOTS.len(), "the unknown get no place");
         last = Some(answered);
     }
     let rounds = rest.len() as u64;
@@ -190,11 +175,7 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
         ReaderLine::Diagnostics(frame) if frame.tick >= counted.tick => Some(frame.refused.clone()),
         _ => None,
     });
-    for (robot, reason) in [
-        (0, "ForeignSource"),
-        (2, "ForeignSource"),
-        (10, "UnknownRobot"),
-    ] {
+    for (robot, reason) in [(0, "ForeignSource"), (2, "ForeignSource"), (10, "UnknownRobot")] {
         let is_it = |refusal: &joulebus_tests::RefusalLine| {
             refusal.robot == robot && refusal.reason == reason && refusal.pid == second.child.pid()
         };
@@ -202,10 +183,7 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
     }
     let answers = planner.answers(|_| true);
     let compared = assert_same(&clean, &answers, frames.len() * ROBOTS.len());
-    figure(
-        "row 8, cross-talk",
-        format_args!("0 of {compared} answers compared to the bit"),
-    );
+    figure("row 8, cross-talk", format_args!("0 of {compared} answers compared to the bit"));
     owner.leave();
     second.leave();
     planner.leave();
@@ -221,14 +199,9 @@ fn await_accounted(planner: &mut Planner, newest: ForecastFrame, samples: u64) -
         return newest;
     }
     let what = format!("{samples} samples are accounted for");
-    let frame = planner.forecast(&what, |frame| {
-        (frame.accounted() >= samples).then(|| frame.clone())
-    });
-    assert_eq!(
-        frame.accounted(),
-        samples,
-        "sent = accepted + dropped: {frame:?}"
-    );
+    let frame =
+        planner.forecast(&what, |frame| (frame.accounted() >= samples).then(|| frame.clone()));
+    assert_eq!(frame.accounted(), samples, "sent = accepted + dropped: {frame:?}");
     frame
 }
 
@@ -311,10 +284,7 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
     // A duplicate frame is dropped as a whole.
     let again = script(&ROBOTS, tail + 2, setup.period_ns()).pop().unwrap();
     for _ in 0..2 {
-        let forge = Forge {
-            samples_before: Some(sent),
-            ..Forge::default()
-        };
+        let forge = Forge { samples_before: Some(sent), ..Forge::default() };
         source.send_forged(&again, forge);
     }
     for sample in &again {
@@ -325,10 +295,7 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
         (frame.accounted() >= total).then(|| frame.clone())
     });
     assert_eq!(frame.accounted(), total, "{frame:?}");
-    assert_eq!(
-        frame.accepted,
-        oracles.iter().map(|oracle| oracle.accepted).sum::<u64>()
-    );
+    assert_eq!(frame.accepted, oracles.iter().map(|oracle| oracle.accepted).sum::<u64>());
     let refused =
         [DropReason::Duplicate, DropReason::OutOfOrder].map(|reason| frame.dropped(reason));
     assert!(refused[0] > 50 && refused[1] > 20, "{refused:?}");
@@ -384,13 +351,7 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
                 .map(|frame| FrameLine {
                     samples: frame
                         .iter()
-                        .map(|sample| {
-                            Sample {
-                                robot: sample.robot + shift,
-                                ..*sample
-                            }
-                            .into()
-                        })
+                        .map(|sample| Sample { robot: sample.robot + shift, ..*sample }.into())
                         .collect(),
                     forge: Forge::default(),
                 })
@@ -399,27 +360,16 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
         }
     }
     // Losses of the last frames are known from the next frame's header.
-    let last: Vec<Sample> = [0, 1, 2]
-        .map(|robot| sample(robot, 600, setup.period_ns()))
-        .to_vec();
+    let last: Vec<Sample> = [0, 1, 2].map(|robot| sample(robot, 600, setup.period_ns())).to_vec();
     sources[0].send(&last);
-    let other: Vec<Sample> = last
-        .iter()
-        .map(|sample| Sample {
-            robot: sample.robot + 10,
-            ..*sample
-        })
-        .collect();
+    let other: Vec<Sample> =
+        last.iter().map(|sample| Sample { robot: sample.robot + 10, ..*sample }).collect();
     sources[1].send(&other);
     let total = 2 * 3 * 601;
     let frame = planner.forecast("all is accounted for", |frame| {
         (frame.accounted() >= total).then(|| frame.clone())
     });
-    assert_eq!(
-        frame.accounted(),
-        total,
-        "sent = accepted + dropped: {frame:?}"
-    );
+    assert_eq!(frame.accounted(), total, "sent = accepted + dropped: {frame:?}");
     let budgets = planner.until("budgets", |line| match line {
         ReaderLine::Budgets(budgets) if budgets.tick >= frame.tick => Some(budgets.clone()),
         _ => None,
@@ -439,10 +389,7 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
     };
     figure(
         "row 9, bursts",
-        format_args!(
-            "{total} sent = {} accepted + {:?}",
-            frame.accepted, frame.dropped
-        ),
+        format_args!("{total} sent = {} accepted + {:?}", frame.accepted, frame.dropped),
     );
     assert_eq!(report["receive_errors"], 0);
     arena.close();
@@ -450,10 +397,7 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
 
 #[test]
 fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep_every_bit() {
-    let setup = Setup {
-        capacity: 6,
-        ..Setup::default()
-    };
+    let setup = Setup { capacity: 6, ..Setup::default() };
     let frames = script(&ROBOTS, 40, setup.period_ns());
     let clean = clean_run(&setup, &frames);
 
@@ -464,9 +408,8 @@ fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep
     let mut crowd = arena.source("crowd");
     planner.play(&mut source, &frames[..1]);
     for frame in &frames[1..] {
-        let extra: Vec<Sample> = [20, 21, 22]
-            .map(|robot| sample(robot, frame[0].seq, setup.period_ns()))
-            .to_vec();
+        let extra: Vec<Sample> =
+            [20, 21, 22].map(|robot| sample(robot, frame[0].seq, setup.period_ns())).to_vec();
         crowd.send(&extra);
         source.send(frame);
         assert_eq!(planner.answered(frame).robots.len(), 6);
@@ -490,10 +433,7 @@ fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep
         assert!(named.iter().any(is_it), "{robot}: {named:?}");
     }
     let answers = planner.answers(|_| true);
-    let answers: Answers = answers
-        .into_iter()
-        .filter(|((_, seq), _)| *seq < 40)
-        .collect();
+    let answers: Answers = answers.into_iter().filter(|((_, seq), _)| *seq < 40).collect();
     let compared = assert_same(&clean, &answers, 40 * 6);
     figure(
         "row 21, difference of the first robots",
@@ -513,12 +453,7 @@ fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep
 
 #[test]
 fn row_6_a_forged_run_from_the_far_future_blocks_a_source_for_one_stale_period_only() {
-    let setup = Setup {
-        tick_hz: 100.0,
-        rate_hz: 50.0,
-        stale_after_s: 0.5,
-        ..Setup::default()
-    };
+    let setup = Setup { tick_hz: 100.0, rate_hz: 50.0, stale_after_s: 0.5, ..Setup::default() };
     let arena = Arena::new(&setup);
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -533,10 +468,7 @@ fn row_6_a_forged_run_from_the_far_future_blocks_a_source_for_one_stale_period_o
     });
     let mut impostor = arena.source("fleet");
     for far in [epoch + 3_600_000_000_000, u64::MAX] {
-        let forge = Forge {
-            source_epoch: Some(far),
-            ..Forge::default()
-        };
+        let forge = Forge { source_epoch: Some(far), ..Forge::default() };
         impostor.send_forged(&[sample(0, 0, 1)], forge);
         planner.forecast("the false run is taken for the next one", |frame| {
             let line = frame.robots.iter().find(|line| line.robot == 0)?;
@@ -559,10 +491,7 @@ fn row_6_a_forged_run_from_the_far_future_blocks_a_source_for_one_stale_period_o
     other.finish();
     planner.leave();
     let report = worker.stop().json();
-    assert_ne!(
-        report["samples_dropped"]["OldEpoch"],
-        serde_json::Value::Null
-    );
+    assert_ne!(report["samples_dropped"]["OldEpoch"], serde_json::Value::Null);
     arena.close();
 }
 

@@ -39,10 +39,9 @@ fn works(arena: &Arena, first: u32) -> (Duration, String) {
     let mut controller = arena.controller(&format!("fresh-{first}"), first, 2, 60.0);
     let mut planner = arena.planner();
     let pid = worker.pid();
-    planner.forecast(
-        "a forecast of a fresh worker, controller and planner",
-        |frame| (frame.pid == pid && frame.robot(first).is_some()).then_some(()),
-    );
+    planner.forecast("a forecast of a fresh worker, controller and planner", |frame| {
+        (frame.pid == pid && frame.robot(first).is_some()).then_some(())
+    });
     let elapsed = begin.elapsed();
     let ended = [controller.finish(), planner.leave(), worker.stop()];
     (elapsed, ended.map(|ended| ended.errors()).join("\n"))
@@ -50,10 +49,7 @@ fn works(arena: &Arena, first: u32) -> (Duration, String) {
 
 fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
     let checks = report["checks"].as_array().expect("checks");
-    checks
-        .iter()
-        .find(|check| check["name"] == name)
-        .expect(name)
+    checks.iter().find(|check| check["name"] == name).expect(name)
 }
 
 #[test]
@@ -62,11 +58,7 @@ fn row_18_stale_files_of_dead_runs_are_removed_at_the_next_start_in_one_log_line
     killed_fleet(&arena);
     let mut worker = arena.worker();
     let ended = worker.stop();
-    let lines: Vec<&String> = ended
-        .stderr
-        .iter()
-        .filter(|line| line.contains(CLEANED))
-        .collect();
+    let lines: Vec<&String> = ended.stderr.iter().filter(|line| line.contains(CLEANED)).collect();
     assert_eq!(lines.len(), 1, "{}", ended.errors());
     assert!(lines[0].contains("cold: true"), "{}", lines[0]);
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
@@ -87,23 +79,13 @@ fn row_18_doctor_lists_stale_files_and_removes_them_only_on_request() {
     let found = check(&listed, "stale files");
     assert_ne!(found["status"], "ok", "{listed}");
     let text = found["found"].as_str().unwrap();
-    assert!(
-        text.contains(&format!("{} objects", before.len() - 1)),
-        "{text} {before:?}"
-    );
-    assert!(
-        found["remedy"].as_str().unwrap().contains("--fix"),
-        "{listed}"
-    );
+    assert!(text.contains(&format!("{} objects", before.len() - 1)), "{text} {before:?}");
+    assert!(found["remedy"].as_str().unwrap().contains("--fix"), "{listed}");
 
     let ended = arena.run(&["doctor", "--fix", "--format", "json"]);
     assert_eq!(ended.code(), Some(0), "{ended:?}");
     let mended = ended.json();
-    assert_ne!(
-        mended["mended"].as_array().map_or(0, Vec::len),
-        0,
-        "{mended}"
-    );
+    assert_ne!(mended["mended"].as_array().map_or(0, Vec::len), 0, "{mended}");
     assert_eq!(check(&mended, "stale files")["status"], "ok", "{mended}");
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     works(&arena, 0);
@@ -134,10 +116,8 @@ fn row_18_doctor_does_not_touch_files_in_use() {
     planner.forecast("it works", |frame| frame.robot(10).map(|_| ()));
     let ended = arena.run(&["doctor", "--fix"]);
     assert_eq!(ended.code(), Some(0), "{ended:?}");
-    let newest = planner
-        .forecasts()
-        .last()
-        .map(|frame| (frame.tick, frame.robot(10).map(|line| line.seq)));
+    let newest =
+        planner.forecasts().last().map(|frame| (frame.tick, frame.robot(10).map(|line| line.seq)));
     planner.forecast("and continues", |frame| {
         let now = Some((frame.tick, frame.robot(10).map(|line| line.seq)));
         (now > newest).then_some(())
@@ -160,11 +140,7 @@ fn trap_1_empty_files_do_not_block_a_start_with_or_without_running_processes() {
     };
     killed_fleet(&arena);
     for object in arena.stale_files().iter().filter(|path| path.is_file()) {
-        fs::OpenOptions::new()
-            .write(true)
-            .truncate(true)
-            .open(object)
-            .unwrap();
+        fs::OpenOptions::new().write(true).truncate(true).open(object).unwrap();
     }
     let planted = plant("0.connection");
     let (cold, _) = works(&arena, 0);
@@ -212,20 +188,13 @@ const JOINERS: [Joiner; 3] = [
 fn traced(arena: &Arena, joiner: &Joiner, options: &[&str]) -> Child {
     let inner = (joiner.command)(arena);
     let mut command = Command::new("strace");
-    command
-        .args(["-f", "-qq"])
-        .args(options)
-        .arg(inner.get_program())
-        .args(inner.get_args());
+    command.args(["-f", "-qq"]).args(options).arg(inner.get_program()).args(inner.get_args());
     Child::spawn(joiner.name, command)
 }
 
 fn kill_traced(strace: &Child) {
     let path = format!("/proc/{0}/task/{0}/children", strace.pid());
-    for pid in fs::read_to_string(path)
-        .unwrap_or_default()
-        .split_whitespace()
-    {
+    for pid in fs::read_to_string(path).unwrap_or_default().split_whitespace() {
         if let Some(pid) = pid.parse().ok().and_then(Pid::from_raw) {
             // It may have exited; its parent, strace, has not reaped it then.
             let _ = kill_process(pid, Signal::KILL);
@@ -255,9 +224,7 @@ fn points(arena: &Arena, joiner: &Joiner) -> Vec<(String, u32)> {
         if call.is_empty() || call.starts_with('<') || call == "exit_group" {
             continue;
         }
-        let count = counts
-            .entry((thread.to_owned(), call.to_owned()))
-            .or_default();
+        let count = counts.entry((thread.to_owned(), call.to_owned())).or_default();
         *count += 1;
         if seen.insert((call.to_owned(), *count)) {
             points.push((call.to_owned(), *count));
@@ -268,9 +235,7 @@ fn points(arena: &Arena, joiner: &Joiner) -> Vec<(String, u32)> {
 
 /// Kills joiners at points spread evenly over their start; after each kill, a start must succeed.
 fn killed_while_joining(name: &str, somebody_lives: bool) {
-    let works_here = Command::new("strace")
-        .args(["-qq", "-e", "trace=none", "true"])
-        .output();
+    let works_here = Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output();
     if !works_here.is_ok_and(|output| output.status.success()) {
         println!("skipped: needs strace with the right to trace");
         return;
@@ -294,11 +259,8 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
         for (call, number) in points.iter().skip(step / 2).step_by(step) {
             let trace = format!("trace={call}");
             let inject = format!("inject={call}:signal=SIGKILL:when={number}");
-            let mut victim = traced(
-                &arena,
-                joiner,
-                &["-e", &trace, "-e", &inject, "-o", "/dev/null"],
-            );
+            let mut victim =
+                traced(&arena, joiner, &["-e", &trace, "-e", &inject, "-o", "/dev/null"]);
             // Threads interleave differently: some points are not reached. Then it is killed
             // afterwards.
             if (joiner.is_ready)(&mut victim) {

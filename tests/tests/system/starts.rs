@@ -76,12 +76,7 @@ const WRONG: &[Wrong] = &[
         to: "leave_after_s = 0.5",
         shows: &["leave_after_s", "stale_after_s", "0.5"],
     },
-    Wrong {
-        what: "not TOML",
-        from: "[fleet]",
-        to: "[fleet",
-        shows: &["fleet.toml:1"],
-    },
+    Wrong { what: "not TOML", from: "[fleet]", to: "[fleet", shows: &["fleet.toml:1"] },
     Wrong {
         what: "an unknown built-in platform",
         from: "builtin:gternal",
@@ -109,12 +104,7 @@ fn row_20_an_invalid_config_is_refused_with_line_key_nearest_key_and_unit_and_ex
     arena.worker().stop();
     let mut missed: Vec<String> = Vec::new();
     for wrong in WRONG {
-        assert!(
-            good.contains(wrong.from),
-            "{}: {:?} in {good}",
-            wrong.what,
-            wrong.from
-        );
+        assert!(good.contains(wrong.from), "{}: {:?} in {good}", wrong.what, wrong.from);
         std::fs::write(arena.config(), good.replacen(wrong.from, wrong.to, 1)).unwrap();
         let mut check = Command::new(program("joulebus-under-test"));
         check.args(["config", "check"]).arg(arena.config());
@@ -134,12 +124,7 @@ fn row_20_an_invalid_config_is_refused_with_line_key_nearest_key_and_unit_and_ex
                 }
             }
         }
-        assert_eq!(
-            arena.stale_files(),
-            Vec::<std::path::PathBuf>::new(),
-            "{}",
-            wrong.what
-        );
+        assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new(), "{}", wrong.what);
     }
     assert!(missed.is_empty(), "{}", missed.join("\n"));
     figure(
@@ -165,9 +150,7 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
         let words: Vec<&str> = errors.split_whitespace().collect();
         let before = |word: &str| -> u64 {
             let at = words.iter().position(|found| *found == word).expect(word);
-            words[at - 1]
-                .parse()
-                .unwrap_or_else(|_| words[at - 2].parse().expect(&errors))
+            words[at - 1].parse().unwrap_or_else(|_| words[at - 2].parse().expect(&errors))
         };
         let (needed, free) = (before("needed,"), before("free"));
         assert!(needed > free && free > 0, "{name}: {errors}");
@@ -177,10 +160,7 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
     let mut source = Child::spawn("source", arena.probe(&["source", "fleet"]));
     refused("source", &source.wait());
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
-    figure(
-        "row 24, SIGBUS",
-        format_args!("0; worker refused: {needed} bytes needed, {free} free"),
-    );
+    figure("row 24, SIGBUS", format_args!("0; worker refused: {needed} bytes needed, {free} free"));
     arena.close();
 }
 
@@ -199,15 +179,10 @@ fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works(
         return println!("skipped: setpriv is not installed");
     }
     limited.arg(command.get_program()).args(command.get_args());
-    limited
-        .env("XDG_STATE_HOME", arena.state())
-        .env_remove("STATE_DIRECTORY");
+    limited.env("XDG_STATE_HOME", arena.state()).env_remove("STATE_DIRECTORY");
     let mut worker = Child::spawn("worker", limited);
     let line = worker.wait_for_line("memory was not locked");
-    says(
-        &line,
-        "RLIMIT_MEMLOCK is 64 kB | LimitMEMLOCK=infinity | worker.memory".split(" | "),
-    );
+    says(&line, "RLIMIT_MEMLOCK is 64 kB | LimitMEMLOCK=infinity | worker.memory".split(" | "));
     worker.wait_for_line("ready:");
     let mut source = arena.source("fleet");
     let mut planner = arena.planner();

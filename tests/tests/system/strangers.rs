@@ -27,10 +27,7 @@ impl Programs {
         for name in ["joulebus-probe", "joulebus-under-test"] {
             // In a separate process: a child forked by another test in the meantime would inherit
             // the open file, and a file open for writing cannot be executed (ETXTBSY).
-            let copied = Command::new("cp")
-                .arg(program(name))
-                .arg(&programs.0)
-                .status();
+            let copied = Command::new("cp").arg(program(name)).arg(&programs.0).status();
             assert!(copied.expect("cp").success(), "no room for {name}");
         }
         let works = programs
@@ -71,10 +68,7 @@ fn as_stranger(program: &Path) -> Command {
 
 /// Runs a shell line as the other user; it must succeed.
 fn stranger_does(line: &str) {
-    let status = as_stranger(Path::new("/bin/sh"))
-        .args(["-c", line])
-        .status()
-        .expect("a shell");
+    let status = as_stranger(Path::new("/bin/sh")).args(["-c", line]).status().expect("a shell");
     assert!(status.success(), "{line}");
 }
 
@@ -92,10 +86,8 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
     let mut controller = arena.controller("controller", 20, 2, 30.0);
     planner.forecast("all are there", |frame| frame.robot(20).map(|_| ()));
 
-    let mut intruder = Child::spawn(
-        "intruder",
-        programs.command("joulebus-probe", &["intruder", &config]),
-    );
+    let mut intruder =
+        Child::spawn("intruder", programs.command("joulebus-probe", &["intruder", &config]));
     let ended = intruder.wait();
     assert_eq!(ended.code(), Some(0), "{ended:?}");
     let (tried, worked): (u32, Vec<String>) = serde_json::from_str(&ended.text()).unwrap();
@@ -112,25 +104,16 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
         arguments.push(&config);
         let ended = Child::spawn("stranger", programs.command("joulebus-probe", &arguments)).wait();
         assert_eq!(ended.code(), Some(1), "{arguments:?}: {ended:?}");
-        assert!(
-            ended.errors().contains("belongs to uid"),
-            "{arguments:?}: {ended:?}"
-        );
+        assert!(ended.errors().contains("belongs to uid"), "{arguments:?}: {ended:?}");
     }
     for arguments in [&["run"][..], &["doctor", "--fix"]] {
         let mut arguments = arguments.to_vec();
         arguments.extend(["--config", &config]);
-        let ended = Child::spawn(
-            "stranger",
-            programs.command("joulebus-under-test", &arguments),
-        )
-        .wait();
+        let ended =
+            Child::spawn("stranger", programs.command("joulebus-under-test", &arguments)).wait();
         assert_eq!(ended.code(), Some(1), "{arguments:?}: {ended:?}");
     }
-    assert!(
-        before.iter().all(|path| path.exists()),
-        "a stranger removed something"
-    );
+    assert!(before.iter().all(|path| path.exists()), "a stranger removed something");
     for seq in 0..10 {
         planner.play(&mut source, &[vec![sample(0, seq, setup.period_ns())]]);
     }
@@ -155,26 +138,11 @@ fn row_19_files_created_earlier_by_another_user_are_refused_with_the_owner() {
     let object = format!("/dev/shm/{}squat", arena.domain().shm_prefix());
     let (uid, link) = (format!("uid {STRANGER}"), "symbolic link".to_owned());
     for (what, line, undo, shows) in [
-        (
-            "an open directory",
-            format!("mkdir -m 777 {root}"),
-            "rmdir",
-            &uid,
-        ),
-        (
-            "a private directory",
-            format!("mkdir -m 700 {root}"),
-            "rmdir",
-            &uid,
-        ),
+        ("an open directory", format!("mkdir -m 777 {root}"), "rmdir", &uid),
+        ("a private directory", format!("mkdir -m 700 {root}"), "rmdir", &uid),
         ("a file", format!("touch {root}"), "rm", &uid),
         ("a link", format!("ln -s /tmp {root}"), "rm", &link),
-        (
-            "an object in shared memory",
-            format!("touch {object}"),
-            "rm",
-            &uid,
-        ),
+        ("an object in shared memory", format!("touch {object}"), "rm", &uid),
     ] {
         stranger_does(&line);
         let ended = arena.run(&["run"]);
@@ -186,11 +154,7 @@ fn row_19_files_created_earlier_by_another_user_are_refused_with_the_owner() {
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
         let doctor = arena.run(&["doctor"]);
         assert_eq!(doctor.code(), Some(1), "{what}: {doctor:?}");
-        let place = if what.contains("object") {
-            &object
-        } else {
-            &root
-        };
+        let place = if what.contains("object") { &object } else { &root };
         stranger_does(&format!("{undo} {place}"));
     }
     arena.worker().stop();

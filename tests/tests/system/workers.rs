@@ -15,13 +15,7 @@ const ROBOTS: u32 = 4;
 type Accounts = BTreeMap<u32, Value>;
 
 fn with_ledger() -> Setup {
-    Setup {
-        tick_hz: 100.0,
-        rate_hz: 50.0,
-        stale_after_s: 0.5,
-        ledger: true,
-        ..Setup::default()
-    }
+    Setup { tick_hz: 100.0, rate_hz: 50.0, stale_after_s: 0.5, ledger: true, ..Setup::default() }
 }
 
 /// The ledger file with this extension: generation, and accounts by robot. A file being written
@@ -45,17 +39,12 @@ fn generation(arena: &Arena, ending: &str) -> Option<(u64, Accounts)> {
 /// file.
 fn written_down(arena: &Arena) -> Option<Accounts> {
     let found = ["", ".older", ".new"].map(|ending| generation(arena, ending));
-    let newest = found
-        .into_iter()
-        .flatten()
-        .max_by_key(|(number, _)| *number);
+    let newest = found.into_iter().flatten().max_by_key(|(number, _)| *number);
     newest.map(|(_, accounts)| accounts)
 }
 
 fn number(account: &Value, name: &str) -> u64 {
-    account[name]
-        .as_u64()
-        .unwrap_or_else(|| panic!("{name} in {account}"))
+    account[name].as_u64().unwrap_or_else(|| panic!("{name} in {account}"))
 }
 
 /// Checks every ledger of every frame of budgets: time adds up to the nanosecond, energy to the
@@ -71,21 +60,14 @@ impl Audit {
     fn check(&mut self, frame: &BudgetFrame) {
         for line in frame.robots.iter().filter(|line| line.stamp_ns > 0) {
             let elapsed_ns = line.metered_ns + line.unmetered_ns;
-            let first_ns = *self
-                .first_ns
-                .entry(line.robot)
-                .or_insert(line.stamp_ns - elapsed_ns);
+            let first_ns = *self.first_ns.entry(line.robot).or_insert(line.stamp_ns - elapsed_ns);
             assert_eq!(
                 elapsed_ns,
                 line.stamp_ns - first_ns,
                 "metered + unmetered = elapsed: {line:?}"
             );
             let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
-            assert_eq!(
-                line.drawn_exact(),
-                drawn,
-                "energy over the metered time: {line:?}"
-            );
+            assert_eq!(line.drawn_exact(), drawn, "energy over the metered time: {line:?}");
             self.ledgers += 1;
         }
     }
@@ -114,10 +96,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
                 .then_some((frame.worker_epoch, frame.read_ns))
         });
         to_frame.add_ns(frame_ns - started_ns);
-        assert!(
-            epochs.last().is_none_or(|last| *last < epoch),
-            "a later run has a greater epoch"
-        );
+        assert!(epochs.last().is_none_or(|last| *last < epoch), "a later run has a greater epoch");
         epochs.push(epoch);
         let budgets = planner.until("budgets", |line| match line {
             // The first ticks may precede the first sample.
@@ -135,10 +114,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
                 "robot {robot}: {account} {now:?}"
             );
             let gap_ns = now.unmetered_ns - number(account, "unmetered_ns");
-            assert!(
-                gap_ns > 0,
-                "the gap is unmetered: robot {robot}: {account} {now:?}"
-            );
+            assert!(gap_ns > 0, "the gap is unmetered: robot {robot}: {account} {now:?}");
         }
         let forecast_ns = planner.forecast("the first forecast", |frame| {
             (frame.worker_epoch == epoch && frame.robots.iter().any(|line| line.flags & 1 != 0))
@@ -162,10 +138,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
         let gone_ns = consumer.until("the planner is told", |line| match line {
             // A worker killed during its start may have been detected, and reported gone, before.
             ReaderLine::WorkerGone { end, at_ns } if *at_ns >= killed_ns => {
-                assert_eq!(
-                    end, "Exited",
-                    "seen by the kernel's word, not by a time-out"
-                );
+                assert_eq!(end, "Exited", "seen by the kernel's word, not by a time-out");
                 Some(*at_ns)
             }
             _ => None,
@@ -184,10 +157,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
             _ => None,
         });
         let last = last.expect("budgets have been read");
-        lost.add_ns(
-            last.metered_ns
-                .saturating_sub(number(&after[&0], "metered_ns")),
-        );
+        lost.add_ns(last.metered_ns.saturating_sub(number(&after[&0], "metered_ns")));
     }
     let mut worker = arena.worker();
     planner.forecast("the last restart", |frame| {
@@ -206,10 +176,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
     let ledger = written_down(&arena).expect("a worker that is stopped writes its ledger down");
     assert_eq!(ledger.len(), ROBOTS as usize);
     figure("row 2, start of a worker to its first frame", &to_frame);
-    figure(
-        "row 2, start of a worker to its first forecast (five samples at 50 Hz)",
-        &to_forecast,
-    );
+    figure("row 2, start of a worker to its first forecast (five samples at 50 Hz)", &to_forecast);
     figure("row 2, kill to the planner knowing", &noticed);
     figure("row 2, metered time lost to a kill, now unmetered", &lost);
     figure(
@@ -241,9 +208,8 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     std::fs::write(arena.ledger(), &edited).expect("the arena's own directory");
     let mut worker = arena.worker();
     let pid = worker.pid();
-    let epoch = planner.forecast("the next worker", |frame| {
-        (frame.pid == pid).then_some(frame.worker_epoch)
-    });
+    let epoch = planner
+        .forecast("the next worker", |frame| (frame.pid == pid).then_some(frame.worker_epoch));
     let budgets = planner.until("budgets", |line| match line {
         ReaderLine::Budgets(frame) if frame.worker_epoch == epoch && !frame.robots.is_empty() => {
             Some(frame.clone())
@@ -253,11 +219,7 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     for line in &budgets.robots {
         assert!(line.metered_ns > 0, "the older account goes on: {line:?}");
         let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
-        assert_eq!(
-            line.drawn_exact(),
-            drawn,
-            "and not the edited one: {line:?}"
-        );
+        assert_eq!(line.drawn_exact(), drawn, "and not the edited one: {line:?}");
     }
     controller.finish();
     planner.leave();
@@ -288,10 +250,7 @@ fn a_worker_whose_ledger_cannot_be_saved_at_the_end_says_so_and_ends_with_3() {
     let ended = worker.end();
     assert_eq!(ended.code(), Some(3), "{}", ended.errors());
     assert_eq!(ended.json()["ledger_unsaved"], true);
-    assert!(
-        generation(&arena, "").is_some(),
-        "the newest ledger is whole"
-    );
+    assert!(generation(&arena, "").is_some(), "the newest ledger is whole");
     std::fs::remove_dir_all(&older).expect("the arena's own directory");
     arena.close();
 }
@@ -343,11 +302,7 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
     for _ in 0..rounds {
         let mut racers: Vec<Child> = (0..RACERS).map(|_| arena.spawn_worker()).collect();
         eventually("all but one give up", || {
-            racers
-                .iter_mut()
-                .filter_map(|racer| racer.is_running().then_some(()))
-                .count()
-                == 1
+            racers.iter_mut().filter_map(|racer| racer.is_running().then_some(())).count() == 1
         });
         let at = racers.iter_mut().position(Child::is_running).expect("one");
         let mut owner = racers.swap_remove(at);
@@ -366,10 +321,7 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
     let pid = last.pid();
     planner.forecast("it ticks", |frame| (frame.pid == pid).then_some(()));
     assert_eq!(runs(&mut planner).len() as u64, rounds + 1);
-    figure(
-        "row 17, owners at once",
-        format_args!("1 in {rounds} races of {RACERS}"),
-    );
+    figure("row 17, owners at once", format_args!("1 in {rounds} races of {RACERS}"));
     planner.leave();
     last.stop();
     arena.close();

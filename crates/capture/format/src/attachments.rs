@@ -48,10 +48,7 @@ impl Attachments {
     /// with these clocks.
     #[must_use]
     pub fn begun(created_unix_ns: u64, clock: Clock, boot_id: String) -> Self {
-        let mut attachments = Self {
-            created_unix_ns,
-            ..Self::default()
-        };
+        let mut attachments = Self { created_unix_ns, ..Self::default() };
         attachments.describe("format", FORMAT.to_owned());
         attachments.describe("version", env!("CARGO_PKG_VERSION").to_owned());
         attachments.describe("answer_rules", ANSWER_RULES.to_string());
@@ -78,11 +75,7 @@ impl Attachments {
 
     /// Adds a file.
     pub fn add(&mut self, name: String, media_type: &str, bytes: Vec<u8>) {
-        self.files.push(Attached {
-            name,
-            media_type: media_type.to_owned(),
-            bytes,
-        });
+        self.files.push(Attached { name, media_type: media_type.to_owned(), bytes });
     }
 
     /// Adds a description of this file.
@@ -177,9 +170,7 @@ impl Attachments {
         let hashes = files.map(|file| (file.name.clone(), hex(&file.bytes)));
         records.insert(HASHES.to_owned(), hashes.collect());
         let records = records.into_iter();
-        records
-            .map(|(name, metadata)| mcap::write::Metadata { name, metadata })
-            .collect()
+        records.map(|(name, metadata)| mcap::write::Metadata { name, metadata }).collect()
     }
 }
 

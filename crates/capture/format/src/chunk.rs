@@ -28,14 +28,12 @@ impl Records {
     /// Opcode and body of the next record.
     pub(crate) fn next(&mut self) -> Option<Result<(u8, &[u8]), McapError>> {
         let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
-        let record = rest
-            .split_first_chunk::<HEAD_BYTES>()
-            .and_then(|(head, rest)| {
-                let [opcode, length @ ..] = head;
-                let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-                let body = rest.get(..length)?;
-                is_opcode(*opcode).then_some((*opcode, body))
-            });
+        let record = rest.split_first_chunk::<HEAD_BYTES>().and_then(|(head, rest)| {
+            let [opcode, length @ ..] = head;
+            let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+            let body = rest.get(..length)?;
+            is_opcode(*opcode).then_some((*opcode, body))
+        });
         self.at += record.map_or(rest.len(), |(_, body)| HEAD_BYTES + body.len());
         Some(record.ok_or(McapError::UnexpectedEoc))
     }

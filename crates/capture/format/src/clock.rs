@@ -12,9 +12,7 @@ impl Clock {
     #[must_use]
     pub const fn between(unix_ns: u64, monotonic_ns: u64) -> Self {
         // Both are below 2^63 ns for the next 200 years.
-        Self {
-            offset_ns: unix_ns.wrapping_sub(monotonic_ns) as i64,
-        }
+        Self { offset_ns: unix_ns.wrapping_sub(monotonic_ns) as i64 }
     }
 
     /// Monotonic ns to Unix ns.

@@ -119,15 +119,9 @@ impl<S: Read> Reader<S> {
     /// Also reads messages of these kinds: those of channels that are declared elsewhere.
     #[must_use]
     pub fn with_kinds(mut self, kinds: impl IntoIterator<Item = MessageKind>) -> Self {
-        let Contents {
-            channels,
-            kinds: known,
-            ..
-        } = &mut self.contents;
+        let Contents { channels, kinds: known, .. } = &mut self.contents;
         known.extend(kinds);
-        channels
-            .values_mut()
-            .for_each(|channel| channel.find_kind(known));
+        channels.values_mut().for_each(|channel| channel.find_kind(known));
         self
     }
 
@@ -170,10 +164,7 @@ impl<S: Read> Reader<S> {
                 sequence: header.sequence,
                 source,
             })?,
-            None => Message::Other {
-                schema: Arc::clone(&channel.schema),
-                data: data.to_vec(),
-            },
+            None => Message::Other { schema: Arc::clone(&channel.schema), data: data.to_vec() },
         };
         Ok(Entry {
             topic: Arc::clone(&channel.topic),
@@ -299,9 +290,7 @@ impl Channel {
 fn damage(error: McapError, read_bytes: u64) -> ReadError {
     match error {
         McapError::UnexpectedEof => ReadError::Truncated { bytes: read_bytes },
-        error => ReadError::Damaged {
-            detail: error.to_string(),
-        },
+        error => ReadError::Damaged { detail: error.to_string() },
     }
 }
 

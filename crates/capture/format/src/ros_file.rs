@@ -57,9 +57,7 @@ impl RosFile {
     /// [`WriteError`].
     pub fn in_file(file: File) -> Result<Self, WriteError> {
         let options = mcap::WriteOptions::new().profile("ros2").compression(None);
-        let writer = options
-            .create(BufWriter::new(file))
-            .map_err(|error| failed(&error))?;
+        let writer = options.create(BufWriter::new(file)).map_err(|error| failed(&error))?;
         Ok(Self { writer })
     }
 
@@ -69,12 +67,9 @@ impl RosFile {
     /// [`WriteError`].
     pub fn topic(&mut self, topic: &RosTopic<'_>) -> Result<RosTopicId, WriteError> {
         let schema =
-            self.writer
-                .add_schema(topic.type_name, topic.definition_encoding, topic.definition);
+            self.writer.add_schema(topic.type_name, topic.definition_encoding, topic.definition);
         let schema = schema.map_err(|error| failed(&error))?;
-        let id = self
-            .writer
-            .add_channel(schema, topic.topic, topic.encoding, &BTreeMap::new());
+        let id = self.writer.add_channel(schema, topic.topic, topic.encoding, &BTreeMap::new());
         id.map(RosTopicId).map_err(|error| failed(&error))
     }
 
@@ -83,12 +78,8 @@ impl RosFile {
     /// # Errors
     /// [`WriteError`].
     pub fn message(&mut self, id: RosTopicId, log_ns: u64, data: &[u8]) -> Result<(), WriteError> {
-        let header = MessageHeader {
-            channel_id: id.0,
-            sequence: 0,
-            log_time: log_ns,
-            publish_time: log_ns,
-        };
+        let header =
+            MessageHeader { channel_id: id.0, sequence: 0, log_time: log_ns, publish_time: log_ns };
         let written = self.writer.write_to_known_channel(&header, data);
         written.map_err(|error| failed(&error))
     }
@@ -98,15 +89,10 @@ impl RosFile {
     /// # Errors
     /// [`WriteError`].
     pub fn finish(mut self) -> Result<(), WriteError> {
-        self.writer
-            .finish()
-            .map(drop)
-            .map_err(|error| failed(&error))
+        self.writer.finish().map(drop).map_err(|error| failed(&error))
     }
 }
 
 fn failed(error: &mcap::McapError) -> WriteError {
-    WriteError::Failed {
-        reason: reason(error),
-    }
+    WriteError::Failed { reason: reason(error) }
 }

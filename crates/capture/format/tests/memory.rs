@@ -27,22 +27,16 @@ fn a_long_capture_is_read_in_bounded_memory() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.mcap");
     let settings = CaptureSettings::of(Preset::FastWrite);
-    let mut writer = Writer::new(
-        fs::File::create_new(&path).unwrap(),
-        settings,
-        &Attachments::default(),
-    )
-    .unwrap();
+    let mut writer =
+        Writer::new(fs::File::create_new(&path).unwrap(), settings, &Attachments::default())
+            .unwrap();
     // 100 robots at 30 Hz, with incompressible bits.
     let mut bits = Bits(1);
     let rows = (0..100).map(|_| bits.row()).collect();
     let message = Message::of::<Forecasts>(bits.row(), rows);
     let mut written = 0;
     while writer.bytes() < bytes {
-        let times = Times {
-            log_ns: written * 33_333_333,
-            publish_ns: 0,
-        };
+        let times = Times { log_ns: written * 33_333_333, publish_ns: 0 };
         writer.write("lab", times, &message).unwrap();
         written += 1;
     }

@@ -36,9 +36,7 @@ pub fn attach(configs: &[Config], clock: Clock) -> Result<Attachments, AttachErr
     for config in configs {
         let fleet = config.fleet();
         if attachments.config(fleet).is_some() {
-            return Err(AttachError::TwoOfAName {
-                fleet: fleet.to_owned(),
-            });
+            return Err(AttachError::TwoOfAName { fleet: fleet.to_owned() });
         }
         let bundle = config.bundle()?;
         attachments.add_fleet(fleet, bundle.toml, bundle.files);

@@ -51,20 +51,10 @@ impl CaptureFile {
     /// [`WriteError::Exists`], [`WriteError::Create`].
     pub(crate) fn create(path: &Path) -> Result<Self, WriteError> {
         let file = disk::create_to_append(path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => WriteError::Exists {
-                path: path.to_owned(),
-            },
-            _ => WriteError::Create {
-                path: path.to_owned(),
-                source,
-            },
+            io::ErrorKind::AlreadyExists => WriteError::Exists { path: path.to_owned() },
+            _ => WriteError::Create { path: path.to_owned(), source },
         })?;
-        Ok(Self {
-            path: path.to_owned(),
-            file,
-            bytes: 0,
-            flushed_bytes: Arc::default(),
-        })
+        Ok(Self { path: path.to_owned(), file, bytes: 0, flushed_bytes: Arc::default() })
     }
 
     /// A watch over the file.
@@ -191,10 +181,7 @@ mod tests {
                 assert!(!finished, "{preset:?}, room for {room}");
                 assert_eq!(written + unwritten, GIVEN, "{preset:?}, room for {room}");
                 let mut bytes = Vec::new();
-                let path = format!(
-                    "/proc/self/fd/{}",
-                    std::os::fd::AsRawFd::as_raw_fd(&reading)
-                );
+                let path = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&reading));
                 File::open(&path).unwrap().read_to_end(&mut bytes).unwrap();
                 assert!(whole.starts_with(&bytes), "{preset:?}, room for {room}");
                 let found = readable(Path::new(&path));

@@ -143,11 +143,7 @@ impl Files {
     pub(crate) fn take(&mut self, item: Item) -> Result<(), WriteError> {
         if let Some(snapshot) = self.options.snapshot {
             let alarm = self.snapshot.keep(item, snapshot);
-            return if alarm && snapshot.on_alarm {
-                self.write_down()
-            } else {
-                Ok(())
-            };
+            return if alarm && snapshot.on_alarm { self.write_down() } else { Ok(()) };
         }
         if self.is_full(item.times.log_ns)
             && let Err(error) = self.end().and_then(|()| self.open())
@@ -285,10 +281,9 @@ impl Files {
         };
         let is_file = matches!(out, Out::File(_));
         let watch = match &out {
-            Out::File(file) => Some(file.watch().map_err(|source| WriteError::Create {
-                path: path.clone(),
-                source,
-            })?),
+            Out::File(file) => Some(
+                file.watch().map_err(|source| WriteError::Create { path: path.clone(), source })?,
+            ),
             Out::Stream(_) => None,
         };
         self.attachments.describe("part", self.parts.to_string());
@@ -301,12 +296,7 @@ impl Files {
                 }
             })?;
         self.parts += 1;
-        self.open = Some(Open {
-            path,
-            writer,
-            watch,
-            from_ns: None,
-        });
+        self.open = Some(Open { path, writer, watch, from_ns: None });
         Ok(())
     }
 
@@ -348,10 +338,7 @@ impl Files {
         if self.chosen.len() >= MAX_CHOSEN {
             self.chosen.clear();
         }
-        *self
-            .chosen
-            .entry(key)
-            .or_insert_with(|| choose(&kind.topic(&item.fleet, robot)))
+        *self.chosen.entry(key).or_insert_with(|| choose(&kind.topic(&item.fleet, robot)))
     }
 }
 
@@ -399,11 +386,7 @@ impl KeptItems {
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
         let alarm = self.raises_alarm(&item);
         let from_ns = item.times.log_ns.saturating_sub(snapshot.keep_ns);
-        if item
-            .message
-            .frame::<State>()
-            .is_some_and(|piece| piece.header.offset == 0)
-        {
+        if item.message.frame::<State>().is_some_and(|piece| piece.header.offset == 0) {
             self.keyframes.push_back(item.times.log_ns);
         }
         self.bytes += item.bytes();
@@ -417,11 +400,7 @@ impl KeptItems {
             self.items.pop_front();
         }
         let oldest_ns = self.items.front().map_or(0, |oldest| oldest.times.log_ns);
-        while self
-            .keyframes
-            .front()
-            .is_some_and(|at_ns| *at_ns < oldest_ns)
-        {
+        while self.keyframes.front().is_some_and(|at_ns| *at_ns < oldest_ns) {
             self.keyframes.pop_front();
         }
         alarm
@@ -468,30 +447,14 @@ mod tests {
     use joulebus_capture_format::{Message, Times};
 
     fn item(log_ns: u64, message: Message) -> Item {
-        Item {
-            fleet: Arc::from("lab"),
-            times: Times {
-                log_ns,
-                publish_ns: log_ns,
-            },
-            message,
-        }
+        Item { fleet: Arc::from("lab"), times: Times { log_ns, publish_ns: log_ns }, message }
     }
 
     #[test]
     fn a_snapshot_goes_back_to_the_keyframe_before_its_window_within_its_bytes() {
-        let tick = |at_ns| {
-            item(
-                at_ns,
-                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
-            )
-        };
-        let keyframe = |at_ns| {
-            item(
-                at_ns,
-                Message::of::<State>(StateHeader::default(), Vec::new()),
-            )
-        };
+        let tick = |at_ns| item(at_ns, Message::of::<Ticks>(TickHeader::default(), Vec::new()));
+        let keyframe =
+            |at_ns| item(at_ns, Message::of::<State>(StateHeader::default(), Vec::new()));
         let each = tick(0).bytes();
         // Window of 10; keyframes at these times; capacity in items; oldest item kept at time 100.
         for (keyframes, room, oldest_ns) in [
@@ -504,19 +467,11 @@ mod tests {
             (vec![60], 20, 90),
             (vec![60], 5, 96),
         ] {
-            let snapshot = Snapshot {
-                keep_ns: 10,
-                max_bytes: room * each,
-                on_alarm: false,
-            };
+            let snapshot = Snapshot { keep_ns: 10, max_bytes: room * each, on_alarm: false };
             let mut kept = KeptItems::default();
             for at_ns in 0..=100 {
                 let is_keyframe = keyframes.contains(&at_ns);
-                let item = if is_keyframe {
-                    keyframe(at_ns)
-                } else {
-                    tick(at_ns)
-                };
+                let item = if is_keyframe { keyframe(at_ns) } else { tick(at_ns) };
                 assert!(!kept.keep(item, snapshot));
             }
             let found = kept.items.front().map(|item| item.times.log_ns);
@@ -563,10 +518,7 @@ mod tests {
         };
         let mut failed = false;
         for at_ns in 0..GIVEN {
-            let tick = item(
-                at_ns,
-                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
-            );
+            let tick = item(at_ns, Message::of::<Ticks>(TickHeader::default(), Vec::new()));
             if failed {
                 files.lose(&tick);
             } else {
@@ -587,24 +539,10 @@ mod tests {
     fn a_recording_that_has_begun_passes_over_names_that_are_taken() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let tick = |at_ns| {
-            item(
-                at_ns,
-                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
-            )
-        };
-        let kept = Snapshot {
-            keep_ns: 1_000,
-            max_bytes: 1 << 20,
-            on_alarm: false,
-        };
+        let tick = |at_ns| item(at_ns, Message::of::<Ticks>(TickHeader::default(), Vec::new()));
+        let kept = Snapshot { keep_ns: 1_000, max_bytes: 1 << 20, on_alarm: false };
         let begin = |snapshot, resume| {
-            let options = Options {
-                max_file_ns: 10,
-                snapshot,
-                resume,
-                ..Options::default()
-            };
+            let options = Options { max_file_ns: 10, snapshot, resume, ..Options::default() };
             Files::begin(Target::File(path.clone()), Attachments::default(), options)
         };
         let names = |files: &Files| -> Vec<String> {
@@ -614,12 +552,7 @@ mod tests {
         std::fs::write(folder.path().join("run_1.mcap"), "somebody's").unwrap();
         for (snapshot, resume, times, wanted) in [
             (None, false, 0..4, ["run.mcap", "run_2.mcap", "run_3.mcap"]),
-            (
-                Some(kept),
-                true,
-                0..3,
-                ["run_4.mcap", "run_5.mcap", "run_6.mcap"],
-            ),
+            (Some(kept), true, 0..3, ["run_4.mcap", "run_5.mcap", "run_6.mcap"]),
         ] {
             let mut files = begin(snapshot, resume).unwrap();
             for at in times.clone() {
@@ -633,10 +566,7 @@ mod tests {
             // The first name is refused at the start, also where nothing is written yet.
             for snapshot in [None, Some(kept)] {
                 let refused = begin(snapshot, false).err();
-                assert!(
-                    matches!(refused, Some(WriteError::Exists { .. })),
-                    "{refused:?}"
-                );
+                assert!(matches!(refused, Some(WriteError::Exists { .. })), "{refused:?}");
             }
         }
         std::fs::remove_file(&path).unwrap();
@@ -660,12 +590,8 @@ mod tests {
                 Options::default(),
             )
             .unwrap();
-            let message = |at_ns| {
-                item(
-                    at_ns,
-                    Message::of::<Ticks>(TickHeader::default(), Vec::new()),
-                )
-            };
+            let message =
+                |at_ns| item(at_ns, Message::of::<Ticks>(TickHeader::default(), Vec::new()));
             files.take(message(1)).unwrap();
             files.look(10_000_000_000).unwrap();
             files.check().unwrap();
@@ -700,11 +626,7 @@ mod tests {
 
     #[test]
     fn at_any_capacity_of_the_disk_every_message_is_written_lost_or_kept() {
-        let snapshot = Some(Snapshot {
-            keep_ns: 1_000,
-            max_bytes: 1 << 20,
-            on_alarm: false,
-        });
+        let snapshot = Some(Snapshot { keep_ns: 1_000, max_bytes: 1 << 20, on_alarm: false });
         assert_eq!(record(usize::MAX, snapshot, false), [0, 0, GIVEN]);
         for (snapshot, write_down) in [(None, false), (snapshot, true)] {
             assert_eq!(record(1 << 20, snapshot, write_down), [GIVEN, 0, 0]);

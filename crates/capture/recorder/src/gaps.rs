@@ -54,10 +54,7 @@ pub(crate) struct Found {
 
 impl Gaps {
     pub(crate) fn new(began_ns: u64) -> Self {
-        Self {
-            known_since_ns: began_ns,
-            ..Self::default()
-        }
+        Self { known_since_ns: began_ns, ..Self::default() }
     }
 
     /// Determines the loss before a message of a fleet.
@@ -65,10 +62,7 @@ impl Gaps {
         self.looked += 1;
         let journal = message.frame::<Ticks>();
         let never_sent = journal.map_or(0, |journal| self.left_out(fleet, &journal.header));
-        Found {
-            missing: self.missing_before(fleet, message),
-            never_sent,
-        }
+        Found { missing: self.missing_before(fleet, message), never_sent }
     }
 
     /// A worker whose ticks take too long omits diagnostics, and reports so in its journal, which
@@ -78,12 +72,7 @@ impl Gaps {
             return 0;
         }
         let epoch = header.worker_epoch;
-        let key = (
-            Arc::clone(fleet),
-            MessageKind::of::<Diagnostics>(),
-            0,
-            epoch,
-        );
+        let key = (Arc::clone(fleet), MessageKind::of::<Diagnostics>(), 0, epoch);
         let Some(run) = self.runs.get_mut(&key) else {
             return 0;
         };
@@ -116,12 +105,7 @@ impl Gaps {
             let is_on_demand = kind == MessageKind::of::<PlanStates>();
             let heard_from_the_start = epoch > self.known_since_ns && !is_on_demand;
             let next = if heard_from_the_start { first } else { number };
-            let run = Run {
-                next,
-                last: next,
-                unknown_gap: is_on_demand,
-                ..Run::default()
-            };
+            let run = Run { next, last: next, unknown_gap: is_on_demand, ..Run::default() };
             self.runs.insert(key.clone(), run);
         }
         let Some(run) = self.runs.get_mut(&key) else {
@@ -181,21 +165,12 @@ mod tests {
     use super::*;
 
     fn frame(source_id: u64, source_epoch: u64, frame_seq: u64) -> Message {
-        let header = SampleHeader {
-            source_id,
-            source_epoch,
-            frame_seq,
-            ..SampleHeader::default()
-        };
+        let header = SampleHeader { source_id, source_epoch, frame_seq, ..SampleHeader::default() };
         Message::of::<Samples>(header, Vec::new())
     }
 
     fn tick(worker_epoch: u64, tick: u64) -> Message {
-        let header = ForecastHeader {
-            worker_epoch,
-            tick,
-            ..ForecastHeader::default()
-        };
+        let header = ForecastHeader { worker_epoch, tick, ..ForecastHeader::default() };
         Message::of::<Forecasts>(header, Vec::new())
     }
 
@@ -204,11 +179,8 @@ mod tests {
         let fleet: Arc<str> = "lab".into();
         let mut gaps = Gaps::new(0);
         let mut missing = |tick| {
-            let header = joulebus_wire::PlanStateHeader {
-                worker_epoch: 5,
-                tick,
-                ..Default::default()
-            };
+            let header =
+                joulebus_wire::PlanStateHeader { worker_epoch: 5, tick, ..Default::default() };
             let message = Message::of::<PlanStates>(header, Vec::new());
             gaps.look(&fleet, &message).missing
         };
@@ -237,10 +209,8 @@ mod tests {
         ] {
             let fleet = Arc::from("lab");
             let mut gaps = Gaps::new(100);
-            let found: u64 = messages
-                .iter()
-                .map(|message| gaps.look(&fleet, message).missing)
-                .sum();
+            let found: u64 =
+                messages.iter().map(|message| gaps.look(&fleet, message).missing).sum();
             assert_eq!(found, missing, "{messages:?}");
             // Fleets are independent.
             let other = Arc::from("yard");
@@ -249,11 +219,7 @@ mod tests {
     }
 
     fn diagnostics(tick: u64) -> Message {
-        let header = DiagnosticHeader {
-            worker_epoch: 5,
-            tick,
-            ..DiagnosticHeader::default()
-        };
+        let header = DiagnosticHeader { worker_epoch: 5, tick, ..DiagnosticHeader::default() };
         Message::of::<Diagnostics>(header, Vec::new())
     }
 
@@ -277,10 +243,8 @@ mod tests {
             (vec![tick(5, 7), tick(far, 1), tick(5, 9), tick(5, 10)], 1),
         ] {
             let mut gaps = Gaps::new(far);
-            let found: u64 = messages
-                .iter()
-                .map(|message| gaps.look(&fleet, message).missing)
-                .sum();
+            let found: u64 =
+                messages.iter().map(|message| gaps.look(&fleet, message).missing).sum();
             assert_eq!(found, missing, "{messages:?}");
         }
         let mut gaps = Gaps::new(100);
@@ -321,11 +285,7 @@ mod tests {
             for message in &messages {
                 let found = gaps.look(&fleet, message);
                 let of_diagnostics = message.frame::<Diagnostics>().is_some();
-                sum += if of_diagnostics {
-                    found.missing as i64
-                } else {
-                    0
-                };
+                sum += if of_diagnostics { found.missing as i64 } else { 0 };
                 sum -= found.never_sent as i64;
             }
             assert_eq!(sum, lost, "{messages:?}");

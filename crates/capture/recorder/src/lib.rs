@@ -106,24 +106,14 @@ impl Recorder {
         check_channels(config, options)?;
         let files = Files::begin(target, attachments, options.clone())?;
         let shared = Arc::new(Shared::new(options));
-        let mut recorder = Self {
-            shared,
-            drain: None,
-            streams: Vec::new(),
-            writer: None,
-        };
+        let mut recorder = Self { shared, drain: None, streams: Vec::new(), writer: None };
         recorder.start_drain(config, clock, options)?;
         for stream in streams {
             recorder.start_stream(stream, clock)?;
         }
         let shared = Arc::clone(&recorder.shared);
         recorder.writer = Some(Background::start("joulebus-write", move || {
-            Ok::<_, StartError>(FileWriter {
-                files,
-                shared,
-                clock,
-                note_from_ns: 0,
-            })
+            Ok::<_, StartError>(FileWriter { files, shared, clock, note_from_ns: 0 })
         })?);
         Ok(recorder)
     }

@@ -21,10 +21,7 @@ struct State {
 
 impl Queue {
     pub(crate) fn new(max_bytes: usize) -> Self {
-        Self {
-            state: Mutex::default(),
-            max_bytes,
-        }
+        Self { state: Mutex::default(), max_bytes }
     }
 
     /// Appends the item unless the queue is full; then it is dropped. Returns whether it was

@@ -133,16 +133,9 @@ impl Stage {
             sent_ns: clock::monotonic_ns(),
             ..ForecastHeader::default()
         };
-        let forecast = |robot: usize| Forecast {
-            robot: robot as u32,
-            ..Forecast::default()
-        };
+        let forecast = |robot: usize| Forecast { robot: robot as u32, ..Forecast::default() };
         self.forecasts.send(header, ROBOTS, forecast).unwrap();
-        let header = DiagnosticHeader {
-            worker_epoch,
-            tick,
-            ..DiagnosticHeader::default()
-        };
+        let header = DiagnosticHeader { worker_epoch, tick, ..DiagnosticHeader::default() };
         let diagnostic = |robot: usize| Diagnostic {
             robot: robot as u32,
             alarms: if robot == 3 { alarms } else { 0 },
@@ -155,10 +148,7 @@ impl Stage {
             sent_ns: clock::monotonic_ns(),
             ..BudgetHeader::default()
         };
-        let budget = |robot: usize| Budget {
-            robot: robot as u32,
-            ..Budget::default()
-        };
+        let budget = |robot: usize| Budget { robot: robot as u32, ..Budget::default() };
         self.budgets.send(header, ROBOTS, budget).unwrap();
         let header = PlanStateHeader {
             worker_epoch,
@@ -166,10 +156,7 @@ impl Stage {
             sent_ns: clock::monotonic_ns(),
             ..PlanStateHeader::default()
         };
-        let plan_state = |robot: usize| PlanState {
-            robot: robot as u32,
-            ..PlanState::default()
-        };
+        let plan_state = |robot: usize| PlanState { robot: robot as u32, ..PlanState::default() };
         self.plan_states.send(header, ROBOTS, plan_state).unwrap();
         let header = TickHeader {
             worker_epoch,
@@ -226,14 +213,8 @@ fn lost(summary: &Summary, topic: &str) -> u64 {
     lost.map_or(0, |lost| lost.overwritten + lost.unwritten)
 }
 
-const SERVICES: [&str; 6] = [
-    "samples",
-    "forecasts",
-    "diagnostics",
-    "budgets",
-    "plan_states",
-    "ticks",
-];
+const SERVICES: [&str; 6] =
+    ["samples", "forecasts", "diagnostics", "budgets", "plan_states", "ticks"];
 
 /// Everything sent is written or counted as lost, service by service.
 fn assert_adds_up(found: &[Entry], summary: &Summary, ticks: u64) {
@@ -270,10 +251,7 @@ fn messages_are_written_in_order_causes_before_effects() {
         let journal = entry.message.frame::<Ticks>();
         for frame in journal.map_or(&[][..], |journal| &journal.rows) {
             let frame = (frame.source_id, frame.source_epoch, frame.frame_seq);
-            assert!(
-                frames.contains(&frame),
-                "{frame:?} is taken before it is sent"
-            );
+            assert!(frames.contains(&frame), "{frame:?} is taken before it is sent");
         }
     }
 }
@@ -314,10 +292,7 @@ fn split_files_are_each_complete_and_continue_each_other() {
     let path = stage.path("run.mcap");
     let options = Options {
         max_file_ns: 300_000_000,
-        settings: CaptureSettings {
-            chunk_ns: 1,
-            ..CaptureSettings::default()
-        },
+        settings: CaptureSettings { chunk_ns: 1, ..CaptureSettings::default() },
         ..Options::default()
     };
     let recorder = stage.record(Target::File(path), &options);
@@ -333,10 +308,7 @@ fn split_files_are_each_complete_and_continue_each_other() {
         assert_eq!(path.file_name().unwrap().to_str(), Some(name.as_str()));
         let reader = Reader::open(path).unwrap();
         assert!(reader.attachments().config("rec").is_some());
-        assert_eq!(
-            reader.attachments().about("part"),
-            Some(part.to_string().as_str())
-        );
+        assert_eq!(reader.attachments().about("part"), Some(part.to_string().as_str()));
         let found = entries(path);
         assert_eq!(found.len() as u64, written.messages);
         all.extend(found);
@@ -379,10 +351,7 @@ fn times_that_a_false_frame_states_neither_end_a_file_nor_leave_the_time_of_the_
     let slack_ns = 1_000_000_000;
     for entry in &found {
         let log_ns = entry.log_time_ns;
-        assert!(
-            log_ns + slack_ns >= began_ns && log_ns <= ended_ns + slack_ns,
-            "{log_ns}"
-        );
+        assert!(log_ns + slack_ns >= began_ns && log_ns <= ended_ns + slack_ns, "{log_ns}");
     }
     assert!(found.is_sorted_by_key(|entry| entry.log_time_ns));
 }
@@ -394,19 +363,9 @@ fn existing_files_are_not_changed() {
     std::fs::write(&path, "precious").unwrap();
     let (config, clock) = (&stage.config, host_clock());
     let start = |resume| {
-        let options = Options {
-            resume,
-            ..Options::default()
-        };
+        let options = Options { resume, ..Options::default() };
         let target = Target::File(path.clone());
-        Recorder::start(
-            config,
-            Vec::new(),
-            clock,
-            Attachments::default(),
-            target,
-            &options,
-        )
+        Recorder::start(config, Vec::new(), clock, Attachments::default(), target, &options)
     };
     let refused = start(false).err().unwrap().to_string();
     assert!(refused.contains("run.mcap"), "{refused}");
@@ -450,18 +409,12 @@ fn more_robots_than_a_file_has_channels_are_refused_with_the_numbers() {
         root.display()
     );
     let config = Config::parse(&text, Path::new("/nowhere")).unwrap();
-    let options = Options {
-        per_robot: true,
-        ..Options::default()
-    };
+    let options = Options { per_robot: true, ..Options::default() };
     let target = Target::Stream(Box::new(io::sink()));
     let (clock, none) = (host_clock(), Attachments::default());
     let refused = Recorder::start(&config, Vec::new(), clock, none, target, &options);
     let refused = refused.err().unwrap().to_string();
-    assert!(
-        refused.contains("80009") && refused.contains("65535"),
-        "{refused}"
-    );
+    assert!(refused.contains("80009") && refused.contains("65535"), "{refused}");
     assert!(!root.exists());
 }
 
@@ -495,17 +448,10 @@ impl Write for Disk {
 fn a_slow_disk_causes_counted_message_loss_only() {
     let mut stage = Stage::new();
     let (bytes, held_up) = (Arc::default(), Arc::new(AtomicBool::new(false)));
-    let disk = Disk {
-        bytes: Arc::clone(&bytes),
-        held_up: Arc::clone(&held_up),
-        room: usize::MAX,
-    };
+    let disk = Disk { bytes: Arc::clone(&bytes), held_up: Arc::clone(&held_up), room: usize::MAX };
     let options = Options {
         queue_bytes: 20_000,
-        settings: CaptureSettings {
-            chunk_ns: 1,
-            ..CaptureSettings::default()
-        },
+        settings: CaptureSettings { chunk_ns: 1, ..CaptureSettings::default() },
         ..Options::default()
     };
     let recorder = stage.record(Target::Stream(Box::new(disk)), &options);
@@ -525,10 +471,8 @@ fn a_slow_disk_causes_counted_message_loss_only() {
     let summary = recorder.finish();
     assert_eq!(summary.failure, None);
     let file = bytes.lock().unwrap().clone();
-    let found: Vec<Entry> = Reader::new(Cursor::new(file))
-        .unwrap()
-        .collect::<Result<_, _>>()
-        .unwrap();
+    let found: Vec<Entry> =
+        Reader::new(Cursor::new(file)).unwrap().collect::<Result<_, _>>().unwrap();
     assert_adds_up(&found, &summary, ticks);
     assert!(unwritten(&summary) > 0, "{summary:?}");
 }
@@ -552,10 +496,7 @@ fn a_full_disk_ends_the_capture_with_an_error_and_the_file_is_readable() {
     let ticks = stage.tick;
     let summary = recorder.finish();
     let reason = summary.failure.clone().unwrap();
-    assert!(
-        reason.contains("storage") || reason.contains("space"),
-        "{reason}"
-    );
+    assert!(reason.contains("storage") || reason.contains("space"), "{reason}");
     let file = bytes.lock().unwrap().clone();
     let mut reader = Reader::new(Cursor::new(file)).unwrap();
     assert!(reader.attachments().config("rec").is_some());
@@ -586,11 +527,7 @@ fn a_snapshot_keeps_the_last_seconds_and_saves_them_on_request_and_on_alarm() {
     let mut stage = Stage::new();
     let path = stage.path("alarm.mcap");
     let options = Options {
-        snapshot: Some(Snapshot {
-            keep_ns: 500_000_000,
-            max_bytes: 1 << 20,
-            on_alarm: true,
-        }),
+        snapshot: Some(Snapshot { keep_ns: 500_000_000, max_bytes: 1 << 20, on_alarm: true }),
         ..Options::default()
     };
     let recorder = stage.record(Target::File(path.clone()), &options);
@@ -647,17 +584,10 @@ fn two_fleets_are_recorded_into_one_file() {
     let mut writer = Writer::new(Vec::new(), CaptureSettings::default(), &attachments).unwrap();
     // One frame in five is missing.
     for frame_seq in (0..50_u64).filter(|seq| seq % 5 != 3) {
-        let header = SampleHeader {
-            source_id: 1,
-            source_epoch: 1,
-            frame_seq,
-            ..SampleHeader::default()
-        };
+        let header =
+            SampleHeader { source_id: 1, source_epoch: 1, frame_seq, ..SampleHeader::default() };
         let log_ns = theirs.unix_ns(clock::monotonic_ns());
-        let times = Times {
-            log_ns,
-            publish_ns: log_ns,
-        };
+        let times = Times { log_ns, publish_ns: log_ns };
         let message = Message::of::<Samples>(header, vec![Sample::new(9, frame_seq, 1)]);
         writer.write("yard", times, &message).unwrap();
     }
@@ -667,23 +597,14 @@ fn two_fleets_are_recorded_into_one_file() {
     let streams: Vec<Box<dyn io::Read + Send>> = vec![Box::new(Cursor::new(stream))];
     let both = [stage.config.clone(), other];
     let attachments = attach(&both, here).unwrap();
-    let recorder = Recorder::start(
-        &stage.config,
-        streams,
-        here,
-        attachments,
-        target,
-        &Options::default(),
-    )
-    .unwrap();
+    let recorder =
+        Recorder::start(&stage.config, streams, here, attachments, target, &Options::default())
+            .unwrap();
     stage.play(10);
     let summary = recorder.finish();
     let found = entries(&path);
     assert_adds_up(&found, &summary, 10);
-    let of_yard: Vec<&Entry> = found
-        .iter()
-        .filter(|entry| &*entry.fleet == "yard")
-        .collect();
+    let of_yard: Vec<&Entry> = found.iter().filter(|entry| &*entry.fleet == "yard").collect();
     assert_eq!(of_yard.len(), 40);
     assert_eq!(lost(&summary, "joulebus/yard/samples"), 10);
     // Times are converted to this recording's clock.
@@ -756,10 +677,7 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
     let mut played = bus.reader::<Signals>(&limits).unwrap();
     let channels = [PlayedChannel::of::<Signals>()];
     let mut ports = ReplayPorts::open(&domain, &limits, &channels, &[kind]).unwrap();
-    let recorded = Moment {
-        monotonic_ns: begun_ns,
-        unix_ns: 0,
-    };
+    let recorded = Moment { monotonic_ns: begun_ns, unix_ns: 0 };
     let mut rebase = Rebase::new(recorded, now());
     for entry in found {
         let recorded = entry.message.clone();
@@ -767,17 +685,12 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
         ports.send(&mut message, &mut rebase, 1.0).unwrap();
         let sent = message.frame::<Signals>().unwrap();
         let received = played.take_next().unwrap().unwrap();
-        assert_eq!(
-            (received.header(), received.payload()),
-            (&sent.header, &sent.rows[..])
-        );
+        assert_eq!((received.header(), received.payload()), (&sent.header, &sent.rows[..]));
         let Frame { header, rows } = recorded.frame::<Signals>().unwrap();
         assert_eq!(header.tick, sent.header.tick);
         let moved_ns = sent.rows[3].stamp_ns - rows[3].stamp_ns;
-        let restored = sent.rows.iter().map(|row| Signal {
-            stamp_ns: row.stamp_ns - moved_ns,
-            ..*row
-        });
+        let restored =
+            sent.rows.iter().map(|row| Signal { stamp_ns: row.stamp_ns - moved_ns, ..*row });
         assert_eq!(&restored.collect::<Vec<Signal>>(), rows);
     }
     ports.end();

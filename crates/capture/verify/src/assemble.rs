@@ -42,17 +42,9 @@ pub(super) struct TickParts {
 #[derive(Debug)]
 pub(super) enum Event {
     /// A tick with all its parts. Ticks of a run are in order.
-    Tick {
-        worker_epoch: u64,
-        tick: u64,
-        parts: Box<TickParts>,
-    },
+    Tick { worker_epoch: u64, tick: u64, parts: Box<TickParts> },
     /// A complete keyframe: the state after `tick`.
-    Keyframe {
-        worker_epoch: u64,
-        tick: u64,
-        bytes: Vec<u8>,
-    },
+    Keyframe { worker_epoch: u64, tick: u64, bytes: Vec<u8> },
 }
 
 /// Converts messages to events.
@@ -174,11 +166,7 @@ impl Assembler {
     /// Why a message of `kind` is missing: lost, or never sent because the run ended.
     pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
-        if self.is_over(run, tick) && tick > newest {
-            Loss::End
-        } else {
-            lost
-        }
+        if self.is_over(run, tick) && tick > newest { Loss::End } else { lost }
     }
 
     /// As [`Assembler::lack`], for a frame of samples.
@@ -190,10 +178,7 @@ impl Assembler {
         } else if self.is_young(run, tick) && range.is_none_or(|(oldest, _)| frame_seq < *oldest) {
             Loss::Beginning
         } else {
-            Loss::Samples {
-                source_id,
-                frame_seq,
-            }
+            Loss::Samples { source_id, frame_seq }
         }
     }
 
@@ -201,18 +186,13 @@ impl Assembler {
     fn is_over(&self, run: u64, tick: u64) -> bool {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
-        let is_newest = self
-            .runs
-            .keys()
-            .next_back()
-            .is_none_or(|newest| *newest <= run);
+        let is_newest = self.runs.keys().next_back().is_none_or(|newest| *newest <= run);
         (self.ended || !is_newest) && tick + WINDOW > last
     }
 
     /// Whether `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
-        self.first
-            .is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
+        self.first.is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
     }
 
     fn parts(&mut self, place: Place, kind: MessageKind) -> &mut TickParts {
@@ -232,10 +212,7 @@ impl Assembler {
         let range = self.frame_range.entry(key).or_insert((seq, seq));
         *range = (seq.min(range.0), seq.max(range.1));
         let key = key_of(header);
-        let mut next = self
-            .runs
-            .values_mut()
-            .filter_map(|run| run.ticks.first_entry());
+        let mut next = self.runs.values_mut().filter_map(|run| run.ticks.first_entry());
         let place =
             next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
         match place {
@@ -263,9 +240,8 @@ impl Assembler {
             self.broken_keyframes += u64::from(self.piece.take().is_some());
             return;
         }
-        if let Some((first, whole)) = self
-            .piece
-            .take_if(|(first, sofar)| sofar.len() as u64 >= first.total_bytes)
+        if let Some((first, whole)) =
+            self.piece.take_if(|(first, sofar)| sofar.len() as u64 >= first.total_bytes)
         {
             self.events.push_back(Event::Keyframe {
                 worker_epoch: first.worker_epoch,
@@ -294,15 +270,10 @@ impl Assembler {
                 }
                 let mut parts = Box::new(head.remove());
                 parts.ambiguous = self.frames.ambiguous(&parts.frames);
-                self.events.push_back(Event::Tick {
-                    worker_epoch: *worker_epoch,
-                    tick,
-                    parts,
-                });
+                self.events.push_back(Event::Tick { worker_epoch: *worker_epoch, tick, parts });
             }
         }
-        self.runs
-            .retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
+        self.runs.retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
     }
 }
 
@@ -399,9 +370,7 @@ impl FrameStore {
         for frame in frames.iter().flatten() {
             let key = key_of(&frame.header);
             let waiting = self.frames.get(&key).into_iter().flatten();
-            let mut others = waiting
-                .map(|(_, other)| other)
-                .chain(seen.insert(key, frame));
+            let mut others = waiting.map(|(_, other)| other).chain(seen.insert(key, frame));
             if others.any(|other| *frame != *other) {
                 first.get_or_insert(key);
                 while self.get(key).is_some() {
@@ -444,19 +413,12 @@ mod tests {
     use super::*;
 
     fn frame(frame_seq: u64) -> Message {
-        let header = SampleHeader {
-            frame_seq,
-            ..SampleHeader::default()
-        };
+        let header = SampleHeader { frame_seq, ..SampleHeader::default() };
         Message::of::<Samples>(header, Vec::new())
     }
 
     fn journal(worker_epoch: u64, tick: u64, frames: impl Iterator<Item = u64>) -> Message {
-        let header = TickHeader {
-            worker_epoch,
-            tick,
-            ..TickHeader::default()
-        };
+        let header = TickHeader { worker_epoch, tick, ..TickHeader::default() };
         let taken = frames.map(|frame_seq| TakenFrame {
             source_id: 0,
             source_epoch: 0,
@@ -469,21 +431,9 @@ mod tests {
     }
 
     fn outputs(worker_epoch: u64, tick: u64) -> [Message; 3] {
-        let forecasts = ForecastHeader {
-            worker_epoch,
-            tick,
-            ..ForecastHeader::default()
-        };
-        let diagnostics = DiagnosticHeader {
-            worker_epoch,
-            tick,
-            ..DiagnosticHeader::default()
-        };
-        let budgets = BudgetHeader {
-            worker_epoch,
-            tick,
-            ..BudgetHeader::default()
-        };
+        let forecasts = ForecastHeader { worker_epoch, tick, ..ForecastHeader::default() };
+        let diagnostics = DiagnosticHeader { worker_epoch, tick, ..DiagnosticHeader::default() };
+        let budgets = BudgetHeader { worker_epoch, tick, ..BudgetHeader::default() };
         [
             Message::of::<Forecasts>(forecasts, Vec::new()),
             Message::of::<Diagnostics>(diagnostics, Vec::new()),
@@ -495,12 +445,7 @@ mod tests {
     fn ticks(assembler: &mut Assembler) -> Vec<(u64, u64, bool)> {
         let mut ticks = Vec::new();
         while let Some(event) = assembler.next_event() {
-            if let Event::Tick {
-                worker_epoch,
-                tick,
-                parts,
-            } = event
-            {
+            if let Event::Tick { worker_epoch, tick, parts } = event {
                 let whole = parts.frames.iter().all(Option::is_some);
                 ticks.push((worker_epoch, tick, whole));
             }
@@ -511,16 +456,9 @@ mod tests {
     #[test]
     fn a_tick_gets_its_frames_at_any_order_of_arrival_and_each_frame_once() {
         // Two ticks list the same frame, which was received twice.
-        let (first, second) = (
-            journal(1, 1, [5, 6].into_iter()),
-            journal(1, 2, [6].into_iter()),
-        );
-        let orders: [&[usize]; 4] = [
-            &[0, 1, 2, 3, 4],
-            &[3, 4, 0, 1, 2],
-            &[0, 3, 1, 4, 2],
-            &[4, 2, 3, 1, 0],
-        ];
+        let (first, second) = (journal(1, 1, [5, 6].into_iter()), journal(1, 2, [6].into_iter()));
+        let orders: [&[usize]; 4] =
+            [&[0, 1, 2, 3, 4], &[3, 4, 0, 1, 2], &[0, 3, 1, 4, 2], &[4, 2, 3, 1, 0]];
         let messages = [first, frame(5), frame(6), frame(6), second];
         for order in orders {
             let mut assembler = Assembler::new(Output::all());
@@ -530,11 +468,7 @@ mod tests {
             for message in outputs(1, 1).into_iter().chain(outputs(1, 2)) {
                 assembler.push(message);
             }
-            assert_eq!(
-                ticks(&mut assembler),
-                [(1, 1, true), (1, 2, true)],
-                "{order:?}"
-            );
+            assert_eq!(ticks(&mut assembler), [(1, 1, true), (1, 2, true)], "{order:?}");
             assembler.finish();
             assert_eq!(assembler.untaken_frames(), 0, "{order:?}");
         }
@@ -554,9 +488,7 @@ mod tests {
         for seq in 0..MANY {
             assembler.push(frame(seq));
         }
-        outputs(1, 1)
-            .into_iter()
-            .for_each(|message| assembler.push(message));
+        outputs(1, 1).into_iter().for_each(|message| assembler.push(message));
         assert_eq!(ticks(&mut assembler), [(1, 1, true)]);
     }
 

@@ -58,10 +58,7 @@ impl From<u64> for Value {
 
 impl From<f32> for Value {
     fn from(value: f32) -> Self {
-        Self {
-            bits: value.to_bits().into(),
-            form: Form::Single,
-        }
+        Self { bits: value.to_bits().into(), form: Form::Single }
     }
 }
 
@@ -136,10 +133,7 @@ fn values(field: &FieldLayout, recorded: &[u8], computed: &[u8], differs: Differ
                 let (was, is) = (value(recorded), value(computed));
                 differs(Some(is.bits as u32), ("refused robots", was, is));
             }
-            of => differs(
-                None,
-                (field.name, Value::of(of, recorded), Value::of(of, computed)),
-            ),
+            of => differs(None, (field.name, Value::of(of, recorded), Value::of(of, computed))),
         }
     }
 }

@@ -136,34 +136,23 @@ impl Verifier {
             }
             *last = entry.sequence;
         } else {
-            self.sequences
-                .insert(entry.topic.to_string(), entry.sequence);
+            self.sequences.insert(entry.topic.to_string(), entry.sequence);
         }
     }
 
     fn work(&mut self) {
         while let Some(event) = self.assembler.next_event() {
             match event {
-                Event::Keyframe {
-                    worker_epoch,
-                    tick,
-                    bytes,
-                } => {
+                Event::Keyframe { worker_epoch, tick, bytes } => {
                     self.report.keyframes += 1;
                     // A keyframe of a tick that is already computed is redundant.
                     if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
                         self.keep((worker_epoch, tick), bytes);
                     }
                 }
-                Event::Tick {
-                    worker_epoch,
-                    tick,
-                    parts,
-                } => self.tick(Waiting {
-                    worker_epoch,
-                    tick,
-                    parts,
-                }),
+                Event::Tick { worker_epoch, tick, parts } => {
+                    self.tick(Waiting { worker_epoch, tick, parts })
+                }
             }
             self.resume();
         }
@@ -195,11 +184,7 @@ impl Verifier {
 
     /// Stores a tick until a keyframe arrives.
     fn wait(&mut self, next: Waiting) {
-        if self
-            .waiting
-            .front()
-            .is_some_and(|first| first.worker_epoch != next.worker_epoch)
-        {
+        if self.waiting.front().is_some_and(|first| first.worker_epoch != next.worker_epoch) {
             self.give_up_waiting();
         }
         self.waiting_bytes += next.parts.bytes();
@@ -239,11 +224,8 @@ impl Verifier {
         while let Some(first) = self.waiting.front() {
             let run = first.worker_epoch;
             let from = (run, first.tick.saturating_sub(1));
-            let Some(&(_, tick)) = self
-                .keyframes
-                .range(from..=(run, u64::MAX))
-                .next()
-                .map(|(key, _)| key)
+            let Some(&(_, tick)) =
+                self.keyframes.range(from..=(run, u64::MAX)).next().map(|(key, _)| key)
             else {
                 return;
             };
@@ -290,10 +272,7 @@ impl Verifier {
             return Some(Loss::Unlisted);
         }
         if let Some((source_id, _, frame_seq)) = next.parts.ambiguous {
-            return Some(Loss::Ambiguous {
-                source_id,
-                frame_seq,
-            });
+            return Some(Loss::Ambiguous { source_id, frame_seq });
         }
         let mut frames = journal.rows.iter().zip(&next.parts.frames);
         frames.find_map(|(taken, frame)| match frame {
@@ -324,11 +303,7 @@ impl Verifier {
         let intake = &tick(&mut self.fleet, journal);
         let (fleet, report) = (&self.fleet, &mut self.report);
         report.verified(fleet.len());
-        let computed = RecomputedTick {
-            fleet,
-            journal,
-            intake,
-        };
+        let computed = RecomputedTick { fleet, journal, intake };
         for output in self.assembler.outputs() {
             if let Some(recorded) = parts.output(output.kind) {
                 output.compare(computed, recorded, &mut |what, robot, difference| {

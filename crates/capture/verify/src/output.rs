@@ -37,9 +37,7 @@ pub struct Output {
 
 impl fmt::Debug for Output {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Output")
-            .field("kind", &self.kind)
-            .finish_non_exhaustive()
+        out.debug_struct("Output").field("kind", &self.kind).finish_non_exhaustive()
     }
 }
 
@@ -58,12 +56,7 @@ impl Output {
             };
             let (frame, robots) = (C::SERVICE.name(), tick.fleet.len());
             let mut in_header = |robot, difference| differs(frame, robot, difference);
-            compare::fields(
-                &recorded.header,
-                &header(tick),
-                Some(fields),
-                &mut in_header,
-            );
+            compare::fields(&recorded.header, &header(tick), Some(fields), &mut in_header);
             if recorded.rows.len() != robots {
                 let lengths = (recorded.rows.len() as u64, robots as u64);
                 let difference = ("robots", Value::from(lengths.0), Value::from(lengths.1));
@@ -77,11 +70,7 @@ impl Output {
                 });
             }
         };
-        Self {
-            kind: MessageKind::of::<C>(),
-            is_sent: |_| true,
-            compare: Box::new(compare),
-        }
+        Self { kind: MessageKind::of::<C>(), is_sent: |_| true, compare: Box::new(compare) }
     }
 
     /// All outputs of a worker.
@@ -134,10 +123,7 @@ impl Output {
             },
             budgets,
             // The worker writes them while somebody reads them, and reports so.
-            Self {
-                is_sent: |journal| journal.flags & tick_flag::PLAN_STATES != 0,
-                ..plan_states
-            },
+            Self { is_sent: |journal| journal.flags & tick_flag::PLAN_STATES != 0, ..plan_states },
         ]
     }
 

@@ -264,17 +264,10 @@ impl fmt::Display for Loss {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Journal => write!(out, "its journal was not recorded"),
-            Self::Samples {
-                source_id,
-                frame_seq,
-            } => write!(
-                out,
-                "frame {frame_seq} of source {source_id:016x} was not recorded"
-            ),
-            Self::Ambiguous {
-                source_id,
-                frame_seq,
-            } => write!(
+            Self::Samples { source_id, frame_seq } => {
+                write!(out, "frame {frame_seq} of source {source_id:016x} was not recorded")
+            }
+            Self::Ambiguous { source_id, frame_seq } => write!(
                 out,
                 "other frames claim to be frame {frame_seq} of source {source_id:016x}: another process sends in its name"
             ),
@@ -293,11 +286,7 @@ impl fmt::Display for Difference {
         if let Some(robot) = self.robot {
             write!(out, ", robot {robot}")?;
         }
-        write!(
-            out,
-            ", {}: recorded {}, computed {}",
-            self.field, self.recorded, self.computed
-        )
+        write!(out, ", {}: recorded {}, computed {}", self.field, self.recorded, self.computed)
     }
 }
 
@@ -310,10 +299,7 @@ impl fmt::Display for Verification {
         )?;
         if self.queries > 0 {
             let (verified, all) = (self.queries_verified, self.queries);
-            writeln!(
-                out,
-                "{verified} of {all} answers about plans computed again"
-            )?;
+            writeln!(out, "{verified} of {all} answers about plans computed again")?;
         }
         if let Some(first) = &self.first {
             writeln!(out, "first: {first}")?;
@@ -333,10 +319,7 @@ impl fmt::Display for Verification {
                 "answers about plans follow the rules of another version: only that version (build.json \
                  of the capture) computes them again",
             ),
-            (
-                self.queries_outside,
-                "answers about plans are of ticks outside the verified ones",
-            ),
+            (self.queries_outside, "answers about plans are of ticks outside the verified ones"),
             (self.messages_lost, "messages were lost by the recorder"),
             (self.broken_keyframes, "keyframes are incomplete"),
             (self.refused_keyframes, "keyframes were refused"),

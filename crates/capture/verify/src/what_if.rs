@@ -103,10 +103,7 @@ impl WhatIf {
         others: Vec<Model>,
     ) -> Result<Self, SettingsError> {
         let run = |settings, models| -> Result<ModelRun, SettingsError> {
-            Ok(ModelRun {
-                fleet: Fleet::new(settings, models)?,
-                robots: BTreeMap::new(),
-            })
+            Ok(ModelRun { fleet: Fleet::new(settings, models)?, robots: BTreeMap::new() })
         };
         Ok(Self {
             assembler: Assembler::new(Output::all()),
@@ -159,11 +156,7 @@ impl WhatIf {
 
 impl ModelRun {
     fn tick(&mut self, parts: &TickParts) {
-        let Some(Frame {
-            header,
-            rows: taken,
-        }) = &parts.journal
-        else {
+        let Some(Frame { header, rows: taken }) = &parts.journal else {
             return;
         };
         crate::take(&mut self.fleet, taken, &parts.frames);
@@ -183,10 +176,8 @@ impl RobotRun {
         // Alarms caused by the worker's delay or a charger do not depend on the model.
         let counts =
             |alarm: &Alarm| !matches!(alarm, Alarm::DeadlineMissed | Alarm::OfflineCharging);
-        let raised: AlarmSet = alarms
-            .iter()
-            .filter(counts)
-            .fold(AlarmSet::default(), AlarmSet::with);
+        let raised: AlarmSet =
+            alarms.iter().filter(counts).fold(AlarmSet::default(), AlarmSet::with);
         let newly = raised.iter().filter(|alarm| !self.raised.has(*alarm));
         self.alarms += newly.count() as u64;
         self.ticks_in_alarm += u64::from(raised != AlarmSet::default());

@@ -28,10 +28,7 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
         return Err(UsageError("--acknowledge takes a robot and an alarm".to_owned()).into());
     };
     let robot: u32 = robot.parse().map_err(|_| {
-        UsageError(format!(
-            "{robot:?} is no id of a robot; allowed: 0 to {}",
-            u32::MAX
-        ))
+        UsageError(format!("{robot:?} is no id of a robot; allowed: 0 to {}", u32::MAX))
     })?;
     let alarm = alarm_named(alarm)?;
     let by = name(args.by.as_deref())?;
@@ -44,12 +41,7 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
     let config = args.config.load()?;
     let mut client = PlanClient::with_config(&config, "acknowledge")?;
     client.acknowledge(robot, alarm, &by, WITHIN)?;
-    output.report(&Taken {
-        fleet: config.fleet().to_owned(),
-        robot,
-        alarm: alarm.name(),
-        by,
-    })?;
+    output.report(&Taken { fleet: config.fleet().to_owned(), robot, alarm: alarm.name(), by })?;
     Ok(Outcome::Done)
 }
 
@@ -64,20 +56,14 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
             ));
         }
         let names = Alarm::ALL.map(Alarm::name).join(", ");
-        UsageError(format!(
-            "there is no alarm {name:?} of a robot; allowed: {names}"
-        ))
+        UsageError(format!("there is no alarm {name:?} of a robot; allowed: {names}"))
     })
 }
 
 /// Who acknowledges: as given, or the user.
 fn name(by: Option<&str>) -> Result<String, UsageError> {
     let variables = ["USER", "LOGNAME"].into_iter();
-    let user = || {
-        variables
-            .filter_map(|name| std::env::var(name).ok())
-            .find(|it| !it.is_empty())
-    };
+    let user = || variables.filter_map(|name| std::env::var(name).ok()).find(|it| !it.is_empty());
     by.map(str::to_owned)
         .or_else(user)
         .ok_or_else(|| UsageError("the environment has no USER: say who with --by NAME".to_owned()))
@@ -85,9 +71,7 @@ fn name(by: Option<&str>) -> Result<String, UsageError> {
 
 impl fmt::Display for Taken {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            robot, alarm, by, ..
-        } = self;
+        let Self { robot, alarm, by, .. } = self;
         writeln!(out, "robot {robot}: {alarm} acknowledged by {by}")
     }
 }

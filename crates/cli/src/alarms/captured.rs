@@ -97,8 +97,7 @@ impl Found {
         }
         if others > 0 {
             let name = named();
-            self.damage
-                .push(format!("{name}: {others} messages cannot be read"));
+            self.damage.push(format!("{name}: {others} messages cannot be read"));
         }
         Ok(())
     }
@@ -108,10 +107,8 @@ impl Found {
         if let Some(Frame { header, rows }) = entry.message.frame::<Acknowledgements>() {
             // Unix time, as that of the diagnostics.
             let unix_ns = |row_ns| at_ns.saturating_sub(header.sent_ns.saturating_sub(row_ns));
-            let at_unix = |row: &Acknowledgement| Acknowledgement {
-                at_ns: unix_ns(row.at_ns),
-                ..*row
-            };
+            let at_unix =
+                |row: &Acknowledgement| Acknowledgement { at_ns: unix_ns(row.at_ns), ..*row };
             let rows: Vec<Acknowledgement> = rows.iter().map(at_unix).collect();
             let history = self.fleets.entry(Arc::clone(&entry.fleet)).or_default();
             history.acknowledge(header, &rows, at_ns, drop);
@@ -148,8 +145,7 @@ impl Found {
                 });
             }
         }
-        self.episodes
-            .sort_by_key(|episode| (episode.raised_ns, episode.robot));
+        self.episodes.sort_by_key(|episode| (episode.raised_ns, episode.robot));
         AlarmsReport {
             alarms: self.episodes,
             fleets: self.fleets.keys().map(ToString::to_string).collect(),
@@ -198,9 +194,7 @@ impl fmt::Display for AlarmsReport {
         let widths = self.fleets.iter().map(|fleet| fleet.chars().count());
         let width = widths.max().filter(|_| self.fleets.len() > 1);
         let fleet_column = |fleet: &str| {
-            width.map_or(String::new(), |width| {
-                format!("  {fleet:<0$}", width.max("fleet".len()))
-            })
+            width.map_or(String::new(), |width| format!("  {fleet:<0$}", width.max("fleet".len())))
         };
         if !self.alarms.is_empty() {
             let titles = ["after s", "robot", "alarm", "level", "lasted", "end"];
@@ -213,21 +207,12 @@ impl fmt::Display for AlarmsReport {
         }
         for episode in &self.alarms {
             let after_s = s_between(from_ns, episode.raised_ns);
-            let lasted = episode
-                .lasted_s
-                .map_or(String::new(), |s| Lasting(s).to_string());
+            let lasted = episode.lasted_s.map_or(String::new(), |s| Lasting(s).to_string());
             let by = episode.acknowledged.as_ref().map_or(String::new(), |it| {
                 let after_s = s_between(episode.raised_ns, it.at_unix_ns);
                 format!(", acknowledged by {} after {}", it.by, Lasting(after_s))
             });
-            let Episode {
-                fleet,
-                robot,
-                alarm,
-                level,
-                end,
-                ..
-            } = episode;
+            let Episode { fleet, robot, alarm, level, end, .. } = episode;
             let fleet = fleet_column(fleet);
             writeln!(
                 out,

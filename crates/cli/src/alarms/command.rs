@@ -38,12 +38,7 @@ impl OnAlarm {
             .name("joulebus-on-alarm".to_owned())
             .spawn(move || run_all(&command, &waiting, &ends))
             .context("cannot start a thread for --on-alarm")?;
-        Ok(Self {
-            lines: Some(lines),
-            thread: Some(thread),
-            ending,
-            untold: 0,
-        })
+        Ok(Self { lines: Some(lines), thread: Some(thread), ending, untold: 0 })
     }
 
     /// Hands a change to the command, unless too many are waiting.
@@ -55,9 +50,7 @@ impl OnAlarm {
             self.untold += 1;
             if self.untold.is_power_of_two() {
                 let untold = self.untold;
-                say(&format!(
-                    "--on-alarm is too slow: {untold} changes were not told so far"
-                ));
+                say(&format!("--on-alarm is too slow: {untold} changes were not told so far"));
             }
         }
     }
@@ -104,22 +97,13 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
     let mut child = Command::new("sh")
         .args(["-c", command])
         .env("JOULEBUS_FLEET", &line.0.fleet)
-        .env(
-            "JOULEBUS_ROBOT",
-            shown(line.0.robot.map(|robot| robot.to_string())),
-        )
+        .env("JOULEBUS_ROBOT", shown(line.0.robot.map(|robot| robot.to_string())))
         .env("JOULEBUS_ALARM", line.0.alarm)
         .env("JOULEBUS_LEVEL", line.0.level)
         .env("JOULEBUS_CHANGE", line.0.change)
         .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
-        .env(
-            "JOULEBUS_BY",
-            shown(line.0.acknowledged.as_ref().map(|it| it.by.clone())),
-        )
-        .env(
-            "JOULEBUS_LASTED_S",
-            shown(line.0.lasted_s.map(|s| s.to_string())),
-        )
+        .env("JOULEBUS_BY", shown(line.0.acknowledged.as_ref().map(|it| it.by.clone())))
+        .env("JOULEBUS_LASTED_S", shown(line.0.lasted_s.map(|s| s.to_string())))
         .stdin(Stdio::null())
         // Results of the verb stay alone on stdout.
         .stdout(Stdio::null())
@@ -170,10 +154,7 @@ mod tests {
             level: "warn",
             change: "cleared",
             lasted_s: Some(2.5),
-            acknowledged: Some(AcknowledgedRecord {
-                by: "ann".to_owned(),
-                at_unix_ns: 1,
-            }),
+            acknowledged: Some(AcknowledgedRecord { by: "ann".to_owned(), at_unix_ns: 1 }),
             card: None,
         })
     }

@@ -22,9 +22,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         command: args.on_alarm.clone().map(OnAlarm::start).transpose()?,
         output,
     };
-    let until = args
-        .duration
-        .map_or("until Ctrl-C".to_owned(), |s| format!("for {s} s"));
+    let until = args.duration.map_or("until Ctrl-C".to_owned(), |s| format!("for {s} s"));
     say(&format!("alarms of fleet {}, {until}", config.fleet()));
     let length_ns = args.duration.map_or(u64::MAX, |s| (s * 1e9) as u64);
     let until_ns = clock::monotonic_ns().saturating_add(length_ns);

@@ -60,11 +60,7 @@ impl AlarmLog {
                 failed: false,
             })
         })?;
-        Ok(Self {
-            thread,
-            report,
-            may_open,
-        })
+        Ok(Self { thread, report, may_open })
     }
 
     /// Opens the diagnostics, once the worker holds the fleet's lock.
@@ -208,10 +204,7 @@ fn ids_are_shown_as_ranges_and_not_without_end() {
     for (ids, shown) in [
         (&[7][..], "7".to_owned()),
         (&[0, 1, 2, 5, 7, 8], "0-2, 5, 7-8".to_owned()),
-        (
-            &[u32::MAX - 1, u32::MAX],
-            "4294967294-4294967295".to_owned(),
-        ),
+        (&[u32::MAX - 1, u32::MAX], "4294967294-4294967295".to_owned()),
         (&odd, {
             let first: Vec<String> = odd[..16].iter().map(u32::to_string).collect();
             format!("{} and 84 more", first.join(", "))
@@ -233,11 +226,7 @@ fn log(change: &AlarmChange) {
             tracing::warn!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
         }
         (Change::Acknowledged, _) => {
-            let by = change
-                .acknowledged
-                .as_ref()
-                .map(|row| row.by())
-                .unwrap_or_default();
+            let by = change.acknowledged.as_ref().map(|row| row.by()).unwrap_or_default();
             tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, by, "alarm acknowledged by {by}");
         }
         (Change::Cleared | Change::Left, _) => {

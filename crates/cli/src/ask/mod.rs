@@ -71,12 +71,7 @@ pub(crate) struct Args {
     )]
     return_to: Option<ReturnTo>,
     /// Where the dock of `--return dock` is, m [default: where the path begins]
-    #[arg(
-        long,
-        value_name = "X,Y",
-        requires = "return_to",
-        allow_hyphen_values = true
-    )]
+    #[arg(long, value_name = "X,Y", requires = "return_to", allow_hyphen_values = true)]
     dock: Option<Place>,
     /// Speed where the path file states none, m/s [default: the platform's greatest]
     #[arg(long, value_name = "M/S", conflicts_with = "idle")]
@@ -129,22 +124,11 @@ impl Args {
                     ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
                     ReturnTo::At(place) => place.0,
                 });
-                Plan::Follow {
-                    robots,
-                    path,
-                    back_to,
-                }
+                Plan::Follow { robots, path, back_to }
             }
-            None => Plan::Idle {
-                robots,
-                duration_s: self.idle.unwrap_or_default(),
-            },
+            None => Plan::Idle { robots, duration_s: self.idle.unwrap_or_default() },
         };
-        Question {
-            plan,
-            coverage: self.coverage,
-            power: self.power,
-        }
+        Question { plan, coverage: self.coverage, power: self.power }
     }
 
     /// Answers here, from shared memory.
@@ -163,14 +147,12 @@ impl Args {
     /// Lets the worker answer.
     fn send(&self, config: &Config, question: &Question) -> anyhow::Result<AnswersReport> {
         let mut client = PlanClient::with_config(config, "ask")?;
-        let answered = client
-            .ask(question, PATIENCE)
-            .map_err(|error| match error {
-                ClientError::Refused(refused) if is_wrong(refused.reason) => {
-                    UsageError(refused.text).into()
-                }
-                error => anyhow::Error::from(error),
-            })?;
+        let answered = client.ask(question, PATIENCE).map_err(|error| match error {
+            ClientError::Refused(refused) if is_wrong(refused.reason) => {
+                UsageError(refused.text).into()
+            }
+            error => anyhow::Error::from(error),
+        })?;
         let of = (answered.tick, answered.age_ns);
         Ok(self.report(config, of, &answered.reply))
     }

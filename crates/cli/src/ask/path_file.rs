@@ -40,43 +40,28 @@ fn parse(text: &str) -> Result<Rows, String> {
     let lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
     let mut lines = lines.filter(|(line, _)| !line.trim().is_empty());
     let expected = "expected the columns x_m,y_m and, if wanted, speed_mps";
-    let (head, _) = lines
-        .next()
-        .ok_or_else(|| format!("is empty: {expected}"))?;
+    let (head, _) = lines.next().ok_or_else(|| format!("is empty: {expected}"))?;
     let names: Vec<&str> = head.split(',').map(str::trim).collect();
     let column = |name: &str| names.iter().position(|found| *found == name);
     let twice = (1..names.len()).find(|at| names[..*at].contains(&names[*at]));
     if let Some(at) = twice {
         return Err(format!("line 1 has {:?} twice: {expected}", names[at]));
     }
-    let unknown = names
-        .iter()
-        .find(|name| !["x_m", "y_m", "speed_mps"].contains(name));
+    let unknown = names.iter().find(|name| !["x_m", "y_m", "speed_mps"].contains(name));
     let (Some(x), Some(y), None) = (column("x_m"), column("y_m"), unknown) else {
         return Err(format!("line 1 is {head:?}: {expected}"));
     };
-    let mut rows = Rows {
-        points: Vec::new(),
-        speed_mps: Vec::new(),
-    };
+    let mut rows = Rows { points: Vec::new(), speed_mps: Vec::new() };
     for (line, number) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         if cells.len() != names.len() {
             let (found, allowed) = (cells.len(), names.len());
-            return Err(format!(
-                "line {number} has {found} values, the header {allowed}"
-            ));
+            return Err(format!("line {number} has {found} values, the header {allowed}"));
         }
         let value = |at: usize| {
-            let parsed = cells[at]
-                .parse::<f64>()
-                .ok()
-                .filter(|value| value.is_finite());
+            let parsed = cells[at].parse::<f64>().ok().filter(|value| value.is_finite());
             parsed.ok_or_else(|| {
-                format!(
-                    "line {number}: {} = {:?} is no number",
-                    names[at], cells[at]
-                )
+                format!("line {number}: {} = {:?} is no number", names[at], cells[at])
             })
         };
         rows.points.push(Point::new(value(x)?, value(y)?));

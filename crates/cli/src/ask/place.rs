@@ -19,12 +19,7 @@ impl FromStr for Place {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let number = |text: &str| {
-            text.trim()
-                .parse::<f64>()
-                .ok()
-                .filter(|value| value.is_finite())
-        };
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
         let point = text.split_once(',').and_then(|(x, y)| {
             let (x_m, y_m) = (number(x)?, number(y)?);
             Some(Self(Point::new(x_m, y_m)))
@@ -54,9 +49,7 @@ mod tests {
         assert_eq!("1.5,-0.2".parse(), Ok(Place(Point::new(1.5, -0.2))));
         assert_eq!(" 3 , 4 ".parse(), Ok(Place(Point::new(3.0, 4.0))));
         assert_eq!("dock".parse(), Ok(ReturnTo::Dock));
-        for text in [
-            "", "1", "1,", ",1", "1,2,3", "1;2", "nan,1", "1,inf", "home",
-        ] {
+        for text in ["", "1", "1,", ",1", "1,2,3", "1;2", "nan,1", "1,inf", "home"] {
             assert!(text.parse::<Place>().is_err(), "{text:?}");
             let error = text.parse::<ReturnTo>().expect_err(text);
             assert!(error.contains("dock"), "{error}");

@@ -52,24 +52,16 @@ impl Account {
         let sent: u64 = sources.iter().map(|run| run.sent).sum();
         let accepted: u64 = workers.iter().map(|run| run.accepted).sum();
         let mut dropped = BTreeMap::new();
-        for (reason, count) in workers
-            .iter()
-            .flat_map(|run| run.dropped.iter().collect::<Vec<_>>())
+        for (reason, count) in workers.iter().flat_map(|run| run.dropped.iter().collect::<Vec<_>>())
         {
             if reason != DropReason::BeforeJoin || workers.len() == 1 {
                 *dropped.entry(reason.name()).or_default() += count;
             }
         }
         let told = accepted + dropped.values().sum::<u64>();
-        let lost_between_workers = if workers.len() > 1 {
-            sent.saturating_sub(told)
-        } else {
-            0
-        };
+        let lost_between_workers = if workers.len() > 1 { sent.saturating_sub(told) } else { 0 };
         let overall = i128::from(sent) - i128::from(told) - i128::from(lost_between_workers);
-        let last = workers
-            .last()
-            .map_or(overall, |last| difference(sources, last));
+        let last = workers.last().map_or(overall, |last| difference(sources, last));
         Self {
             sent,
             accepted,
@@ -92,11 +84,7 @@ fn difference(sources: &[SourceRun], worker: &WorkerAccount) -> i128 {
         // It has received nothing, and accounts for nothing.
         return 0;
     };
-    let sent: u64 = sources
-        .iter()
-        .filter(|run| run.epoch >= first)
-        .map(|run| run.sent)
-        .sum();
+    let sent: u64 = sources.iter().filter(|run| run.epoch >= first).map(|run| run.sent).sum();
     i128::from(sent) - i128::from(worker.accepted) - i128::from(worker.dropped.total())
 }
 
@@ -105,11 +93,7 @@ mod tests {
     use super::*;
 
     fn source(epoch: u64, sent: u64) -> SourceRun {
-        SourceRun {
-            epoch,
-            sent,
-            unsure: 0,
-        }
+        SourceRun { epoch, sent, unsure: 0 }
     }
 
     fn worker(accepted: u64, drops: &[(DropReason, u64)], first: u64) -> WorkerAccount {
@@ -117,11 +101,7 @@ mod tests {
         for (reason, count) in drops {
             dropped.add(*reason, *count);
         }
-        WorkerAccount {
-            accepted,
-            dropped,
-            first_source_epoch: Some(first),
-        }
+        WorkerAccount { accepted, dropped, first_source_epoch: Some(first) }
     }
 
     #[test]
@@ -144,10 +124,7 @@ mod tests {
 
     #[test]
     fn a_worker_that_received_nothing_of_what_was_sent_does_not_add_up() {
-        let deaf = WorkerAccount {
-            first_source_epoch: None,
-            ..worker(0, &[], 0)
-        };
+        let deaf = WorkerAccount { first_source_epoch: None, ..worker(0, &[], 0) };
         assert!(!Account::new(&[source(1, 5)], &[deaf]).adds_up());
         assert!(!Account::new(&[source(1, 5)], &[]).adds_up());
         assert!(Account::new(&[], &[deaf]).adds_up());
@@ -165,10 +142,7 @@ mod tests {
         assert_eq!(account.dropped, BTreeMap::from([("Backlog", 2)]));
         // The second one has lost a sample without reporting it.
         let forgetful = worker(49, &[(BeforeJoin, 50)], 1);
-        assert_eq!(
-            Account::new(&[source(1, 100)], &[killed, forgetful]).difference,
-            1
-        );
+        assert_eq!(Account::new(&[source(1, 100)], &[killed, forgetful]).difference, 1);
         // Both accept the same samples.
         let greedy = worker(100, &[], 1);
         assert!(!Account::new(&[source(1, 100)], &[killed, greedy]).adds_up());
@@ -176,10 +150,7 @@ mod tests {
 
     #[test]
     fn a_killed_source_is_known_up_to_one_frame() {
-        let killed = SourceRun {
-            unsure: 20,
-            ..source(1, 80)
-        };
+        let killed = SourceRun { unsure: 20, ..source(1, 80) };
         let sources = [killed, source(2, 40)];
         assert!(Account::new(&sources, &[worker(140, &[], 1)]).adds_up());
         assert!(!Account::new(&sources, &[worker(141, &[], 1)]).adds_up());

@@ -29,15 +29,7 @@ pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
 
 /// Named after the time, so that no file is overwritten.
 fn usual() -> PathBuf {
-    let Utc {
-        year,
-        month,
-        day,
-        hour,
-        minute,
-        second,
-        ..
-    } = Utc::of(clock::unix_ns());
+    let Utc { year, month, day, hour, minute, second, .. } = Utc::of(clock::unix_ns());
     PathBuf::from(format!(
         "joulebus-demo-{year}{month:02}{day:02}T{hour:02}{minute:02}{second:02}Z.mcap"
     ))
@@ -64,9 +56,6 @@ impl Captured {
     /// Parses the recorder's report.
     pub(super) fn read(report: &str, path: &Path) -> Option<Self> {
         let read: Self = serde_json::from_str(report).ok()?;
-        Some(Self {
-            path: path.to_owned(),
-            ..read
-        })
+        Some(Self { path: path.to_owned(), ..read })
     }
 }

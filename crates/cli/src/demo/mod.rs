@@ -71,9 +71,7 @@ pub(crate) struct Args {
 }
 
 fn duration(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text
-        .parse()
-        .map_err(|_| format!("{text:?} is not a number (s)"))?;
+    let seconds: f64 = text.parse().map_err(|_| format!("{text:?} is not a number (s)"))?;
     if (0.1..=1e7).contains(&seconds) {
         Ok(seconds)
     } else {
@@ -150,9 +148,7 @@ struct Demo<'a> {
 impl Demo<'_> {
     /// What is about to be shown.
     fn purpose(&self) -> String {
-        let Args {
-            robots, duration, ..
-        } = self.args;
+        let Args { robots, duration, .. } = self.args;
         let mut text = format!(
             "{robots} simulated robots with batteries, a worker and a planner as processes of their own, for {duration} s"
         );
@@ -166,8 +162,7 @@ impl Demo<'_> {
     /// Starts, shows and ends everything in order.
     fn play(&mut self, place: &Place, stop: &Stop) -> anyhow::Result<Summary> {
         self.supervisor.add(task(WORKER, place, &["run"]));
-        self.supervisor
-            .add(task(PLANNER, place, &["watch", "--summary"]));
+        self.supervisor.add(task(PLANNER, place, &["watch", "--summary"]));
         if let Some(capture) = &self.capture {
             self.supervisor.add(recorder(place, capture));
         }
@@ -311,20 +306,14 @@ impl Demo<'_> {
         let mut sources: Vec<SourceRun> = board
             .sent
             .iter()
-            .map(|(epoch, sent)| SourceRun {
-                epoch: *epoch,
-                sent: *sent,
-                unsure: frame,
-            })
+            .map(|(epoch, sent)| SourceRun { epoch: *epoch, sent: *sent, unsure: frame })
             .collect();
         match (sources.last_mut(), told) {
             (Some(last), Some(told)) => (last.sent, last.unsure) = (told, 0),
             // The reporting run was not observed by any worker.
-            (None, Some(told)) if told > 0 => sources.push(SourceRun {
-                epoch: 0,
-                sent: told,
-                unsure: 0,
-            }),
+            (None, Some(told)) if told > 0 => {
+                sources.push(SourceRun { epoch: 0, sent: told, unsure: 0 })
+            }
             _ => {}
         }
         let workers: Vec<WorkerAccount> = board
@@ -342,11 +331,7 @@ impl Demo<'_> {
     /// Processes that died and were restarted.
     fn deaths(&self) -> Vec<String> {
         let died = |event: &&Event| matches!(event, Event::Exited { .. });
-        self.events
-            .iter()
-            .filter(died)
-            .map(ToString::to_string)
-            .collect()
+        self.events.iter().filter(died).map(ToString::to_string).collect()
     }
 }
 

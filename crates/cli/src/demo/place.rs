@@ -48,12 +48,8 @@ impl Place {
     pub(super) fn make(robots: u32) -> anyhow::Result<Self> {
         remove_dead();
         let root = PathBuf::from(format!("{}-{}", stem(), std::process::id()));
-        let demo = Demo {
-            fleet: FLEET.to_owned(),
-            root: root.clone(),
-            prefix: PREFIX.to_owned(),
-            robots,
-        };
+        let demo =
+            Demo { fleet: FLEET.to_owned(), root: root.clone(), prefix: PREFIX.to_owned(), robots };
         // That of a killed demo with this process id would have been removed: it belongs to a live
         // one.
         fs::DirBuilder::new()
@@ -64,12 +60,7 @@ impl Place {
         let written = write_locked(&file, &demo.toml());
         let lock = written.with_context(|| format!("cannot write {}", file.display()))?;
         let config = Config::load(&file).context("the built-in config was refused")?;
-        Ok(Self {
-            domain: config.domain()?,
-            root,
-            config,
-            _lock: lock,
-        })
+        Ok(Self { domain: config.domain()?, root, config, _lock: lock })
     }
 
     pub(super) const fn config(&self) -> &Config {
@@ -123,11 +114,7 @@ fn stem() -> String {
 }
 
 fn write_locked(path: &Path, text: &str) -> std::io::Result<File> {
-    let mut file = fs::OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(path)?;
+    let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
     flock(&file, FlockOperation::NonBlockingLockExclusive)?;
     file.write_all(text.as_bytes())?;
     Ok(file)

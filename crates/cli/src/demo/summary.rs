@@ -100,11 +100,7 @@ impl Summary {
         let stand_out: Vec<StandsOut> = board
             .raised
             .iter()
-            .filter(|(_, raised)| {
-                raised
-                    .iter()
-                    .any(|raised| raised.alarm.level() != Level::Ok)
-            })
+            .filter(|(_, raised)| raised.iter().any(|raised| raised.alarm.level() != Level::Ok))
             .map(|(robot, raised)| stands_out(board, *robot, raised, planted))
             .collect();
         let unnoticed = |planted: &&Planted| {
@@ -116,11 +112,7 @@ impl Summary {
             seed,
             duration_s,
             workers: board.workers(),
-            ticks: Ticks {
-                done,
-                skipped,
-                late,
-            },
+            ticks: Ticks { done, skipped, late },
             adds_up: samples.adds_up(),
             samples,
             planner,
@@ -200,11 +192,7 @@ impl Summary {
             out,
             "forecasts  {} readings scored{}",
             count(scores.scored),
-            if self.workers > 1 {
-                " by the last worker"
-            } else {
-                ""
-            }
+            if self.workers > 1 { " by the last worker" } else { "" }
         )?;
         let line = "persistence";
         writeln!(out, "  {:<18}{:>9} {line:>12}", "", "forecast")?;
@@ -251,29 +239,15 @@ impl Summary {
                 .iter()
                 .map(|reason| format!("{} at {:.1} s", reason.reason, reason.at_s))
                 .collect();
-            writeln!(
-                out,
-                "  {:>4}  {:<6} {}",
-                robot.robot,
-                robot.level,
-                reasons.join(", ")
-            )?;
+            writeln!(out, "  {:>4}  {:<6} {}", robot.robot, robot.level, reasons.join(", "))?;
             if let Some(planted) = &robot.planted {
                 let (means, from_s) = (planted.means, planted.from_s);
                 writeln!(out, "               planted: {means}, from {from_s} s on")?;
             }
         }
         for planted in &self.unnoticed {
-            let Planted {
-                robot,
-                means,
-                from_s,
-                ..
-            } = planted;
-            writeln!(
-                out,
-                "  {robot:>4}  not noticed: {means}, from {from_s} s on"
-            )?;
+            let Planted { robot, means, from_s, .. } = planted;
+            writeln!(out, "  {robot:>4}  not noticed: {means}, from {from_s} s on")?;
         }
         Ok(())
     }
@@ -288,36 +262,19 @@ fn stands_out(board: &Board, robot: u32, raised: &[Raised], planted: &[Planted])
         level: row.map_or("gone", |row| row.level().name()),
         reasons: raised
             .iter()
-            .map(|raised| Reason {
-                reason: raised.alarm.name(),
-                at_s: raised.at_s,
-            })
+            .map(|raised| Reason { reason: raised.alarm.name(), at_s: raised.at_s })
             .collect(),
         bias_w: bias_w.filter(|bias_w| bias_w.is_finite()),
-        planted: planted
-            .iter()
-            .find(|planted| planted.robot == robot)
-            .cloned(),
+        planted: planted.iter().find(|planted| planted.robot == robot).cloned(),
     }
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (robots, seed, duration_s) = (self.robots, self.seed, self.duration_s);
-        writeln!(
-            out,
-            "\ndemo       {robots} robots, seed {seed}, {duration_s:.1} s"
-        )?;
-        let Ticks {
-            done,
-            skipped,
-            late,
-        } = self.ticks;
-        writeln!(
-            out,
-            "ticks      {} done, {skipped} skipped, {late} late",
-            count(done)
-        )?;
+        writeln!(out, "\ndemo       {robots} robots, seed {seed}, {duration_s:.1} s")?;
+        let Ticks { done, skipped, late } = self.ticks;
+        writeln!(out, "ticks      {} done, {skipped} skipped, {late} late", count(done))?;
         self.samples_text(out)?;
         match &self.planner {
             Some(planner) => write!(
@@ -340,10 +297,7 @@ impl fmt::Display for Summary {
             writeln!(out, "memory     nothing left behind")
         } else {
             let (objects, nodes) = (left.objects, left.nodes);
-            writeln!(
-                out,
-                "memory     LEFT BEHIND: {objects} objects, {nodes} nodes"
-            )
+            writeln!(out, "memory     LEFT BEHIND: {objects} objects, {nodes} nodes")
         }
     }
 }

@@ -26,12 +26,7 @@ pub(super) fn models(config: &Config) -> Check {
             let platforms = config.settings().platforms.iter().zip(&models);
             let names: Vec<String> = platforms
                 .map(|(platform, model)| {
-                    format!(
-                        "{} by {} ({:016x})",
-                        platform.name,
-                        model.name(),
-                        model.hash()
-                    )
+                    format!("{} by {} ({:016x})", platform.name, model.name(), model.hash())
                 })
                 .collect();
             Check::ok("models", names.join(", "))
@@ -83,12 +78,7 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
             );
             let remedy =
                 "lower `capacity`, `max_sources` or `max_planners`, if they are not needed";
-            Check::new(
-                "shared memory",
-                Status::Warn,
-                format!("{found}; {what}"),
-                remedy,
-            )
+            Check::new("shared memory", Status::Warn, format!("{found}; {what}"), remedy)
         }
         _ => Check::ok("shared memory", found),
     }
@@ -144,11 +134,7 @@ fn missing_root(root: &Path, slow: &str) -> Check {
     let above = root.parent().unwrap_or(Path::new("/"));
     let found = format!("{} will be created", root.display());
     if let Err(error) = access(above, Access::WRITE_OK | Access::EXEC_OK) {
-        let found = format!(
-            "{} cannot be created: {}: {error}",
-            root.display(),
-            above.display()
-        );
+        let found = format!("{} cannot be created: {}: {error}", root.display(), above.display());
         let remedy = "set another `root`, or create the directory above it";
         return Check::new(name, Status::Fail, found, remedy);
     }
@@ -189,21 +175,14 @@ pub(super) fn permit(config: &Config) -> Option<Check> {
     let now_ns = clock::boot_ns();
     match Permit::read(&Places::of(config).permit) {
         Ok(permit) => permit.map(|Permit { term, until_ns, .. }| match until_ns {
-            None => Check::ok(
-                name,
-                format!("to serve in term {term}, until it is withdrawn"),
-            ),
+            None => Check::ok(name, format!("to serve in term {term}, until it is withdrawn")),
             Some(until_ns) if now_ns < until_ns => {
                 let seconds = (until_ns - now_ns) as f64 * 1e-9;
-                Check::ok(
-                    name,
-                    format!("to serve in term {term}, {seconds:.1} s more"),
-                )
+                Check::ok(name, format!("to serve in term {term}, {seconds:.1} s more"))
             }
-            Some(_) => Check::ok(
-                name,
-                format!("that of term {term} has ended: another host may serve"),
-            ),
+            Some(_) => {
+                Check::ok(name, format!("that of term {term} has ended: another host may serve"))
+            }
         }),
         Err(error) => Some(Check::new(name, Status::Fail, error.to_string(), "")),
     }
@@ -214,10 +193,7 @@ pub(super) fn nodes(inspection: &Inspection) -> Check {
     let name = "processes";
     let list = |alive| -> Vec<String> {
         let nodes = inspection.nodes.iter();
-        nodes
-            .filter(|node| node.alive == alive)
-            .map(node_name)
-            .collect()
+        nodes.filter(|node| node.alive == alive).map(node_name).collect()
     };
     let (alive, dead, unknown) = (list(Some(true)), list(Some(false)), list(None));
     let found = if alive.is_empty() {
@@ -238,11 +214,7 @@ pub(super) fn nodes(inspection: &Inspection) -> Check {
 }
 
 fn node_name(node: &NodeInfo) -> String {
-    let name = if node.name.is_empty() {
-        "?"
-    } else {
-        &node.name
-    };
+    let name = if node.name.is_empty() { "?" } else { &node.name };
     match node.pid {
         Some(pid) => format!("{name} (pid {pid})"),
         None => name.to_owned(),
@@ -287,22 +259,12 @@ pub(super) fn stale_files(inspection: &Inspection) -> Check {
         let found = format!("{count} incomplete objects, one is {first}: opening one hangs");
         return Check::new(name, Status::Fail, found, FIX);
     }
-    let alive = inspection
-        .nodes
-        .iter()
-        .any(|node| node.alive != Some(false));
+    let alive = inspection.nodes.iter().any(|node| node.alive != Some(false));
     let (objects, bytes) = (inspection.objects, inspection.object_bytes);
     let found = format!("{objects} objects in shared memory, {bytes} bytes");
     if objects > 0 && !alive {
         let found = format!("{found}, and no process is alive to use them");
         return Check::new(name, Status::Warn, found, FIX);
     }
-    Check::ok(
-        name,
-        if objects == 0 {
-            "none".to_owned()
-        } else {
-            format!("none; {found} in use")
-        },
-    )
+    Check::ok(name, if objects == 0 { "none".to_owned() } else { format!("none; {found} in use") })
 }

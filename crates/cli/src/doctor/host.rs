@@ -52,10 +52,8 @@ fn monotonic() -> Check {
 /// The wall clock: used for labels, and for the order of a source's runs.
 fn wall() -> Check {
     let name = "wall clock";
-    let (now, up) = (
-        duration(clock_gettime(ClockId::Realtime)),
-        duration(clock_gettime(ClockId::Boottime)),
-    );
+    let (now, up) =
+        (duration(clock_gettime(ClockId::Realtime)), duration(clock_gettime(ClockId::Boottime)));
     let asleep = up.saturating_sub(duration(clock_gettime(ClockId::Monotonic)));
     let found = format!(
         "{} s since 1970, {} s since boot, {:.1} s of them asleep",
@@ -74,22 +72,16 @@ fn wall() -> Check {
 fn slack() -> Check {
     let name = "timer slack";
     match current_timer_slack() {
-        Ok(slack_ns) if slack_ns <= USUAL_SLACK_NS => Check::ok(
-            name,
-            format!("{slack_ns} ns; the worker sets its own to 1 ns"),
-        ),
+        Ok(slack_ns) if slack_ns <= USUAL_SLACK_NS => {
+            Check::ok(name, format!("{slack_ns} ns; the worker sets its own to 1 ns"))
+        }
         Ok(slack_ns) => {
             let remedy = "processes other than the worker wake that much later";
             Check::new(name, Status::Warn, format!("{slack_ns} ns"), remedy)
         }
         Err(error) => {
             let remedy = "ticks may start 50 µs late";
-            Check::new(
-                name,
-                Status::Warn,
-                format!("cannot be read: {error}"),
-                remedy,
-            )
+            Check::new(name, Status::Warn, format!("cannot be read: {error}"), remedy)
         }
     }
 }

@@ -14,10 +14,7 @@ pub(super) fn mend(domain: &Domain) -> anyhow::Result<Vec<String>> {
     for (count, what) in [
         (swept.dead_nodes, "nodes of dead processes removed"),
         (swept.incomplete, "incomplete objects removed"),
-        (
-            swept.objects,
-            "objects of dead processes removed from shared memory",
-        ),
+        (swept.objects, "objects of dead processes removed from shared memory"),
         (swept.files, "files of dead processes removed"),
     ] {
         if count > 0 {

@@ -62,12 +62,7 @@ impl Check {
         found: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self {
-            name,
-            status,
-            found: found.into(),
-            remedy: remedy.into(),
-        }
+        Self { name, status, found: found.into(), remedy: remedy.into() }
     }
 }
 
@@ -93,10 +88,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let inspection = inspect(&domain)?;
     let mut checks = vec![
         host::versions(),
-        Check::ok(
-            "config",
-            format!("{}: fleet {}", args.config.name(), config.fleet()),
-        ),
+        Check::ok("config", format!("{}: fleet {}", args.config.name(), config.fleet())),
         fleet::models(&config),
         fleet::memory(&config, &inspection),
         fleet::memory_rights(),
@@ -112,12 +104,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     checks.push(rights::scheduling(config.scheduling()));
     if let Some(error) = trouble {
         let found = format!("{error:#}");
-        checks.push(Check::new(
-            "mending",
-            Status::Fail,
-            found,
-            "see the checks above",
-        ));
+        checks.push(Check::new("mending", Status::Fail, found, "see the checks above"));
     }
     let has = |status| checks.iter().any(|check| check.status == status);
     let status = if has(Status::Fail) {
@@ -127,11 +114,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     } else {
         Status::Ok
     };
-    output.report(&DoctorReport {
-        status,
-        checks,
-        mended,
-    })?;
+    output.report(&DoctorReport { status, checks, mended })?;
     Ok(match status {
         Status::Fail => Outcome::Failed,
         Status::Ok | Status::Warn => Outcome::Done,

@@ -18,11 +18,7 @@ pub(super) fn scheduling(asked: &Scheduling) -> Check {
     if refused.is_empty() {
         return Check::ok(name, found);
     }
-    let status = if asked.required {
-        Status::Fail
-    } else {
-        Status::Warn
-    };
+    let status = if asked.required { Status::Fail } else { Status::Warn };
     let remedies: Vec<String> = refused.iter().map(ToString::to_string).collect();
     Check::new(name, status, found, remedies.join("; "))
 }
@@ -51,15 +47,8 @@ fn rights(rights: &Rights) -> String {
         (false, Some(0)) => "no real-time priority".to_owned(),
         (false, Some(limit)) => format!("real-time priority up to {limit}"),
     };
-    let memory = if rights.allow_locking() {
-        "all memory locked"
-    } else {
-        "no locked memory"
-    };
-    format!(
-        "CPUs {:?}, {priority}, {memory} would be granted",
-        rights.cpus
-    )
+    let memory = if rights.allow_locking() { "all memory locked" } else { "no locked memory" };
+    format!("CPUs {:?}, {priority}, {memory} would be granted", rights.cpus)
 }
 
 #[cfg(test)]
@@ -69,11 +58,7 @@ mod tests {
     #[test]
     fn refused_scheduling_fails_if_required_and_warns_otherwise() {
         // No machine has this CPU.
-        let asked = |required| Scheduling {
-            cpus: vec![1023],
-            required,
-            ..Scheduling::default()
-        };
+        let asked = |required| Scheduling { cpus: vec![1023], required, ..Scheduling::default() };
         for (required, status) in [(true, Status::Fail), (false, Status::Warn)] {
             let check = scheduling(&asked(required));
             assert_eq!(check.status, status, "{check:?}");

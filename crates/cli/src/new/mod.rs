@@ -83,10 +83,9 @@ impl fmt::Display for Written {
         if let Some(missing) = &self.missing {
             writeln!(out, "\nMissing: {missing}")?;
         }
-        for (title, commands) in [
-            ("Once:", &self.prepare),
-            ("Then, each in a terminal of its own:", &self.run),
-        ] {
+        for (title, commands) in
+            [("Once:", &self.prepare), ("Then, each in a terminal of its own:", &self.run)]
+        {
             if !commands.is_empty() {
                 writeln!(out, "\n{title}")?;
             }

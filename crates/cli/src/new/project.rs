@@ -45,16 +45,11 @@ impl Project {
         for path in [Some(folder), sources].into_iter().flatten() {
             if path.to_str().is_none() {
                 let shown = path.display();
-                return Err(UsageError(format!(
-                    "{shown} is not UTF-8: choose another name"
-                )));
+                return Err(UsageError(format!("{shown} is not UTF-8: choose another name")));
             }
         }
         let mut project = Self {
-            files: vec![(
-                CONFIG.to_owned(),
-                include_str!("../../templates/fleet.toml").to_owned(),
-            )],
+            files: vec![(CONFIG.to_owned(), include_str!("../../templates/fleet.toml").to_owned())],
             missing: None,
             prepare: Vec::new(),
             run: Vec::new(),
@@ -83,9 +78,7 @@ impl Project {
                     });
                 }
                 let build = "cmake -S . -B build -DCMAKE_PREFIX_PATH=\"$HOME/.local\" && cmake --build build";
-                project
-                    .prepare
-                    .push(within("the project:", build.to_owned()));
+                project.prepare.push(within("the project:", build.to_owned()));
                 format!("build/{}", kind.name())
             }
         };
@@ -97,10 +90,7 @@ impl Project {
         let joulebus = this_program();
         let with_config = |program: &str| format!("{program} {CONFIG}");
         let worker = within("the worker:", format!("{joulebus} run --config {CONFIG}"));
-        let own = within(
-            &format!("this {}, until Ctrl-C:", kind.name()),
-            with_config(&own),
-        );
+        let own = within(&format!("this {}, until Ctrl-C:", kind.name()), with_config(&own));
         let other = match kind {
             Kind::Controller => within(
                 "forecasts, batteries and alarms, live:",
@@ -140,8 +130,7 @@ impl Project {
             manifest += "\n# Not a member of the workspace around it.\n[workspace]\n";
         }
         self.files.push(("Cargo.toml".to_owned(), manifest));
-        self.files
-            .push(("src/main.rs".to_owned(), program.to_owned()));
+        self.files.push(("src/main.rs".to_owned(), program.to_owned()));
         "cargo run --".to_owned()
     }
 
@@ -159,10 +148,8 @@ impl Project {
                 "# Not on PyPI yet: write CLONE/crates/languages/python.\njoulebus=={VERSION}\n"
             ),
         };
-        self.files
-            .push((format!("{}.py", kind.name()), program.to_owned()));
-        self.files
-            .push(("requirements.txt".to_owned(), requirement));
+        self.files.push((format!("{}.py", kind.name()), program.to_owned()));
+        self.files.push(("requirements.txt".to_owned(), requirement));
     }
 
     fn cpp(&mut self, kind: Kind) {
@@ -171,14 +158,11 @@ impl Project {
             Kind::Planner => include_str!("../../templates/planner.cpp"),
         };
         // Sources of releases before 1.0 fit each other by their second number.
-        let series = VERSION
-            .rsplit_once('.')
-            .map_or(VERSION, |(series, _)| series);
+        let series = VERSION.rsplit_once('.').map_or(VERSION, |(series, _)| series);
         let build = include_str!("../../templates/CMakeLists.txt.in")
             .replace("@KIND@", kind.name())
             .replace("@SERIES@", series);
-        self.files
-            .push((format!("{}.cpp", kind.name()), program.to_owned()));
+        self.files.push((format!("{}.cpp", kind.name()), program.to_owned()));
         self.files.push(("CMakeLists.txt".to_owned(), build));
     }
 }
@@ -211,9 +195,7 @@ fn this_program() -> String {
         return name.to_owned();
     };
     let path = env::var_os("PATH").unwrap_or_default();
-    let found = env::split_paths(&path)
-        .map(|folder| folder.join(name))
-        .find(|file| file.is_file());
+    let found = env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file());
     match found.and_then(|file| fs::canonicalize(file).ok()) {
         Some(found) if found == own => name.to_owned(),
         _ => quoted(&own.display().to_string()),

@@ -25,27 +25,17 @@ impl FromStr for FaultArgument {
         let shape = || format!("{text:?}: write {HELP}, for example 3=load:1.5@10");
         let (robot, rest) = text.split_once('=').ok_or_else(shape)?;
         let (kind, from) = rest.split_once('@').unwrap_or((rest, "0"));
-        let robot = robot
-            .parse()
-            .map_err(|_| format!("{robot:?} is not a robot id"))?;
+        let robot = robot.parse().map_err(|_| format!("{robot:?} is not a robot id"))?;
         let fault = match kind.split_once(':') {
-            Some(("load", value)) => Fault::ExtraLoad {
-                power_w: number(value, -1e6, 1e6, "W")?,
-            },
-            Some(("noise", value)) => Fault::Noise {
-                std_w: number(value, 0.0, 1e6, "W")?,
-            },
+            Some(("load", value)) => Fault::ExtraLoad { power_w: number(value, -1e6, 1e6, "W")? },
+            Some(("noise", value)) => Fault::Noise { std_w: number(value, 0.0, 1e6, "W")? },
             None if kind == "stuck" => Fault::StuckSensor,
             _ => {
                 let known = "load:WATT, noise:WATT (standard deviation), stuck";
                 return Err(format!("{kind:?} is not a fault; known are: {known}"));
             }
         };
-        Ok(Self {
-            robot,
-            fault,
-            from_s: number(from, 0.0, 1e8, "s")?,
-        })
+        Ok(Self { robot, fault, from_s: number(from, 0.0, 1e8, "s")? })
     }
 }
 

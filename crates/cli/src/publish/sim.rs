@@ -108,13 +108,7 @@ impl Args {
         let wanted = self.robots as usize;
         let ids: Vec<u32> = match self.first_robot {
             Some(first) => (first..=u32::MAX).take(wanted).collect(),
-            None => platform
-                .robots
-                .iter()
-                .cloned()
-                .flatten()
-                .take(wanted)
-                .collect(),
+            None => platform.robots.iter().cloned().flatten().take(wanted).collect(),
         };
         if ids.len() < wanted {
             let (found, name) = (ids.len(), &platform.name);
@@ -128,17 +122,10 @@ impl Args {
 
     fn plant(&self, ids: &[u32]) -> anyhow::Result<Plant> {
         let mut plant = Plant::new(self.seed, ids.len());
-        for FaultArgument {
-            robot,
-            fault,
-            from_s,
-        } in &self.faults
-        {
+        for FaultArgument { robot, fault, from_s } in &self.faults {
             let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
                 let (first, last) = (ids[0], ids[ids.len() - 1]);
-                UsageError(format!(
-                    "--fault for robot {robot}; the robots are {first} to {last}"
-                ))
+                UsageError(format!("--fault for robot {robot}; the robots are {first} to {last}"))
             })?;
             plant = plant.with_fault(place, *fault, *from_s)?;
         }
@@ -155,11 +142,7 @@ struct Robot {
 
 impl Robot {
     const fn new(id: u32) -> Self {
-        Self {
-            id,
-            seq: 0,
-            measured_ns: None,
-        }
+        Self { id, seq: 0, measured_ns: None }
     }
 
     /// The sample of the robot at `stamp_ns`; the plant started at `base_ns`.
@@ -229,8 +212,7 @@ impl Source {
     fn send(&mut self, intended_ns: u64, stamp_ns: u64, base_ns: u64) -> Result<(), PublishError> {
         self.frame.clear();
         let robots = self.robots.iter_mut().zip(self.plant.step(0.0));
-        self.frame
-            .extend(robots.map(|(robot, reading)| robot.sample(reading, stamp_ns, base_ns)));
+        self.frame.extend(robots.map(|(robot, reading)| robot.sample(reading, stamp_ns, base_ns)));
         self.link.send(intended_ns, &self.frame, &mut self.report)?;
         Ok(())
     }

@@ -15,9 +15,8 @@ impl TopicChoice {
     pub(super) fn new(topics: &[String], regex: Option<&str>) -> Result<Self, UsageError> {
         let kinds = MessageKind::OF_FLEET.iter();
         let known: Vec<&str> = kinds.map(|kind| kind.name()).collect();
-        let stranger = topics
-            .iter()
-            .find(|topic| !topic.contains('/') && !known.contains(&topic.as_str()));
+        let stranger =
+            topics.iter().find(|topic| !topic.contains('/') && !known.contains(&topic.as_str()));
         if let Some(stranger) = stranger {
             return Err(UsageError(format!(
                 "--topics {stranger}: no such service; there are {}",
@@ -33,17 +32,10 @@ impl TopicChoice {
 
     /// Refuses a topic or an expression that none of these fleets' topics is or matches.
     pub(super) fn check(&self, fleets: &[&str]) -> Result<(), UsageError> {
-        let of_fleet = |fleet| {
-            MessageKind::OF_FLEET
-                .iter()
-                .map(move |kind| kind.topic(fleet, 0))
-        };
+        let of_fleet = |fleet| MessageKind::OF_FLEET.iter().map(move |kind| kind.topic(fleet, 0));
         let there: Vec<String> = fleets.iter().copied().flat_map(of_fleet).collect();
         let is_there = |topic: &&String| !topic.contains('/') || there.contains(topic);
-        let what = match (
-            self.topics.iter().find(|topic| !is_there(topic)),
-            &self.regex,
-        ) {
+        let what = match (self.topics.iter().find(|topic| !is_there(topic)), &self.regex) {
             (Some(topic), _) => format!("--topics {topic}: no such topic"),
             (None, Some(regex)) if !there.iter().any(|topic| regex.is_match(topic)) => {
                 format!("--regex {regex}: matches no topic")
@@ -82,11 +74,7 @@ mod tests {
 
     #[test]
     fn services_topics_and_expressions_select() {
-        let all = [
-            "joulebus/lab/samples",
-            "joulebus/yard/ticks",
-            "joulebus/lab/robot/3/forecast",
-        ];
+        let all = ["joulebus/lab/samples", "joulebus/yard/ticks", "joulebus/lab/robot/3/forecast"];
         for (topics, regex, chosen) in [
             (vec![], None, vec![0, 1, 2]),
             (vec!["samples"], None, vec![0]),
@@ -108,19 +96,13 @@ mod tests {
             (vec![], None, false),
             (vec!["ticks"], Some("^joulebus/(lab|yard)/sam"), false),
             (vec!["joulebus/yard/ticks"], None, false),
-            (
-                vec!["joulebus/lab/samples", "joulebus/lob/ticks"],
-                None,
-                true,
-            ),
+            (vec!["joulebus/lab/samples", "joulebus/lob/ticks"], None, true),
             (vec!["joulebus/lab/robot/3/forecast"], None, true),
             (vec!["ticks"], Some("forecasts$|^x"), false),
             (vec!["ticks"], Some("forecast$"), true),
         ] {
             let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
-            let checked = TopicChoice::new(&topics, regex)
-                .unwrap()
-                .check(&["lab", "yard"]);
+            let checked = TopicChoice::new(&topics, regex).unwrap().check(&["lab", "yard"]);
             let told = checked.map_err(|error| error.to_string());
             assert_eq!(told.is_err(), refused, "{topics:?} {regex:?} {told:?}");
             assert!(told.is_ok() || told.unwrap_err().contains("joulebus/yard/queries"));

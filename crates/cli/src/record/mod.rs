@@ -93,9 +93,7 @@ pub(crate) struct Args {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text
-        .parse()
-        .map_err(|_| format!("{text:?} is not a number (s)"))?;
+    let seconds: f64 = text.parse().map_err(|_| format!("{text:?} is not a number (s)"))?;
     if (0.0..=1e9).contains(&seconds) {
         Ok(seconds)
     } else {
@@ -133,9 +131,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     )?;
     let file = args.out.display();
     say(&format!("recording {} into {file}", names.join(", ")));
-    let end_ns = args
-        .duration
-        .map(|seconds| began_ns.saturating_add(ns(seconds)));
+    let end_ns = args.duration.map(|seconds| began_ns.saturating_add(ns(seconds)));
     wait(&recorder, &stop, &write_down, end_ns);
     // Requested together with the end.
     if write_down.swap(false, Ordering::Relaxed) {
@@ -183,11 +179,7 @@ fn progress(summary: &Summary, for_ns: u64) -> String {
     let Some(kept) = summary.kept else {
         return format!("{seconds:.0} s: {messages} messages, {megabytes:.1} MB, {lost} lost");
     };
-    let (files, waiting, span_s) = (
-        summary.files.len(),
-        kept.messages,
-        kept.span_ns as f64 * 1e-9,
-    );
+    let (files, waiting, span_s) = (summary.files.len(), kept.messages, kept.span_ns as f64 * 1e-9);
     let kept_mb = kept.bytes as f64 * 1e-6;
     format!(
         "{seconds:.0} s: {waiting} messages of the last {span_s:.1} s in memory ({kept_mb:.1} MB), \
@@ -198,11 +190,8 @@ fn progress(summary: &Summary, for_ns: u64) -> String {
 impl Args {
     fn configs(&self) -> anyhow::Result<Vec<Config>> {
         let given = self.config.iter().map(|path| Some(path.clone()));
-        let files: Vec<Option<PathBuf>> = if self.config.is_empty() {
-            vec![None]
-        } else {
-            given.collect()
-        };
+        let files: Vec<Option<PathBuf>> =
+            if self.config.is_empty() { vec![None] } else { given.collect() };
         let load = |config| ConfigFile { config }.load();
         files.into_iter().map(load).collect()
     }

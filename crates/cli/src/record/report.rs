@@ -66,10 +66,7 @@ impl RecordReport {
             }
         }
         let lost = summary.lost.iter().map(|(topic, lost)| {
-            let lost = Lost {
-                overwritten: lost.overwritten,
-                unwritten: lost.unwritten,
-            };
+            let lost = Lost { overwritten: lost.overwritten, unwritten: lost.unwritten };
             (topic.clone(), lost)
         });
         Self {
@@ -132,10 +129,7 @@ impl fmt::Display for RecordReport {
             let (path, messages, bytes) = (&file.path, file.messages, file.bytes);
             writeln!(out, "file {path}: {messages} messages, {bytes} bytes")?;
         }
-        if let Some(Kept {
-            messages, span_s, ..
-        }) = &self.kept
-        {
+        if let Some(Kept { messages, span_s, .. }) = &self.kept {
             let files = self.files.len();
             writeln!(
                 out,

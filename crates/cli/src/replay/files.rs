@@ -50,11 +50,7 @@ impl Files {
         }
         let fleet = choose(&fleets, fleet)
             .map_err(|what| UsageError(format!("{}: {what}", first.display())))?;
-        Ok(Self {
-            paths: paths.to_vec(),
-            attachments,
-            fleet,
-        })
+        Ok(Self { paths: paths.to_vec(), attachments, fleet })
     }
 
     /// Number of the rules by which the answers in all files were computed; `None` if they differ,
@@ -160,11 +156,7 @@ impl Files {
             }
             hand(None, true);
         });
-        Messages {
-            waiting,
-            batch: Vec::new().into_iter(),
-            damages: Vec::new(),
-        }
+        Messages { waiting, batch: Vec::new().into_iter(), damages: Vec::new() }
     }
 
     /// Name of the first file, for reports.
@@ -205,10 +197,8 @@ fn first_fleet(reader: Reader<std::fs::File>) -> anyhow::Result<String> {
             Err(error) => drop(damage.get_or_insert(error)),
         }
     }
-    Err(damage.map_or_else(
-        || anyhow!("contains no fleet; is it a capture of joulebus?"),
-        Into::into,
-    ))
+    Err(damage
+        .map_or_else(|| anyhow!("contains no fleet; is it a capture of joulebus?"), Into::into))
 }
 
 fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
@@ -217,9 +207,7 @@ fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
         (Some(wanted), _) if fleets.iter().any(|fleet| fleet == wanted) => Ok(wanted.to_owned()),
         (Some(wanted), _) => Err(format!("contains no fleet {wanted:?}; its fleets: {there}")),
         (None, [only]) => Ok(only.clone()),
-        (None, _) => Err(format!(
-            "contains several fleets: choose with --fleet: {there}"
-        )),
+        (None, _) => Err(format!("contains several fleets: choose with --fleet: {there}")),
     }
 }
 
@@ -233,14 +221,10 @@ mod tests {
             names.iter().map(|name| (*name).to_owned()).collect()
         };
         assert_eq!(choose(&fleets(&["lab"]), None).unwrap(), "lab");
-        assert_eq!(
-            choose(&fleets(&["lab", "yard"]), Some("yard")).unwrap(),
-            "yard"
-        );
-        for (there, wanted, said) in [
-            (fleets(&["lab", "yard"]), None, "lab, yard"),
-            (fleets(&["lab"]), Some("yard"), "lab"),
-        ] {
+        assert_eq!(choose(&fleets(&["lab", "yard"]), Some("yard")).unwrap(), "yard");
+        for (there, wanted, said) in
+            [(fleets(&["lab", "yard"]), None, "lab, yard"), (fleets(&["lab"]), Some("yard"), "lab")]
+        {
             let error = choose(&there, wanted).unwrap_err();
             assert!(error.contains(said), "{error}");
         }

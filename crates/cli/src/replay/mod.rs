@@ -163,16 +163,10 @@ mod tests {
 
     #[test]
     fn remap_takes_fleets_and_their_topics() {
-        let remap = |old: &str, new: &str| Remap {
-            old: old.to_owned(),
-            new: new.to_owned(),
-        };
+        let remap = |old: &str, new: &str| Remap { old: old.to_owned(), new: new.to_owned() };
         for (text, expected) in [
             ("lab:=copy", Some(remap("lab", "copy"))),
-            (
-                "joulebus/lab/samples:=joulebus/copy/samples",
-                Some(remap("lab", "copy")),
-            ),
+            ("joulebus/lab/samples:=joulebus/copy/samples", Some(remap("lab", "copy"))),
             ("joulebus/lab/samples:=joulebus/copy/budgets", None),
             ("lab=copy", None),
             ("lab:=", None),
@@ -184,10 +178,7 @@ mod tests {
     #[test]
     fn services_are_given_by_name_or_topic() {
         assert_eq!(service("samples"), Ok(MessageKind::of::<Samples>()));
-        assert_eq!(
-            service("joulebus/lab/budgets"),
-            Ok(MessageKind::of::<Budgets>())
-        );
+        assert_eq!(service("joulebus/lab/budgets"), Ok(MessageKind::of::<Budgets>()));
         assert!(service("state").unwrap_err().contains("samples, forecasts"));
     }
 }

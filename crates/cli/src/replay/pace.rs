@@ -149,12 +149,7 @@ impl Pace {
     pub(super) fn new(rate: Rate, paused: bool, step: bool) -> anyhow::Result<Self> {
         Ok(Self {
             keys: Keys::open(paused, step)?,
-            timeline: Timeline {
-                rate,
-                zero_ns: clock::monotonic_ns(),
-                align: true,
-                held_up_ns: 0,
-            },
+            timeline: Timeline { rate, zero_ns: clock::monotonic_ns(), align: true, held_up_ns: 0 },
             paused: paused || step,
             steps: 0,
         })
@@ -214,12 +209,7 @@ mod tests {
     use super::*;
 
     fn timeline(rate: Rate) -> Timeline {
-        Timeline {
-            rate,
-            zero_ns: 1_000_000,
-            align: true,
-            held_up_ns: 0,
-        }
+        Timeline { rate, zero_ns: 1_000_000, align: true, held_up_ns: 0 }
     }
 
     #[test]

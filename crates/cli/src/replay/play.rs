@@ -52,10 +52,7 @@ const ROOTS: [&str; 2] = ["/dev/shm", "/run"];
 
 /// Refuses other directories: a foreign capture must not decide where directories are made.
 fn check_root(root: &Path) -> Result<(), UsageError> {
-    if ROOTS
-        .iter()
-        .any(|allowed| is_below(root, Path::new(allowed)))
-    {
+    if ROOTS.iter().any(|allowed| is_below(root, Path::new(allowed))) {
         return Ok(());
     }
     let (found, allowed) = (root.display(), ROOTS.join(" and "));
@@ -347,8 +344,5 @@ fn recorded(files: &Files, entry: &Entry) -> Moment {
     let by_message = entry.message.sent_ns();
     let by_clock = files.attachments.clock();
     let monotonic_ns = by_message.or(by_clock.map(|clock: Clock| clock.monotonic_ns(unix_ns)));
-    Moment {
-        monotonic_ns: monotonic_ns.unwrap_or_default(),
-        unix_ns,
-    }
+    Moment { monotonic_ns: monotonic_ns.unwrap_or_default(), unix_ns }
 }

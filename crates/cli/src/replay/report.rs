@@ -42,31 +42,21 @@ impl PlayReport {
 
 impl fmt::Display for PlayReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let frames: Vec<String> = self
-            .frames
-            .iter()
-            .map(|(service, count)| format!("{count} of {service}"))
-            .collect();
+        let frames: Vec<String> =
+            self.frames.iter().map(|(service, count)| format!("{count} of {service}")).collect();
         writeln!(
             out,
             "{} as fleet {}: frames: {}; {} samples, {:.1} s of recorded time in {:.1} s",
             self.files,
             self.played_as,
-            if frames.is_empty() {
-                "none".to_owned()
-            } else {
-                frames.join(", ")
-            },
+            if frames.is_empty() { "none".to_owned() } else { frames.join(", ") },
             self.samples,
             self.played_s,
             self.duration_s
         )?;
         for (count, what) in [
             (self.frames_failed, "frames could not be sent"),
-            (
-                self.frames_unanswered,
-                "frames were not answered by a worker",
-            ),
+            (self.frames_unanswered, "frames were not answered by a worker"),
         ] {
             if count > 0 {
                 writeln!(out, "{count} {what}")?;

@@ -33,9 +33,7 @@ impl Span {
     /// Position of a message recorded `at_ns` after the first.
     pub(super) fn place(&self, at_ns: u64) -> Place {
         let at = Duration::from_nanos(at_ns);
-        let end = self
-            .playback_duration
-            .map(|duration| self.start_offset.saturating_add(duration));
+        let end = self.playback_duration.map(|duration| self.start_offset.saturating_add(duration));
         if at < self.start_offset {
             Place::Before
         } else if end.is_some_and(|end| at > end) {
@@ -53,10 +51,7 @@ impl Span {
         let mut first_ns = None;
         let placed = move |entry: Entry| {
             let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
-            (
-                self.place(entry.log_time_ns.saturating_sub(first_ns)),
-                entry,
-            )
+            (self.place(entry.log_time_ns.saturating_sub(first_ns)), entry)
         };
         entries
             .map(placed)
@@ -75,12 +70,9 @@ mod tests {
             start_offset: Duration::from_secs(2),
             playback_duration: Some(Duration::from_secs(3)),
         };
-        for (at_s, place) in [
-            (0, Place::Before),
-            (2, Place::Inside),
-            (5, Place::Inside),
-            (6, Place::After),
-        ] {
+        for (at_s, place) in
+            [(0, Place::Before), (2, Place::Inside), (5, Place::Inside), (6, Place::After)]
+        {
             assert_eq!(span.place(at_s * 1_000_000_000), place, "{at_s} s");
         }
     }

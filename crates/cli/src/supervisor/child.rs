@@ -50,11 +50,7 @@ impl Child {
                 }
             })
         });
-        Ok(Self {
-            process,
-            stdout,
-            stderr,
-        })
+        Ok(Self { process, stdout, stderr })
     }
 
     pub(super) fn pid(&self) -> u32 {

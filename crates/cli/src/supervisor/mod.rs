@@ -64,12 +64,7 @@ impl std::fmt::Display for Event {
         match self {
             Self::Started { name, pid } => write!(out, "{name} runs as process {pid}"),
             Self::Output { name, line } => write!(out, "{name}: {line}"),
-            Self::Exited {
-                name,
-                pid,
-                how,
-                backoff,
-            } => {
+            Self::Exited { name, pid, how, backoff } => {
                 let pid = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
                 let backoff_ms = backoff.as_millis();
                 write!(out, "{name}{pid} {how}, starts again in {backoff_ms} ms")
@@ -110,12 +105,7 @@ impl Supervisor {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
         let (say, lines) = channel();
-        Ok(Self {
-            program,
-            jobs: Vec::new(),
-            lines,
-            say,
-        })
+        Ok(Self { program, jobs: Vec::new(), lines, say })
     }
 
     /// Adds a task; [`Supervisor::poll`] starts it.
@@ -145,11 +135,7 @@ impl Supervisor {
                 }
             }
         }
-        events.extend(
-            self.lines
-                .try_iter()
-                .map(|(name, line)| Event::Output { name, line }),
-        );
+        events.extend(self.lines.try_iter().map(|(name, line)| Event::Output { name, line }));
         events
     }
 
@@ -206,10 +192,7 @@ impl Drop for Supervisor {
 }
 
 impl Ended {
-    const NEVER: Self = Self {
-        status: None,
-        stdout: String::new(),
-    };
+    const NEVER: Self = Self { status: None, stdout: String::new() };
 }
 
 impl Job {
@@ -248,10 +231,7 @@ impl Job {
         if self.policy.is_running() {
             self.died(Some(pid), format!("ended with {status}"), now_ns, events);
         } else {
-            self.ended = Some(Ended {
-                status: Some(status),
-                stdout,
-            });
+            self.ended = Some(Ended { status: Some(status), stdout });
             self.policy.ended(now_ns);
         }
     }
@@ -274,18 +254,11 @@ mod tests {
 
     fn shell(script: &str) -> Supervisor {
         let (say, lines) = channel();
-        let mut supervisor = Supervisor {
-            program: PathBuf::from("/bin/sh"),
-            jobs: Vec::new(),
-            lines,
-            say,
-        };
+        let mut supervisor =
+            Supervisor { program: PathBuf::from("/bin/sh"), jobs: Vec::new(), lines, say };
         // The flag appended to the arguments is the script's $0.
         let arguments = vec![OsString::from("-c"), OsString::from(script)];
-        supervisor.add(Task {
-            name: "shell",
-            arguments,
-        });
+        supervisor.add(Task { name: "shell", arguments });
         supervisor
     }
 
@@ -313,9 +286,7 @@ mod tests {
         let died = events
             .iter()
             .find_map(|event| match event {
-                Event::Exited {
-                    pid, how, backoff, ..
-                } => Some((pid.unwrap(), how, backoff)),
+                Event::Exited { pid, how, backoff, .. } => Some((pid.unwrap(), how, backoff)),
                 _ => None,
             })
             .unwrap();
@@ -341,10 +312,7 @@ mod tests {
         let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_millis(20), &mut events);
         let status = ended.status.unwrap();
-        assert_eq!(
-            std::os::unix::process::ExitStatusExt::signal(&status),
-            Some(9)
-        );
+        assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9));
     }
 
     #[test]

@@ -41,10 +41,7 @@ pub(super) struct RestartPolicy {
 impl RestartPolicy {
     /// The policy of a process that starts at once.
     pub(super) const fn new(now_ns: u64) -> Self {
-        Self {
-            phase: Phase::Waiting { until_ns: now_ns },
-            backoff_ns: FIRST_BACKOFF_NS,
-        }
+        Self { phase: Phase::Waiting { until_ns: now_ns }, backoff_ns: FIRST_BACKOFF_NS }
     }
 
     pub(super) const fn started(&mut self, now_ns: u64) {
@@ -67,18 +64,14 @@ impl RestartPolicy {
         }
         let backoff_ns = self.backoff_ns;
         self.backoff_ns = (2 * backoff_ns).min(MAX_BACKOFF_NS);
-        self.phase = Phase::Waiting {
-            until_ns: now_ns + backoff_ns,
-        };
+        self.phase = Phase::Waiting { until_ns: now_ns + backoff_ns };
         Some(backoff_ns)
     }
 
     /// The process was asked to stop; it is killed if it still runs after `grace_ns`.
     pub(super) const fn request_stop(&mut self, now_ns: u64, grace_ns: u64) {
         self.phase = match self.phase {
-            Phase::Running { .. } => Phase::Stopping {
-                kill_at_ns: now_ns + grace_ns,
-            },
+            Phase::Running { .. } => Phase::Stopping { kill_at_ns: now_ns + grace_ns },
             Phase::Waiting { .. } => Phase::Stopped,
             other => other,
         };
@@ -131,13 +124,9 @@ mod tests {
     #[test]
     fn backoff_after_a_run() {
         // Runs before the last one that failed at once, length of the last run, backoff after it.
-        for (failed, run_ms, want_ms) in [
-            (0, 0, 100),
-            (1, 9_999, 200),
-            (3, 9_999, 800),
-            (3, 10_000, 100),
-            (9, 60_000, 100),
-        ] {
+        for (failed, run_ms, want_ms) in
+            [(0, 0, 100), (1, 9_999, 200), (3, 9_999, 800), (3, 10_000, 100), (9, 60_000, 100)]
+        {
             let mut policy = RestartPolicy::new(0);
             for _ in 0..failed {
                 policy.started(0);

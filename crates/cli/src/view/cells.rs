@@ -69,11 +69,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
         quality(forecast.quality()),
         or_unknown(read.then(|| watts(forecast.reading_w.into()))),
         or_unknown(forecast.expected_w().map(|power_w| watts(power_w.into()))),
-        or_unknown(
-            forecast
-                .interval_w()
-                .map(|(lo, hi)| format!("{lo:.2} – {hi:.2}")),
-        ),
+        or_unknown(forecast.interval_w().map(|(lo, hi)| format!("{lo:.2} – {hi:.2}"))),
         or_unknown(row.residual_w.map(|residual_w| format!("{residual_w:+.2}"))),
         or_unknown(scored.map(|diagnostic| format!("{:.3}", diagnostic.mae_w))),
         or_unknown(scored.and_then(|diagnostic| skill(diagnostic.skill))),
@@ -87,8 +83,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
 
 /// Whether the config describes no battery of the robot.
 pub(crate) fn lacks_battery(row: &Row) -> bool {
-    row.budget
-        .is_some_and(|budget| budget.flags & budget_flag::BATTERY == 0)
+    row.budget.is_some_and(|budget| budget.flags & budget_flag::BATTERY == 0)
 }
 
 fn or_unknown(text: Option<String>) -> String {
@@ -152,16 +147,9 @@ pub(crate) fn state_within(row: &Row, width: usize) -> String {
         1 => String::new(),
         count => format!(" +{}", count - 1),
     };
-    let forms = [
-        format!("{word} {name}{more}"),
-        format!("{name}{more}"),
-        name.to_owned(),
-    ];
+    let forms = [format!("{word} {name}{more}"), format!("{name}{more}"), name.to_owned()];
     let fits = |form: &String| form.chars().count() <= width;
-    forms
-        .into_iter()
-        .find(fits)
-        .unwrap_or_else(|| shortened(word, width))
+    forms.into_iter().find(fits).unwrap_or_else(|| shortened(word, width))
 }
 
 /// A text of at most `width` columns; one that is cut ends in an ellipsis.
@@ -213,15 +201,7 @@ mod tests {
         };
         assert_eq!(heads(126, true), without(&["drawn J"]));
         assert_eq!(heads(127, false), without(&["charge", "lasts"]));
-        let at_78 = [
-            "robot",
-            "quality",
-            "read W",
-            "forecast W",
-            "charge",
-            "lasts",
-            "state",
-        ];
+        let at_78 = ["robot", "quality", "read W", "forecast W", "charge", "lasts", "state"];
         assert_eq!(heads(78, true), at_78);
         let at_58 = ["robot", "quality", "forecast W", "charge", "state"];
         assert_eq!(heads(58, true), at_58);

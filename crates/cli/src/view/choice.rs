@@ -69,10 +69,7 @@ impl Choice {
             let is_it = |robot: &u32| *robot == selected;
             robots.iter().position(is_it)
         });
-        Listed {
-            robots,
-            selected: selected.unwrap_or(0),
-        }
+        Listed { robots, selected: selected.unwrap_or(0) }
     }
 
     fn lists(&self, search: &Search, robot: u32, row: &Row) -> bool {

@@ -80,10 +80,6 @@ pub(super) fn draw(frame: &mut Frame, area: Rect) {
     let block = boxed(Line::from(" keys "));
     // Without room for a border and a line: the keys alone.
     let keys = Paragraph::new(lines);
-    let keys = if inside.height < 3 {
-        keys
-    } else {
-        keys.block(block)
-    };
+    let keys = if inside.height < 3 { keys } else { keys.block(block) };
     frame.render_widget(keys, inside);
 }

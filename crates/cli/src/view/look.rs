@@ -80,13 +80,8 @@ fn board() -> Board {
         ];
         board.forecasts(&header, &robots, 111_000);
     }
-    let alarms = AlarmSet::default()
-        .with(Alarm::StuckSensor)
-        .with(Alarm::ModelMismatch);
-    board.diagnostics(
-        &[diagnostic(2, AlarmSet::default()), diagnostic(9, alarms)],
-        12_500_000_000,
-    );
+    let alarms = AlarmSet::default().with(Alarm::StuckSensor).with(Alarm::ModelMismatch);
+    board.diagnostics(&[diagnostic(2, AlarmSet::default()), diagnostic(9, alarms)], 12_500_000_000);
     board.budgets(&[Budget {
         robot: 2,
         flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY,
@@ -148,10 +143,7 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
     let words = |text| {
         let (_, line) = line_of(&buffer, text);
         let words = line.split_whitespace().map(ToOwned::to_owned);
-        words
-            .filter(|word| word != "│")
-            .collect::<Vec<String>>()
-            .join(" ")
+        words.filter(|word| word != "│").collect::<Vec<String>>().join(" ")
     };
     // The last reading is 3.21 + 30 · 0.1. Its forecast was 3.33; the diagnostics' residual is the
     // network's.
@@ -173,11 +165,7 @@ fn a_robot_without_a_battery_in_the_config_names_the_missing_key() {
     };
     // Of the second nobody has counted energy yet.
     assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, false]);
-    board.budgets(&[Budget {
-        robot: 9,
-        flags: budget_flag::LEDGER,
-        ..Budget::default()
-    }]);
+    board.budgets(&[Budget { robot: 9, flags: budget_flag::LEDGER, ..Budget::default() }]);
     assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, true]);
 }
 
@@ -216,10 +204,7 @@ fn screen_without_a_worker_or_robots_shows_a_hint() {
     line_of(&draw(&empty, &mut screen(None), 100, 30), "`joulebus run`");
     empty.forecasts(&ForecastHeader::default(), &[], 0);
     empty.set_link(Link::Live, 0);
-    line_of(
-        &draw(&empty, &mut screen(None), 100, 30),
-        "`joulebus publish`",
-    );
+    line_of(&draw(&empty, &mut screen(None), 100, 30), "`joulebus publish`");
 }
 
 #[test]
@@ -323,11 +308,7 @@ fn a_key_shows_what_keys_do_and_the_next_hides_it() {
     for (width, height) in [(60, 24), (80, 24), (120, 40)] {
         press(&mut screen, &board, typed("?"));
         let buffer = draw(&board, &mut screen, width, height);
-        for text in [
-            "only robots with an alarm, or all",
-            "the other way round",
-            "Ctrl-C",
-        ] {
+        for text in ["only robots with an alarm, or all", "the other way round", "Ctrl-C"] {
             line_of(&buffer, text);
         }
         // It closes the help, and nothing else.
@@ -340,9 +321,7 @@ fn a_key_shows_what_keys_do_and_the_next_hides_it() {
 #[test]
 fn small_screens_show_whole_words() {
     let mut board = board();
-    let alarms = AlarmSet::default()
-        .with(Alarm::BatteryCritical)
-        .with(Alarm::CannotReturn);
+    let alarms = AlarmSet::default().with(Alarm::BatteryCritical).with(Alarm::CannotReturn);
     board.diagnostics(&[diagnostic(5, alarms)], 13_000_000_000);
     let mut screen = screen(None);
     screen.progress = "12.5 of 15 s".to_owned();
@@ -407,17 +386,13 @@ fn a_tiny_screen_shows_the_selected_robot() {
 #[test]
 fn selected_robot_is_visible_in_a_large_fleet() {
     let mut board = Board::new(0);
-    let robots: Vec<Forecast> = (0..5_000)
-        .map(|id| forecast(id, 1, Quality::Fresh))
-        .collect();
+    let robots: Vec<Forecast> = (0..5_000).map(|id| forecast(id, 1, Quality::Fresh)).collect();
     board.forecasts(&ForecastHeader::default(), &robots, 0);
     let mut screen = screen(Some(4_321));
     line_of(&draw(&board, &mut screen, 120, 40), "4321 fresh");
-    for (key, robot) in [
-        (KeyCode::PageUp, "4311 fresh"),
-        (KeyCode::End, "4999 fresh"),
-        (KeyCode::Home, "0 fresh"),
-    ] {
+    for (key, robot) in
+        [(KeyCode::PageUp, "4311 fresh"), (KeyCode::End, "4999 fresh"), (KeyCode::Home, "0 fresh")]
+    {
         press(&mut screen, &board, [key]);
         line_of(&draw(&board, &mut screen, 120, 40), robot);
     }

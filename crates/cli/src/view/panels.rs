@@ -165,25 +165,14 @@ fn draw_latency(frame: &mut Frame, area: Rect, board: &Board) {
         median(&latency.sent_to_readable),
         name(" µs"),
     ];
-    frame.render_widget(
-        Paragraph::new(vec![Line::from(whole), Line::from(stages)]),
-        text,
-    );
-    let from = board
-        .recent_us
-        .len()
-        .saturating_sub(usize::from(spark.width));
+    frame.render_widget(Paragraph::new(vec![Line::from(whole), Line::from(stages)]), text);
+    let from = board.recent_us.len().saturating_sub(usize::from(spark.width));
     let recent: Vec<u64> = board.recent_us.iter().skip(from).copied().collect();
     // A rare spike would flatten the rest.
     let mut sorted = recent.clone();
     sorted.sort_unstable();
-    let top = sorted
-        .get(sorted.len() / 2)
-        .map_or(1, |median| 3 * median.max(&1));
-    let sparkline = Sparkline::default()
-        .data(recent)
-        .max(top)
-        .style(Style::new().fg(ACCENT));
+    let top = sorted.get(sorted.len() / 2).map_or(1, |median| 3 * median.max(&1));
+    let sparkline = Sparkline::default().data(recent).max(top).style(Style::new().fg(ACCENT));
     frame.render_widget(sparkline, spark);
 }
 
@@ -197,9 +186,7 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
     let line = |name: &str, ours, theirs| {
         Line::from(vec![
             Span::styled(format!(" {name:<6}"), QUIET),
-            Span::from(format!("{:>6}", number(ours)))
-                .fg(FORECAST)
-                .bold(),
+            Span::from(format!("{:>6}", number(ours))).fg(FORECAST).bold(),
             Span::styled(versus, QUIET),
             Span::from(number(theirs)),
         ])
@@ -208,10 +195,7 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
     let lines = vec![
         line("RMSE W", scores.rmse_w, scores.persistence_rmse_w),
         line("R²", scores.r2, scores.persistence_r2),
-        Line::from(vec![
-            Span::styled(inside, QUIET),
-            Span::from(coverage).bold(),
-        ]),
+        Line::from(vec![Span::styled(inside, QUIET), Span::from(coverage).bold()]),
     ];
     let block = boxed(Line::from(" forecasts "));
     frame.render_widget(Paragraph::new(lines).block(block), area);
@@ -269,12 +253,7 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
         set(&reading, ACCENT, Marker::Braille, GraphType::Line),
     ])
     .x_axis(Axis::default().bounds([-(points.len().max(2) as f64), -1.0]))
-    .y_axis(
-        Axis::default()
-            .bounds([least, greatest])
-            .labels(labels)
-            .style(QUIET),
-    )
+    .y_axis(Axis::default().bounds([least, greatest]).labels(labels).style(QUIET))
     .legend_position(None)
     .block(block);
     frame.render_widget(chart, area);
@@ -286,12 +265,9 @@ fn learned(row: &Row, is_wide: bool) -> String {
     let Some(learned) = row.diagnostic.as_ref().filter(learning) else {
         return String::new();
     };
-    let [last, network, stack] = [
-        learned.weight_last,
-        learned.weight_network,
-        learned.weight_stack,
-    ]
-    .map(|weight| percent(weight.into()));
+    let [last, network, stack] =
+        [learned.weight_last, learned.weight_network, learned.weight_stack]
+            .map(|weight| percent(weight.into()));
     let weights = format!(" last {last} network {network} stack {stack}");
     match is_wide {
         true => format!(
@@ -319,9 +295,8 @@ pub(super) fn draw_notes(frame: &mut Frame, area: Rect, board: &Board) {
             ])
         })
         .collect();
-    let questions = board
-        .questions()
-        .map_or_else(String::new, |questions| format!(" {questions} "));
+    let questions =
+        board.questions().map_or_else(String::new, |questions| format!(" {questions} "));
     let block = boxed(Line::from(" events ")).title_bottom(Line::styled(questions, QUIET));
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }

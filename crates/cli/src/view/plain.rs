@@ -36,9 +36,7 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
         .filter(|(_, row)| row.level() != Level::Ok && row.diagnostic.is_some())
         .collect();
     for (robot, row) in standing_out.iter().take(NAMED) {
-        let alarm = row
-            .diagnostic
-            .map_or("", |diagnostic| diagnostic.alarm().name());
+        let alarm = row.diagnostic.map_or("", |diagnostic| diagnostic.alarm().name());
         let _ = write!(text, "  [{robot} {} {alarm}]", row.level().name());
     }
     if standing_out.len() > NAMED {
@@ -57,10 +55,7 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
             push_row(&mut text, &cells(*robot, row));
         }
     }
-    let mut shown = board
-        .rows
-        .iter()
-        .filter(|(robot, _)| only.is_none_or(|only| only == **robot));
+    let mut shown = board.rows.iter().filter(|(robot, _)| only.is_none_or(|only| only == **robot));
     if let Some((robot, _)) = shown.find(|(_, row)| lacks_battery(row)) {
         let _ = writeln!(text, "robot {robot}: {NO_BATTERY}");
     }

@@ -122,20 +122,9 @@ impl Screen {
     pub(crate) fn draw(&mut self, frame: &mut Frame, board: &Board) {
         let area = frame.area();
         let boxes = area.width >= panels::BOXES_FROM_COLUMNS;
-        let lines = if boxes {
-            Vec::new()
-        } else {
-            panels::sums(board, area.width)
-        };
-        let heights = self.heights(
-            area,
-            board,
-            if boxes {
-                panels::BOXES_LINES
-            } else {
-                lines.len() as u16
-            },
-        );
+        let lines = if boxes { Vec::new() } else { panels::sums(board, area.width) };
+        let heights =
+            self.heights(area, board, if boxes { panels::BOXES_LINES } else { lines.len() as u16 });
         let [title, sums, table, bottom, help] = Layout::vertical([
             Constraint::Length(1),
             Constraint::Length(heights.sums),
@@ -163,11 +152,7 @@ impl Screen {
 
     fn heights(&self, area: Rect, board: &Board, sums: u16) -> Heights {
         let help = u16::from(area.height >= HELP_FROM_LINES || self.mode == Mode::Search);
-        let sums = if area.height >= SUMS_FROM_LINES {
-            sums
-        } else {
-            0
-        };
+        let sums = if area.height >= SUMS_FROM_LINES { sums } else { 0 };
         let below = if area.height >= CHART_FROM_LINES {
             // The table gets the height for the fleet, the chart the rest, within bounds.
             let table = (board.rows.len() as u16).saturating_add(3);
@@ -183,24 +168,9 @@ impl Screen {
     fn title(&self, width: u16, board: &Board) -> Line<'static> {
         // Importance, whether it is on the right, and the part.
         let mut parts = vec![
-            (
-                2,
-                false,
-                Span::from(" joulebus ").bold().fg(Color::Black).bg(ACCENT),
-            ),
-            (
-                3,
-                false,
-                Span::from(format!(" fleet {}", self.fleet)).bold(),
-            ),
-            (
-                1,
-                false,
-                Span::styled(
-                    format!("  {} robots", count(board.rows.len() as u64)),
-                    QUIET,
-                ),
-            ),
+            (2, false, Span::from(" joulebus ").bold().fg(Color::Black).bg(ACCENT)),
+            (3, false, Span::from(format!(" fleet {}", self.fleet)).bold()),
+            (1, false, Span::styled(format!("  {} robots", count(board.rows.len() as u64)), QUIET)),
         ];
         if let Some(header) = board.header() {
             let worker = format!("worker {}  ", header.pid);
@@ -244,16 +214,8 @@ impl Screen {
                 false => panels::draw_chart(frame, area, board, robot),
             };
         }
-        let chart = if area.width < panels::BOXES_FROM_COLUMNS {
-            1
-        } else {
-            3
-        };
-        let notes = if area.width < panels::BOXES_FROM_COLUMNS {
-            1
-        } else {
-            2
-        };
+        let chart = if area.width < panels::BOXES_FROM_COLUMNS { 1 } else { 3 };
+        let notes = if area.width < panels::BOXES_FROM_COLUMNS { 1 } else { 2 };
         let [chart, notes] =
             Layout::horizontal([Constraint::Fill(chart), Constraint::Fill(notes)]).areas(area);
         panels::draw_chart(frame, chart, board, robot);
@@ -292,21 +254,14 @@ impl Screen {
         let seen = usize::from(area.height);
         let from = listed.selected.saturating_sub(seen);
         let rows =
-            listed
-                .robots
-                .iter()
-                .enumerate()
-                .map(|(place, robot)| match board.rows.get(robot) {
-                    Some(row) if place >= from && place <= from + 2 * seen => {
-                        table_row(*robot, row, &places, state_columns)
-                    }
-                    _ => TableRow::default(),
-                });
-        let mut table = Table::new(rows, widths).row_highlight_style(
-            Style::new()
-                .bg(Color::Indexed(237))
-                .add_modifier(Modifier::BOLD),
-        );
+            listed.robots.iter().enumerate().map(|(place, robot)| match board.rows.get(robot) {
+                Some(row) if place >= from && place <= from + 2 * seen => {
+                    table_row(*robot, row, &places, state_columns)
+                }
+                _ => TableRow::default(),
+            });
+        let mut table = Table::new(rows, widths)
+            .row_highlight_style(Style::new().bg(Color::Indexed(237)).add_modifier(Modifier::BOLD));
         if let Some(block) = block {
             let heads = heads.map(|(head, _)| right_or_left(head, head));
             table = table.header(TableRow::new(heads).style(QUIET)).block(block);

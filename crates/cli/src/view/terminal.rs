@@ -26,9 +26,7 @@ struct RawTerminal {
 impl RawTerminal {
     fn take() -> anyhow::Result<Self> {
         let terminal = ratatui::try_init().context("cannot use the terminal; try --plain")?;
-        Ok(Self {
-            terminal: ManuallyDrop::new(terminal),
-        })
+        Ok(Self { terminal: ManuallyDrop::new(terminal) })
     }
 }
 
@@ -90,10 +88,7 @@ pub(crate) fn show(
 fn is_closed(patience: Duration) -> anyhow::Result<bool> {
     let stdin = std::io::stdin();
     let mut polled = [PollFd::new(&stdin, PollFlags::IN)];
-    let timeout = Timespec {
-        tv_sec: 0,
-        tv_nsec: patience.subsec_nanos().into(),
-    };
+    let timeout = Timespec { tv_sec: 0, tv_nsec: patience.subsec_nanos().into() };
     match poll(&mut polled, Some(&timeout)) {
         Ok(_) => {
             let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;

@@ -73,9 +73,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 impl Args {
     fn end_ns(&self) -> u64 {
-        let duration_ns = self
-            .duration
-            .map_or(u64::MAX, |duration_s| (duration_s * 1e9) as u64);
+        let duration_ns = self.duration.map_or(u64::MAX, |duration_s| (duration_s * 1e9) as u64);
         clock::monotonic_ns().saturating_add(duration_ns)
     }
 
@@ -91,9 +89,7 @@ impl Args {
             let board = board.borrow();
             let whole = |row: &Row| row.diagnostic.is_some() && row.budget.is_some();
             if board.rows.values().any(whole)
-                && self
-                    .robot
-                    .is_none_or(|robot| board.rows.contains_key(&robot))
+                && self.robot.is_none_or(|robot| board.rows.contains_key(&robot))
             {
                 let now_ns = clock::monotonic_ns();
                 counts_by_ns = counts_by_ns.min(now_ns + COUNTS_WITHIN_NS);
@@ -117,9 +113,7 @@ impl Args {
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
-            say(&format!(
-                "the worker has received no samples of robot {robot}"
-            ));
+            say(&format!("the worker has received no samples of robot {robot}"));
             return Ok(Outcome::Failed);
         }
         match output.format() {

@@ -51,10 +51,7 @@ pub(super) fn run(
 impl fmt::Display for PlannerReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (frames, missed, workers) = (self.frames, self.frames_missed, self.workers);
-        writeln!(
-            out,
-            "frames: {frames} read, {missed} missed, of {workers} workers"
-        )?;
+        writeln!(out, "frames: {frames} read, {missed} missed, of {workers} workers")?;
         write!(out, "{}", self.latency)
     }
 }

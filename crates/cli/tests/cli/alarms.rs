@@ -19,10 +19,7 @@ fn told(path: &Path) -> Vec<String> {
 }
 
 fn count(path: &Path, what: &str) -> usize {
-    told(path)
-        .iter()
-        .filter(|line| line.ends_with(what))
-        .count()
+    told(path).iter().filter(|line| line.ends_with(what)).count()
 }
 
 /// Waits until all robots are silent: the last that was told of them.
@@ -54,10 +51,8 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     });
     recorder.wait_for_stderr("recording");
     let mut watch = fleet.joulebus("alarms --format json");
-    let command = format!(
-        "echo \"$JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_CHANGE\" >> {}",
-        hook.display()
-    );
+    let command =
+        format!("echo \"$JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_CHANGE\" >> {}", hook.display());
     let mut watcher = Program::start({
         watch.arg("--on-alarm").arg(command);
         watch
@@ -67,9 +62,7 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     publish(&fleet);
     wait_for_silence(&hook);
     publish(&fleet);
-    eventually("they sent again", || {
-        count(&hook, "NoData cleared") >= ROBOTS
-    });
+    eventually("they sent again", || count(&hook, "NoData cleared") >= ROBOTS);
     wait_for_silence(&hook);
     let cleared = count(&hook, "NoData cleared");
     let recorded = recorder.end(Signal::TERM);
@@ -80,58 +73,33 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     drop(worker);
     let worker = fleet.worker();
     publish(&fleet);
-    eventually("the next one is told", || {
-        count(&hook, "WorkerGone cleared") == 1
-    });
+    eventually("the next one is told", || count(&hook, "WorkerGone cleared") == 1);
     let watched = watcher.end(Signal::TERM);
     // A process that gets no processor for two seconds misses ticks, and says so.
     let missed = stderr(&watched).contains("ticks without diagnostics");
-    assert_eq!(
-        code(&watched),
-        if missed { 3 } else { 0 },
-        "{}",
-        stderr(&watched)
-    );
+    assert_eq!(code(&watched), if missed { 3 } else { 0 }, "{}", stderr(&watched));
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
 
-    let lines: Vec<Value> = stdout(&watched)
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let lines: Vec<Value> =
+        stdout(&watched).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let shown = lines.iter().map(|line| {
-        let robot = line["robot"]
-            .as_u64()
-            .map_or(String::new(), |it| it.to_string());
+        let robot = line["robot"].as_u64().map_or(String::new(), |it| it.to_string());
         let word = |name: &str| line[name].as_str().unwrap().to_owned();
         format!("{robot} {} {}", word("alarm"), word("change"))
     });
     assert_eq!(shown.collect::<Vec<_>>(), told(&hook));
     for line in &lines {
-        assert_eq!(
-            line["lasted_s"].is_null(),
-            line["change"] == "raised",
-            "{line}"
-        );
+        assert_eq!(line["lasted_s"].is_null(), line["change"] == "raised", "{line}");
     }
 
     let history = output(["alarms", "--format", "json", capture.to_str().unwrap()]);
     let history = json(&history);
     let episodes = history["alarms"].as_array().unwrap();
-    let silent: Vec<&Value> = episodes
-        .iter()
-        .filter(|it| it["alarm"] == "NoData")
-        .collect();
-    let robots: BTreeSet<u64> = silent
-        .iter()
-        .filter_map(|it| it["robot"].as_u64())
-        .collect();
+    let silent: Vec<&Value> = episodes.iter().filter(|it| it["alarm"] == "NoData").collect();
+    let robots: BTreeSet<u64> = silent.iter().filter_map(|it| it["robot"].as_u64()).collect();
     assert_eq!(robots.len(), ROBOTS, "{history}");
     let ended = |end: &str| silent.iter().filter(|it| it["end"] == end).count();
-    assert_eq!(
-        (ended("cleared"), ended("raised")),
-        (cleared, ROBOTS),
-        "{history}"
-    );
+    assert_eq!((ended("cleared"), ended("raised")), (cleared, ROBOTS), "{history}");
     assert!(fleet.stale_files().is_empty());
 }
 
@@ -152,10 +120,7 @@ fn a_command_that_fails_is_counted_and_the_changes_are_shown() {
     let watched = watcher.end(Signal::INT);
     assert_eq!(code(&watched), 3, "{watched:?}");
     assert!(stderr(&watched).contains("were not taken by --on-alarm"));
-    assert!(
-        stdout(&watched).contains("NoData raised (stale)"),
-        "{watched:?}"
-    );
+    assert!(stdout(&watched).contains("NoData raised (stale)"), "{watched:?}");
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
 }
 
@@ -174,14 +139,8 @@ fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
         .lines()
         .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
         .collect();
-    assert!(
-        lines
-            .iter()
-            .any(|line| line["target"] == "joulebus::program")
-    );
-    let alarms = lines
-        .iter()
-        .filter(|line| line["target"] == "joulebus::alarms");
+    assert!(lines.iter().any(|line| line["target"] == "joulebus::program"));
+    let alarms = lines.iter().filter(|line| line["target"] == "joulebus::alarms");
     let (raised, over): (Vec<&Value>, Vec<&Value>) =
         alarms.partition(|line| line["change"] == "raised");
     let silent = |robot: usize| {
@@ -209,34 +168,18 @@ fn an_alarm_is_explained_by_its_name_in_any_case() {
         assert!(text.contains(part), "{text}");
     }
     let all = json(&output(["alarms", "--format", "json", "--explain"]));
-    let names: BTreeSet<&str> = all
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|card| card["alarm"].as_str().unwrap())
-        .collect();
-    assert!(
-        names.contains("NoData") && names.contains("WorkerGone"),
-        "{names:?}"
-    );
+    let names: BTreeSet<&str> =
+        all.as_array().unwrap().iter().map(|card| card["alarm"].as_str().unwrap()).collect();
+    assert!(names.contains("NoData") && names.contains("WorkerGone"), "{names:?}");
     let unknown = output(["alarms", "--explain", "Bias"]);
     assert_eq!(code(&unknown), 2);
-    assert!(
-        stderr(&unknown).contains("BiasHigh"),
-        "{}",
-        stderr(&unknown)
-    );
+    assert!(stderr(&unknown).contains("BiasHigh"), "{}", stderr(&unknown));
 }
 
 /// Runs the verb, and returns its exit code and what it says.
 fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
     let mut command = fleet.joulebus("alarms");
-    let ended = command
-        .env("USER", "eve")
-        .arg("--acknowledge")
-        .args(arguments)
-        .output()
-        .unwrap();
+    let ended = command.env("USER", "eve").arg("--acknowledge").args(arguments).output().unwrap();
     (code(&ended), stdout(&ended) + &stderr(&ended))
 }
 
@@ -244,17 +187,11 @@ fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
 /// acknowledged.
 fn of_robot_1(program: &mut Program) -> Vec<String> {
     let lines = program.shown();
-    let lines = lines
-        .iter()
-        .map(|line| -> Value { serde_json::from_str(line).unwrap() });
+    let lines = lines.iter().map(|line| -> Value { serde_json::from_str(line).unwrap() });
     let of_it = lines.filter(|line| line["robot"] == 1 && line["alarm"] == "NoData");
     let shown = of_it.map(|line| {
         let word = |of: &Value| of.as_str().unwrap_or("nobody").to_owned();
-        format!(
-            "{} {}",
-            word(&line["change"]),
-            word(&line["acknowledged"]["by"])
-        )
+        format!("{} {}", word(&line["change"]), word(&line["acknowledged"]["by"]))
     });
     shown.collect()
 }
@@ -275,26 +212,16 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     publish(&fleet);
     let ended_with = |program: &mut Program, expected: &[&str]| {
         eventually(&format!("{expected:?}"), || {
-            of_robot_1(program).ends_with(
-                &expected
-                    .iter()
-                    .map(|it| (*it).to_owned())
-                    .collect::<Vec<_>>(),
-            )
+            of_robot_1(program)
+                .ends_with(&expected.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>())
         });
     };
     ended_with(&mut watcher, &["raised nobody"]);
 
     let (status, said) = acknowledge(&fleet, &["1", "nodata", "--by", "ann"]);
-    assert_eq!(
-        (status, &*said),
-        (0, "robot 1: NoData acknowledged by ann\n")
-    );
+    assert_eq!((status, &*said), (0, "robot 1: NoData acknowledged by ann\n"));
     let (status, said) = acknowledge(&fleet, &["1", "BiasHigh", "--by", "ann"]);
-    assert!(
-        status == 1 && said.contains("BiasHigh of robot 1 is not raised"),
-        "{said}"
-    );
+    assert!(status == 1 && said.contains("BiasHigh of robot 1 is not raised"), "{said}");
     for (wrong, reason) in [
         (&["1", "WorkerGone"][..], "cannot be acknowledged"),
         (&["x", "NoData"], "no id of a robot"),
@@ -303,10 +230,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
         (&["1", "NoData", "--by", "\n"], "control characters"),
     ] {
         let (status, said) = acknowledge(&fleet, wrong);
-        assert!(
-            status == 2 && said.contains(reason),
-            "{wrong:?}: {status} {said}"
-        );
+        assert!(status == 2 && said.contains(reason), "{wrong:?}: {status} {said}");
     }
     ended_with(&mut watcher, &["raised nobody", "acknowledged ann"]);
     // One that comes later is told, too.
@@ -314,10 +238,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     ended_with(&mut later, &["raised nobody", "acknowledged ann"]);
     publish(&fleet);
     for program in [&mut watcher, &mut later] {
-        ended_with(
-            program,
-            &["acknowledged ann", "cleared ann", "raised nobody"],
-        );
+        ended_with(program, &["acknowledged ann", "cleared ann", "raised nobody"]);
     }
     let mut last = Program::start(fleet.joulebus("alarms --format json"));
     ended_with(&mut last, &["raised nobody"]);
@@ -329,33 +250,19 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     let report = json(&worker.end(Signal::TERM));
     assert_eq!(report["alarms"]["acknowledged"], 1, "{report}");
 
-    let history = json(&output([
-        "alarms",
-        "--format",
-        "json",
-        capture.to_str().unwrap(),
-    ]));
+    let history = json(&output(["alarms", "--format", "json", capture.to_str().unwrap()]));
     let episodes = history["alarms"].as_array().unwrap().iter();
-    let silent: Vec<&Value> = episodes
-        .filter(|it| it["robot"] == 1 && it["alarm"] == "NoData")
-        .collect();
+    let silent: Vec<&Value> =
+        episodes.filter(|it| it["robot"] == 1 && it["alarm"] == "NoData").collect();
     let (first, rest) = silent.split_first().unwrap();
-    assert_eq!(
-        (&first["acknowledged"]["by"], &first["end"]),
-        (&"ann".into(), &"cleared".into())
-    );
+    assert_eq!((&first["acknowledged"]["by"], &first["end"]), (&"ann".into(), &"cleared".into()));
     let after_ns = first["acknowledged"]["at_unix_ns"].as_u64() > first["raised_ns"].as_u64();
-    assert!(
-        after_ns && rest.iter().all(|it| it["acknowledged"].is_null()),
-        "{history}"
-    );
+    assert!(after_ns && rest.iter().all(|it| it["acknowledged"].is_null()), "{history}");
 
     let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
     watcher.wait_for_stderr("alarms of fleet cli");
     let mut replay = fleet.joulebus("replay");
-    replay
-        .arg(&capture)
-        .args(["--topics", "diagnostics", "forecasts", "acknowledgements"]);
+    replay.arg(&capture).args(["--topics", "diagnostics", "forecasts", "acknowledgements"]);
     let played = replay.output().unwrap();
     assert_eq!(code(&played), 0, "{}", stderr(&played));
     ended_with(&mut watcher, &["cleared ann", "raised nobody"]);

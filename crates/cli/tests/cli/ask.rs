@@ -58,9 +58,8 @@ fn outcome(fleet: &Fleet, question: &str, is_expected: impl Fn(&Output) -> bool)
 
 /// As [`outcome`], of a question that is refused with an exit code and such a reason.
 fn refused(fleet: &Fleet, question: &str, with: i32, told: &str) {
-    let asked = outcome(fleet, question, |asked| {
-        code(asked) == with && stderr(asked).contains(told)
-    });
+    let asked =
+        outcome(fleet, question, |asked| code(asked) == with && stderr(asked).contains(told));
     assert!(stdout(&asked).is_empty(), "{asked:?}");
 }
 
@@ -70,9 +69,7 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     let worker = fleet.worker();
     let source = Program::start(fleet.joulebus("publish sim --robots 4"));
 
-    let two_places = fleet
-        .output("ask --robot 1 --path p.csv --return 1,2 --dock 0,0")
-        .exits(2);
+    let two_places = fleet.output("ask --robot 1 --path p.csv --return 1,2 --dock 0,0").exits(2);
     let why = stderr(&two_places);
     assert!(why.contains("leave one of them out"), "{why}");
     let asked = ask(&fleet, "--robot 1 --path FILE --return dock");
@@ -90,10 +87,7 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     assert!((2.0..6.0).contains(&mean_w), "{asked}");
     let left = &answer["left"];
     let (left_j, left_lo_j) = (number(&left["mean_j"]), number(&left["lo_j"]));
-    assert!(
-        left_lo_j <= left_j && left_j < 5.0 * 3600.0 - lo_j,
-        "{asked}"
-    );
+    assert!(left_lo_j <= left_j && left_j < 5.0 * 3600.0 - lo_j, "{asked}");
     assert_ne!(answer["verdict"], "no", "{asked}");
     assert_ne!(answer["verdict"], "unknown", "{asked}");
 
@@ -113,14 +107,9 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     let mut robots = of("robot");
     robots.sort_by(f64::total_cmp);
     assert_eq!(robots, [0.0, 2.0, 3.0]);
-    let costs: Vec<f64> = answers
-        .iter()
-        .map(|answer| number(&answer["energy"]["mean_j"]))
-        .collect();
-    assert!(
-        costs.is_sorted(),
-        "one verdict, the cheapest first: {ranked}"
-    );
+    let costs: Vec<f64> =
+        answers.iter().map(|answer| number(&answer["energy"]["mean_j"])).collect();
+    assert!(costs.is_sorted(), "one verdict, the cheapest first: {ranked}");
 
     let told = outcome(&fleet, "ask --robot 2 --idle 30", |told| code(told) == 0);
     assert!(stdout(&told).starts_with("robot 2 (gternal): "), "{told:?}");
@@ -168,10 +157,9 @@ fn a_planner_with_another_model_or_other_limits_than_the_worker_is_refused() {
     let source = Program::start(fleet.joulebus("publish sim --robots 2"));
     ask(&fleet, "--robot 1 --idle 10");
     let text = fs::read_to_string(fleet.config()).unwrap();
-    for (change, told) in [
-        ("capacity_wh = 6.0", "settings"),
-        ("capacity_wh = 5.0\ninitial_soc = 0.97", "settings"),
-    ] {
+    for (change, told) in
+        [("capacity_wh = 6.0", "settings"), ("capacity_wh = 5.0\ninitial_soc = 0.97", "settings")]
+    {
         fs::write(fleet.config(), text.replace("capacity_wh = 5.0", change)).unwrap();
         refused(&fleet, "ask --robot 1 --idle 10", 1, told);
     }
@@ -208,10 +196,7 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
                     let fields = answer.as_object().unwrap().keys();
                     let steps = answer["power_w"].as_array().map_or(0, Vec::len);
                     let (robot, platform) = (&answer["robot"], &answer["platform"]);
-                    format!(
-                        "{robot} {platform} {steps} {:?}",
-                        fields.collect::<Vec<_>>()
-                    )
+                    format!("{robot} {platform} {steps} {:?}", fields.collect::<Vec<_>>())
                 })
                 .collect();
             shapes.sort();
@@ -219,18 +204,8 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
         };
         assert_eq!(shape(&here), shape(&there), "{here}\n{there}");
     }
-    refused(
-        &fleet,
-        "ask --robot 9 --idle 30 --through worker",
-        1,
-        "robot 9",
-    );
-    refused(
-        &fleet,
-        "ask --robot 1 --idle 3 --coverage 0.2 --through worker",
-        2,
-        "",
-    );
+    refused(&fleet, "ask --robot 9 --idle 30 --through worker", 1, "robot 9");
+    refused(&fleet, "ask --robot 1 --idle 3 --coverage 0.2 --through worker", 2, "");
     let many = (0..65).map(|robot| robot.to_string()).collect::<Vec<_>>();
     let many = many.join(",");
     let large = fleet.output(&format!("ask --rank {many} --idle 3 --through worker"));
@@ -250,10 +225,7 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
     let report = json(&worker.end(Signal::INT));
     let queries = &report["queries"];
     assert!(queries["answered"].as_u64() >= Some(3), "{report}");
-    assert!(
-        queries["refused"]["UnknownRobot"].as_u64() >= Some(1),
-        "{report}"
-    );
+    assert!(queries["refused"]["UnknownRobot"].as_u64() >= Some(1), "{report}");
 
     let text = fs::read_to_string(fleet.config()).unwrap();
     let off = format!("{text}\n[queries]\nanswer = \"off\"\n");

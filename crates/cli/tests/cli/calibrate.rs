@@ -12,11 +12,7 @@ use joulebus_testkit::says;
 /// Seven simulated robots of the platform gternal, 100 s each.
 fn recordings(fleet: &Fleet) -> Vec<PathBuf> {
     let directory = fleet.path("simulated");
-    joulebus(["data", "simulate", "--steps", "3000"])
-        .arg(&directory)
-        .output()
-        .unwrap()
-        .exits(0);
+    joulebus(["data", "simulate", "--steps", "3000"]).arg(&directory).output().unwrap().exits(0);
     let robots = (1..=7).map(|robot| format!("energy_data_seven_robots_robot{robot}.npy"));
     robots.map(|name| directory.join(name)).collect()
 }
@@ -24,11 +20,7 @@ fn recordings(fleet: &Fleet) -> Vec<PathBuf> {
 fn calibrate(fleet: &Fleet, recordings: &[PathBuf], words: &str) -> Output {
     let mut command = joulebus(["calibrate", "--platform", "gternal"]);
     command.args(recordings).args(words.split_whitespace());
-    command
-        .arg("--config")
-        .arg(fleet.config())
-        .output()
-        .unwrap()
+    command.arg("--config").arg(fleet.config()).output().unwrap()
 }
 
 #[test]
@@ -36,10 +28,7 @@ fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_bef
     let fleet = Fleet::new();
     let recordings = recordings(&fleet);
     let file = fleet.path("robot-alarms.toml");
-    let words = format!(
-        "--false-alarms 500/hour --robots 5 --format json -o {}",
-        file.display()
-    );
+    let words = format!("--false-alarms 500/hour --robots 5 --format json -o {}", file.display());
     let found = calibrate(&fleet, &recordings, &words).exits(0);
     let found = json(&found);
     assert_eq!(found["wanted_per_robot_h"], 100.0);
@@ -56,22 +45,12 @@ fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_bef
     assert!(after.warnings().is_empty(), "{:?}", after.warnings());
     let [old, new] = [&before, &after].map(|it| it.settings().platforms[0].clone());
     let limits = new.alarms.unwrap();
-    let values = [
-        limits.cusum_limit,
-        limits.noise_limit,
-        limits.mismatch_limit,
-    ];
+    let values = [limits.cusum_limit, limits.noise_limit, limits.mismatch_limit];
     for (place, value) in values.into_iter().enumerate() {
         let stated = found["limits"][place]["value"].as_f64().unwrap();
         assert_eq!(value, stated as f32, "{found}");
     }
-    assert_eq!(
-        joulebus_settings::Platform {
-            alarms: None,
-            ..new
-        },
-        old
-    );
+    assert_eq!(joulebus_settings::Platform { alarms: None, ..new }, old);
     assert_eq!(before.models(), after.models());
     let written = fs::read_to_string(&file).unwrap().replace("\n# ", " ");
     for evidence in [
@@ -112,26 +91,19 @@ fn too_little_evidence_fails_with_what_would_be_needed() {
     let refused = calibrate(&fleet, &recordings, "--false-alarms 1/day --robots 20").exits(1);
     assert!(stdout(&refused).is_empty());
     let said = stderr(&refused);
-    says(
-        &said,
-        "2875.9 robot-hours | a day of 20 robots | --extrapolate".split(" | "),
-    );
+    says(&said, "2875.9 robot-hours | a day of 20 robots | --extrapolate".split(" | "));
     let several = output(
-        ["calibrate", "--false-alarms", "1/day", "--config"]
-            .map(PathBuf::from)
-            .iter()
-            .chain([&fleet.config(), &recordings[0], &recordings[1]]),
+        ["calibrate", "--false-alarms", "1/day", "--config"].map(PathBuf::from).iter().chain([
+            &fleet.config(),
+            &recordings[0],
+            &recordings[1],
+        ]),
     )
     .exits(2);
     says(&stderr(&several), ["--platform"]);
     // The built-in config is of another robot than whoever recorded these.
     let mut unknown = joulebus(["calibrate", "--false-alarms", "1/day"]);
-    unknown
-        .arg(&recordings[0])
-        .current_dir(fleet.root().parent().unwrap());
+    unknown.arg(&recordings[0]).current_dir(fleet.root().parent().unwrap());
     let refused = unknown.output().unwrap().exits(2);
-    says(
-        &stderr(&refused),
-        ["which platform", "joulebus config init"],
-    );
+    says(&stderr(&refused), ["which platform", "joulebus config init"]);
 }

@@ -55,10 +55,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     assert_eq!(rows, samples);
     // A topic that is not there, beside one that is; and an expression that matches none.
     for (asked, last) in [
-        (
-            "--topics joulebus/cli/samples joulebus/cli/sample",
-            "joulebus/cli/sample",
-        ),
+        ("--topics joulebus/cli/samples joulebus/cli/sample", "joulebus/cli/sample"),
         ("-e budget", "budget"),
     ] {
         let refused = run(format!("cat {shown} {asked}")).exits(1);
@@ -74,18 +71,12 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     let bytes = fs::read(&whole).unwrap();
     fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let doctor = run(format!("doctor {}", text(&cut))).exits(3);
-    says(
-        &stdout(&doctor),
-        ["the file ends within", "joulebus recover"],
-    );
+    says(&stdout(&doctor), ["the file ends within", "joulebus recover"]);
     let again = text(&fleet.path("again.mcap"));
     let recover = format!("recover {} -o {again}", text(&cut));
     let recovered = json(&run(format!("{recover} --format json")).exits(3));
     let kept = recovered["messages"]["recovered"].as_u64().unwrap();
-    assert!(
-        kept < messages && recovered["lost_unknown"] == true,
-        "{recovered}"
-    );
+    assert!(kept < messages && recovered["lost_unknown"] == true, "{recovered}");
     run(format!("doctor {again}")).exits(0);
     let shown = json(&run(format!("info {again} --format json")));
     assert_eq!(shown["files"][0]["messages"], kept);
@@ -158,14 +149,7 @@ fn files_of_an_earlier_release_are_refused_by_name_or_go_on() {
     let earlier = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/earlier");
     let capture = text(&earlier.join("run.mcap"));
     let refused = stderr(&run(format!("replay --verify {capture}")).exits(1));
-    says(
-        &refused,
-        [
-            "run.mcap",
-            "by rules 1",
-            "with the version that recorded it (0.1.0)",
-        ],
-    );
+    says(&refused, ["run.mcap", "by rules 1", "with the version that recorded it (0.1.0)"]);
     let shown = json(&run(format!("info {capture} --format json")).exits(0));
     assert!(shown.is_object(), "{shown}");
     let fleet = Fleet::new();
@@ -206,9 +190,7 @@ fn an_existing_file_is_refused_with_a_remedy() {
     let fleet = Fleet::new();
     let file = fleet.path("run.mcap");
     fs::write(&file, "precious").unwrap();
-    let refused = fleet
-        .output(&format!("record -o {}", file.display()))
-        .exits(1);
+    let refused = fleet.output(&format!("record -o {}", file.display())).exits(1);
     says(&stderr(&refused), ["--resume"]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
     assert!(fleet.stale_files().is_empty());
@@ -254,10 +236,7 @@ fn a_recorder_whose_file_is_removed_says_so_goes_on_and_exits_with_3() {
     let report = json(&ended);
     assert_eq!(report["taken"][&text(&file)], "removed");
     let files = report["files"].to_string();
-    assert!(
-        files.contains("run_1.mcap") && !files.contains("run.mcap"),
-        "{files}"
-    );
+    assert!(files.contains("run_1.mcap") && !files.contains("run.mcap"), "{files}");
     worker.end(Signal::TERM).exits(0);
 }
 
@@ -283,9 +262,7 @@ fn a_real_recording_is_imported_and_played() {
     let fleet = Fleet::new();
     let trials = fleet.path("trials");
     let (file, out) = (text(&file), text(&trials));
-    let imported = run(format!(
-        "import {file} -o {out} --current discharge-positive"
-    ));
+    let imported = run(format!("import {file} -o {out} --current discharge-positive"));
     // Positions that are not numbers are reported and set the exit code.
     let imported = imported.exits(3);
     says(&stdout(&imported), ["its position is not a number"]);

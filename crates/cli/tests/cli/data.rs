@@ -10,11 +10,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     let text = std::fs::read_to_string(&sound).unwrap();
     let spoiled = sound.with_file_name("spoiled.csv");
     let lines: Vec<&str> = text.lines().collect();
-    std::fs::write(
-        &spoiled,
-        [&lines[..50], &lines[60..]].concat().join("\n") + "\n",
-    )
-    .unwrap();
+    std::fs::write(&spoiled, [&lines[..50], &lines[60..]].concat().join("\n") + "\n").unwrap();
     let folder = sound.parent().unwrap().to_str().unwrap();
 
     let good = output(["data", "check", sound.to_str().unwrap()]);
@@ -24,11 +20,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     let bad = output(["data", "check", folder]).exits(3);
     let said = stdout(&bad);
     says(&said, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
-    assert!(
-        stderr(&bad).contains("are ignored"),
-        "the config beside them: {}",
-        stderr(&bad)
-    );
+    assert!(stderr(&bad).contains("are ignored"), "the config beside them: {}", stderr(&bad));
 
     let told = json(&output(["data", "check", folder, "--format", "json"]));
     assert_eq!((&told["sound"], &told["files"]), (&false.into(), &2.into()));
@@ -54,41 +46,25 @@ fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
     let check = output(["data", "check", runs]).exits(3);
     says(
         &stdout(&check),
-        [
-            "lines that are no whole rows: 1 in 1 files",
-            "b.csv: row 201: 512 NUL bytes",
-        ],
+        ["lines that are no whole rows: 1 in 1 files", "b.csv: row 201: 512 NUL bytes"],
     );
-    for verb in [
-        &["analyze"][..],
-        &["data", "info"],
-        &["train", "trials", "--out", "m.safetensors"],
-    ] {
+    for verb in
+        [&["analyze"][..], &["data", "info"], &["train", "trials", "--out", "m.safetensors"]]
+    {
         let words: Vec<&str> = verb.iter().copied().chain([runs]).collect();
         let refused = output(&words);
         assert_eq!(code(&refused), 1, "{verb:?}");
         says(
             &stderr(&refused),
-            [
-                "b.csv: row 201",
-                "512 NUL bytes",
-                "--whole-rows",
-                "leave the file out",
-            ],
+            ["b.csv: row 201", "512 NUL bytes", "--whole-rows", "leave the file out"],
         );
     }
     let analysed = output(["analyze", runs, "--split", "time", "--whole-rows"]).exits(0);
-    says(
-        &stderr(&analysed),
-        ["b.csv: 1 lines that are no whole rows were left out"],
-    );
+    says(&stderr(&analysed), ["b.csv: 1 lines that are no whole rows were left out"]);
     let out = folder.path().join("whole.csv");
     let (from, out) = (format!("{runs}/b.csv"), out.to_str().unwrap());
     let converted = output(["data", "convert", &from, "--whole-rows", "--out", out]).exits(3);
-    says(
-        &stdout(&converted),
-        ["200 rows", "1 lines that are no whole rows were left out"],
-    );
+    says(&stdout(&converted), ["200 rows", "1 lines that are no whole rows were left out"]);
     output(["data", "check", out]).exits(0);
 }
 
@@ -111,31 +87,14 @@ fn recordings_are_converted_and_resampled_only_on_request() {
     assert_eq!(code(&convert(&array, &["--out", &back])), 0);
     let third = path("c.npy");
     assert_eq!(code(&convert(&back, &["--out", &third])), 0);
-    assert_eq!(
-        std::fs::read(&array).unwrap(),
-        std::fs::read(&third).unwrap()
-    );
+    assert_eq!(std::fs::read(&array).unwrap(), std::fs::read(&third).unwrap());
 
     let thin = path("thin");
-    let grid = [
-        "--to",
-        "csv.gz",
-        "--resample",
-        "mean",
-        "--rate",
-        "10",
-        "--out",
-        &thin,
-    ];
+    let grid = ["--to", "csv.gz", "--resample", "mean", "--rate", "10", "--out", &thin];
     let made = json(&convert(from, &grid));
     assert_eq!(made["resample"]["method"], "mean");
     assert_eq!(made["files"][0]["rows"], 100, "{made}");
-    assert!(
-        made["files"][0]["file"]
-            .as_str()
-            .unwrap()
-            .ends_with("run.csv.gz")
-    );
+    assert!(made["files"][0]["file"].as_str().unwrap().ends_with("run.csv.gz"));
     for (words, wanted) in [
         (vec!["--rate", "10", "--out", "x.npy"], "--resample"),
         (vec!["--drop", "power_mW", "--out", "x.npy"], "power_mW"),
@@ -159,9 +118,7 @@ fn an_analysis_reports_its_split_and_held_readings() {
     let parts = "native: 1020 rows | held at 60 Hz | split by trial | persistence | \
         % of these readings repeat";
     says(&said, parts.split(" | "));
-    let told = json(&output([
-        "analyze", pattern, "--rate", "60", "--format", "json",
-    ]));
+    let told = json(&output(["analyze", pattern, "--rate", "60", "--format", "json"]));
     let series = told["series"].as_array().unwrap();
     assert_eq!(series[0]["held_share"], 0.0);
     let held = series[1]["held_share"].as_f64().unwrap();

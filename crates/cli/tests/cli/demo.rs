@@ -53,9 +53,7 @@ impl Run {
 
     /// Pid of a process of the demonstration.
     fn pid_of(&mut self, name: &str) -> u32 {
-        self.wait_for(&format!("{name} runs as process "))
-            .parse()
-            .unwrap()
+        self.wait_for(&format!("{name} runs as process ")).parse().unwrap()
     }
 
     /// Waits until workers have accepted more than `more_than` samples, by the progress lines;
@@ -92,9 +90,7 @@ fn is_over(pid: u32) -> bool {
 }
 
 fn count(value: &Value) -> u64 {
-    value
-        .as_u64()
-        .unwrap_or_else(|| panic!("{value} is not a count"))
+    value.as_u64().unwrap_or_else(|| panic!("{value} is not a count"))
 }
 
 fn dropped(summary: &Value) -> u64 {
@@ -123,10 +119,7 @@ fn counts_add_up_and_no_files_are_left() {
     let samples = &summary["samples"];
     let sent = count(&samples["sent"]);
     // 90 frames of five robots, minus those that the source skips on a busy machine.
-    assert!(
-        (5..=5 * 95).contains(&sent) && sent.is_multiple_of(5),
-        "{sent}"
-    );
+    assert!((5..=5 * 95).contains(&sent) && sent.is_multiple_of(5), "{sent}");
     assert_eq!(sent, count(&samples["accepted"]) + dropped(&summary));
     assert_eq!(samples["difference"], 0);
     assert_eq!(samples["lost_between_workers"], 0);
@@ -137,19 +130,12 @@ fn counts_add_up_and_no_files_are_left() {
     let latency = &summary["planner"]["latency"];
     let frames = count(&latency["total"]["count"]);
     assert!(frames > 0);
-    for stage in [
-        "sent_to_taken",
-        "taken_to_compute",
-        "compute",
-        "compute_to_sent",
-        "sent_to_readable",
-    ] {
+    for stage in
+        ["sent_to_taken", "taken_to_compute", "compute", "compute_to_sent", "sent_to_readable"]
+    {
         assert_eq!(count(&latency[stage]["count"]), frames, "{stage}");
         let max_us = latency[stage]["max_us"].as_f64().unwrap();
-        assert!(
-            max_us <= latency["total"]["max_us"].as_f64().unwrap() * 1.001,
-            "{stage}"
-        );
+        assert!(max_us <= latency["total"]["max_us"].as_f64().unwrap() * 1.001, "{stage}");
     }
     assert!(summary["scores"]["mae_w"].as_f64().unwrap() > 0.0);
     assert!(summary["scores"]["persistence_r2"].as_f64().unwrap() <= 1.0);
@@ -228,10 +214,7 @@ fn a_killed_worker_is_restarted_and_the_summary_adds_up() {
     };
     let (demo, summary) = (0..5).find_map(run).expect("no frame was lost");
     let deaths = summary["deaths"].as_array().unwrap();
-    assert!(
-        deaths[0].as_str().unwrap().contains("again in 100 ms"),
-        "{deaths:?}"
-    );
+    assert!(deaths[0].as_str().unwrap().contains("again in 100 ms"), "{deaths:?}");
     assert_nothing_left(&summary, &demo);
 }
 
@@ -274,17 +257,11 @@ fn a_killed_source_is_restarted_and_the_summary_adds_up() {
 #[test]
 fn after_sigkill_its_processes_exit_and_the_next_run_cleans_up() {
     let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
-    let children = [
-        demo.pid_of("worker"),
-        demo.pid_of("planner"),
-        demo.pid_of("source"),
-    ];
+    let children = [demo.pid_of("worker"), demo.pid_of("planner"), demo.pid_of("source")];
     demo.wait_for_samples(0);
     demo.0.signal(Signal::KILL);
     demo.0.wait();
-    eventually("its processes have exited", || {
-        children.into_iter().all(is_over)
-    });
+    eventually("its processes have exited", || children.into_iter().all(is_over));
     // As a demo that looks at the same time, and found the processes alive.
     let looked_at = fs::File::open(demo.root().join("demo.toml"));
     if let Ok(config) = &looked_at {
@@ -295,9 +272,7 @@ fn after_sigkill_its_processes_exit_and_the_next_run_cleans_up() {
     assert_eq!(code, 0, "{summary:#}");
     assert_nothing_left(&summary, &next);
     // Another test's demo may have come first, and be at it.
-    eventually("the killed demo's files are removed", || {
-        demo.stale_files().is_empty()
-    });
+    eventually("the killed demo's files are removed", || demo.stale_files().is_empty());
 }
 
 /// A separate fleet.
@@ -308,10 +283,7 @@ struct Arena {
 
 impl Arena {
     fn new(robots: u32) -> Self {
-        let directory = tempfile::Builder::new()
-            .prefix("jbw")
-            .tempdir_in("/dev/shm")
-            .unwrap();
+        let directory = tempfile::Builder::new().prefix("jbw").tempdir_in("/dev/shm").unwrap();
         let config = DemoConfig {
             fleet: "w".to_owned(),
             root: directory.path().join("r"),
@@ -319,10 +291,7 @@ impl Arena {
             robots,
         };
         fs::write(directory.path().join("fleet.toml"), config.toml()).unwrap();
-        Self {
-            domain: Domain::new("w", &config.root, "jbw_").unwrap(),
-            directory,
-        }
+        Self { domain: Domain::new("w", &config.root, "jbw_").unwrap(), directory }
     }
 
     fn config(&self) -> &Path {
@@ -338,10 +307,7 @@ impl Arena {
 }
 
 fn frames(lines: &str) -> Vec<Value> {
-    lines
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect()
+    lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 #[test]
@@ -350,10 +316,7 @@ fn watch_without_a_worker_prints_a_hint() {
     let mut watch = arena.program(&["watch", "--once"]);
     watch.wait_for("no worker serves fleet w");
     assert_eq!(watch.0.wait().code(), Some(1));
-    assert_eq!(
-        left_behind(arena.domain.shm_prefix(), arena.domain.root()),
-        Vec::<PathBuf>::new()
-    );
+    assert_eq!(left_behind(arena.domain.shm_prefix(), arena.domain.root()), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -385,10 +348,8 @@ fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
         is_there
     });
     assert_eq!(frame["worker_pid"], pid);
-    let model = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/models/gternal-sim.safetensors"
-    );
+    let model =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
     let mut info = crate::fleet::joulebus(["model", "info", model, "--format", "json"]);
     let info: Value = serde_json::from_slice(&info.output().unwrap().stdout).unwrap();
     assert_eq!(frame["model_hash"], info["model_hash"]);
@@ -398,18 +359,12 @@ fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
         run.0.stop();
     }
     let frames = frames(&watch.0.wait().text());
-    let mut epochs: Vec<u64> = frames
-        .iter()
-        .map(|frame| count(&frame["worker_epoch"]))
-        .collect();
+    let mut epochs: Vec<u64> = frames.iter().map(|frame| count(&frame["worker_epoch"])).collect();
     epochs.dedup();
     assert_eq!(epochs.len(), 3, "{epochs:?}");
     assert!(frames.windows(2).all(|pair| {
         pair[0]["worker_epoch"] != pair[1]["worker_epoch"]
             || count(&pair[0]["tick"]) < count(&pair[1]["tick"])
     }));
-    assert_eq!(
-        left_behind(arena.domain.shm_prefix(), arena.domain.root()),
-        Vec::<PathBuf>::new()
-    );
+    assert_eq!(left_behind(arena.domain.shm_prefix(), arena.domain.root()), Vec::<PathBuf>::new());
 }

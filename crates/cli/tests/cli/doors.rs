@@ -14,20 +14,11 @@ const DOORS: [(&str, &str); 11] = [
     ("data check", "data check RECORDING"),
     ("import", "import RECORDING -o OUT.csv"),
     ("config init", "config init --from RECORDING -o OUT"),
-    (
-        "train",
-        "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors",
-    ),
-    (
-        "eval",
-        "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none",
-    ),
+    ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
+    ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none"),
     ("analyze", "analyze RECORDING --native --split time"),
     ("export", "export RECORDING --to parquet OUT"),
-    (
-        "report",
-        "report RECORDING --model builtin:gternal-sim -o OUT",
-    ),
+    ("report", "report RECORDING --model builtin:gternal-sim -o OUT"),
     (
         "publish trial",
         "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max",
@@ -114,15 +105,11 @@ fn table(planted: &str, is_array: bool) -> String {
 /// A bag with batteries and commands as ROS has them; `None` where it cannot have this.
 fn bag(planted: &str) -> Option<Vec<u8>> {
     let write = |f: &mut Vec<u8>, number: f32| f.extend(number.to_le_bytes());
-    let mut writer = mcap::WriteOptions::new()
-        .profile("ros2")
-        .create(Cursor::new(Vec::new()))
-        .unwrap();
+    let mut writer =
+        mcap::WriteOptions::new().profile("ros2").create(Cursor::new(Vec::new())).unwrap();
     let mut channel = |topic: &str, kind: &str| {
         let schema = writer.add_schema(kind, "ros2msg", b"").unwrap();
-        writer
-            .add_channel(schema, topic, "cdr", &BTreeMap::new())
-            .unwrap()
+        writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap()
     };
     let battery = channel("/battery_state", "sensor_msgs/msg/BatteryState");
     let command = channel("/cmd_vel", "geometry_msgs/msg/Twist");
@@ -155,21 +142,11 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
             "V, A and W in columns of mV, mA and mW" => (u * 1e6, -i * 1e3),
             _ => (u, -i),
         };
-        for value in [
-            volt * 1e-3,
-            f64::NAN,
-            ampere * 1e-3,
-            f64::NAN,
-            f64::NAN,
-            f64::NAN,
-            soc,
-        ] {
+        for value in [volt * 1e-3, f64::NAN, ampere * 1e-3, f64::NAN, f64::NAN, f64::NAN, soc] {
             write(&mut data, value as f32);
         }
         // Discharging, health and technology unknown, present; no cells, no names.
-        data.extend([
-            2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0,
-        ]);
+        data.extend([2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]);
         message(battery, at_ns, &data);
         if planted != "a command that never ends" || number < 100 {
             let mut data = vec![0, 1, 0, 0];
@@ -194,19 +171,13 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
         message(odometry, at_ns, &data);
     }
     writer.finish().unwrap();
-    let is_of_tables = [
-        "voltage and current without a unit",
-        "a column that is named and empty",
-    ];
+    let is_of_tables = ["voltage and current without a unit", "a column that is named and empty"];
     (!is_of_tables.contains(&planted)).then(|| writer.into_inner().into_inner())
 }
 
 /// The recording in a format; `None` where the format cannot have what is planted.
 fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
-    let is_of_text = [
-        "voltage and current without a unit",
-        "a column that is named and empty",
-    ];
+    let is_of_text = ["voltage and current without a unit", "a column that is named and empty"];
     let csv = folder.join("recording.csv");
     fs::write(&csv, table(planted, format == ".npy")).unwrap();
     let made = |name: &str, words: &str| {
@@ -227,10 +198,7 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
         "capture" if ["times of whole seconds", "a command that never ends"].contains(&planted) => {
             None
         }
-        "capture" => made(
-            "recording.mcap",
-            &format!("import CSV -o TO --accept {accepted}"),
-        ),
+        "capture" => made("recording.mcap", &format!("import CSV -o TO --accept {accepted}")),
         "Parquet" => made("archive", "export CSV --to parquet TO"),
         _ => {
             let path = folder.join("bag.mcap");
@@ -258,9 +226,7 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let is_read = matches!(code(said), 0 | 3)
         || door == "calibrate" && errors.contains("at least 2 are needed");
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
-    let warns_of_any = PLANTED
-        .iter()
-        .any(|(kind, _)| !kind.is_empty() && warns(kind));
+    let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(said) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
@@ -319,13 +285,8 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         let all = PLANTED.iter().enumerate();
         let fleet = &fleet;
         let start = |(number, planted)| scope.spawn(move || cells(number, planted, fleet));
-        let threads: Vec<_> = all
-            .map(|(number, planted)| start((number, *planted)))
-            .collect();
-        threads
-            .into_iter()
-            .map(|thread| thread.join().unwrap())
-            .collect()
+        let threads: Vec<_> = all.map(|(number, planted)| start((number, *planted))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
     });
     let doors: Vec<&str> = DOORS.iter().map(|(door, _)| *door).collect();
     let mut text = format!(
@@ -344,11 +305,8 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
             }
         }
         for (formats, line) in same {
-            text += &format!(
-                "| `{kind}` | {planted} | {} | {line} |\n",
-                formats.join(", ")
-            )
-            .replace("``", "");
+            text += &format!("| `{kind}` | {planted} | {} | {line} |\n", formats.join(", "))
+                .replace("``", "");
         }
     }
     text.push('\n');

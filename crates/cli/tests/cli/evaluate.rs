@@ -9,14 +9,8 @@ use serde_json::Value;
 use super::fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 
 const MODELS: [&str; 2] = [
-    concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/models/gternal-sim.safetensors"
-    ),
-    concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/models/gternal-sim-power.safetensors"
-    ),
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors"),
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim-power.safetensors"),
 ];
 
 /// Recordings of two groups in one directory with power that reverts to its mean.
@@ -28,9 +22,7 @@ fn recordings(folder: &Path, trials: u32, rows: u32) -> PathBuf {
         let mut state = u64::from(trial) + 1;
         let mut wander = 0.0;
         for row in 0..rows {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             wander = 0.9 * wander + ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 300.0;
             let (time_s, v) = (f64::from(row) / 30.0, f64::from(row / 30 % 4) * 0.05);
             let power_mw = 3_600.0 + wander + 2_000.0 * v;
@@ -56,14 +48,7 @@ fn forecaster<'a>(cell: &'a Value, name: &str) -> &'a Value {
 fn a_directory_is_evaluated_by_group_robot_and_trial() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 120, 60);
-    let asked = [
-        "eval",
-        "--model",
-        MODELS[0],
-        text(&data),
-        "--resamples",
-        "100",
-    ];
+    let asked = ["eval", "--model", MODELS[0], text(&data), "--resamples", "100"];
     let report = json(&done([&asked[..], &["--format", "json"]].concat()));
     // More trials than the config has ids: all are evaluated.
     assert_eq!(report["robots"].as_array().unwrap().len(), 120);
@@ -107,10 +92,7 @@ fn a_built_in_model_is_named_as_in_a_config() {
     assert_eq!(code(&by_name), 0, "{}", stderr(&by_name));
     assert_eq!(json(&by_name), json(&by_file));
     let refused = with("builtin:nothing").exits(2);
-    says(
-        &stderr(&refused),
-        ["builtin:nothing", "builtin:gternal-sim-power"],
-    );
+    says(&stderr(&refused), ["builtin:nothing", "builtin:gternal-sim-power"]);
 }
 
 #[test]

@@ -19,14 +19,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "run --config JUNK"),
     (0, "publish sim --config FLEET --robots 1 --duration 0.1"),
     (2, "publish sim --config FLEET --robots 99"),
-    (
-        0,
-        "publish trial TRIAL --config FLEET --no-wait --first-robot 0 --rate max",
-    ),
-    (
-        1,
-        "publish trial JUNK --config FLEET --no-wait --first-robot 0",
-    ),
+    (0, "publish trial TRIAL --config FLEET --no-wait --first-robot 0 --rate max"),
+    (1, "publish trial JUNK --config FLEET --no-wait --first-robot 0"),
     (2, "publish trial TRIAL --config FLEET --no-wait --rate 0"),
     (1, "record --config FLEET -o THERE"),
     (2, "record --config FLEET"),
@@ -117,10 +111,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "config explain tick.rate"),
     (1, "train trials JUNK -o NEW"),
     (2, "train trials TRIAL"),
-    (
-        1,
-        "train trials TRIAL --split time --threads 18446744073709551615 -o NEW",
-    ),
+    (1, "train trials TRIAL --split time --threads 18446744073709551615 -o NEW"),
     (2, "analyze TRIAL --split time --lags 18446744073709551615"),
     (2, "eval TRIAL --resamples 4294967295"),
     (2, "train sim"),
@@ -141,14 +132,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "calibrate TRIAL --false-alarms 1/year"),
     (2, "calibrate CAPTURE --false-alarms 1/day -o THERE"),
     (2, "calibrate JUNK --false-alarms 1/day"),
-    (
-        1,
-        "calibrate CAPTURE --false-alarms 1/day --robots 20 -o NEW",
-    ),
-    (
-        0,
-        "calibrate CAPTURE --false-alarms 1000000/hour --robots 1 -o NEW",
-    ),
+    (1, "calibrate CAPTURE --false-alarms 1/day --robots 20 -o NEW"),
+    (0, "calibrate CAPTURE --false-alarms 1000000/hour --robots 1 -o NEW"),
     (2, "report TRIAL"),
     (2, "bench nothing"),
     (2, "mission --hours 0"),
@@ -174,10 +159,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "completions cmd"),
 ];
 
-const MODEL: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../configs/models/gternal-sim.safetensors"
-);
+const MODEL: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
 
 /// Writes a file of text, a capture, one that is cut short, and a model of another format.
 fn prepare(fleet: &Fleet) {
@@ -236,14 +219,9 @@ pub(crate) fn below(words: &[String]) -> Vec<String> {
     let text = stdout(&help);
     let (_, list) = text.split_once("Commands:\n").unwrap_or_default();
     let (list, _) = list.split_once("Options:\n").unwrap_or((list, ""));
-    let names = list
-        .lines()
-        .filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next());
-    names
-        .filter(|name| *name != "help")
-        .map(str::to_owned)
-        .collect()
+    names.filter(|name| *name != "help").map(str::to_owned).collect()
 }
 
 /// All subcommands and theirs, as the words of a call.
@@ -290,12 +268,9 @@ fn results_that_cannot_be_written_are_a_failure() {
         calls.push(words.iter().map(PathBuf::from).collect());
     }
     let good = CASES.iter().filter(|(code, _)| *code == 0);
-    calls.extend(good.map(|(_, words)| {
-        words
-            .split(' ')
-            .map(|word| file(&fleet, word, &new))
-            .collect()
-    }));
+    calls.extend(
+        good.map(|(_, words)| words.split(' ').map(|word| file(&fleet, word, &new)).collect()),
+    );
     let mut wrong = Vec::new();
     for call in &calls {
         let ended = refused(call.clone());

@@ -55,14 +55,9 @@ fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and
     write_program(&in_path, "serve", "exit 9");
     write_program(installed.0.path(), "serve", "exit 3");
     let path = format!("{}:/usr/bin:/bin", in_path.display());
-    let ended = installed
-        .joulebus(&path, "-v --format json serve --foxglove --port 0")
-        .exits(3);
+    let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0").exits(3);
     let beside = installed.0.path().join("joulebus-serve");
-    let told = format!(
-        "{} -v --format json --foxglove --port 0\n",
-        beside.display()
-    );
+    let told = format!("{} -v --format json --foxglove --port 0\n", beside.display());
     assert_eq!(stdout(&ended), told);
 
     write_program(installed.0.path(), "serve", "kill -TERM $$");
@@ -91,11 +86,9 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
 #[test]
 fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
     let installed = Installed::new();
-    for words in [
-        "-v publish trial a.csv --rate max",
-        "train sim --seed 1 --out x",
-        "cat a --format csv",
-    ] {
+    for words in
+        ["-v publish trial a.csv --rate max", "train sim --seed 1 --out x", "cat a --format csv"]
+    {
         let missing = installed.joulebus("", words);
         assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
         let said = stderr(&missing);

@@ -52,10 +52,7 @@ pub(crate) fn stderr(output: &Output) -> String {
 }
 
 pub(crate) fn code(output: &Output) -> i32 {
-    output
-        .status
-        .code()
-        .unwrap_or_else(|| panic!("killed: {output:?}"))
+    output.status.code().unwrap_or_else(|| panic!("killed: {output:?}"))
 }
 
 pub(crate) fn json(output: &Output) -> Value {
@@ -73,11 +70,7 @@ pub(crate) fn is_built(row: &str) -> bool {
     let is_there = program.exists();
     if !is_there {
         println!("skipped: {verb}: {} is not built", program.display());
-        assert_ne!(
-            std::env::var("CI").as_deref(),
-            Ok("true"),
-            "{verb} is missing"
-        );
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{verb} is missing");
     }
     is_there
 }
@@ -106,11 +99,7 @@ impl Fleet {
         fs::write(directory.path().join("fleet.toml"), text).unwrap();
         let config = Config::load(directory.path().join("fleet.toml")).unwrap();
         let prefix = config.domain().unwrap().shm_prefix().to_owned();
-        Self {
-            directory,
-            root,
-            prefix,
-        }
+        Self { directory, root, prefix }
     }
 
     pub(crate) fn config(&self) -> PathBuf {

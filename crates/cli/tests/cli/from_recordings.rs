@@ -16,9 +16,7 @@ fn text(path: &Path) -> &str {
 fn recording(path: &Path, header: &str, units: [f64; 4], rows: u32, seed: u32) {
     let mut state = u64::from(seed) * 7_919 + 1;
     let mut uniform = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         (state >> 40) as f64 / f64::from(1 << 24) - 0.5
     };
     let mut table = format!("{header}\n");
@@ -36,14 +34,10 @@ fn recording(path: &Path, header: &str, units: [f64; 4], rows: u32, seed: u32) {
     fs::write(path, table).unwrap();
 }
 
-const GTERNAL: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../configs/models/gternal-sim.safetensors"
-);
-const LAYOUT: (&str, [f64; 4]) = (
-    "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps",
-    [1.0, 1e-3, 1.0, 1.0],
-);
+const GTERNAL: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
+const LAYOUT: (&str, [f64; 4]) =
+    ("timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps", [1.0, 1e-3, 1.0, 1.0]);
 
 /// The rows for training, as bytes: one short epoch.
 fn rows(folder: &Path, recordings: &[&str], columns: &[&str]) -> Vec<Vec<u8>> {
@@ -205,22 +199,12 @@ fn one_stuck_robot_sets_no_limit_for_the_others() {
     }
     let stuck = runs.join("stuck.csv");
     let rows = (0..400).map(|row| format!("{},40000,0.1,0.1\n", f64::from(row) / 20.0));
-    fs::write(
-        &stuck,
-        format!("{}\n{}", LAYOUT.0, rows.collect::<String>()),
-    )
-    .unwrap();
+    fs::write(&stuck, format!("{}\n{}", LAYOUT.0, rows.collect::<String>())).unwrap();
     let out = folder.path().join("lab");
     let made = done(["config", "init", "--from", text(&runs), "--out", text(&out)]);
-    says(
-        &stderr(&made),
-        ["stuck.csv", "far longer than those of the others"],
-    );
+    says(&stderr(&made), ["stuck.csv", "far longer than those of the others"]);
     let platform = fs::read_to_string(out.join("platforms/runs.toml")).unwrap();
-    says(
-        &platform,
-        ["\nhold_max_s = 0.5\n", "\nstuck_after_s = 10.0\n"],
-    );
+    says(&platform, ["\nhold_max_s = 0.5\n", "\nstuck_after_s = 10.0\n"]);
 }
 
 #[test]

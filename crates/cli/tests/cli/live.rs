@@ -11,9 +11,8 @@ use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};
 fn every_sample_played_as_fast_as_possible_is_accepted() {
     let fleet = Fleet::new();
     let (rows, robots, passes) = (200, 4, 2);
-    let files: Vec<_> = (0..robots)
-        .map(|robot| fleet.recording(&format!("{robot}.csv"), rows))
-        .collect();
+    let files: Vec<_> =
+        (0..robots).map(|robot| fleet.recording(&format!("{robot}.csv"), rows)).collect();
     let worker = fleet.worker();
     let mut play =
         fleet.joulebus("publish trial --rate max --loop=2 --first-robot 3 --format json");
@@ -41,10 +40,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
 fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     let fleet = Fleet::new();
     fs::create_dir(fleet.path("rovers")).unwrap();
-    let rovers = [
-        fleet.recording("rovers/b.csv", 20),
-        fleet.recording("rovers/a.csv", 20),
-    ];
+    let rovers = [fleet.recording("rovers/b.csv", 20), fleet.recording("rovers/a.csv", 20)];
     fs::write(fleet.path("rovers/notes.txt"), "no recording").unwrap();
     let one = fleet.recording("one.csv", 20);
     let mut play = fleet.joulebus("publish trial --no-wait --rate 1000 --format json");
@@ -63,11 +59,7 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
             (robot, trial["file"].as_str().unwrap().to_owned())
         })
         .collect();
-    let expected = [
-        trial(7, &one),
-        trial(100, &rovers[1]),
-        trial(101, &rovers[0]),
-    ];
+    let expected = [trial(7, &one), trial(100, &rovers[1]), trial(101, &rovers[0])];
     assert_eq!(found, expected);
     assert_eq!(played["frames_unheard"], played["frames_sent"]);
     assert!(fleet.stale_files().is_empty());
@@ -110,9 +102,7 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
     play.arg(&file);
     let mut play = Program::start(play);
     // Each attempt has a timeout of three seconds.
-    eventually("a robot has sent samples", || {
-        code(&fleet.output("watch --once")) == 0
-    });
+    eventually("a robot has sent samples", || code(&fleet.output("watch --once")) == 0);
     if is_paused {
         play.signal(Signal::STOP);
     }
@@ -131,15 +121,7 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
     let lost =
         report["frames_unanswered"].as_u64().unwrap() + report["frames_unheard"].as_u64().unwrap();
     assert!(lost <= 4, "{report}");
-    assert_eq!(
-        code(&played),
-        if report["frames_unanswered"] == 0 {
-            0
-        } else {
-            3
-        },
-        "{report}"
-    );
+    assert_eq!(code(&played), if report["frames_unanswered"] == 0 { 0 } else { 3 }, "{report}");
     assert_eq!(report["samples_sent"], 600);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
     assert!(fleet.stale_files().is_empty());
@@ -171,23 +153,13 @@ fn all_samples_of_a_simulated_fleet_are_accepted() {
     let places = frames.as_u64().unwrap() + skipped.as_u64().unwrap();
     // More than 45 only if the last one was late.
     let duration_s = sim["duration_s"].as_f64().unwrap();
-    assert!(
-        places >= 45 && places as f64 <= 45.0_f64.max(30.0 * duration_s),
-        "{sim}"
-    );
-    assert_eq!(
-        sim["samples_sent"].as_u64().unwrap(),
-        5 * frames.as_u64().unwrap()
-    );
+    assert!(places >= 45 && places as f64 <= 45.0_f64.max(30.0 * duration_s), "{sim}");
+    assert_eq!(sim["samples_sent"].as_u64().unwrap(), 5 * frames.as_u64().unwrap());
     let report = json(&worker.end(Signal::TERM));
     let dropped = report["samples_dropped"].as_object().unwrap().values();
     let dropped: u64 = dropped.map(|count| count.as_u64().unwrap()).sum();
     let accepted = report["samples_accepted"].as_u64().unwrap();
-    assert_eq!(
-        accepted + dropped,
-        sim["samples_sent"].as_u64().unwrap(),
-        "{report}"
-    );
+    assert_eq!(accepted + dropped, sim["samples_sent"].as_u64().unwrap(), "{report}");
     assert!(fleet.stale_files().is_empty());
 }
 
@@ -195,15 +167,9 @@ fn all_samples_of_a_simulated_fleet_are_accepted() {
 fn a_signal_ends_a_source_cleanly() {
     for (verb, signal) in [
         ("publish sim --robots 3 --format json", Signal::INT),
-        (
-            "publish trial --loop --no-wait --first-robot 0 --format json",
-            Signal::TERM,
-        ),
+        ("publish trial --loop --no-wait --first-robot 0 --format json", Signal::TERM),
         // Still waiting for a worker.
-        (
-            "publish trial --loop --first-robot 0 --format json",
-            Signal::TERM,
-        ),
+        ("publish trial --loop --first-robot 0 --format json", Signal::TERM),
     ] {
         let fleet = Fleet::new();
         let mut source = fleet.joulebus(verb);
@@ -226,15 +192,8 @@ fn trials_are_evaluated_offline() {
     let mut eval = fleet.joulebus("eval --first-robot 0 --format json");
     let report = json(&eval.arg(&file).output().unwrap());
     let robot = &report["robots"][0];
-    assert_eq!(
-        (&robot["robot"], &robot["accepted"]),
-        (&0.into(), &300.into()),
-        "{report}"
-    );
-    assert!(
-        robot["persistence_mae_w"].as_f64().unwrap() > 0.0,
-        "{report}"
-    );
+    assert_eq!((&robot["robot"], &robot["accepted"]), (&0.into(), &300.into()), "{report}");
+    assert!(robot["persistence_mae_w"].as_f64().unwrap() > 0.0, "{report}");
     let mut eval = fleet.joulebus("eval --first-robot 0");
     let text = eval.arg(&file).output().unwrap();
     assert!(stdout(&text).contains("gternal"), "{}", stdout(&text));

@@ -116,10 +116,7 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
     let good = fleet.config().display().to_string();
     let checked = output(["config", "check", &good, &path, "--format", "json"]).exits(2);
     let files = &json(&checked)["files"];
-    assert_eq!(
-        (&files[0]["accepted"], &files[1]["accepted"]),
-        (&true.into(), &false.into())
-    );
+    assert_eq!((&files[0]["accepted"], &files[1]["accepted"]), (&true.into(), &false.into()));
     assert_eq!(files[1]["problems"][0]["line"], 3);
 }
 
@@ -128,10 +125,7 @@ fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
     let fleet = Fleet::new();
     let (path, model) = (fleet.path("model.toml"), fleet.path("broken.safetensors"));
     let text = fs::read_to_string(fleet.config()).unwrap();
-    let named = format!(
-        "file = \"builtin:gternal\"\nmodel = \"{}\"",
-        model.display()
-    );
+    let named = format!("file = \"builtin:gternal\"\nmodel = \"{}\"", model.display());
     fs::write(&path, text.replace("file = \"builtin:gternal\"", &named)).unwrap();
     let path = path.display().to_string();
     for bytes in ["", "no model", "{}"] {
@@ -141,20 +135,10 @@ fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
         // The same error text.
         let why = stderr(&ran);
         let why = why.trim().strip_prefix("error: ").unwrap();
-        assert!(
-            stderr(&checked).contains(why),
-            "{why}: {}",
-            stderr(&checked)
-        );
+        assert!(stderr(&checked).contains(why), "{why}: {}", stderr(&checked));
         let file = &json(&checked)["files"][0];
         assert_eq!(file["accepted"], false);
-        assert!(
-            file["error"]
-                .as_str()
-                .unwrap()
-                .contains("broken.safetensors"),
-            "{file}"
-        );
+        assert!(file["error"].as_str().unwrap().contains("broken.safetensors"), "{file}");
     }
     assert!(fleet.stale_files().is_empty());
 }
@@ -172,11 +156,7 @@ fn config_show_prints_an_equivalent_config() {
     let as_json = json(&output(["config", "show", &config, "--format", "json"]));
     assert_eq!(as_json["toml"], stdout(&shown).as_str());
     // Without a file: the built-in one, from any directory.
-    let shipped = joulebus(["config", "show"])
-        .current_dir("/")
-        .output()
-        .unwrap()
-        .exits(0);
+    let shipped = joulebus(["config", "show"]).current_dir("/").output().unwrap().exits(0);
     Config::parse(&stdout(&shipped), std::path::Path::new("/")).unwrap();
 }
 
@@ -185,12 +165,8 @@ fn keys_are_explained_as_text_and_as_json() {
     let text = stdout(&output(["config", "explain", "tick.rate_hz"]));
     assert!(text.contains("Hz") && text.contains("default 30"), "{text}");
     let keys = json(&output(["config", "explain", "tick", "--format", "json"]));
-    let names: Vec<&str> = keys
-        .as_array()
-        .unwrap()
-        .iter()
-        .flat_map(|key| key["key"].as_str())
-        .collect();
+    let names: Vec<&str> =
+        keys.as_array().unwrap().iter().flat_map(|key| key["key"].as_str()).collect();
     assert_eq!(names, ["tick.policy", "tick.rate_hz", "tick.deadline_ms"]);
 }
 
@@ -205,18 +181,10 @@ fn completions_contain_the_verbs() {
 
 #[test]
 fn a_closed_stdout_is_no_error_and_no_panic() {
-    for arguments in [
-        vec!["config", "explain"],
-        vec!["--help"],
-        vec!["completions", "zsh"],
-    ] {
+    for arguments in [vec!["config", "explain"], vec!["--help"], vec!["completions", "zsh"]] {
         let (read, write) = std::io::pipe().unwrap();
         drop(read);
-        let ended = joulebus(&arguments)
-            .stdout(write)
-            .stderr(Stdio::piped())
-            .output()
-            .unwrap();
+        let ended = joulebus(&arguments).stdout(write).stderr(Stdio::piped()).output().unwrap();
         assert_eq!(code(&ended), 0, "{arguments:?}: {}", stderr(&ended));
         assert_eq!(stderr(&ended), "", "{arguments:?}");
     }
@@ -230,10 +198,7 @@ fn doctor_passes_on_a_fresh_fleet_and_leaves_no_files() {
     let checks = report["checks"].as_array().unwrap();
     let about = |name: &str| {
         let check = checks.iter().find(|check| check["name"] == name);
-        check.unwrap_or_else(|| panic!("no {name}"))["found"]
-            .as_str()
-            .unwrap()
-            .to_owned()
+        check.unwrap_or_else(|| panic!("no {name}"))["found"].as_str().unwrap().to_owned()
     };
     assert!(about("versions").contains("iceoryx2 0.10.0"));
     assert!(about("shared memory").contains("MiB needed"));

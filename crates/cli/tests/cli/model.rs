@@ -6,10 +6,8 @@ use std::path::{Path, PathBuf};
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
-const SHIPPED: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../configs/models/gternal-sim.safetensors"
-);
+const SHIPPED: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
 const CONVENTION: &str = "mW+newest-first+lags-last+d-normalised-per-second+abs-as-velocity";
 
 /// A model file of NumPy or PyTorch from the tests of `model-files`.
@@ -17,9 +15,7 @@ fn foreign(folder: &Path, name: &str) -> PathBuf {
     let packed = format!("../lab/model-files/tests/fixtures/{name}.gz");
     let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join(packed)).unwrap();
     let mut bytes = Vec::new();
-    flate2::read::GzDecoder::new(packed)
-        .read_to_end(&mut bytes)
-        .unwrap();
+    flate2::read::GzDecoder::new(packed).read_to_end(&mut bytes).unwrap();
     let path = folder.join(name);
     std::fs::write(&path, bytes).unwrap();
     path
@@ -95,16 +91,8 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
         (format!("info {nothing}"), 1, "nothing.pt"),
         (format!("export {SHIPPED} --out {bin}"), 2, "--to"),
         (format!("export {npy} --to npz --out {bin}"), 2, "import it"),
-        (
-            format!("import {npy} --out {bin} --convention x"),
-            2,
-            "is not a convention",
-        ),
-        (
-            format!("export {SHIPPED} --to npy --out {full}"),
-            2,
-            "not empty",
-        ),
+        (format!("import {npy} --out {bin} --convention x"), 2, "is not a convention"),
+        (format!("export {SHIPPED} --to npy --out {full}"), 2, "not empty"),
     ] {
         let done = output(["model"].into_iter().chain(arguments.split(' ')));
         let errors = stderr(&done);

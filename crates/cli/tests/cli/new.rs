@@ -13,14 +13,8 @@ use serde_json::Value;
 use crate::fleet::{Fleet, Program, code, joulebus, json, stderr, stdout};
 
 /// Alarms that a late process raises: a test does not depend on being scheduled.
-const OF_TIMING: [&str; 6] = [
-    "NoData",
-    "HeldTooLong",
-    "DeadlineMissed",
-    "WatchdogStop",
-    "WorkerStale",
-    "WorkerGone",
-];
+const OF_TIMING: [&str; 6] =
+    ["NoData", "HeldTooLong", "DeadlineMissed", "WatchdogStop", "WorkerStale", "WorkerGone"];
 
 /// `joulebus new` in the fleet's folder, with its report.
 fn new(fleet: &Fleet, arguments: &[&str]) -> Value {
@@ -37,35 +31,11 @@ fn projects_in_all_languages_name_the_sources_and_commands_that_run_them() {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let sources = fs::canonicalize(sources).unwrap();
     for (kind, lang, own, names, runs) in [
-        (
-            "controller",
-            "rust",
-            "src/main.rs",
-            "Cargo.toml",
-            "cargo run",
-        ),
+        ("controller", "rust", "src/main.rs", "Cargo.toml", "cargo run"),
         ("planner", "rust", "src/main.rs", "Cargo.toml", "cargo run"),
-        (
-            "controller",
-            "python",
-            "controller.py",
-            "requirements.txt",
-            "venv/bin/python",
-        ),
-        (
-            "planner",
-            "python",
-            "planner.py",
-            "requirements.txt",
-            "venv/bin/python",
-        ),
-        (
-            "controller",
-            "cpp",
-            "controller.cpp",
-            "",
-            "build/controller",
-        ),
+        ("controller", "python", "controller.py", "requirements.txt", "venv/bin/python"),
+        ("planner", "python", "planner.py", "requirements.txt", "venv/bin/python"),
+        ("controller", "cpp", "controller.cpp", "", "build/controller"),
         ("planner", "cpp", "planner.cpp", "", "build/planner"),
     ] {
         let folder = format!("a {kind}'s/{lang}");
@@ -95,23 +65,11 @@ fn a_folder_that_has_files_and_a_clone_that_is_none_are_refused() {
     let full = fleet.path("").display().to_string();
     let new = fleet.path("new").display().to_string();
     for (arguments, says) in [
-        (
-            vec![full.as_str()],
-            "is not empty: name a new or an empty folder",
-        ),
-        (
-            vec![&there],
-            "is not a folder: name a new or an empty folder",
-        ),
-        (
-            vec![&new, "--sources", &full],
-            "--sources names a clone of joulebus",
-        ),
+        (vec![full.as_str()], "is not empty: name a new or an empty folder"),
+        (vec![&there], "is not a folder: name a new or an empty folder"),
+        (vec![&new, "--sources", &full], "--sources names a clone of joulebus"),
     ] {
-        let refused = joulebus(["new", "planner"])
-            .args(&arguments)
-            .output()
-            .unwrap();
+        let refused = joulebus(["new", "planner"]).args(&arguments).output().unwrap();
         assert_eq!(code(&refused), 2, "{refused:?}");
         assert!(stderr(&refused).contains(says), "{refused:?}");
         assert_eq!(stdout(&refused), "");
@@ -149,28 +107,17 @@ fn project_in_rust(fleet: &Fleet, kind: &str) -> Value {
     let own =
         format!("[domain]\nroot = \"{root}\"\nprefix = \"jbcli_\"\n[ledger]\ncheckpoint = \"\"\n");
     let text = text.replace("name = \"lab\"", "name = \"cli\"");
-    fs::write(
-        &config,
-        text.replace("[[platform]]", &format!("{own}[[platform]]")),
-    )
-    .unwrap();
+    fs::write(&config, text.replace("[[platform]]", &format!("{own}[[platform]]"))).unwrap();
 
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     fs::copy(workspace.join("Cargo.lock"), project.join("Cargo.lock")).unwrap();
     let manifest = fs::read_to_string(workspace.join("Cargo.toml")).unwrap();
     let from = manifest.find("[profile.dev]").unwrap();
     let to = manifest.find("[profile.release]").unwrap();
-    let target = Path::new(env!("CARGO_BIN_EXE_joulebus"))
-        .ancestors()
-        .nth(2)
-        .unwrap();
+    let target = Path::new(env!("CARGO_BIN_EXE_joulebus")).ancestors().nth(2).unwrap();
     let target = format!("[build]\ntarget-dir = {target:?}\n[net]\noffline = true\n");
     fs::create_dir(project.join(".cargo")).unwrap();
-    fs::write(
-        project.join(".cargo/config.toml"),
-        target + &manifest[from..to],
-    )
-    .unwrap();
+    fs::write(project.join(".cargo/config.toml"), target + &manifest[from..to]).unwrap();
     let mut cargo = Command::new("cargo");
     cargo.args(["build", "--quiet"]).current_dir(&project);
     let built = cargo.output().unwrap();
@@ -180,9 +127,7 @@ fn project_in_rust(fleet: &Fleet, kind: &str) -> Value {
 
 /// The robots of a fleet, as `joulebus watch` shows them; none while no worker runs.
 fn robots(config: &Path) -> Vec<Value> {
-    let watch = joulebus(["watch", "--once", "--format", "json", "--config"])
-        .arg(config)
-        .output();
+    let watch = joulebus(["watch", "--once", "--format", "json", "--config"]).arg(config).output();
     match watch.unwrap() {
         seen if code(&seen) == 0 => json(&seen)["robots"].as_array().unwrap().clone(),
         _ => Vec::new(),
@@ -208,25 +153,21 @@ fn projects_in_rust_run_as_printed_beside_a_worker_without_an_alarm() {
     reader.0.wait_for_stdout(" to ");
 
     let mut first = Vec::new();
-    eventually(
-        "all robots have forecasts, and batteries for twelve seconds",
-        || {
-            let seen = robots(&config);
-            let is_number = |robot: &Value, name: &str| robot[name].is_number();
-            let are_known =
-                seen.len() == 20 && seen.iter().all(|robot| is_number(robot, "power_w"));
-            if first.is_empty() && are_known {
-                first = seen.clone();
-            }
-            let has_drawn = |robot: &Value| {
-                robot["metered_s"].as_f64() > Some(12.0) && is_number(robot, "time_to_empty_s")
-            };
-            let mut pairs = seen.iter().zip(&first);
-            are_known
-                && seen.iter().all(has_drawn)
-                && pairs.all(|(now, before)| now["power_w"] != before["power_w"])
-        },
-    );
+    eventually("all robots have forecasts, and batteries for twelve seconds", || {
+        let seen = robots(&config);
+        let is_number = |robot: &Value, name: &str| robot[name].is_number();
+        let are_known = seen.len() == 20 && seen.iter().all(|robot| is_number(robot, "power_w"));
+        if first.is_empty() && are_known {
+            first = seen.clone();
+        }
+        let has_drawn = |robot: &Value| {
+            robot["metered_s"].as_f64() > Some(12.0) && is_number(robot, "time_to_empty_s")
+        };
+        let mut pairs = seen.iter().zip(&first);
+        are_known
+            && seen.iter().all(has_drawn)
+            && pairs.all(|(now, before)| now["power_w"] != before["power_w"])
+    });
     let ended = stdout(&alarms.end(Signal::INT));
     let raised = ended.lines().filter(|line| {
         let change: Value = serde_json::from_str(line).unwrap();

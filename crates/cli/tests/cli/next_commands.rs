@@ -44,10 +44,7 @@ struct Home {
 
 impl Home {
     fn new() -> Self {
-        Self {
-            folder: tempfile::tempdir().unwrap(),
-            ran: Vec::new(),
-        }
+        Self { folder: tempfile::tempdir().unwrap(), ran: Vec::new() }
     }
 
     fn shell(&self, line: &str) -> Command {
@@ -60,10 +57,7 @@ impl Home {
             .current_dir(self.folder.path())
             .env("HOME", self.folder.path())
             .env("XDG_STATE_HOME", self.folder.path().join("state"))
-            .env(
-                "PATH",
-                format!("{}:{path}", program.parent().unwrap().display()),
-            )
+            .env("PATH", format!("{}:{path}", program.parent().unwrap().display()))
             .env_remove("JOULEBUS_LOG");
         command
     }
@@ -141,41 +135,23 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
         let row = |row| {
             let (load_a, v) = driven(row, run);
             let volt = 24.0 - 0.1 * load_a;
-            format!(
-                "{},{volt:.4},{:.4},{v:.3},{:.3}",
-                f64::from(row) / 200.0,
-                -load_a,
-                0.1 * v
-            )
+            format!("{},{volt:.4},{:.4},{v:.3},{:.3}", f64::from(row) / 200.0, -load_a, 0.1 * v)
         };
-        home.write(
-            &format!("runs/day/run{run}.csv"),
-            "t,u,i,v_cmd,omega_cmd",
-            row,
-            400,
-        );
+        home.write(&format!("runs/day/run{run}.csv"), "t,u,i,v_cmd,omega_cmd", row, 400);
     }
     let reading = "--map time=t,voltage_V=u,current_A=i --current discharge-negative";
-    home.walk(&format!(
-        "joulebus config init --from runs {reading} -o lab"
-    ));
+    home.walk(&format!("joulebus config init --from runs {reading} -o lab"));
     let verbs = |verb: &str| home.ran.iter().filter(|line| line.contains(verb)).count();
     // Train's are a second config with the model.
-    for (verb, count) in [
-        ("train trials", 1),
-        ("eval", 1),
-        ("config init", 2),
-        ("publish trial", 2),
-    ] {
+    for (verb, count) in
+        [("train trials", 1), ("eval", 1), ("config init", 2), ("publish trial", 2)]
+    {
         assert_eq!(verbs(verb), count, "{verb}: {:#?}", home.ran);
     }
     let platform = fs::read_to_string(home.folder.path().join("lab/platforms/runs.toml")).unwrap();
     says(
         &platform,
-        [
-            "map = \"time=t,voltage_V=u,current_A=i\"",
-            "current = \"discharge-negative\"",
-        ],
+        ["map = \"time=t,voltage_V=u,current_A=i\"", "current = \"discharge-negative\""],
     );
     // Every verb that reads the config reads the recordings as it was told once.
     for line in [
@@ -184,11 +160,7 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
         "joulebus report runs --platform runs --config lab/fleet.toml --model builtin:gternal-sim -o page",
     ] {
         let said = home.shell(line).output().unwrap().exits(0);
-        assert!(
-            !stderr(&said).contains("implausible"),
-            "{line}: {}",
-            stderr(&said)
-        );
+        assert!(!stderr(&said).contains("implausible"), "{line}: {}", stderr(&said));
     }
 }
 
@@ -201,36 +173,17 @@ fn from_one_file_of_several_robots_to_a_trained_model_and_its_skill() {
         let (robot, step) = (row % robots, row / robots);
         let (load_a, v) = driven(step, robot);
         // A monitor of the current that is dead, beside a power that works.
-        format!(
-            "{robot},{},{:.4},0,{v:.3},{:.3}",
-            f64::from(step) / 200.0,
-            24.0 * load_a,
-            0.1 * v
-        )
+        format!("{robot},{},{:.4},0,{v:.3},{:.3}", f64::from(step) / 200.0, 24.0 * load_a, 0.1 * v)
     };
     let header = "robot_id,time,power_W,current_A,v_cmd,omega_cmd";
     home.write("my logs/fleet.csv", header, row, 400 * robots);
     let said =
         home.walk("joulebus config init --from 'my logs' --train --accept constant -o 'my lab'");
-    says(
-        &said,
-        [
-            "models/my_logs.safetensors",
-            "held out, ",
-            "skill ",
-            "against the last reading",
-        ],
-    );
+    says(&said, ["models/my_logs.safetensors", "held out, ", "skill ", "against the last reading"]);
     let platform = home.folder.path().join("my lab/platforms/my_logs.toml");
-    says(
-        &fs::read_to_string(platform).unwrap(),
-        ["accept = \"constant\""],
-    );
+    says(&fs::read_to_string(platform).unwrap(), ["accept = \"constant\""]);
     // Whole robots are held out of one file.
     home.walk("joulebus train trials 'my logs' --accept constant --out m.safetensors");
     let model = home.shell("joulebus model info 'my lab/models/my_logs.safetensors'");
-    says(
-        &stdout(&{ model }.output().unwrap()),
-        ["period        0.005"],
-    );
+    says(&stdout(&{ model }.output().unwrap()), ["period        0.005"]);
 }

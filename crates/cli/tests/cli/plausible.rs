@@ -61,16 +61,8 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
     let unstated = "time,voltage,current,v_cmd,omega_cmd";
     let unstated = recording(&fleet, "unstated.csv", unstated, [1.0, 1.0]);
     for (path, says, option) in [
-        (
-            negative,
-            "--current discharge-negative",
-            ["--current", "discharge-negative"],
-        ),
-        (
-            unstated,
-            "--map voltage_V=voltage",
-            ["--map", "voltage_V=voltage,current_A=current"],
-        ),
+        (negative, "--current discharge-negative", ["--current", "discharge-negative"]),
+        (unstated, "--map voltage_V=voltage", ["--map", "voltage_V=voltage,current_A=current"]),
     ] {
         let path = path.display().to_string();
         let checked = output(["data", "check", &path]).exits(3);
@@ -80,10 +72,7 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
             let refused = output(&plain);
             let said = stderr(&refused);
             assert_eq!(code(&refused), 1, "{door}: {said}");
-            assert!(
-                said.contains(says) && said.contains("--accept"),
-                "{door}: {said}"
-            );
+            assert!(said.contains(says) && said.contains("--accept"), "{door}: {said}");
             assert!(!fleet.path(&format!("out-{number}.csv")).exists(), "{door}");
             // Reading it right is enough.
             let read = plain.iter().map(String::as_str).chain(option);
@@ -106,20 +95,12 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
     let path = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
     let path = path.display().to_string();
-    let analyze = [
-        "analyze", &path, "--native", "--split", "time", "--format", "json",
-    ];
+    let analyze = ["analyze", &path, "--native", "--split", "time", "--format", "json"];
     let accepted = done(analyze.into_iter().chain(["--accept", "sign"]));
     says(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
-    assert_eq!(
-        (&found["kind"], &found["accepted"]),
-        (&Value::from("sign"), &Value::from(true))
-    );
-    output([
-        "data", "check", &path, "--accept", "sign", "--format", "json",
-    ])
-    .exits(0);
+    assert_eq!((&found["kind"], &found["accepted"]), (&Value::from("sign"), &Value::from(true)));
+    output(["data", "check", &path, "--accept", "sign", "--format", "json"]).exits(0);
     let refused = output(["data", "check", &path, "--accept", "smell"]).exits(2);
     says(&stderr(&refused), ["saturation"]);
 }
@@ -132,20 +113,10 @@ fn warnings_are_shown_and_go_on() {
     for row in 0..300 {
         let step = f64::from(row);
         let power_w = 3.6 + 0.1 * (0.7 * step).sin();
-        text += &format!(
-            "{},{power_w},0,0.1,{}\n",
-            step / 30.0,
-            0.2 * (0.21 * step).cos()
-        );
+        text += &format!("{},{power_w},0,0.1,{}\n", step / 30.0, 0.2 * (0.21 * step).cos());
     }
     fs::write(&path, text).unwrap();
-    let analyze = [
-        "analyze",
-        path.to_str().unwrap(),
-        "--native",
-        "--split",
-        "time",
-    ];
+    let analyze = ["analyze", path.to_str().unwrap(), "--native", "--split", "time"];
     let found = done(analyze.into_iter().chain(["--format", "json"]));
     says(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];
@@ -159,16 +130,7 @@ fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
     let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
     let path = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
     let (path, out) = (path.display().to_string(), fleet.path("lab"));
-    let init = [
-        "config",
-        "init",
-        "--from",
-        &path,
-        "--name",
-        "r",
-        "-o",
-        out.to_str().unwrap(),
-    ];
+    let init = ["config", "init", "--from", &path, "--name", "r", "-o", out.to_str().unwrap()];
     let made = done(init.into_iter().chain(["--current", "discharge-negative"]));
     let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
     assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
@@ -186,9 +148,7 @@ fn noise_has_no_resolution() {
     for row in 1..3_000 {
         let mut sum = 0.0;
         for _ in 0..12 {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             sum += (state >> 40) as f64 / f64::from(1 << 24);
         }
         text += &format!("{},{:.6}\n", f64::from(row) / 30.0, 4.6 + 0.3 * (sum - 6.0));

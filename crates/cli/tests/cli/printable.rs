@@ -31,12 +31,9 @@ fn capture(folder: &Path) -> String {
     let mut attachments = Attachments::default();
     attachments.describe(EVIL, EVIL.to_owned());
     attachments.add(format!("{EVIL}/config.toml"), EVIL, b"name =".to_vec());
-    let mut writer = Writer::new(
-        fs::File::create_new(&path).unwrap(),
-        CaptureSettings::default(),
-        &attachments,
-    )
-    .unwrap();
+    let mut writer =
+        Writer::new(fs::File::create_new(&path).unwrap(), CaptureSettings::default(), &attachments)
+            .unwrap();
     let message = Message::of::<Samples>(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);
     writer.write(EVIL, Times::default(), &message).unwrap();
     writer.finish().unwrap();
@@ -47,17 +44,10 @@ fn capture(folder: &Path) -> String {
 fn names_in_files_and_of_files_are_escaped() {
     let fleet = Fleet::new();
     let file = capture(&fleet.path(""));
-    let (csv, config) = (
-        fleet.path(&format!("{EVIL}.csv")),
-        fleet.path(&format!("{EVIL}.toml")),
-    );
+    let (csv, config) = (fleet.path(&format!("{EVIL}.csv")), fleet.path(&format!("{EVIL}.toml")));
     let text = format!("timestamp_s,power_mW,robot_id,\"{EVIL}\"\n0,1,{EVIL},1\n1,2,{EVIL},1\n");
     fs::write(&csv, text).unwrap();
-    fs::write(
-        &config,
-        format!("[fleet]\n\"{EVIL}\" = \"{EVIL}\"\nname = '{EVIL}'\n"),
-    )
-    .unwrap();
+    fs::write(&config, format!("[fleet]\n\"{EVIL}\" = \"{EVIL}\"\nname = '{EVIL}'\n")).unwrap();
     let (csv, config) = (csv.display().to_string(), config.display().to_string());
     let result = fleet.path(&format!("{EVIL}.out")).display().to_string();
     let calls: [&[&str]; 18] = [
@@ -84,15 +74,7 @@ fn names_in_files_and_of_files_are_escaped() {
         assert_is_printable(arguments, &output(arguments));
     }
     let (gone, json) = (format!("/{EVIL}"), ["--format", "json"]);
-    for verb in [
-        "info",
-        "cat",
-        "doctor",
-        "replay",
-        "run --config",
-        "model info",
-        "data info",
-    ] {
+    for verb in ["info", "cat", "doctor", "replay", "run --config", "model info", "data info"] {
         let mut arguments: Vec<&str> = verb.split_whitespace().chain([gone.as_str()]).collect();
         assert_is_printable(&arguments, &output(&arguments));
         arguments.extend(json);

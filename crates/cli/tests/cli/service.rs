@@ -50,16 +50,11 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
     socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut worker = run(&fleet, &path, true);
     let (first, _) = next(&socket);
-    assert!(
-        first.contains("READY=1") && first.contains("STATUS=ready: fleet cli"),
-        "{first:?}"
-    );
+    assert!(first.contains("READY=1") && first.contains("STATUS=ready: fleet cli"), "{first:?}");
     assert!(ping(&socket) && ping(&socket), "it works");
     // A stopped worker is silent: systemd would restart it.
     worker.signal(Signal::STOP);
-    socket
-        .set_read_timeout(Some(Duration::from_secs(1)))
-        .unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
     while ping(&socket) {}
     socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     worker.signal(Signal::CONT);
@@ -98,10 +93,7 @@ fn every_verb_has_a_manual_page() {
         "joulebus-train-trials.1",
     ] {
         let text = std::fs::read_to_string(folder.join(page)).unwrap();
-        assert!(
-            text.contains(".SH NAME") && text.contains(".SH OPTIONS"),
-            "{page}: {text}"
-        );
+        assert!(text.contains(".SH NAME") && text.contains(".SH OPTIONS"), "{page}: {text}");
     }
 }
 
@@ -116,10 +108,7 @@ const UNITS: [(&str, u32); 4] = [
 
 #[test]
 fn the_units_expose_little() {
-    let folder = Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/systemd"
-    ));
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/systemd"));
     for (unit, most) in UNITS {
         let path = folder.join(unit);
         let analyzed = Command::new("systemd-analyze")
@@ -133,9 +122,7 @@ fn the_units_expose_little() {
         };
         assert!(analyzed.status.success(), "{unit}: {}", stdout(&analyzed));
         let text = std::fs::read_to_string(&path).unwrap();
-        let start = text
-            .lines()
-            .find_map(|line| line.strip_prefix("ExecStart=/usr/bin/"));
+        let start = text.lines().find_map(|line| line.strip_prefix("ExecStart=/usr/bin/"));
         // The verb and its options exist.
         let mut words = start.unwrap().split(' ');
         let verb = match words.next().unwrap() {

@@ -20,27 +20,15 @@ const RUNS: [(&str, &str); 18] = [
     ("run --config FLEET", "ready:"),
     ("run --record FILE --config FLEET", "ready:"),
     ("record -o FILE --config FLEET", "recording cli into"),
-    (
-        "record --snapshot 5 -o FILE --config FLEET",
-        "recording cli",
-    ),
+    ("record --snapshot 5 -o FILE --config FLEET", "recording cli"),
     ("publish sim --robots 3 --config FLEET", "no worker runs"),
-    (
-        "publish trial TRIAL --loop --no-wait --first-robot 0 --config FLEET",
-        "no worker runs",
-    ),
-    (
-        "publish trial TRIAL --first-robot 0 --config FLEET",
-        "waiting for one",
-    ),
+    ("publish trial TRIAL --loop --no-wait --first-robot 0 --config FLEET", "no worker runs"),
+    ("publish trial TRIAL --first-robot 0 --config FLEET", "waiting for one"),
     ("watch --plain --config FLEET", "waiting for a worker"),
     ("watch --format json --config FLEET", "waiting for a worker"),
     ("alarms --config FLEET", "alarms of fleet cli"),
     ("replay CAPTURE --config FLEET", "waiting for one"),
-    (
-        "serve --http 127.0.0.1:0 --config FLEET",
-        "serving fleet cli",
-    ),
+    ("serve --http 127.0.0.1:0 --config FLEET", "serving fleet cli"),
     ("serve --foxglove --port 0 --config FLEET", "serving fleet"),
     ("bridge BRIDGE --config FLEET", "bridging 1 robots"),
     ("link LINK --config FLEET", "is open"),
@@ -116,9 +104,8 @@ fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code(
 
 #[test]
 fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
-    let (signals, ignored): (Vec<_>, Vec<_>) = end_signals()
-        .into_iter()
-        .partition(|signal| !ignores(std::process::id(), *signal));
+    let (signals, ignored): (Vec<_>, Vec<_>) =
+        end_signals().into_iter().partition(|signal| !ignores(std::process::id(), *signal));
     if !ignored.is_empty() {
         println!("skipped: {ignored:?} is ignored here, and by children that do not handle it");
     }
@@ -219,15 +206,10 @@ fn a_snapshot_requested_together_with_the_end_is_written() {
     let fleet = Fleet::new();
     let file = fleet.path("asked.mcap");
     let worker = fleet.worker();
-    let verb = format!(
-        "record --snapshot 60 --no-alarm --format json -o {}",
-        file.display()
-    );
+    let verb = format!("record --snapshot 60 --no-alarm --format json -o {}", file.display());
     let mut record = Program::start(fleet.joulebus(&verb));
     record.wait_for_stderr("recording cli into");
-    fleet
-        .output("publish sim --robots 3 --duration 0.5 --format json")
-        .exits(0);
+    fleet.output("publish sim --robots 3 --duration 0.5 --format json").exits(0);
     eventually("messages in memory", || {
         // Progress is printed every five seconds.
         record

@@ -49,10 +49,8 @@ const READERS: [&str; 34] = [
     "model compare MODEL X TRIAL",
     "model compare MODEL MODEL X",
 ];
-const MODEL: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../configs/models/gternal-sim.safetensors"
-);
+const MODEL: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
 
 fn fifo(path: &Path) {
     mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
@@ -105,11 +103,7 @@ fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
             let ended = called(&fleet, verb, [special, &whole, &trial]);
             let (said, shown) = (stderr(&ended), special.display());
             // A replay of several files plays the readable ones, and reports the others at its end.
-            let codes = if verb.contains("CAPTURE X") {
-                3..=3
-            } else {
-                1..=2
-            };
+            let codes = if verb.contains("CAPTURE X") { 3..=3 } else { 1..=2 };
             assert!(codes.contains(&code(&ended)), "{verb}, {shown}: {ended:?}");
             assert!(!said.contains("panicked"), "{verb}, {shown}: {said}");
             let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &said;
@@ -128,9 +122,7 @@ fn what_a_file_of_another_kind_is_says_every_verb_that_reads_recordings_or_model
     let text = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 4000000\n";
     fs::write(&pointer, text).unwrap();
     let others = ["--config X", "config", "CAPTURE", "--recipe X"];
-    let doors = READERS
-        .iter()
-        .filter(|verb| others.iter().all(|other| !verb.contains(other)));
+    let doors = READERS.iter().filter(|verb| others.iter().all(|other| !verb.contains(other)));
     let mut asked = 0;
     for verb in doors {
         let ended = called(&fleet, verb, [&pointer, Path::new("CAPTURE"), &trial]);
@@ -169,11 +161,8 @@ fn files_named_in_a_config_are_checked_before_anything_is_created() {
                 assert!(stderr(&ended).contains(kind), "{verb}: {}", stderr(&ended));
             }
         }
-        fs::write(
-            &config,
-            text.replace("checkpoint = \"\"", &format!("checkpoint = \"{shown}\"")),
-        )
-        .unwrap();
+        fs::write(&config, text.replace("checkpoint = \"\"", &format!("checkpoint = \"{shown}\"")))
+            .unwrap();
         let run = joulebus(["run".as_ref(), "--config".as_ref(), config.as_os_str()]);
         let ended = Program::start(run).wait();
         assert_eq!(code(&ended), 1, "ledger {shown}: {ended:?}");

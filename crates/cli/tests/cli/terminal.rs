@@ -41,13 +41,7 @@ impl Terminal {
         let from = File::from(pty.as_fd().try_clone_to_owned().unwrap());
         let (inside, closing) = (Arc::clone(&parser), Arc::clone(&is_closing));
         let reader = std::thread::spawn(move || read(from, &inside, &closing));
-        Self {
-            pty: Some(pty),
-            child,
-            parser,
-            is_closing,
-            reader: Some(reader),
-        }
+        Self { pty: Some(pty), child, parser, is_closing, reader: Some(reader) }
     }
 
     fn press(&mut self, keys: &str) {
@@ -132,10 +126,7 @@ fn parser(columns: u16, lines: u16) -> vt100::Parser {
 fn read(mut from: File, parser: &Mutex<vt100::Parser>, is_closing: &AtomicBool) -> Vec<u8> {
     let mut buffer = [0; 1 << 14];
     let mut last = Vec::new();
-    let patience = Timespec {
-        tv_sec: 0,
-        tv_nsec: 10_000_000,
-    };
+    let patience = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
     while !is_closing.load(Ordering::Relaxed) {
         let mut polled = [PollFd::new(&from, PollFlags::IN)];
         if poll(&mut polled, Some(&patience)).unwrap_or(0) == 0 {
@@ -153,9 +144,7 @@ fn read(mut from: File, parser: &Mutex<vt100::Parser>, is_closing: &AtomicBool) 
 
 /// The ids in the table, from above.
 fn listed(lines: &[String]) -> Vec<u32> {
-    let words = lines
-        .iter()
-        .map(|line| line.trim_start_matches('│').trim_start());
+    let words = lines.iter().map(|line| line.trim_start_matches('│').trim_start());
     let first = words.filter_map(|line| {
         let (id, rest) = line.split_once(' ')?;
         rest.starts_with(|quality: char| quality.is_ascii_lowercase() || quality == '✗')
@@ -189,10 +178,7 @@ fn keys_sort_filter_and_explain_at_three_sizes() {
             is_live && lines.concat().contains("StuckSensor") && listed(lines) == [0, 1, 2, 3, 4, 5]
         });
         assert!(shown[0].contains("fleet cli  6 robots"), "{shown:#?}");
-        assert!(
-            shown.iter().all(|line| !line.contains("╮╭──╮")),
-            "{shown:#?}"
-        );
+        assert!(shown.iter().all(|line| !line.contains("╮╭──╮")), "{shown:#?}");
 
         terminal.press("?");
         terminal.shows_text("sort by name, alarm, battery, power");
@@ -208,9 +194,7 @@ fn keys_sort_filter_and_explain_at_three_sizes() {
         terminal.press("ss");
         terminal.shows_text("by power ↑");
         terminal.press("sr");
-        terminal.shows("the other way round", |lines| {
-            listed(lines) == [5, 4, 3, 2, 1, 0]
-        });
+        terminal.shows("the other way round", |lines| listed(lines) == [5, 4, 3, 2, 1, 0]);
         terminal.press("f");
         terminal.shows("only alarms", |lines| listed(lines) == [2]);
         terminal.press("f");
@@ -282,9 +266,7 @@ fn a_demo_of_80_columns_is_readable_and_ends_with_its_report() {
     terminal.press("?");
     terminal.shows_text("the other way round");
     terminal.press(ESCAPE);
-    terminal.shows("the help is gone", |lines| {
-        !lines.concat().contains("the other way round")
-    });
+    terminal.shows("the help is gone", |lines| !lines.concat().contains("the other way round"));
     terminal.press("q");
     // The robots' alarms are on the screen as before.
     terminal.ends_well();

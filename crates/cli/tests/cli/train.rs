@@ -27,21 +27,14 @@ fn a_model_is_trained_and_its_split_is_reported() {
     assert_eq!(report["model"], "model");
     assert_eq!(report["split"]["by"], "trial");
     for part in ["training", "validation", "held_out"] {
-        assert!(
-            !report["split"][part].as_array().unwrap().is_empty(),
-            "{report}"
-        );
+        assert!(!report["split"][part].as_array().unwrap().is_empty(), "{report}");
     }
     let info = done(["model", "info", out]);
     let hash = report["model_hash"].as_str().unwrap();
     assert!(stdout(&info).contains(hash), "{}", stdout(&info));
 
     let again = output(wanted);
-    assert_eq!(
-        json(&again)["model_hash"],
-        hash,
-        "the same seed, the same bytes"
-    );
+    assert_eq!(json(&again)["model_hash"], hash, "the same seed, the same bytes");
 }
 
 #[test]
@@ -55,18 +48,9 @@ fn unusable_recordings_are_refused_with_a_remedy() {
     let out = out.to_str().unwrap();
     for (arguments, named) in [
         (vec![one], "at least 3 are needed"),
-        (
-            vec![one, "--resume", "--split", "time"],
-            "there is no checkpoint",
-        ),
-        (
-            vec![one, "--validate", one, "--hold-out", one],
-            "is in two parts",
-        ),
-        (
-            vec![one, "--validate", two, "--hold-out", copy],
-            "are the same recording",
-        ),
+        (vec![one, "--resume", "--split", "time"], "there is no checkpoint"),
+        (vec![one, "--validate", one, "--hold-out", one], "is in two parts"),
+        (vec![one, "--validate", two, "--hold-out", copy], "are the same recording"),
     ] {
         let mut wanted = vec!["train", "trials"];
         wanted.extend(arguments);
@@ -97,12 +81,7 @@ fn what_lies_in_the_place_of_a_checkpoint_is_neither_overwritten_nor_removed() {
         (&resumed, 1, "cannot continue"),
     ] {
         let refused = output(arguments.iter().copied());
-        assert_eq!(
-            code(&refused),
-            wanted,
-            "{arguments:?}: {}",
-            stderr(&refused)
-        );
+        assert_eq!(code(&refused), wanted, "{arguments:?}: {}", stderr(&refused));
         assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
         assert_eq!(std::fs::read_to_string(&saved).unwrap(), "somebody's");
     }

@@ -44,19 +44,11 @@ fn only_loans_allocate_and_only_once() {
             ..ForecastHeader::default()
         };
         // The robots change positions every tick: the table of positions is rebuilt.
-        let row = |i| Forecast {
-            robot: ((i as u64 + round) % 64) as u32,
-            ..Forecast::default()
-        };
+        let row = |i| Forecast { robot: ((i as u64 + round) % 64) as u32, ..Forecast::default() };
         forecasts.send(header, 64, row).unwrap();
-        let header = BudgetHeader {
-            schema: SCHEMA_VERSION,
-            tick: round,
-            ..BudgetHeader::default()
-        };
-        budget_writer
-            .send(header, 64, |_| Budget::default())
-            .unwrap();
+        let header =
+            BudgetHeader { schema: SCHEMA_VERSION, tick: round, ..BudgetHeader::default() };
+        budget_writer.send(header, 64, |_| Budget::default()).unwrap();
         waker.wake(WakeEvent::Frame).unwrap();
         let read = allocations(|| {
             let budgets = budgets.latest().unwrap().unwrap();

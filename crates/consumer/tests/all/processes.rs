@@ -84,19 +84,14 @@ fn worker(config: &Path, is_worker: bool) {
                     header.tick = tick;
                     header.sent_ns = clock::monotonic_ns();
                     // Robots change positions from tick to tick.
-                    forecasts
-                        .send(header, 64, |i| forecast((i as u64 + tick) % 64, tick))
-                        .unwrap();
+                    forecasts.send(header, 64, |i| forecast((i as u64 + tick) % 64, tick)).unwrap();
                     let of_tick = DiagnosticHeader {
                         schema: header.schema,
                         worker_epoch: header.worker_epoch,
                         tick,
                         ..DiagnosticHeader::default()
                     };
-                    let row = |i| Diagnostic {
-                        robot: i as u32,
-                        ..Diagnostic::default()
-                    };
+                    let row = |i| Diagnostic { robot: i as u32, ..Diagnostic::default() };
                     diagnostics.send(of_tick, 64, row).unwrap();
                     let of_tick = BudgetHeader {
                         schema: header.schema,
@@ -104,11 +99,8 @@ fn worker(config: &Path, is_worker: bool) {
                         tick,
                         ..BudgetHeader::default()
                     };
-                    let row = |i| Budget {
-                        robot: i as u32,
-                        drawn_uj: i as i64,
-                        ..Budget::default()
-                    };
+                    let row =
+                        |i| Budget { robot: i as u32, drawn_uj: i as i64, ..Budget::default() };
                     budgets.send(of_tick, 64, row).unwrap();
                     let of_tick = PlanStateHeader {
                         schema: header.schema,
@@ -216,9 +208,7 @@ fn plan(mut planner: Subscriber) {
                     assert_eq!(frame.robot(63).unwrap().stamp_ns, 63);
                     frame.header().tick
                 });
-                send_to_test(format!(
-                    "{forecasts:?} {diagnosed:?} {budgeted:?} {planned:?}"
-                ));
+                send_to_test(format!("{forecasts:?} {diagnosed:?} {budgeted:?} {planned:?}"));
             }
             _ => panic!("no such command: {line}"),
         }
@@ -313,10 +303,7 @@ fn killed_and_followed(role: &str) {
         assert_eq!(planner.ask("worker"), "Gone(Exited)", "life {life}");
         assert_eq!(planner.ask("next 0"), "TimedOut", "told once");
     }
-    assert_eq!(
-        planner.ask("counts"),
-        "4 frames, 0 gaps, 0 ticks, 4 workers"
-    );
+    assert_eq!(planner.ask("counts"), "4 frames, 0 gaps, 0 ticks, 4 workers");
     planner.finish();
     place.assert_nothing_left();
 }
@@ -339,19 +326,12 @@ fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_cla
     for (epoch, tick) in [(FAR, 1), (1, FAR), (FAR, FAR), (0, 2)] {
         impostor.ask(&format!("epoch {epoch}"));
         impostor.ask(&format!("ticks {tick} {tick}"));
-        assert_eq!(
-            planner.ask("next 200"),
-            "TimedOut",
-            "run {epoch}, tick {tick}"
-        );
+        assert_eq!(planner.ask("next 200"), "TimedOut", "run {epoch}, tick {tick}");
     }
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
     assert_eq!(planner.ask("feeds"), "Some(2) Some(2) Some(2) Some(2)");
-    assert_eq!(
-        planner.ask("counts"),
-        "2 frames, 0 gaps, 0 ticks, 1 workers"
-    );
+    assert_eq!(planner.ask("counts"), "2 frames, 0 gaps, 0 ticks, 1 workers");
     assert_ne!(planner.ask("foreign"), "0", "they are counted");
     for member in [worker, impostor, planner] {
         member.finish();
@@ -372,18 +352,10 @@ fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_bet
         let restarted = if life == 0 { "" } else { ", restarted" };
         let expected = format!("tick 1, missed 0{restarted}");
         assert_eq!(planner.ask("next 60000"), expected, "life {life}");
-        assert_eq!(
-            planner.ask("feeds"),
-            "Some(1) Some(1) Some(1) Some(1)",
-            "life {life}"
-        );
+        assert_eq!(planner.ask("feeds"), "Some(1) Some(1) Some(1) Some(1)", "life {life}");
         worker.ask("ticks 2 3");
         assert_eq!(planner.ask("next 60000"), "tick 3, missed 1", "life {life}");
-        assert_eq!(
-            planner.ask("feeds"),
-            "Some(3) Some(3) Some(3) Some(3)",
-            "life {life}"
-        );
+        assert_eq!(planner.ask("feeds"), "Some(3) Some(3) Some(3) Some(3)", "life {life}");
         worker.kill();
         assert_eq!(planner.ask("next 60000"), "Gone(Exited)", "life {life}");
     }
@@ -456,10 +428,7 @@ fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
     worker.ask("ticks 4 4");
     worker.ask("ticks 6 7");
     assert_eq!(planner.ask("each 60000"), "[4, 6, 7], tick 7, missed 0");
-    assert_eq!(
-        planner.ask("counts"),
-        "6 frames, 1 gaps, 1 ticks, 1 workers"
-    );
+    assert_eq!(planner.ask("counts"), "6 frames, 1 gaps, 1 ticks, 1 workers");
     // A call for the newest returns it alone.
     worker.ask("ticks 8 9");
     assert_eq!(planner.ask("next 60000"), "tick 9, missed 1");
@@ -572,10 +541,7 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
     assert_eq!(planner.next_line(), "tick 500, missed 498");
     worker.ask("ticks 501 501");
     assert_eq!(planner.ask("next 60000"), "tick 501, missed 0");
-    assert_eq!(
-        planner.ask("counts"),
-        "3 frames, 1 gaps, 498 ticks, 1 workers"
-    );
+    assert_eq!(planner.ask("counts"), "3 frames, 1 gaps, 498 ticks, 1 workers");
     for member in [worker, planner, other] {
         member.finish();
     }
@@ -596,10 +562,7 @@ fn the_frames_of_a_killed_planner_are_released() {
             tick += 1;
             worker.ask(&format!("ticks {tick} {tick}"));
             let held = planner.ask("next 60000");
-            assert!(
-                held.starts_with(&format!("tick {tick},")),
-                "life {life}: {held}"
-            );
+            assert!(held.starts_with(&format!("tick {tick},")), "life {life}: {held}");
             assert_eq!(
                 planner.ask("feeds"),
                 format!("Some({tick}) Some({tick}) Some({tick}) Some({tick})"),
@@ -611,10 +574,7 @@ fn the_frames_of_a_killed_planner_are_released() {
         worker.ask(&format!("ticks {} {}", tick + 1, tick + 50));
         tick += 50;
         let newest = witness.ask("next 60000");
-        assert!(
-            newest.starts_with(&format!("tick {tick},")),
-            "life {life}: {newest}"
-        );
+        assert!(newest.starts_with(&format!("tick {tick},")), "life {life}: {newest}");
     }
     worker.finish();
     witness.finish();

@@ -40,15 +40,11 @@ impl Domain {
     pub fn new(fleet: &str, root: &Path, prefix: &str) -> Result<Self, DomainError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         if fleet.is_empty() || fleet.len() > MAX_FLEET_BYTES || !fleet.chars().all(plain) {
-            return Err(DomainError::Fleet {
-                found: fleet.to_owned(),
-            });
+            return Err(DomainError::Fleet { found: fleet.to_owned() });
         }
         let small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if prefix.is_empty() || prefix.len() > MAX_PREFIX_BYTES || !prefix.chars().all(small) {
-            return Err(DomainError::Prefix {
-                found: prefix.to_owned(),
-            });
+            return Err(DomainError::Prefix { found: prefix.to_owned() });
         }
         // The path goes into a configuration file and must mean the same directory however it is
         // written, because its hash separates domains.
@@ -61,9 +57,7 @@ impl Domain {
                 && !text.split('/').any(|part| part == "..")
         });
         let Some(text) = text else {
-            return Err(DomainError::Root {
-                found: root.clone(),
-            });
+            return Err(DomainError::Root { found: root.clone() });
         };
         let shm_prefix = format!("{prefix}{:08x}_", hash(&[text, fleet]));
         let allowed = MAX_SOCKET_PATH_BYTES - SOCKET_NAME_BYTES - shm_prefix.len() - fleet.len();
@@ -74,21 +68,13 @@ impl Domain {
                 root: root.clone(),
             });
         }
-        Ok(Self {
-            fleet: fleet.to_owned(),
-            prefix: prefix.to_owned(),
-            shm_prefix,
-            root,
-        })
+        Ok(Self { fleet: fleet.to_owned(), prefix: prefix.to_owned(), shm_prefix, root })
     }
 
     /// The default root: `/dev/shm/joulebus-<uid>`.
     #[must_use]
     pub fn default_root() -> PathBuf {
-        PathBuf::from(format!(
-            "{SHM_DIR}/joulebus-{}",
-            rustix::process::geteuid().as_raw()
-        ))
+        PathBuf::from(format!("{SHM_DIR}/joulebus-{}", rustix::process::geteuid().as_raw()))
     }
 
     /// Name of the fleet.
@@ -202,18 +188,9 @@ mod tests {
             ("f", Path::new("/"), "jb_", false),
             ("f", Path::new("/dev/../shm"), "jb_", false),
             ("f", Path::new("/dev/shm/a\"b"), "jb_", false),
-            (
-                "f",
-                Path::new(&format!("/{}", "r".repeat(60))),
-                "jb_",
-                false,
-            ),
+            ("f", Path::new(&format!("/{}", "r".repeat(60))), "jb_", false),
         ] {
-            assert_eq!(
-                Domain::new(fleet, root, prefix).is_ok(),
-                ok,
-                "{fleet} {root:?} {prefix}"
-            );
+            assert_eq!(Domain::new(fleet, root, prefix).is_ok(), ok, "{fleet} {root:?} {prefix}");
         }
     }
 

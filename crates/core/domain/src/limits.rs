@@ -67,16 +67,8 @@ impl Limits {
         for (name, found, max) in [
             ("capacity", self.capacity, *bounds::CAPACITY.end()),
             ("max_sources", self.max_sources, *bounds::MAX_SOURCES.end()),
-            (
-                "max_planners",
-                self.max_planners,
-                *bounds::MAX_PLANNERS.end(),
-            ),
-            (
-                "sample_frames",
-                self.sample_frames,
-                *bounds::BUFFER_FRAMES.end(),
-            ),
+            ("max_planners", self.max_planners, *bounds::MAX_PLANNERS.end()),
+            ("sample_frames", self.sample_frames, *bounds::BUFFER_FRAMES.end()),
             ("forecast_frames", self.forecast_frames, 64),
         ] {
             let max = max as usize;
@@ -111,11 +103,7 @@ impl Limits {
     #[must_use]
     pub const fn listed_frames(&self) -> usize {
         let waiting = self.max_sources * self.sample_frames;
-        if waiting < MAX_LISTED {
-            waiting
-        } else {
-            MAX_LISTED
-        }
+        if waiting < MAX_LISTED { waiting } else { MAX_LISTED }
     }
 
     /// The size of a channel's service.
@@ -173,11 +161,7 @@ impl Limits {
     #[must_use]
     pub const fn query_clients(&self) -> usize {
         let wanted = self.max_planners + SPARE;
-        if wanted < MAX_QUERY_CLIENTS {
-            wanted
-        } else {
-            MAX_QUERY_CLIENTS
-        }
+        if wanted < MAX_QUERY_CLIENTS { wanted } else { MAX_QUERY_CLIENTS }
     }
 
     /// Questions that can be in transfer at once.
@@ -194,9 +178,7 @@ impl Limits {
 
     fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
-        self.capacity
-            .saturating_mul(STATE_BYTES_PER_ROBOT)
-            .clamp(least, most)
+        self.capacity.saturating_mul(STATE_BYTES_PER_ROBOT).clamp(least, most)
     }
 
     /// Listeners and notifiers of the sources' event.

@@ -55,12 +55,7 @@ impl Motion {
 impl Motion {
     #[inline(always)]
     pub(crate) const fn to_array(self) -> [f32; 4] {
-        [
-            self.v_mps,
-            self.omega_radps,
-            self.dv_mps2,
-            self.domega_radps2,
-        ]
+        [self.v_mps, self.omega_radps, self.dv_mps2, self.domega_radps2]
     }
 
     /// Whether the command is finite.
@@ -75,12 +70,7 @@ impl CommandModel {
     pub fn constant(power_w: f32) -> Self {
         let mut weights = [0.0; TERMS];
         weights[0] = power_w;
-        Self {
-            weights,
-            half_v_mps: 1.0,
-            half_omega_radps: 1.0,
-            mean_w: power_w,
-        }
+        Self { weights, half_v_mps: 1.0, half_omega_radps: 1.0, mean_w: power_w }
     }
 
     /// Whether the command makes a difference.
@@ -131,11 +121,7 @@ impl CommandModel {
         for (weight, term) in self.weights.iter().zip(terms) {
             power_w += weight * term;
         }
-        if power_w.is_finite() & motion.is_known() {
-            power_w
-        } else {
-            self.mean_w
-        }
+        if power_w.is_finite() & motion.is_known() { power_w } else { self.mean_w }
     }
 
     /// Derivatives of the power with respect to v, ω, dv/dt and dω/dt. Where a term has a corner,
@@ -150,16 +136,8 @@ impl CommandModel {
         let (v, omega) = (motion.v_mps.abs(), motion.omega_radps.abs());
         let (half_v, half_omega) = (self.half_v_mps, self.half_omega_radps);
         let saturating = |value: f32, half: f32| half / ((value + half) * (value + half));
-        let gains_v = if motion.v_mps * motion.dv_mps2 > 0.0 {
-            w[8]
-        } else {
-            0.0
-        };
-        let gains_omega = if motion.omega_radps * motion.domega_radps2 > 0.0 {
-            w[9]
-        } else {
-            0.0
-        };
+        let gains_v = if motion.v_mps * motion.dv_mps2 > 0.0 { w[8] } else { 0.0 };
+        let gains_omega = if motion.omega_radps * motion.domega_radps2 > 0.0 { w[9] } else { 0.0 };
         let by_v = w[1] + 2.0 * w[2] * v + w[3] * saturating(v, half_v) + w[7] * omega;
         let by_omega = w[4] + 2.0 * w[5] * omega + w[6] * saturating(omega, half_omega) + w[7] * v;
         [

@@ -68,14 +68,7 @@ impl CommandSum {
     /// The empty sum before the next command while `command` (m/s, rad/s) is in force: a part of a
     /// plan for any robot.
     pub const fn after(command: (f32, f32), period_s: f32) -> Self {
-        Self {
-            period_s,
-            steps: 0,
-            power_w: 0.0,
-            is_known: true,
-            steps_outside: 0,
-            last: command,
-        }
+        Self { period_s, steps: 0, power_w: 0.0, is_known: true, steps_outside: 0, last: command }
     }
 
     /// Adds a part that begins after this sum's last command, and has its period.
@@ -177,11 +170,7 @@ impl EnergyModel {
         let command_j = sum.power_w * f64::from(sum.period_s);
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
-        let energy_j = if sum.is_known {
-            energy_j as f32
-        } else {
-            f32::NAN
-        };
+        let energy_j = if sum.is_known { energy_j as f32 } else { f32::NAN };
         let known = energy_j.is_finite() && self.covers(duration_s);
         EnergyForecast {
             energy_j,
@@ -216,11 +205,7 @@ impl EnergyModel {
         by_omega: &mut [f32],
     ) {
         let level = self.level(state, &plan);
-        let scale = if self.command.reads_commands() {
-            level.factor * plan.period_s
-        } else {
-            0.0
-        };
+        let scale = if self.command.reads_commands() { level.factor * plan.period_s } else { 0.0 };
         let steps = by_v.len().min(by_omega.len());
         for (step, motion) in plan.motions(state.command()).enumerate() {
             let [v, omega, dv, domega] = self.command.slopes(&motion);

@@ -102,10 +102,8 @@ impl EnergyModel {
     /// # Errors
     /// [`EnergyModelError`] names the first value that is out of range.
     pub fn from_text(text: &str) -> Result<Self, EnergyModelError> {
-        let model: Self =
-            serde_json::from_str(text).map_err(|error| EnergyModelError::Malformed {
-                reason: error.to_string(),
-            })?;
+        let model: Self = serde_json::from_str(text)
+            .map_err(|error| EnergyModelError::Malformed { reason: error.to_string() })?;
         model.check()?;
         Ok(model)
     }
@@ -125,48 +123,20 @@ impl EnergyModel {
             if lo <= found && found <= hi {
                 Ok(())
             } else {
-                Err(EnergyModelError::Value {
-                    what,
-                    found,
-                    allowed,
-                })
+                Err(EnergyModelError::Value { what, found, allowed })
             }
         };
         const POSITIVE: &str = "finite and above 0";
         const AT_LEAST_0: &str = "finite and at least 0";
         let share = |what, found| within(what, found, 0.0, 1.0, "0 to 1");
         for weight in self.command.weights {
-            within(
-                "a weight of the command model",
-                weight,
-                0.0,
-                f32::MAX,
-                AT_LEAST_0,
-            )?;
+            within("a weight of the command model", weight, 0.0, f32::MAX, AT_LEAST_0)?;
         }
         let least = f32::MIN_POSITIVE;
-        within(
-            "the command model's constant",
-            self.command.weights[0],
-            least,
-            f32::MAX,
-            POSITIVE,
-        )?;
+        within("the command model's constant", self.command.weights[0], least, f32::MAX, POSITIVE)?;
         within("v₀", self.command.half_v_mps, least, f32::MAX, POSITIVE)?;
-        within(
-            "ω₀",
-            self.command.half_omega_radps,
-            least,
-            f32::MAX,
-            POSITIVE,
-        )?;
-        within(
-            "the mean power",
-            self.command.mean_w,
-            least,
-            f32::MAX,
-            POSITIVE,
-        )?;
+        within("ω₀", self.command.half_omega_radps, least, f32::MAX, POSITIVE)?;
+        within("the mean power", self.command.mean_w, least, f32::MAX, POSITIVE)?;
         for prior_s in self.prior_s {
             within("a prior's seconds", prior_s, 0.0, f32::MAX, AT_LEAST_0)?;
         }
@@ -182,23 +152,11 @@ impl EnergyModel {
             within("the sum of the levels' weights", sum, 0.999, 1.001, "1")?;
         }
         let horizons = self.calibrated as f32;
-        within(
-            "the number of horizons",
-            horizons,
-            0.0,
-            HORIZONS as f32,
-            "0 to 6",
-        )?;
+        within("the number of horizons", horizons, 0.0, HORIZONS as f32, "0 to 6")?;
         for errors in &self.errors {
             for pair in errors.windows(2) {
                 let step = pair[1] - pair[0];
-                within(
-                    "the step to the next quantile",
-                    step,
-                    0.0,
-                    f32::MAX,
-                    AT_LEAST_0,
-                )?;
+                within("the step to the next quantile", step, 0.0, f32::MAX, AT_LEAST_0)?;
             }
         }
         for highest in self.combined.unwrap_or_default() {
@@ -207,13 +165,7 @@ impl EnergyModel {
         }
         for [lowest, highest] in [self.v_mps, self.omega_radps] {
             let ordered = if lowest <= highest { 1.0 } else { 0.0 };
-            within(
-                "the order of a training range",
-                ordered,
-                1.0,
-                1.0,
-                "ascending",
-            )?;
+            within("the order of a training range", ordered, 1.0, 1.0, "ascending")?;
         }
         Ok(())
     }
@@ -265,9 +217,7 @@ impl EnergyModel {
 #[inline(always)]
 fn between<const N: usize>(rows: &[[f32; N]; HORIZONS], horizon_s: f32) -> [f32; N] {
     let last = HORIZONS - 2;
-    let segment = (0..last)
-        .find(|index| horizon_s < HORIZONS_S[index + 1])
-        .unwrap_or(last);
+    let segment = (0..last).find(|index| horizon_s < HORIZONS_S[index + 1]).unwrap_or(last);
     let (from_s, to_s) = (HORIZONS_S[segment], HORIZONS_S[segment + 1]);
     let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
     std::array::from_fn(|index| {

@@ -23,9 +23,7 @@ pub(crate) fn quantile(values: &[f32; KNOTS], p: f32) -> Option<f32> {
     let at = logit(p.into());
     let knots = QUANTILES.map(|knot| logit(knot.into()));
     let last = KNOTS - 2;
-    let segment = (0..last)
-        .find(|index| at < knots[index + 1])
-        .unwrap_or(last);
+    let segment = (0..last).find(|index| at < knots[index + 1]).unwrap_or(last);
     let share = (at - knots[segment]) / (knots[segment + 1] - knots[segment]);
     let (lower, upper) = (f64::from(values[segment]), f64::from(values[segment + 1]));
     Some((lower + share * (upper - lower)) as f32)
@@ -43,19 +41,11 @@ pub(crate) fn probability(values: &[f32; KNOTS], value: f32, sd: f32) -> f32 {
             0.5 * erfc(deviations * FRAC_1_SQRT_2)
         };
         let terms = values.iter().zip(SHARES);
-        return terms
-            .map(|(quantile, share)| share * below(*quantile))
-            .sum::<f64>() as f32;
+        return terms.map(|(quantile, share)| share * below(*quantile)).sum::<f64>() as f32;
     }
     // The nodes of Gauss and Hermite.
     let knots = QUANTILES.map(|knot| logit(knot.into()));
-    let at = |deviations: f64| {
-        below(
-            values,
-            &knots,
-            f64::from(value) + deviations * f64::from(sd),
-        )
-    };
+    let at = |deviations: f64| below(values, &knots, f64::from(value) + deviations * f64::from(sd));
     let (middle, sides) = (at(0.0), at(-3.0f64.sqrt()) + at(3.0f64.sqrt()));
     (middle + (sides - 2.0 * middle) / 6.0) as f32
 }
@@ -64,9 +54,7 @@ pub(crate) fn probability(values: &[f32; KNOTS], value: f32, sd: f32) -> f32 {
 /// [`QUANTILES`].
 fn below(values: &[f32; KNOTS], knots: &[f64; KNOTS], value: f64) -> f64 {
     let last = KNOTS - 2;
-    let segment = (0..last)
-        .find(|index| value < values[index + 1].into())
-        .unwrap_or(last);
+    let segment = (0..last).find(|index| value < values[index + 1].into()).unwrap_or(last);
     let (lower, upper) = (f64::from(values[segment]), f64::from(values[segment + 1]));
     let width = upper - lower;
     // Without width it is a step.

@@ -108,16 +108,8 @@ impl Metered {
         let counted = (elapsed_s > 0.0) & elapsed_s.is_finite();
         let elapsed_s = if counted { elapsed_s } else { 0.0 };
         let known = counted & sample.power_w.is_finite() & self.command_w.is_finite();
-        let added_j = if known {
-            sample.power_w * elapsed_s
-        } else {
-            0.0
-        };
-        let command_j = if known {
-            self.command_w * elapsed_s
-        } else {
-            0.0
-        };
+        let added_j = if known { sample.power_w * elapsed_s } else { 0.0 };
+        let command_j = if known { self.command_w * elapsed_s } else { 0.0 };
         let added_s = if known { elapsed_s } else { 0.0 };
         for level in 0..LEVELS {
             let keeps = LEVELS_S[level] / (LEVELS_S[level] + elapsed_s);
@@ -365,18 +357,12 @@ impl EnergyState {
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
         let parts = learned.parts(shadow);
-        let forecast_j = parts
-            .level(learned.command_trust)
-            .energy_j(command_j, duration_s);
+        let forecast_j = parts.level(learned.command_trust).energy_j(command_j, duration_s);
         let scale_j = model.scale_j(forecast_j, duration_s) * learned.error_factor[shadow];
         let error_j = measured_j - forecast_j;
         let errors = model.errors_at(SHADOWS_S[shadow]);
         let inside = errors[1] * scale_j <= error_j && error_j <= errors[7] * scale_j;
-        let change = if inside {
-            -STEP * MISSES
-        } else {
-            STEP * (1.0 - MISSES)
-        };
+        let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
         let factor = learned.error_factor[shadow] * (1.0 + change);
         learned.error_factor[shadow] = factor.clamp(FACTOR[0], FACTOR[1]);
         let mean_j = model.command.mean_w * duration_s;
@@ -386,9 +372,7 @@ impl EnergyState {
     /// Factor of the errors at a horizon, linear between the watched ones and constant beyond.
     pub(crate) fn error_factor(&self, horizon_s: f32) -> f32 {
         let last = SHADOWS - 2;
-        let segment = (0..last)
-            .find(|index| horizon_s < SHADOWS_S[index + 1])
-            .unwrap_or(last);
+        let segment = (0..last).find(|index| horizon_s < SHADOWS_S[index + 1]).unwrap_or(last);
         let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
         let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
         let factors = &self.learned.error_factor;

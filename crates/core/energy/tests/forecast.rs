@@ -21,12 +21,7 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
     };
     let errors: [f32; KNOTS] = [-0.5, -0.3, -0.2, -0.1, 0.01, 0.1, 0.25, 0.3, 0.8];
     EnergyModel {
-        command: CommandModel {
-            weights,
-            half_v_mps: 0.1,
-            half_omega_radps: 0.5,
-            mean_w: 5.0,
-        },
+        command: CommandModel { weights, half_v_mps: 0.1, half_omega_radps: 0.5, mean_w: 5.0 },
         prior_s: [0.1, 0.2, 0.3, 5.0],
         added_shares: [added_share; HORIZONS_S.len()],
         weights: std::array::from_fn(row),
@@ -73,12 +68,7 @@ impl Reference<'_> {
             }
             _ => (0.0, 0.0),
         };
-        let CommandModel {
-            weights,
-            half_v_mps,
-            half_omega_radps,
-            ..
-        } = &self.model.command;
+        let CommandModel { weights, half_v_mps, half_omega_radps, .. } = &self.model.command;
         let terms = [
             1.0,
             v.abs(),
@@ -111,9 +101,7 @@ impl Reference<'_> {
     fn sums(&self, level_s: f64) -> [f64; 3] {
         let mut sums = [0.0; 3];
         for place in 0..self.samples.len() {
-            let EnergySample {
-                power_w, elapsed_s, ..
-            } = self.samples[place];
+            let EnergySample { power_w, elapsed_s, .. } = self.samples[place];
             if place == 0 || elapsed_s <= 0.0 || !power_w.is_finite() {
                 continue;
             }
@@ -200,14 +188,12 @@ impl Reference<'_> {
 fn samples() -> impl Strategy<Value = Vec<EnergySample>> {
     let speeds = (-0.5f32..0.5, -2.0f32..2.0);
     let sample = (0.0f32..30.0, 0.01f32..0.3, speeds, 0u8..40);
-    let sample = sample.prop_map(
-        |(power_w, elapsed_s, (v_mps, omega_radps), kind)| EnergySample {
-            power_w: if kind == 0 { f32::NAN } else { power_w },
-            elapsed_s: if kind == 1 { 0.0 } else { elapsed_s },
-            v_mps: if kind == 2 { f32::NAN } else { v_mps },
-            omega_radps,
-        },
-    );
+    let sample = sample.prop_map(|(power_w, elapsed_s, (v_mps, omega_radps), kind)| EnergySample {
+        power_w: if kind == 0 { f32::NAN } else { power_w },
+        elapsed_s: if kind == 1 { 0.0 } else { elapsed_s },
+        v_mps: if kind == 2 { f32::NAN } else { v_mps },
+        omega_radps,
+    });
     prop::collection::vec(sample, 1..80)
 }
 
@@ -216,11 +202,7 @@ fn plan() -> impl Strategy<Value = Vec<(f32, f32)>> {
 }
 
 fn commands<'a>(period_s: f32, v_mps: &'a [f32], omega_radps: &'a [f32]) -> Commands<'a> {
-    Commands {
-        period_s,
-        v_mps,
-        omega_radps,
-    }
+    Commands { period_s, v_mps, omega_radps }
 }
 
 fn split(plan: &[(f32, f32)]) -> (Vec<f32>, Vec<f32>) {
@@ -485,10 +467,8 @@ fn commands_outside_the_training_data_are_named() {
 
 #[test]
 fn commands_that_change_faster_than_any_in_training_are_named() {
-    let model = EnergyModel {
-        combined: Some([0.3, 3.0, 4.0, 5.0, 10.0]),
-        ..model(&[0.5; TERMS], 0.0)
-    };
+    let model =
+        EnergyModel { combined: Some([0.3, 3.0, 4.0, 5.0, 10.0]), ..model(&[0.5; TERMS], 0.0) };
     let outside = |model: &EnergyModel, v_mps: &[f32], omega_radps: &[f32]| {
         let plan = commands(0.1, v_mps, omega_radps);
         model.forecast(&EnergyState::new(0), plan).steps_outside
@@ -506,20 +486,14 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
     // Each velocity is within: their product is not compared.
     assert_eq!(outside(&model, &[0.9; 3], &[1.5; 3]), 0);
     // A file of an older version has no maxima of changes, so no change is inside.
-    let older = EnergyModel {
-        combined: None,
-        ..model.clone()
-    };
+    let older = EnergyModel { combined: None, ..model.clone() };
     assert_eq!(outside(&older, &[0.5; 3], &[0.0; 3]), 0);
     assert_eq!(outside(&older, &[0.5, 0.5, 0.4], &[0.0; 3]), 1);
     assert_eq!(outside(&older, &[0.1; 3], &[0.1; 3]), 0);
     assert!(!older.to_text().contains("combined"), "the same bytes");
     assert_eq!(EnergyModel::from_text(&older.to_text()), Ok(older));
     // If commands have no effect, their changes have none either.
-    let constant = EnergyModel {
-        combined: None,
-        ..EnergyModel::untrained(3.0)
-    };
+    let constant = EnergyModel { combined: None, ..EnergyModel::untrained(3.0) };
     assert_eq!(outside(&constant, &[0.0, 9.0, 0.0], &[1.0; 3]), 0);
 }
 

@@ -29,41 +29,21 @@ impl<'a> Candidates<'a> {
     ) -> Result<Self, AskError> {
         let steps = v_mps.len().checked_div(count).unwrap_or(0);
         if steps == 0 {
-            return Err(AskError::Empty {
-                candidates: count,
-                steps,
-            });
+            return Err(AskError::Empty { candidates: count, steps });
         }
         let allowed = steps * count;
         for (column, found) in [("v_mps", v_mps.len()), ("omega_radps", omega_radps.len())] {
             if found != allowed {
-                return Err(AskError::Shape {
-                    column,
-                    found,
-                    allowed,
-                    candidates: count,
-                });
+                return Err(AskError::Shape { column, found, allowed, candidates: count });
             }
         }
         if steps > MAX_STEPS {
-            return Err(AskError::Steps {
-                found: steps,
-                allowed: MAX_STEPS,
-            });
+            return Err(AskError::Steps { found: steps, allowed: MAX_STEPS });
         }
         if !(period_s > 0.0 && period_s <= MAX_PERIOD_S) {
-            return Err(AskError::Period {
-                found: period_s,
-                allowed: MAX_PERIOD_S,
-            });
+            return Err(AskError::Period { found: period_s, allowed: MAX_PERIOD_S });
         }
-        Ok(Self {
-            count,
-            steps,
-            period_s,
-            v_mps,
-            omega_radps,
-        })
+        Ok(Self { count, steps, period_s, v_mps, omega_radps })
     }
 
     /// Number of candidates.
@@ -96,10 +76,9 @@ impl<'a> Candidates<'a> {
         platform: &str,
         (v_max_mps, omega_max_radps): (f32, f32),
     ) -> Result<(), AskError> {
-        for (column, values, allowed) in [
-            ("v_mps", self.v_mps, v_max_mps),
-            ("omega_radps", self.omega_radps, omega_max_radps),
-        ] {
+        for (column, values, allowed) in
+            [("v_mps", self.v_mps, v_max_mps), ("omega_radps", self.omega_radps, omega_max_radps)]
+        {
             let within = |value: &f32| value.abs() <= allowed;
             // Without an early exit, so that the loop becomes one of vectors.
             if values.iter().fold(true, |all, value| all & within(value)) {

@@ -20,11 +20,7 @@ impl Progress {
     /// The progress before the first command. Each command is in force for `period_s`.
     pub(crate) fn new(model: &EnergyModel, state: &EnergyState, period_s: f32) -> Self {
         let sum = CommandSum::new(state, period_s);
-        Self {
-            sum,
-            covered: sum,
-            most_covered: (model.longest_s() / period_s) as usize,
-        }
+        Self { sum, covered: sum, most_covered: (model.longest_s() / period_s) as usize }
     }
 
     /// Time that each command is in force, s.
@@ -64,13 +60,8 @@ impl Progress {
         let (steps, outside) = (self.sum.steps(), self.sum.steps_outside());
         let beyond = !model.covers(whole.duration_s);
         let covered = if beyond { self.covered } else { self.sum };
-        let known = (covered.steps() > 0).then(|| {
-            if beyond {
-                model.forecast_of(state, &covered)
-            } else {
-                whole
-            }
-        });
+        let known = (covered.steps() > 0)
+            .then(|| if beyond { model.forecast_of(state, &covered) } else { whole });
         let widened = (steps - covered.steps() + outside).min(steps);
         let widened_s = widened as f32 * self.sum.period_s();
         let mean_w = whole.energy_j / whole.duration_s;
@@ -120,10 +111,7 @@ impl Rest {
         sum.add(model, part(way, 1, covered_to));
         let covered = sum;
         sum.add(model, part(way, covered_to, way.steps()));
-        Self {
-            whole: sum,
-            covered,
-        }
+        Self { whole: sum, covered }
     }
 }
 
@@ -142,9 +130,7 @@ pub(crate) struct Estimate {
 impl Estimate {
     /// `None` if a value is not finite, or they contradict each other.
     pub(crate) fn energy(&self) -> Option<Range> {
-        let Self {
-            mean_j, lo_j, hi_j, ..
-        } = *self;
+        let Self { mean_j, lo_j, hi_j, .. } = *self;
         // Quantiles of a skewed error may both lie on one side of the mean.
         let (lo_j, hi_j) = (lo_j.min(mean_j), hi_j.max(mean_j));
         let finite = lo_j.is_finite() && mean_j.is_finite() && hi_j.is_finite();
@@ -153,7 +139,6 @@ impl Estimate {
 
     /// The probability that the plan draws less than an amount with a standard deviation, J.
     pub(crate) fn probability_below(&self, usable_j: f32, sd_j: f32) -> Option<f32> {
-        self.known?
-            .probability_below(usable_j - self.widened_j, sd_j)
+        self.known?.probability_below(usable_j - self.widened_j, sd_j)
     }
 }

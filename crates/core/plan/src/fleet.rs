@@ -20,10 +20,7 @@ impl Fleet {
     /// [`FleetSettings::fingerprint`].
     #[must_use]
     pub const fn of(platforms: Vec<Platform>, settings_hash: u64) -> Self {
-        Self {
-            platforms,
-            settings_hash,
-        }
+        Self { platforms, settings_hash }
     }
 
     /// `models[i]` is the model of `settings.platforms[i]`; further ones are ignored.

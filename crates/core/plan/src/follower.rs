@@ -93,33 +93,21 @@ impl Path {
     fn start(&self) -> Result<Pose, PathError> {
         self.check()?;
         let [first, second, ..] = self.points.as_slice() else {
-            return Err(PathError::Points {
-                found: self.points.len(),
-            });
+            return Err(PathError::Points { found: self.points.len() });
         };
         let towards = libm::atan2(second.y_m - first.y_m, second.x_m - first.x_m);
-        Ok(Pose {
-            at: *first,
-            heading_rad: self.heading_rad.unwrap_or(towards),
-        })
+        Ok(Pose { at: *first, heading_rad: self.heading_rad.unwrap_or(towards) })
     }
 
     fn check(&self) -> Result<(), PathError> {
         if self.points.len() < 2 || self.speed_mps.len() != self.points.len() {
-            return Err(PathError::Points {
-                found: self.points.len().min(self.speed_mps.len()),
-            });
+            return Err(PathError::Points { found: self.points.len().min(self.speed_mps.len()) });
         }
         let coordinate = |column, point, found: f64| {
             if found.abs() <= FARTHEST_M {
                 return Ok(());
             }
-            Err(PathError::Coordinate {
-                column,
-                point,
-                found,
-                allowed: FARTHEST_M,
-            })
+            Err(PathError::Coordinate { column, point, found, allowed: FARTHEST_M })
         };
         for (place, point) in self.points.iter().enumerate() {
             coordinate("x_m", place, point.x_m)?;
@@ -128,10 +116,7 @@ impl Path {
         coordinate("heading_rad", 0, self.heading_rad.unwrap_or(0.0))?;
         for (point, speed) in self.speed_mps.iter().enumerate().skip(1) {
             if !(0.0 < *speed && *speed <= f64::INFINITY) {
-                return Err(PathError::Speed {
-                    point,
-                    found: *speed,
-                });
+                return Err(PathError::Speed { point, found: *speed });
             }
         }
         Ok(())
@@ -275,11 +260,7 @@ impl Follower {
 
     /// The speed that is driven if one is asked for, m/s.
     fn speed_mps(&self, asked_mps: f64) -> f64 {
-        let limit_mps = if asked_mps.is_finite() {
-            self.v_max_mps
-        } else {
-            self.known_mps
-        };
+        let limit_mps = if asked_mps.is_finite() { self.v_max_mps } else { self.known_mps };
         asked_mps.min(limit_mps.into())
     }
 
@@ -288,9 +269,7 @@ impl Follower {
     pub fn command(&self, pose: &Pose, goal: Point, speed_mps: f64) -> (f32, f32) {
         let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
         let error_rad = wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad);
-        let along_mps = self
-            .speed_mps(speed_mps)
-            .min(GAIN * distance_m(pose.at, goal));
+        let along_mps = self.speed_mps(speed_mps).min(GAIN * distance_m(pose.at, goal));
         let v_mps = (along_mps * libm::cos(error_rad)) as f32;
         let omega_radps = (TURN_GAIN * error_rad) as f32;
         (

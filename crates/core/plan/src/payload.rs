@@ -32,13 +32,7 @@ impl Question {
             ..QueryHeader::default()
         };
         match &self.plan {
-            Plan::WhatIf {
-                candidates,
-                period_s,
-                v_mps,
-                omega_radps,
-                ..
-            } => {
+            Plan::WhatIf { candidates, period_s, v_mps, omega_radps, .. } => {
                 let columns = v_mps.iter().zip(omega_radps);
                 values.extend(columns.flat_map(|(v, omega)| [f64::from(*v), f64::from(*omega)]));
                 let steps = v_mps.len().checked_div(*candidates).unwrap_or(0);
@@ -75,10 +69,7 @@ impl Question {
         check(header, fleet)?;
         let ids = expected_values(header, values.len())?;
         let (ids, values) = values.split_at(ids);
-        let robots = ids
-            .iter()
-            .map(|id| robot(*id))
-            .collect::<Result<Vec<u32>, _>>()?;
+        let robots = ids.iter().map(|id| robot(*id)).collect::<Result<Vec<u32>, _>>()?;
         Ok(Self {
             plan: plan(header, robots, values)?,
             coverage: header.coverage,
@@ -101,11 +92,8 @@ pub fn encode_acknowledgement(
         return Err(no_name(by));
     }
     let name = by.chars().map(u32::from);
-    let values: Vec<f64> = [robot, alarm.code().into()]
-        .into_iter()
-        .chain(name)
-        .map(f64::from)
-        .collect();
+    let values: Vec<f64> =
+        [robot, alarm.code().into()].into_iter().chain(name).map(f64::from).collect();
     let header = QueryHeader {
         schema: SCHEMA_VERSION,
         fleet,
@@ -136,9 +124,7 @@ pub fn decode_acknowledgement(
         Refused::new(QueryRefusal::Question, text)
     })?;
     let name = values[2..].iter().map(|value| value_as_char(*value));
-    let name: String = name
-        .map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER))
-        .collect();
+    let name: String = name.map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
     Acknowledgement::new(id, alarm, at_ns, &name).ok_or_else(|| no_name(&name))
 }
 
@@ -179,17 +165,9 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
             candidates: header.candidates as usize,
             period_s: header.period_s,
             v_mps: values.iter().step_by(2).map(|v| *v as f32).collect(),
-            omega_radps: values
-                .iter()
-                .skip(1)
-                .step_by(2)
-                .map(|omega| *omega as f32)
-                .collect(),
+            omega_radps: values.iter().skip(1).step_by(2).map(|omega| *omega as f32).collect(),
         },
-        QueryKind::Idle => Plan::Idle {
-            robots,
-            duration_s: header.duration_s,
-        },
+        QueryKind::Idle => Plan::Idle { robots, duration_s: header.duration_s },
         QueryKind::Follow => {
             let points = values.chunks_exact(POINT_VALUES);
             Plan::Follow {
@@ -319,10 +297,7 @@ impl Reply {
             let text = "an answer with a verdict of a newer version".to_owned();
             Refused::new(QueryRefusal::Schema, text)
         })?;
-        Ok(Self {
-            rows,
-            power_w: power_w.to_vec(),
-        })
+        Ok(Self { rows, power_w: power_w.to_vec() })
     }
 }
 
@@ -330,10 +305,7 @@ impl Refused {
     /// Appends the text to the words of an answer, and sets reason and length.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
         let most = 8 * ANSWER_WORDS;
-        let text = self
-            .text
-            .get(..self.text.len().min(most))
-            .unwrap_or_default();
+        let text = self.text.get(..self.text.len().min(most)).unwrap_or_default();
         header.refusal = self.reason.code();
         header.text_bytes = count(text.len());
         let chunks = text.as_bytes().chunks(8);
@@ -378,10 +350,7 @@ impl Row {
             | row_flag(self.turn_back_s.is_some(), answer_flag::TURN_BACK)
             | row_flag(caveats.beyond_horizon, answer_flag::BEYOND_HORIZON)
             | row_flag(caveats.no_reading, answer_flag::NO_READING)
-            | row_flag(
-                caveats.state_outside_training,
-                answer_flag::OUTSIDE_TRAINING,
-            );
+            | row_flag(caveats.state_outside_training, answer_flag::OUTSIDE_TRAINING);
         let nan = f32::NAN;
         AnswerRow {
             robot: self.robot,
@@ -418,10 +387,8 @@ impl Row {
                     lo_j: row.lo_j,
                     hi_j: row.hi_j,
                 }),
-                left: has(answer_flag::LEFT).then_some(Left {
-                    mean_j: row.left_j,
-                    lo_j: row.left_lo_j,
-                }),
+                left: has(answer_flag::LEFT)
+                    .then_some(Left { mean_j: row.left_j, lo_j: row.left_lo_j }),
                 probability: known(answer_flag::PROBABILITY, row.probability),
                 margin_j: known(answer_flag::MARGIN, row.margin_j),
                 verdict: verdict_of(row)?,
@@ -463,12 +430,10 @@ fn verdict_of(row: &AnswerRow) -> Option<Verdict> {
         (2, _) => Verdict::Tight,
         (3, _) => Verdict::No,
         (4, 1) => Verdict::Unknown(Unknown::Stale { age_ns: row.age_ns }),
-        (4, 2) => Verdict::Unknown(Unknown::Invalid {
-            reason: InvalidReason::decode(row.unknown_detail),
-        }),
-        (4, 3) => Verdict::Unknown(Unknown::Warmup {
-            have: row.unknown_detail,
-        }),
+        (4, 2) => {
+            Verdict::Unknown(Unknown::Invalid { reason: InvalidReason::decode(row.unknown_detail) })
+        }
+        (4, 3) => Verdict::Unknown(Unknown::Warmup { have: row.unknown_detail }),
         (4, 4) => Verdict::Unknown(Unknown::Unreadable),
         (4, 5) => Verdict::Unknown(Unknown::NoLevel),
         (4, 6) => Verdict::Unknown(Unknown::NoBattery),

@@ -18,11 +18,7 @@ impl Platform {
     /// `model_hash`: of the model file that the energy model is from.
     #[must_use]
     pub const fn new(settings: PlatformSettings, energy: EnergyModel, model_hash: u64) -> Self {
-        Self {
-            settings,
-            energy,
-            model_hash,
-        }
+        Self { settings, energy, model_hash }
     }
 }
 
@@ -69,12 +65,7 @@ impl RobotRows {
             sent_ns: answer.sent_budget_ns,
             ..BudgetHeader::default()
         };
-        Self {
-            header,
-            state,
-            budget: budget.map(|budget| (of, budget)),
-            now_ns: answer.now_ns,
-        }
+        Self { header, state, budget: budget.map(|budget| (of, budget)), now_ns: answer.now_ns }
     }
 
     /// The rows as frames.

@@ -61,10 +61,7 @@ impl Default for Question {
     /// About no robot.
     fn default() -> Self {
         Self {
-            plan: Plan::Idle {
-                robots: Vec::new(),
-                duration_s: 0.0,
-            },
+            plan: Plan::Idle { robots: Vec::new(), duration_s: 0.0 },
             coverage: 0.9,
             power: false,
         }
@@ -165,12 +162,7 @@ impl Work {
     /// # Errors
     /// [`QuestionError::UnknownRobot`].
     pub fn renew(self, find: impl Fn(u32) -> Option<RobotRows>) -> Result<Self, QuestionError> {
-        let Self {
-            question,
-            routes,
-            max_steps,
-            ..
-        } = self;
+        let Self { question, routes, max_steps, .. } = self;
         let begun = Self::begin(question, find, max_steps)?;
         Ok(Self { routes, ..begun })
     }
@@ -232,10 +224,7 @@ impl Work {
     #[must_use]
     pub fn finish_at(mut self, sent_ns: u64) -> Reply {
         for row in &mut self.reply.rows {
-            let of = self
-                .robots
-                .iter()
-                .find(|rows| rows.state.robot == row.robot);
+            let of = self.robots.iter().find(|rows| rows.state.robot == row.robot);
             let Some(reason) = of.and_then(|rows| stale(&rows.header, sent_ns)) else {
                 continue;
             };
@@ -249,30 +238,13 @@ impl Work {
 
     /// Whether the robot is answered, or a way was followed first.
     fn one(&mut self, robot: &Robot<'_>, platform: u16) -> Result<bool, QuestionError> {
-        let Question {
-            plan,
-            coverage,
-            power,
-        } = &self.question;
-        let row = |answer, turn_back_s| Row {
-            robot: robot.id(),
-            answer,
-            turn_back_s,
-        };
+        let Question { plan, coverage, power } = &self.question;
+        let row = |answer, turn_back_s| Row { robot: robot.id(), answer, turn_back_s };
         match plan {
-            Plan::WhatIf {
-                candidates,
-                period_s,
-                v_mps,
-                omega_radps,
-                ..
-            } => {
+            Plan::WhatIf { candidates, period_s, v_mps, omega_radps, .. } => {
                 let plans = Candidates::new(*candidates, *period_s, v_mps, omega_radps)?;
                 let answers = robot.what_if(&plans, *coverage)?;
-                self.reply.rows = answers
-                    .into_iter()
-                    .map(|answer| row(answer, None))
-                    .collect();
+                self.reply.rows = answers.into_iter().map(|answer| row(answer, None)).collect();
                 if *power {
                     self.reply.power_w = powers(robot, &plans)?;
                 }
@@ -321,11 +293,7 @@ pub(crate) fn best_first(one: &Row, other: &Row) -> std::cmp::Ordering {
         Verdict::No => 2,
         Verdict::Unknown(_) => 3,
     };
-    let mean_j = |row: &Row| {
-        row.answer
-            .energy
-            .map_or(f32::INFINITY, |energy| energy.mean_j)
-    };
+    let mean_j = |row: &Row| row.answer.energy.map_or(f32::INFINITY, |energy| energy.mean_j);
     class(one)
         .cmp(&class(other))
         .then(mean_j(one).total_cmp(&mean_j(other)))

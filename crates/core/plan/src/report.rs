@@ -104,9 +104,7 @@ impl AnswerReport {
             ));
         }
         if let Some(probability) = self.probability {
-            lines.push(format!(
-                "above the reserve with probability {probability:.3}"
-            ));
+            lines.push(format!("above the reserve with probability {probability:.3}"));
         }
         if let Some(leg) = self.limiting_leg {
             lines.push(format!("leg {leg} is the first that is not sure (from 0)"));

@@ -161,12 +161,9 @@ impl<'a> Robot<'a> {
             by_omega.fill(f32::NAN);
             return Ok(());
         }
-        let slopes = by_v
-            .chunks_exact_mut(steps)
-            .zip(by_omega.chunks_exact_mut(steps));
+        let slopes = by_v.chunks_exact_mut(steps).zip(by_omega.chunks_exact_mut(steps));
         for ((by_v, by_omega), commands) in slopes.zip(candidates.iter()) {
-            self.model()
-                .gradient(&self.energy, commands, by_v, by_omega);
+            self.model().gradient(&self.energy, commands, by_v, by_omega);
         }
         Ok(())
     }
@@ -179,10 +176,7 @@ impl<'a> Robot<'a> {
         let period_s = self.period_s();
         let allowed = period_s * MAX_STEPS as f32;
         if !(duration_s > 0.0 && duration_s <= allowed) {
-            return Err(AskError::Duration {
-                found: duration_s,
-                allowed,
-            });
+            return Err(AskError::Duration { found: duration_s, allowed });
         }
         let steps = (duration_s / period_s).round().max(1.0) as usize;
         let rest = vec![0.0; steps];
@@ -190,9 +184,8 @@ impl<'a> Robot<'a> {
         self.check(&candidates, coverage)?;
         let commands = candidates.iter().next();
         // There is one candidate.
-        Ok(commands.map_or(self.nothing(duration_s), |commands| {
-            self.answer(commands, &[], coverage)
-        }))
+        Ok(commands
+            .map_or(self.nothing(duration_s), |commands| self.answer(commands, &[], coverage)))
     }
 
     pub(crate) fn period_s(&self) -> f32 {
@@ -208,10 +201,7 @@ impl<'a> Robot<'a> {
             return Err(AskError::Coverage { found: coverage });
         }
         let settings = &self.platform.settings;
-        candidates.check(
-            &settings.name,
-            (settings.v_max_mps, settings.omega_max_radps),
-        )
+        candidates.check(&settings.name, (settings.v_max_mps, settings.omega_max_radps))
     }
 
     /// The answer to checked commands; `leg_ends`: the steps after which each leg ends.
@@ -230,23 +220,13 @@ impl<'a> Robot<'a> {
         let limiting_leg = self.follow_legs(&mut progress, commands, leg_ends, coverage);
         let estimate = self.estimate(&progress, coverage);
         let Some(energy) = estimate.energy() else {
-            return Answer {
-                verdict: Verdict::Unknown(Unknown::NoLevel),
-                ..nothing
-            };
+            return Answer { verdict: Verdict::Unknown(Unknown::NoLevel), ..nothing };
         };
-        let answer = Answer {
-            energy: Some(energy),
-            caveats: estimate.caveats,
-            ..nothing
-        };
+        let answer = Answer { energy: Some(energy), caveats: estimate.caveats, ..nothing };
         let battery = match self.battery {
             Ok(battery) => battery,
             Err(reason) => {
-                return Answer {
-                    verdict: Verdict::Unknown(reason),
-                    ..answer
-                };
+                return Answer { verdict: Verdict::Unknown(reason), ..answer };
             }
         };
         let verdict = match verdict(&battery, &energy, estimate.caveats) {
@@ -369,11 +349,7 @@ fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
 }
 
 fn results(found: usize, allowed: usize) -> Result<(), AskError> {
-    if found == allowed {
-        Ok(())
-    } else {
-        Err(AskError::Results { found, allowed })
-    }
+    if found == allowed { Ok(()) } else { Err(AskError::Results { found, allowed }) }
 }
 
 fn energy_state(state: &PlanState) -> EnergyState {
@@ -436,9 +412,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
         return Err(Unknown::NoBattery);
     };
     let (header, state) = (frames.header, frames.state);
-    let budget = frames
-        .budget
-        .filter(|(of, row)| is_current(header, state, of, row));
+    let budget = frames.budget.filter(|(of, row)| is_current(header, state, of, row));
     let (of, budget) = budget.ok_or(Unknown::NoBudget)?;
     let age_ns = frames.now_ns.saturating_sub(of.sent_ns);
     if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
@@ -454,12 +428,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
         usable_lo_j: budget.usable_lo_j,
         spare_j: (f64::from(budget.left_j) - settings.reserve * settings.capacity_j) as f32,
     };
-    let all = [
-        battery.left_j,
-        battery.left_lo_j,
-        battery.usable_j,
-        battery.usable_lo_j,
-    ];
+    let all = [battery.left_j, battery.left_lo_j, battery.usable_j, battery.usable_lo_j];
     if is_known && all.iter().all(|joules| joules.is_finite()) {
         Ok(battery)
     } else {

@@ -70,13 +70,7 @@ impl Route {
             }
             None => there.clone(),
         };
-        Ok(Self {
-            follower,
-            back,
-            there,
-            whole,
-            homes: Vec::new(),
-        })
+        Ok(Self { follower, back, there, whole, homes: Vec::new() })
     }
 
     /// The commands of path and way back.

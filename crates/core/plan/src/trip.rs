@@ -71,11 +71,7 @@ impl Robot<'_> {
         // There are fewer than that.
         let mut ways = Ways(usize::MAX);
         let turned = self.turn_back_s(&mut route, &answer, coverage, &mut ways)?;
-        Ok(Trip {
-            answer,
-            turn_back_s: turned.unwrap_or(None),
-            commands: route.into_whole(),
-        })
+        Ok(Trip { answer, turn_back_s: turned.unwrap_or(None), commands: route.into_whole() })
     }
 
     /// Same as [`Robot::can_finish`], without the time to turn back, whose search costs up to 64
@@ -164,11 +160,7 @@ impl Followed {
     /// The followed steps as commands of a plan.
     #[must_use]
     pub fn commands(&self) -> Commands<'_> {
-        Commands {
-            period_s: self.period_s,
-            v_mps: &self.v_mps,
-            omega_radps: &self.omega_radps,
-        }
+        Commands { period_s: self.period_s, v_mps: &self.v_mps, omega_radps: &self.omega_radps }
     }
 }
 
@@ -185,10 +177,7 @@ pub fn rank(
 ) -> Result<Vec<Ranked>, AskError> {
     let ranked = robots.iter().map(|robot| {
         let trip = robot.can_finish(path, back_to, coverage)?;
-        Ok(Ranked {
-            robot: robot.id(),
-            trip,
-        })
+        Ok(Ranked { robot: robot.id(), trip })
     });
     let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
     sort(&mut ranked);
@@ -207,10 +196,7 @@ pub fn rank_each(
 ) -> Result<Vec<Ranked>, AskError> {
     let ranked = robots.iter().map(|(robot, path)| {
         let trip = robot.finish(path, back_to, coverage)?;
-        Ok(Ranked {
-            robot: robot.id(),
-            trip,
-        })
+        Ok(Ranked { robot: robot.id(), trip })
     });
     let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
     sort(&mut ranked);

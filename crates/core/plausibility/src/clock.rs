@@ -122,10 +122,7 @@ impl Stamps {
             self.backward += u64::from(stamp_s < latest_s);
             self.back_s = self.back_s.max(latest_s - stamp_s);
         }
-        self.latest_s = Some(
-            self.latest_s
-                .map_or(stamp_s, |latest_s| latest_s.max(stamp_s)),
-        );
+        self.latest_s = Some(self.latest_s.map_or(stamp_s, |latest_s| latest_s.max(stamp_s)));
         let offset_s = log_s - stamp_s;
         if self.first.len() < KEPT {
             self.first.push(offset_s);
@@ -156,10 +153,7 @@ impl Stamps {
         if self.back_s > 1.0 {
             return StampState::Backward(self.back_s);
         }
-        StampState::Good {
-            offset_s,
-            drift_s: median(&self.last) - offset_s,
-        }
+        StampState::Good { offset_s, drift_s: median(&self.last) - offset_s }
     }
 
     /// Whether its stamps can be joined with times of recording.

@@ -89,16 +89,8 @@ impl Column {
             varies: false,
             sizes: Sizes::new(),
             steps: Sizes::new(),
-            at_greatest: End {
-                count: 0,
-                run: 0,
-                longest: 0,
-            },
-            at_least: End {
-                count: 0,
-                run: 0,
-                longest: 0,
-            },
+            at_greatest: End { count: 0, run: 0, longest: 0 },
+            at_least: End { count: 0, run: 0, longest: 0 },
             largest_steps: Largest::NONE,
             largest_dips: Largest::NONE,
             step: 0.0,

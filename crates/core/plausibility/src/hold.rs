@@ -91,7 +91,6 @@ impl Hold {
 
     /// The longest, if it is too long.
     pub(crate) fn too_long(&self) -> Option<Held> {
-        self.longest
-            .filter(|held| held.held_s > MAX_HOLD_S && self.motion >= MIN_MOTION)
+        self.longest.filter(|held| held.held_s > MAX_HOLD_S && self.motion >= MIN_MOTION)
     }
 }

@@ -90,8 +90,7 @@ impl Judge {
             let place = quantity as usize;
             self.columns[place].take(seen.value(quantity), self.known.ranges[place]);
         }
-        self.ratios
-            .add(seen.power_w / (seen.voltage_v * seen.current_a));
+        self.ratios.add(seen.power_w / (seen.voltage_v * seen.current_a));
         if seen.voltage_v.is_nan() {
             self.implied.add(seen.power_w / seen.current_a);
         }
@@ -217,23 +216,14 @@ impl Judge {
                 (false, true) => ": the clock was set back, or two recordings are mixed",
                 (false, false) => ": the clock stands still",
             };
-            let what = format!(
-                "{lost} of {} rows are not later than those before{why}",
-                times.rows
-            );
+            let what =
+                format!("{lost} of {} rows are not later than those before{why}", times.rows);
             let (kind, severity) = (Kind::Clock, Severity::Error);
             found.push(finding(kind, severity, lost, what, allowed, Remedy::Clock));
         } else if times.back_s > 1.0 {
             let what = format!("the time goes back by up to {} s", number(times.back_s));
             let (kind, severity) = (Kind::Clock, Severity::Warning);
-            found.push(finding(
-                kind,
-                severity,
-                times.backward,
-                what,
-                allowed,
-                Remedy::Clock,
-            ));
+            found.push(finding(kind, severity, times.backward, what, allowed, Remedy::Clock));
         }
         found
     }
@@ -265,11 +255,7 @@ impl Judge {
             quantity: Some(quantity),
             severity: Severity::Warning,
             readings: self.times.rows,
-            found: format!(
-                "{} never came in {} observations",
-                quantity.name(),
-                self.times.rows
-            ),
+            found: format!("{} never came in {} observations", quantity.name(), self.times.rows),
             allowed: "the source names it".to_owned(),
             remedy: Remedy::Name,
         })
@@ -285,11 +271,7 @@ impl Judge {
         Some(Finding {
             kind: Kind::Range,
             quantity: Some(quantity),
-            severity: if is_wrong {
-                Severity::Error
-            } else {
-                Severity::Warning
-            },
+            severity: if is_wrong { Severity::Error } else { Severity::Warning },
             readings: column.outside,
             found: format!(
                 "{} of {} values of {} are out of range: {} to {}",
@@ -299,21 +281,15 @@ impl Judge {
                 number(column.least),
                 quantity.shown(column.greatest)
             ),
-            allowed: format!(
-                "allowed are {} to {}",
-                number(least),
-                quantity.shown(greatest)
-            ),
+            allowed: format!("allowed are {} to {}", number(least), quantity.shown(greatest)),
             remedy: Remedy::Limits,
         })
     }
 
     fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
         let power = &self.columns[Quantity::Power as usize];
-        let is_measured = matches!(
-            quantity,
-            Quantity::Power | Quantity::Voltage | Quantity::Current
-        );
+        let is_measured =
+            matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
         if !is_measured || column.varies {
             return None;
         }
@@ -343,10 +319,7 @@ impl Judge {
 }
 
 fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
-    let is_measured = matches!(
-        quantity,
-        Quantity::Power | Quantity::Voltage | Quantity::Current
-    );
+    let is_measured = matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
     let finding = |readings, found| Finding {
         kind: Kind::Saturation,
         quantity: Some(quantity),

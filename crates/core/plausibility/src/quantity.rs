@@ -22,14 +22,8 @@ pub enum Quantity {
 
 impl Quantity {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 6] = [
-        Self::Power,
-        Self::Voltage,
-        Self::Current,
-        Self::Soc,
-        Self::V,
-        Self::Omega,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Power, Self::Voltage, Self::Current, Self::Soc, Self::V, Self::Omega];
 
     /// The name in messages and in a mapping.
     #[must_use]

@@ -25,9 +25,7 @@ pub fn resolution(sorted: &[f64]) -> Option<f64> {
     gaps.sort_unstable_by(f64::total_cmp);
     let last = gaps.len() - 1;
     // Recorded numbers are rounded, so the smallest gap may be that of the rounding.
-    let candidates = (0..=CANDIDATES)
-        .rev()
-        .map(|nth| gaps[last * nth / CANDIDATES]);
+    let candidates = (0..=CANDIDATES).rev().map(|nth| gaps[last * nth / CANDIDATES]);
     candidates.filter_map(|step| grid(&values, step)).next()
 }
 
@@ -64,9 +62,8 @@ mod tests {
 
     #[test]
     fn a_grid_is_found_and_a_continuum_has_none() {
-        let mut grid: Vec<f64> = (0..200)
-            .map(|step| 3.0 + 0.01 * f64::from(step * 7 % 101))
-            .collect();
+        let mut grid: Vec<f64> =
+            (0..200).map(|step| 3.0 + 0.01 * f64::from(step * 7 % 101)).collect();
         grid.sort_unstable_by(f64::total_cmp);
         let step = resolution(&grid).expect("a grid");
         assert!((step - 0.01).abs() < 1e-9, "{step}");
@@ -90,9 +87,7 @@ mod tests {
     fn readings_beside_a_continuum_are_no_step_of_it() {
         let mut state = 7_u64;
         let mut uniform = || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             (state >> 11) as f64 / (1_u64 << 53) as f64
         };
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
@@ -101,9 +96,7 @@ mod tests {
                 let factor = 10f64.powi(decimals);
                 let mut values = vec![first];
                 values.extend((0..3_000).map(|_| mean + std * normal()));
-                values
-                    .iter_mut()
-                    .for_each(|x| *x = (*x * factor).round() / factor);
+                values.iter_mut().for_each(|x| *x = (*x * factor).round() / factor);
                 values.sort_unstable_by(f64::total_cmp);
                 let found = resolution(&values);
                 let span = values[values.len() - 1] - values[0];

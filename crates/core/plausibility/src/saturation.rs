@@ -46,9 +46,7 @@ fn is_round(step: f64, near: f64) -> bool {
     }
     let mantissa = step / 10f64.powf(step.log10().floor());
     let near_to = |round: f64| (mantissa / round - 1.0).abs() <= near;
-    ROUND
-        .iter()
-        .any(|round| near_to(*round) || near_to(round * 10.0))
+    ROUND.iter().any(|round| near_to(*round) || near_to(round * 10.0))
 }
 
 /// Readings at a full register: their number, and the value.
@@ -56,10 +54,7 @@ pub(crate) fn saturated(column: &Column) -> Option<(u64, f64)> {
     if !column.varies {
         return None;
     }
-    let ends = [
-        (column.at_greatest, column.greatest),
-        (column.at_least, column.least),
-    ];
+    let ends = [(column.at_greatest, column.greatest), (column.at_least, column.least)];
     let found = ends.into_iter().find(|(end, value)| {
         end.count >= MIN_AT_END && end.longest >= MIN_RUN && full(*value).is_some()
     });
@@ -79,19 +74,13 @@ pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
     let steps = column.largest_steps.numbers();
     let only_dips = |(count, _): &(u64, f64)| {
         let all_kept = *count < LARGEST as u64;
-        let most = if all_kept {
-            count + count / 4
-        } else {
-            column.count / 10
-        };
+        let most = if all_kept { count + count / 4 } else { column.count / 10 };
         column.negative <= most
     };
     wrap(column, dips).filter(only_dips).or_else(|| {
         let (steps, size) = wrap(column, steps)?;
         let ends = [column.greatest, -column.least];
-        let fills = ends
-            .iter()
-            .all(|end| (0.94..=1.0).contains(&(2.0 * end / size)));
+        let fills = ends.iter().all(|end| (0.94..=1.0).contains(&(2.0 * end / size)));
         fills.then_some((steps.div_ceil(2), size))
     })
 }

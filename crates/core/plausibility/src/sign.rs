@@ -143,16 +143,11 @@ impl Sign {
         self.last_s = seen.time_s;
         // Relative to the first time: squares of Unix seconds lose the rest.
         self.trend.take(seen.time_s - self.first_s, seen.voltage_v);
-        let load = if seen.current_a.is_finite() {
-            seen.current_a
-        } else {
-            seen.power_w
-        };
+        let load = if seen.current_a.is_finite() { seen.current_a } else { seen.power_w };
         if let Some((voltage_v, before)) = self.before
             && load != before
         {
-            self.resistance
-                .take(load - before, seen.voltage_v - voltage_v);
+            self.resistance.take(load - before, seen.voltage_v - voltage_v);
         }
         self.before =
             (seen.voltage_v.is_finite() && load.is_finite()).then_some((seen.voltage_v, load));
@@ -173,12 +168,7 @@ impl Sign {
     /// Of power.
     pub(crate) fn power(&self) -> Option<WrongSign> {
         let wrong = |severity, signs: Signs, why| {
-            Some(WrongSign {
-                severity,
-                readings: signs.negative,
-                of: signs.count(),
-                why,
-            })
+            Some(WrongSign { severity, readings: signs.negative, of: signs.count(), why })
         };
         if self.moving.count() >= MIN_READINGS {
             // Electronics never feed back: a robot that consumes at rest is one that drives
@@ -209,11 +199,7 @@ impl Sign {
             None if severity == Severity::Error => {
                 wrong(severity, signs, "and nothing shows that it is on a charger")
             }
-            None => wrong(
-                severity,
-                signs,
-                "while the robot stands, and nothing shows a charger",
-            ),
+            None => wrong(severity, signs, "while the robot stands, and nothing shows a charger"),
         }
     }
 

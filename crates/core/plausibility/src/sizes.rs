@@ -16,11 +16,7 @@ pub(crate) struct Sizes {
 
 impl Sizes {
     pub(crate) const fn new() -> Self {
-        Self {
-            counts: [0; BUCKETS],
-            sums: [0.0; BUCKETS],
-            count: 0,
-        }
+        Self { counts: [0; BUCKETS], sums: [0.0; BUCKETS], count: 0 }
     }
 
     pub(crate) fn add(&mut self, value: f64) {

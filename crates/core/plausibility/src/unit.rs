@@ -83,11 +83,7 @@ impl Magnitudes<'_> {
             return Vec::new();
         }
         let scales = |asked: bool| {
-            if asked {
-                &[1.0, THOUSAND][..]
-            } else {
-                &[1.0][..]
-            }
+            if asked { &[1.0, THOUSAND][..] } else { &[1.0][..] }
         };
         let mut fitting = Vec::new();
         for voltage in scales(asked[0]) {
@@ -103,10 +99,9 @@ impl Magnitudes<'_> {
         }
         let both = fitting.contains(&[1.0, 1.0]);
         let mut found = Vec::new();
-        for (at, quantity, units) in [
-            (0, Quantity::Voltage, ("mV", "V")),
-            (1, Quantity::Current, ("mA", "A")),
-        ] {
+        for (at, quantity, units) in
+            [(0, Quantity::Voltage, ("mV", "V")), (1, Quantity::Current, ("mA", "A"))]
+        {
             let Some(usual) = self.usual(quantity).filter(|_| asked[at]) else {
                 continue;
             };
@@ -177,22 +172,12 @@ impl Magnitudes<'_> {
                 quantity.shown(usual),
                 quantity.shown(other)
             );
-            let allowed = format!(
-                "usual are {} to {}",
-                quantity.shown(least),
-                quantity.shown(greatest)
-            );
-            let unit = if usual < least {
-                quantity.unit()
-            } else {
-                smaller
-            };
+            let allowed =
+                format!("usual are {} to {}", quantity.shown(least), quantity.shown(greatest));
+            let unit = if usual < least { quantity.unit() } else { smaller };
             found.push(self.finding(quantity, what, allowed, unit));
         }
-        let driving = self
-            .driving
-            .usual()
-            .filter(|_| self.driving.count() >= MIN_VALUES);
+        let driving = self.driving.usual().filter(|_| self.driving.count() >= MIN_VALUES);
         if found.is_empty()
             && let Some(driving_w) = driving.filter(|driving_w| *driving_w < DRIVING_W)
         {
@@ -201,10 +186,8 @@ impl Magnitudes<'_> {
                 Quantity::Power.shown(driving_w),
                 Quantity::Power.shown(driving_w * THOUSAND)
             );
-            let allowed = format!(
-                "a robot that drives takes {} or more",
-                Quantity::Power.shown(DRIVING_W)
-            );
+            let allowed =
+                format!("a robot that drives takes {} or more", Quantity::Power.shown(DRIVING_W));
             found.push(self.finding(Quantity::Power, what, allowed, "W"));
         }
         found
@@ -212,10 +195,7 @@ impl Magnitudes<'_> {
 
     /// Power that differs from voltage times current by thousands.
     fn product(&self) -> Option<Finding> {
-        let ratio = self
-            .ratios
-            .usual()
-            .filter(|_| self.ratios.count() >= MIN_VALUES)?;
+        let ratio = self.ratios.usual().filter(|_| self.ratios.count() >= MIN_VALUES)?;
         let thousands = (ratio.log10() / 3.0).round();
         if thousands == 0.0 || !thousands.is_finite() {
             return None;

@@ -26,20 +26,12 @@ impl ResidualStats {
     pub fn check(&self) -> Result<(), ModelError> {
         let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
         if !std_fine {
-            return Err(ModelError::field(
-                "residual_std_w",
-                &self.std_w,
-                "finite and >= 0",
-            ));
+            return Err(ModelError::field("residual_std_w", &self.std_w, "finite and >= 0"));
         }
         let ordered = self.q05_w.is_finite() && self.q95_w.is_finite() && self.q05_w <= self.q95_w;
         if !ordered {
             let found = format!("{} to {}", self.q05_w, self.q95_w);
-            return Err(ModelError::field(
-                "residual_q05_w to residual_q95_w",
-                &found,
-                "ascending",
-            ));
+            return Err(ModelError::field("residual_q05_w to residual_q95_w", &found, "ascending"));
         }
         Ok(())
     }
@@ -67,11 +59,7 @@ impl TrainingRange {
     pub fn fed_back_w(&self, forecast_w: f32) -> f32 {
         const NEWEST: usize = FeatureSet::PowerOnly.first();
         let (min_w, max_w) = (self.min[NEWEST], self.max[NEWEST]);
-        let above = if forecast_w < min_w {
-            min_w
-        } else {
-            forecast_w
-        };
+        let above = if forecast_w < min_w { min_w } else { forecast_w };
         if above > max_w { max_w } else { above }
     }
 
@@ -81,12 +69,8 @@ impl TrainingRange {
         feature_set: FeatureSet,
         rows: impl Iterator<Item = &'a Features> + Clone,
     ) -> Self {
-        let mut range = Self {
-            feature_set,
-            min: Features::default(),
-            max: Features::default(),
-            seen: None,
-        };
+        let mut range =
+            Self { feature_set, min: Features::default(), max: Features::default(), seen: None };
         range.min[feature_set.range()].fill(f32::INFINITY);
         range.max[feature_set.range()].fill(f32::NEG_INFINITY);
         for row in rows.clone() {

@@ -14,12 +14,8 @@ pub(crate) fn check_parameters(parameters: &Parameters) -> Result<(), ModelError
         check_values(&file::weight_name(number), &layer.weights, inputs * outputs)?;
         check_values(&file::bias_name(number), &layer.bias, outputs)?;
     }
-    let Normalisation {
-        feature_mean,
-        feature_std,
-        power_mean_w,
-        power_std_w,
-    } = parameters.normalisation;
+    let Normalisation { feature_mean, feature_std, power_mean_w, power_std_w } =
+        parameters.normalisation;
     for i in parameters.feature_set.range() {
         if !feature_mean[i].is_finite() {
             let field = format!("feature_mean of {}", FEATURE_NAMES[i]);
@@ -29,27 +25,15 @@ pub(crate) fn check_parameters(parameters: &Parameters) -> Result<(), ModelError
             feature_std[i] == 0.0 || (feature_std[i] > 0.0 && feature_std[i].recip().is_finite());
         if !(std_fine && feature_std[i].is_finite()) {
             let field = format!("feature_std of {}", FEATURE_NAMES[i]);
-            return Err(ModelError::field(
-                field,
-                &feature_std[i],
-                "0, or 1e-38 to 3e38",
-            ));
+            return Err(ModelError::field(field, &feature_std[i], "0, or 1e-38 to 3e38"));
         }
     }
     if !power_mean_w.is_finite() {
-        return Err(ModelError::field(
-            "power_mean_w",
-            &power_mean_w,
-            "finite numbers",
-        ));
+        return Err(ModelError::field("power_mean_w", &power_mean_w, "finite numbers"));
     }
     let power_std_fine = power_std_w > 0.0 && power_std_w.is_finite();
     if !power_std_fine {
-        return Err(ModelError::field(
-            "power_std_w",
-            &power_std_w,
-            "finite and > 0",
-        ));
+        return Err(ModelError::field("power_std_w", &power_std_w, "finite and > 0"));
     }
     check_folded(parameters)
 }
@@ -76,11 +60,9 @@ fn check_values(tensor: &str, values: &[f32], expected: usize) -> Result<(), Mod
         });
     }
     match values.iter().position(|value| !value.is_finite()) {
-        Some(index) => Err(ModelError::NotFinite {
-            tensor: tensor.to_owned(),
-            index,
-            value: values[index],
-        }),
+        Some(index) => {
+            Err(ModelError::NotFinite { tensor: tensor.to_owned(), index, value: values[index] })
+        }
         None => Ok(()),
     }
 }
@@ -105,19 +87,10 @@ pub(crate) fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<()
     if let Some(energy) = &card.energy {
         energy.check()?;
     }
-    let TrainingRange {
-        feature_set: range_set,
-        min,
-        max,
-        ..
-    } = card.training_range;
+    let TrainingRange { feature_set: range_set, min, max, .. } = card.training_range;
     if range_set != feature_set {
         let allowed = feature_set.name();
-        return Err(ModelError::field(
-            "feature set of training_range",
-            range_set.name(),
-            allowed,
-        ));
+        return Err(ModelError::field("feature set of training_range", range_set.name(), allowed));
     }
     for i in feature_set.range() {
         let ordered = min[i].is_finite() && max[i].is_finite() && min[i] <= max[i];
@@ -139,13 +112,7 @@ pub(crate) fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<()
             return Err(ModelError::field("trained_blocks", &found, allowed));
         }
     }
-    let Scores {
-        network_r2,
-        network_mae_w,
-        persistence_r2,
-        persistence_mae_w,
-        ..
-    } = card.scores;
+    let Scores { network_r2, network_mae_w, persistence_r2, persistence_mae_w, .. } = card.scores;
     for (field, value) in [
         ("score_network_r2", network_r2),
         ("score_network_mae_w", network_mae_w),

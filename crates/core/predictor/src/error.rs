@@ -93,11 +93,7 @@ impl ModelError {
         found: &(impl ToString + ?Sized),
         allowed: impl Into<String>,
     ) -> ModelError {
-        ModelError::Field {
-            field: field.into(),
-            found: found.to_string(),
-            allowed: allowed.into(),
-        }
+        ModelError::Field { field: field.into(), found: found.to_string(), allowed: allowed.into() }
     }
 }
 

@@ -48,10 +48,9 @@ pub fn features(
 ) -> Features {
     let (dv_mps2, domega_radps2) = match previous {
         None => (0.0, 0.0),
-        Some((v_before_mps, omega_before_radps, dt_s)) if dt_s > 0.0 => (
-            (v_mps - v_before_mps) / dt_s,
-            (omega_radps - omega_before_radps) / dt_s,
-        ),
+        Some((v_before_mps, omega_before_radps, dt_s)) if dt_s > 0.0 => {
+            ((v_mps - v_before_mps) / dt_s, (omega_radps - omega_before_radps) / dt_s)
+        }
         Some(_) => (f32::NAN, f32::NAN),
     };
     let [lag1, lag2, lag3, lag4, lag5] = *lag_w;
@@ -105,20 +104,12 @@ impl FeatureSet {
     /// Index in [`Features`] of the first feature read; the features up to [`FeatureSet::end`] are
     /// read.
     pub const fn first(self) -> usize {
-        if self.needs_command() {
-            0
-        } else {
-            FEATURES - LAGS
-        }
+        if self.needs_command() { 0 } else { FEATURES - LAGS }
     }
 
     /// Index in [`Features`] after the last feature read.
     pub const fn end(self) -> usize {
-        if self.needs_freshness() {
-            INPUTS
-        } else {
-            FEATURES
-        }
+        if self.needs_freshness() { INPUTS } else { FEATURES }
     }
 
     /// Indices in [`Features`] of the features read.

@@ -53,9 +53,7 @@ pub(crate) fn content_hash(parameters: &Parameters, card: &ModelCard) -> u64 {
     let tensors = tensors(parameters);
     leading_u64(&digest(
         fields.iter().map(|(key, value)| (*key, value.as_str())),
-        tensors
-            .iter()
-            .map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
+        tensors.iter().map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
     ))
 }
 
@@ -64,9 +62,7 @@ pub(crate) fn write(parameters: &Parameters, card: &ModelCard) -> Result<Vec<u8>
     let tensors = tensors(parameters);
     let sha256 = digest(
         fields.iter().map(|(key, value)| (*key, value.as_str())),
-        tensors
-            .iter()
-            .map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
+        tensors.iter().map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
     );
     fields.insert("sha256", hex(&sha256));
 
@@ -88,20 +84,14 @@ pub(crate) fn write(parameters: &Parameters, card: &ModelCard) -> Result<Vec<u8>
     bytes.append(&mut header);
     bytes.append(&mut data);
     if bytes.len() > MAX_MODEL_BYTES {
-        return Err(ModelError::TooLarge {
-            found: bytes.len(),
-            allowed: MAX_MODEL_BYTES,
-        });
+        return Err(ModelError::TooLarge { found: bytes.len(), allowed: MAX_MODEL_BYTES });
     }
     Ok(bytes)
 }
 
 pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> {
     if bytes.len() > MAX_MODEL_BYTES {
-        return Err(ModelError::TooLarge {
-            found: bytes.len(),
-            allowed: MAX_MODEL_BYTES,
-        });
+        return Err(ModelError::TooLarge { found: bytes.len(), allowed: MAX_MODEL_BYTES });
     }
     let (_, header) = SafeTensors::read_metadata(bytes)?;
     let tensors = SafeTensors::deserialize(bytes)?;
@@ -307,14 +297,8 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
         ("score_rows", card.scores.rows.to_string()),
         ("score_network_r2", card.scores.network_r2.to_string()),
         ("score_network_mae_w", card.scores.network_mae_w.to_string()),
-        (
-            "score_persistence_r2",
-            card.scores.persistence_r2.to_string(),
-        ),
-        (
-            "score_persistence_mae_w",
-            card.scores.persistence_mae_w.to_string(),
-        ),
+        ("score_persistence_r2", card.scores.persistence_r2.to_string()),
+        ("score_persistence_mae_w", card.scores.persistence_mae_w.to_string()),
     ]);
     if let Some(seen) = &card.training_range.seen {
         fields.insert("seen_power", seen.to_text());
@@ -328,10 +312,7 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
     }
     if let Some(linear) = &card.linear {
         fields.insert("linear_bias_w", linear.bias_w.to_string());
-        fields.insert(
-            "linear_weights",
-            list_of(linear.feature_set, &linear.weights),
-        );
+        fields.insert("linear_weights", list_of(linear.feature_set, &linear.weights));
         fields.insert("linear_r2", linear.r2.to_string());
     }
     if let Some(energy) = &card.energy {
@@ -348,26 +329,13 @@ struct Tensor {
 
 fn tensors(parameters: &Parameters) -> Vec<Tensor> {
     let sizes = layer_sizes(parameters.feature_set);
-    let bytes = |values: &[f32]| {
-        values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect()
-    };
+    let bytes = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
     let mut tensors = Vec::new();
     for (number, (layer, (inputs, outputs))) in parameters.layers.iter().zip(sizes).enumerate() {
         let (bias, weights) = (bytes(&layer.bias), bytes(&layer.weights));
-        tensors.push(Tensor {
-            name: bias_name(number),
-            shape: vec![outputs],
-            data: bias,
-        });
+        tensors.push(Tensor { name: bias_name(number), shape: vec![outputs], data: bias });
         let shape = vec![outputs, inputs];
-        tensors.push(Tensor {
-            name: weight_name(number),
-            shape,
-            data: weights,
-        });
+        tensors.push(Tensor { name: weight_name(number), shape, data: weights });
     }
     tensors
 }
@@ -376,22 +344,14 @@ fn read_layers(
     tensors: &SafeTensors<'_>,
     feature_set: FeatureSet,
 ) -> Result<[Layer; 4], ModelError> {
-    let mut layers = [const {
-        Layer {
-            weights: Vec::new(),
-            bias: Vec::new(),
-        }
-    }; 4];
+    let mut layers = [const { Layer { weights: Vec::new(), bias: Vec::new() } }; 4];
     let sizes = layer_sizes(feature_set);
     let belongs = |name: &&str| {
         (0..sizes.len()).any(|number| **name == weight_name(number) || **name == bias_name(number))
     };
     if let Some(stranger) = tensors.names().into_iter().find(|name| !belongs(name)) {
         let allowed = 2 * sizes.len();
-        return Err(ModelError::UnexpectedTensor {
-            tensor: stranger.to_owned(),
-            allowed,
-        });
+        return Err(ModelError::UnexpectedTensor { tensor: stranger.to_owned(), allowed });
     }
     for (number, (layer, (inputs, outputs))) in layers.iter_mut().zip(sizes).enumerate() {
         layer.weights = read_tensor(tensors, weight_name(number), &[outputs, inputs])?;
@@ -423,10 +383,7 @@ struct Metadata<'a>(&'a HashMap<String, String>);
 
 impl Metadata<'_> {
     fn text(&self, field: &'static str) -> Result<&str, ModelError> {
-        self.0
-            .get(field)
-            .map(String::as_str)
-            .ok_or(ModelError::MissingField { field })
+        self.0.get(field).map(String::as_str).ok_or(ModelError::MissingField { field })
     }
 
     /// A text that people are shown, in terminals and pages.
@@ -434,11 +391,7 @@ impl Metadata<'_> {
         let text = self.text(field)?;
         if text.len() > max_bytes {
             let found = format!("{} bytes", text.len());
-            return Err(ModelError::field(
-                field,
-                &found,
-                format!("{max_bytes} bytes"),
-            ));
+            return Err(ModelError::field(field, &found, format!("{max_bytes} bytes")));
         }
         match text.chars().find(|letter| letter.is_control()) {
             Some(found) => Err(ModelError::field(
@@ -452,17 +405,12 @@ impl Metadata<'_> {
 
     fn must_be(&self, field: &'static str, allowed: &str) -> Result<(), ModelError> {
         let found = self.text(field)?;
-        if found == allowed {
-            Ok(())
-        } else {
-            Err(ModelError::field(field, &found, allowed))
-        }
+        if found == allowed { Ok(()) } else { Err(ModelError::field(field, &found, allowed)) }
     }
 
     fn number<T: FromStr>(&self, field: &'static str) -> Result<T, ModelError> {
         let text = self.text(field)?;
-        text.parse()
-            .map_err(|_| ModelError::field(field, &text, "a number"))
+        text.parse().map_err(|_| ModelError::field(field, &text, "a number"))
     }
 
     fn per_feature(&self, field: &'static str, set: FeatureSet) -> Result<Features, ModelError> {
@@ -491,17 +439,12 @@ fn check_digest(metadata: &Metadata<'_>, tensors: &SafeTensors<'_>) -> Result<()
     let views: BTreeMap<&str, TensorView<'_>> = tensors.iter().collect();
     let found = hex(&digest(
         fields.into_iter(),
-        views
-            .iter()
-            .map(|(name, view)| (*name, view.shape(), view.data())),
+        views.iter().map(|(name, view)| (*name, view.shape(), view.data())),
     ));
     if found == stated {
         Ok(())
     } else {
-        Err(ModelError::Checksum {
-            found,
-            stated: stated.to_owned(),
-        })
+        Err(ModelError::Checksum { found, stated: stated.to_owned() })
     }
 }
 
@@ -522,10 +465,7 @@ fn digest<'a>(
     }
     for (name, shape, data) in tensors {
         add(name.as_bytes());
-        let shape: Vec<u8> = shape
-            .iter()
-            .flat_map(|&n| (n as u64).to_le_bytes())
-            .collect();
+        let shape: Vec<u8> = shape.iter().flat_map(|&n| (n as u64).to_le_bytes()).collect();
         add(&shape);
         add(data);
     }
@@ -538,8 +478,5 @@ fn hex(bytes: &[u8]) -> String {
 
 /// The first eight bytes as a big-endian number.
 pub(crate) fn leading_u64(digest: &[u8]) -> u64 {
-    digest
-        .iter()
-        .take(8)
-        .fold(0, |hash, &byte| hash << 8 | u64::from(byte))
+    digest.iter().take(8).fold(0, |hash, &byte| hash << 8 | u64::from(byte))
 }

@@ -37,9 +37,7 @@ impl Activation {
 
     /// The activation of this name, if there is one.
     pub fn from_name(name: &str) -> Option<Activation> {
-        Activation::ALL
-            .into_iter()
-            .find(|activation| activation.name() == name)
+        Activation::ALL.into_iter().find(|activation| activation.name() == name)
     }
 
     /// Coefficients of −p, lowest power first, each for all segments.
@@ -80,9 +78,7 @@ impl Activation {
         let tail = first
             .iter()
             .rev()
-            .fold(last[segment], |tail, coefficients| {
-                tail.mul_add(clamped, coefficients[segment])
-            });
+            .fold(last[segment], |tail, coefficients| tail.mul_add(clamped, coefficients[segment]));
         (y + magnitude) + tail
     }
 }

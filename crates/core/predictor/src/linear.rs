@@ -24,11 +24,7 @@ impl Linear {
     /// The largest feature set of the baseline of a network that reads `network`: the same without
     /// the reading age, whose effect is not linear.
     pub const fn feature_set_beside(network: FeatureSet) -> FeatureSet {
-        if network.needs_command() {
-            FeatureSet::Full
-        } else {
-            FeatureSet::PowerOnly
-        }
+        if network.needs_command() { FeatureSet::Full } else { FeatureSet::PowerOnly }
     }
 
     /// Refuses numbers that are not finite, and weights of features that are not read.
@@ -82,12 +78,7 @@ mod tests {
     fn linear() -> Linear {
         let mut weights = [0.0; INPUTS];
         weights[6..11].copy_from_slice(&[0.5, 0.25, 0.125, 0.0625, 0.0625]);
-        Linear {
-            feature_set: FeatureSet::PowerOnly,
-            bias_w: 1.0,
-            weights,
-            r2: 0.8,
-        }
+        Linear { feature_set: FeatureSet::PowerOnly, bias_w: 1.0, weights, r2: 0.8 }
     }
 
     #[test]
@@ -107,13 +98,8 @@ mod tests {
     #[test]
     fn invalid_weights_are_refused() {
         assert!(linear().check().is_ok());
-        for (at, weight) in [
-            (0, 0.5),
-            (0, f32::NAN),
-            (11, 1.0),
-            (7, f32::NAN),
-            (8, f32::INFINITY),
-        ] {
+        for (at, weight) in [(0, 0.5), (0, f32::NAN), (11, 1.0), (7, f32::NAN), (8, f32::INFINITY)]
+        {
             let mut broken = linear();
             broken.weights[at] = weight;
             assert!(broken.check().is_err(), "{weight} at {at}");

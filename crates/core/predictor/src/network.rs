@@ -108,8 +108,7 @@ impl Network {
 
     /// Columns have the length of `out_w`; those that are not read may be empty.
     pub(crate) fn predict_columns(&self, columns: &[&[f32]; INPUTS], out_w: &mut [f32]) {
-        self.engine
-            .columns(&self.packed, self.tiling, columns, out_w);
+        self.engine.columns(&self.packed, self.tiling, columns, out_w);
     }
 
     /// Lanes of checked rollouts from `first`, as many as `energy_j` has elements.
@@ -146,9 +145,7 @@ impl Network {
                 let products = weights.iter().zip(&values);
                 products.fold(bias, |sum, (&weight, &x)| x.mul_add(weight, sum))
             });
-            values = sums
-                .map(|sum| self.parameters.activation.scaled_value(sum))
-                .collect();
+            values = sums.map(|sum| self.parameters.activation.scaled_value(sum)).collect();
         }
         let sums: [f32; LINE] = std::array::from_fn(|i| {
             let high = LINE + i;
@@ -160,12 +157,8 @@ impl Network {
     /// One forecast in watt in double precision with the exact error function, for checks.
     /// Allocates.
     pub fn predict_reference_f64(&self, row: &Features) -> f64 {
-        let Normalisation {
-            feature_mean,
-            feature_std,
-            power_mean_w,
-            power_std_w,
-        } = self.parameters.normalisation;
+        let Normalisation { feature_mean, feature_std, power_mean_w, power_std_w } =
+            self.parameters.normalisation;
         let normalised = self.feature_set().range().map(|i| {
             let std = f64::from(feature_std[i]);
             let inverse = if std > 0.0 { 1.0 / std } else { 0.0 };

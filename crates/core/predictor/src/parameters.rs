@@ -44,10 +44,5 @@ pub struct Parameters {
 /// Inputs and outputs of each layer.
 pub(crate) fn layer_sizes(feature_set: FeatureSet) -> [(usize, usize); 4] {
     let [first, second, third] = HIDDEN;
-    [
-        (feature_set.inputs(), first),
-        (first, second),
-        (second, third),
-        (third, 1),
-    ]
+    [(feature_set.inputs(), first), (first, second), (second, third), (third, 1)]
 }

@@ -26,9 +26,6 @@ impl Persistence {
         for value in [residual.std_w, residual.q05_w, residual.q95_w] {
             digest.update(value.to_le_bytes());
         }
-        Ok(Persistence {
-            residual,
-            hash: leading_u64(&digest.finalize()),
-        })
+        Ok(Persistence { residual, hash: leading_u64(&digest.finalize()) })
     }
 }

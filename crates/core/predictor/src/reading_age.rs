@@ -33,10 +33,7 @@ impl ReadingAge {
     pub const MAX_STEPS: u8 = 30;
 
     /// Before the first measurement.
-    pub const UNKNOWN: ReadingAge = ReadingAge {
-        age_steps: NEVER,
-        interval_steps: 0,
-    };
+    pub const UNKNOWN: ReadingAge = ReadingAge { age_steps: NEVER, interval_steps: 0 };
 
     /// Converts it to bytes, for storage in columns.
     #[inline(always)]
@@ -47,10 +44,7 @@ impl ReadingAge {
     /// Creates it from [`ReadingAge::to_bytes`]. Any two bytes are valid.
     #[inline(always)]
     pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> ReadingAge {
-        ReadingAge {
-            age_steps,
-            interval_steps,
-        }
+        ReadingAge { age_steps, interval_steps }
     }
 
     /// Takes the next sample, with a new measurement or a held reading.
@@ -133,11 +127,7 @@ impl ReadingAge {
     fn older_by(&self, steps: u64) -> u8 {
         let steps = steps.min(NEVER.into()) as u8;
         let older = self.age_steps.saturating_add(steps).min(NEVER - 1);
-        if self.age_steps == NEVER {
-            NEVER
-        } else {
-            older
-        }
+        if self.age_steps == NEVER { NEVER } else { older }
     }
 }
 
@@ -158,23 +148,10 @@ mod tests {
 
     #[test]
     fn a_gap_is_declared_past_half_a_period_and_counted_by_rounding() {
-        let cases = [
-            (0, 0),
-            (10, 0),
-            (15, 0),
-            (16, 1),
-            (20, 1),
-            (24, 1),
-            (25, 2),
-            (34, 2),
-            (35, 3),
-        ];
+        let cases =
+            [(0, 0), (10, 0), (15, 0), (16, 1), (20, 1), (24, 1), (25, 2), (34, 2), (35, 3)];
         for (elapsed, missing) in cases {
-            assert_eq!(
-                missing_steps(elapsed, 10),
-                missing,
-                "after {elapsed} of period 10"
-            );
+            assert_eq!(missing_steps(elapsed, 10), missing, "after {elapsed} of period 10");
         }
         assert_eq!(missing_steps(u64::MAX, 1), u64::MAX - 1);
     }
@@ -228,16 +205,7 @@ mod tests {
 
     #[test]
     fn passing_many_periods_at_once_is_passing_them_one_by_one() {
-        for pattern in [
-            "",
-            "hh",
-            "nh",
-            "nn",
-            "nhhn",
-            "nhhnh",
-            "nhhnhhhhhh",
-            "nhnhhhhnhhhh",
-        ] {
+        for pattern in ["", "hh", "nh", "nn", "nhhn", "nhhnh", "nhhnhhhhhh", "nhnhhhhnhhhh"] {
             let mut slow = of(pattern);
             for steps in 0..40 {
                 assert_eq!(of(pattern).after(steps), slow, "{pattern} {steps}");
@@ -268,10 +236,7 @@ mod tests {
         let mut first = of("n");
         first.pass(u64::MAX);
         first.read(true);
-        assert_eq!(
-            (first.age_steps(), first.interval_steps()),
-            (Some(0), Some(255))
-        );
+        assert_eq!((first.age_steps(), first.interval_steps()), (Some(0), Some(255)));
         first.pass(u64::MAX);
         assert_eq!(first.age_steps(), Some((u64::MAX % 255) as u8));
         for _ in 0..300 {

@@ -71,11 +71,7 @@ impl Rollouts<'_> {
             ("power_w", power_w.unwrap_or(trace), trace),
         ] {
             if found != allowed {
-                return Err(RolloutError::Length(LengthError {
-                    column,
-                    found,
-                    allowed,
-                }));
+                return Err(RolloutError::Length(LengthError { column, found, allowed }));
             }
         }
         Ok(())

@@ -50,10 +50,8 @@ impl SeenPower {
     }
 
     fn empty(top_w: f32) -> Option<Self> {
-        (top_w > 0.0 && top_w.is_finite()).then(|| Self {
-            top_w: top_w.to_bits(),
-            bits: [0; LEVELS * SPREADS / 64],
-        })
+        (top_w > 0.0 && top_w.is_finite())
+            .then(|| Self { top_w: top_w.to_bits(), bits: [0; LEVELS * SPREADS / 64] })
     }
 
     #[inline(always)]
@@ -80,10 +78,7 @@ impl SeenPower {
     /// As in model files: 128 hexadecimal digits.
     #[must_use]
     pub fn to_text(&self) -> String {
-        self.bits
-            .iter()
-            .map(|bits| format!("{bits:016x}"))
-            .collect()
+        self.bits.iter().map(|bits| format!("{bits:016x}")).collect()
     }
 
     /// Reverses [`SeenPower::to_text`]; `None` for anything else.
@@ -91,11 +86,7 @@ impl SeenPower {
     pub fn from_text(top_w: f32, text: &str) -> Option<Self> {
         let is_hex = text.bytes().all(|digit| digit.is_ascii_hexdigit());
         let mut seen = Self::empty(top_w).filter(|_| is_hex && text.len() == Self::DIGITS)?;
-        for (bits, digits) in seen
-            .bits
-            .iter_mut()
-            .zip(text.as_bytes().as_chunks::<16>().0)
-        {
+        for (bits, digits) in seen.bits.iter_mut().zip(text.as_bytes().as_chunks::<16>().0) {
             *bits = u64::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
         }
         Some(seen)

@@ -241,14 +241,10 @@ impl RosType {
         schema_encoding: &str,
         definition: &[u8],
     ) -> Result<Self, RosError> {
-        let kind = Self::named(type_name).ok_or_else(|| RosError::Type {
-            found: type_name.to_owned(),
-        })?;
+        let kind =
+            Self::named(type_name).ok_or_else(|| RosError::Type { found: type_name.to_owned() })?;
         if message_encoding != "cdr" {
-            return Err(RosError::Encoding {
-                found: message_encoding.to_owned(),
-                allowed: "cdr",
-            });
+            return Err(RosError::Encoding { found: message_encoding.to_owned(), allowed: "cdr" });
         }
         // Recorders that found no definition leave it empty; the length of every message must still
         // match.
@@ -321,12 +317,9 @@ impl RosType {
                 HEADER,
             ],
             Self::Twist => &[TWIST, VECTOR],
-            Self::TwistStamped => &[
-                ("TwistStamped", &["Header header", "Twist twist"]),
-                HEADER,
-                TWIST,
-                VECTOR,
-            ],
+            Self::TwistStamped => {
+                &[("TwistStamped", &["Header header", "Twist twist"]), HEADER, TWIST, VECTOR]
+            }
             Self::Odometry => &[
                 (
                     "Odometry",
@@ -338,20 +331,11 @@ impl RosType {
                     ],
                 ),
                 HEADER,
-                (
-                    "PoseWithCovariance",
-                    &["Pose pose", "float64[36] covariance"],
-                ),
+                ("PoseWithCovariance", &["Pose pose", "float64[36] covariance"]),
                 ("Pose", &["Point position", "Quaternion orientation"]),
                 ("Point", &["float64 x", "float64 y", "float64 z"]),
-                (
-                    "Quaternion",
-                    &["float64 x", "float64 y", "float64 z", "float64 w"],
-                ),
-                (
-                    "TwistWithCovariance",
-                    &["Twist twist", "float64[36] covariance"],
-                ),
+                ("Quaternion", &["float64 x", "float64 y", "float64 z", "float64 w"]),
+                ("TwistWithCovariance", &["Twist twist", "float64[36] covariance"]),
                 TWIST,
                 VECTOR,
             ],
@@ -371,11 +355,8 @@ fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
         } else if !line.is_empty() && !line.starts_with("===") && !is_constant(line) {
             let mut words = line.split_whitespace();
             let (kind, name) = (words.next(), words.next());
-            let field = format!(
-                "{} {}",
-                last_part(kind.unwrap_or_default()),
-                name.unwrap_or_default()
-            );
+            let field =
+                format!("{} {}", last_part(kind.unwrap_or_default()), name.unwrap_or_default());
             if let Some((_, fields)) = sections.last_mut() {
                 fields.push(field);
             }
@@ -425,8 +406,6 @@ fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
     // Writers may pad to a multiple of four.
     match body.len() - read {
         0..=3 => Ok(message),
-        left => Err(RosError::Bytes(format!(
-            "{left} bytes follow the last field"
-        ))),
+        left => Err(RosError::Bytes(format!("{left} bytes follow the last field"))),
     }
 }

@@ -63,14 +63,8 @@ mod tests {
     #[test]
     fn what_is_encoded_is_decoded_again() {
         let vector = |x| Vector3 { x, y: 0.0, z: -1.5 };
-        let twist = Twist {
-            linear: vector(0.25),
-            angular: vector(f64::MIN),
-        };
-        let bytes: Vec<u8> = [0, 1, 0, 0]
-            .into_iter()
-            .chain(encode(&twist).unwrap())
-            .collect();
+        let twist = Twist { linear: vector(0.25), angular: vector(f64::MIN) };
+        let bytes: Vec<u8> = [0, 1, 0, 0].into_iter().chain(encode(&twist).unwrap()).collect();
         assert_eq!(RosType::Twist.decode(&bytes), Ok(Message::Twist(twist)));
     }
 }

@@ -67,43 +67,13 @@ impl Platform {
         let command = DropReason::CommandOutOfRange;
         let power_reason = DropReason::PowerOutOfRange;
         let quantities: [Quantity; 7] = [
-            (
-                sample_flag::POWER,
-                "power_w",
-                sample.power_w,
-                power,
-                power_reason,
-            ),
+            (sample_flag::POWER, "power_w", sample.power_w, power, power_reason),
             (sample_flag::V, "v_mps", sample.v_mps, -v..=v, command),
-            (
-                sample_flag::OMEGA,
-                "omega_radps",
-                sample.omega_radps,
-                -omega..=omega,
-                command,
-            ),
+            (sample_flag::OMEGA, "omega_radps", sample.omega_radps, -omega..=omega, command),
             (sample_flag::SOC, "soc", sample.soc, SOC, battery),
-            (
-                sample_flag::RETURN,
-                "return_j",
-                sample.return_j,
-                RETURN_J,
-                battery,
-            ),
-            (
-                sample_flag::VOLTAGE,
-                "voltage_v",
-                sample.voltage_v,
-                ANY,
-                DropReason::NotFinite,
-            ),
-            (
-                sample_flag::CURRENT,
-                "current_a",
-                sample.current_a,
-                ANY,
-                DropReason::NotFinite,
-            ),
+            (sample_flag::RETURN, "return_j", sample.return_j, RETURN_J, battery),
+            (sample_flag::VOLTAGE, "voltage_v", sample.voltage_v, ANY, DropReason::NotFinite),
+            (sample_flag::CURRENT, "current_a", sample.current_a, ANY, DropReason::NotFinite),
         ];
         let mut outside = None;
         for (flag, name, value, range, reason) in quantities {
@@ -124,29 +94,19 @@ impl FleetSettings {
     #[must_use]
     pub fn refusal(&self, sample: &Sample) -> Option<RefusedSample> {
         let is_its = |ids: &RangeInclusive<u32>| ids.contains(&sample.robot);
-        let own = self
-            .platforms
-            .iter()
-            .find(|platform| platform.robots.iter().any(is_its));
+        let own = self.platforms.iter().find(|platform| platform.robots.iter().any(is_its));
         let (reason, value) = match own {
             None => (DropReason::UnknownRobot, None),
             Some(platform) => platform.judge(sample).err()?,
         };
-        Some(RefusedSample {
-            robot: sample.robot,
-            reason,
-            value,
-        })
+        Some(RefusedSample { robot: sample.robot, reason, value })
     }
 }
 
 impl fmt::Display for RefusedSample {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (robot, reason) = (self.robot, self.reason.name());
-        write!(
-            out,
-            "the worker refuses the sample of robot {robot} ({reason}): "
-        )?;
+        write!(out, "the worker refuses the sample of robot {robot} ({reason}): ")?;
         match (&self.value, self.reason) {
             (Some((name, found, _)), DropReason::NotFinite) => {
                 write!(out, "{name} is {found}; leave out what is unknown")
@@ -192,56 +152,20 @@ mod tests {
         assert_eq!(refusal(|_| ()), None);
         type Case = (fn(&mut Sample), DropReason, &'static str);
         let cases: [Case; 10] = [
-            (
-                |it| it.power_w = 3500.0,
-                DropReason::PowerOutOfRange,
-                "power_w is 3500, allowed are",
-            ),
-            (
-                |it| it.v_mps = -9e9,
-                DropReason::CommandOutOfRange,
-                "v_mps is -9000000000",
-            ),
-            (
-                |it| it.omega_radps = 9e9,
-                DropReason::CommandOutOfRange,
-                "omega_radps is 9000000000",
-            ),
+            (|it| it.power_w = 3500.0, DropReason::PowerOutOfRange, "power_w is 3500, allowed are"),
+            (|it| it.v_mps = -9e9, DropReason::CommandOutOfRange, "v_mps is -9000000000"),
+            (|it| it.omega_radps = 9e9, DropReason::CommandOutOfRange, "omega_radps is 9000000000"),
             (
                 |it| it.soc = 80.0,
                 DropReason::BatteryOutOfRange,
                 "soc is 80, allowed are -0.05 to 1.05",
             ),
-            (
-                |it| it.return_j = -1.0,
-                DropReason::BatteryOutOfRange,
-                "return_j is -1",
-            ),
-            (
-                |it| it.voltage_v = f32::NAN,
-                DropReason::NotFinite,
-                "voltage_v is NaN",
-            ),
-            (
-                |it| it.current_a = f32::INFINITY,
-                DropReason::NotFinite,
-                "current_a is inf",
-            ),
-            (
-                |it| it.measured_ns = 1,
-                DropReason::BadTime,
-                "measured after its stamp",
-            ),
-            (
-                |it| it.flags |= sample_flag::FULL,
-                DropReason::BadFlags,
-                "flags",
-            ),
-            (
-                |it| it.robot = 10_000,
-                DropReason::UnknownRobot,
-                "platform.robots",
-            ),
+            (|it| it.return_j = -1.0, DropReason::BatteryOutOfRange, "return_j is -1"),
+            (|it| it.voltage_v = f32::NAN, DropReason::NotFinite, "voltage_v is NaN"),
+            (|it| it.current_a = f32::INFINITY, DropReason::NotFinite, "current_a is inf"),
+            (|it| it.measured_ns = 1, DropReason::BadTime, "measured after its stamp"),
+            (|it| it.flags |= sample_flag::FULL, DropReason::BadFlags, "flags"),
+            (|it| it.robot = 10_000, DropReason::UnknownRobot, "platform.robots"),
         ];
         for (set, reason, said) in cases {
             let (found, text) = refusal(set).unwrap();

@@ -40,9 +40,5 @@ pub enum SettingsError {
 
 /// A range of numbers as text.
 fn words(min: f64, max: f64) -> String {
-    if max == f64::INFINITY {
-        format!("at least {min}")
-    } else {
-        format!("{min} to {max}")
-    }
+    if max == f64::INFINITY { format!("at least {min}") } else { format!("{min} to {max}") }
 }

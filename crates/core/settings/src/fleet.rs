@@ -100,17 +100,9 @@ impl AlarmSettings {
     /// The settings of a platform: with its own limits, if it has any.
     #[must_use]
     pub fn of(&self, platform: &Platform) -> Self {
-        let AlarmLimits {
-            cusum_limit,
-            noise_limit,
-            mismatch_limit,
-        } = platform.alarms.unwrap_or(self.limits());
-        Self {
-            cusum_limit,
-            noise_limit,
-            mismatch_limit,
-            ..*self
-        }
+        let AlarmLimits { cusum_limit, noise_limit, mismatch_limit } =
+            platform.alarms.unwrap_or(self.limits());
+        Self { cusum_limit, noise_limit, mismatch_limit, ..*self }
     }
 }
 
@@ -120,11 +112,7 @@ impl FleetSettings {
     /// # Errors
     /// The first setting that is refused, with its value and its bounds.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let Intake {
-            max_samples_per_tick,
-            max_sources,
-            ..
-        } = self.intake;
+        let Intake { max_samples_per_tick, max_sources, .. } = self.intake;
         let alarms = &self.alarms;
         for (what, found, allowed) in [
             ("capacity", self.capacity, bounds::CAPACITY),
@@ -133,52 +121,24 @@ impl FleetSettings {
                 u32::try_from(self.platforms.len()).unwrap_or(u32::MAX),
                 bounds::PLATFORMS,
             ),
-            (
-                "max_samples_per_tick",
-                max_samples_per_tick.into(),
-                bounds::MAX_SAMPLES_PER_TICK,
-            ),
+            ("max_samples_per_tick", max_samples_per_tick.into(), bounds::MAX_SAMPLES_PER_TICK),
             ("max_sources", max_sources.into(), bounds::MAX_SOURCES),
-            (
-                "settle_samples",
-                alarms.settle_samples,
-                bounds::SETTLE_SAMPLES,
-            ),
-            (
-                "raise_samples",
-                alarms.raise_samples.into(),
-                bounds::ALARM_SAMPLES,
-            ),
-            (
-                "clear_samples",
-                alarms.clear_samples.into(),
-                bounds::ALARM_SAMPLES,
-            ),
+            ("settle_samples", alarms.settle_samples, bounds::SETTLE_SAMPLES),
+            ("raise_samples", alarms.raise_samples.into(), bounds::ALARM_SAMPLES),
+            ("clear_samples", alarms.clear_samples.into(), bounds::ALARM_SAMPLES),
         ] {
             within(what, found, &allowed)?;
         }
         for (what, found, allowed) in [
-            (
-                "interval coverage",
-                self.interval.coverage,
-                bounds::COVERAGE,
-            ),
+            ("interval coverage", self.interval.coverage, bounds::COVERAGE),
             ("interval rate", self.interval.rate, bounds::INTERVAL_RATE),
             ("bias_weight", alarms.bias_weight, bounds::ALARM_WEIGHT),
             ("noise_weight", alarms.noise_weight, bounds::ALARM_WEIGHT),
             ("cusum_slack", alarms.cusum_slack, bounds::CUSUM_SLACK),
             ("cusum_limit", alarms.cusum_limit, bounds::CUSUM_LIMIT),
             ("noise_limit", alarms.noise_limit, bounds::NOISE_LIMIT),
-            (
-                "mismatch_limit",
-                alarms.mismatch_limit,
-                bounds::MISMATCH_LIMIT,
-            ),
-            (
-                "training_margin",
-                alarms.training_margin,
-                bounds::TRAINING_MARGIN,
-            ),
+            ("mismatch_limit", alarms.mismatch_limit, bounds::MISMATCH_LIMIT),
+            ("training_margin", alarms.training_margin, bounds::TRAINING_MARGIN),
         ] {
             within(what, f64::from(found), &allowed)?;
         }
@@ -199,9 +159,7 @@ impl FleetSettings {
     /// Whether a platform has a battery.
     #[must_use]
     pub fn has_batteries(&self) -> bool {
-        self.platforms
-            .iter()
-            .any(|platform| platform.battery.is_some())
+        self.platforms.iter().any(|platform| platform.battery.is_some())
     }
 
     fn check_robots_apart(&self) -> Result<(), SettingsError> {
@@ -209,10 +167,7 @@ impl FleetSettings {
             .platforms
             .iter()
             .flat_map(|platform| {
-                platform
-                    .robots
-                    .iter()
-                    .map(|range| (range, platform.name.as_str()))
+                platform.robots.iter().map(|range| (range, platform.name.as_str()))
             })
             .collect();
         ranges.sort_by_key(|(range, _)| *range.start());
@@ -245,10 +200,7 @@ pub(crate) mod tests {
                 leave_after_ns: 30_000_000_000,
                 max_sources: 4,
             },
-            interval: IntervalSettings {
-                coverage: 0.9,
-                rate: 0.2,
-            },
+            interval: IntervalSettings { coverage: 0.9, rate: 0.2 },
             alarms: AlarmSettings {
                 bias_weight: 0.005,
                 cusum_slack: 1.0,
@@ -268,11 +220,7 @@ pub(crate) mod tests {
     fn platform(name: &str) -> Platform {
         Platform {
             name: name.to_owned(),
-            robots: if name == "one" {
-                vec![0..=4, 9..=9]
-            } else {
-                vec![5..=8]
-            },
+            robots: if name == "one" { vec![0..=4, 9..=9] } else { vec![5..=8] },
             period_ns: 33_333_333,
             stale_after_ns: 500_000_000,
             hold_max_ns: 500_000_000,
@@ -299,18 +247,12 @@ pub(crate) mod tests {
         type Change = fn(&mut FleetSettings);
         let cases: &[(Change, &str)] = &[
             (|s| s.capacity = 0, "capacity is 0, allowed is 1 to 1000000"),
-            (
-                |s| s.intake.max_sources = 1025,
-                "max_sources is 1025, allowed is 1 to 1024",
-            ),
+            (|s| s.intake.max_sources = 1025, "max_sources is 1025, allowed is 1 to 1024"),
             (
                 |s| s.interval.coverage = f32::NAN,
                 "interval coverage is NaN, allowed is 0.5 to 0.99",
             ),
-            (
-                |s| s.alarms.clear_samples = 0,
-                "clear_samples is 0, allowed is 1 to 10000",
-            ),
+            (|s| s.alarms.clear_samples = 0, "clear_samples is 0, allowed is 1 to 10000"),
             (
                 |s| s.platforms[1].power_min_w = 30.0,
                 "power_min_w beside power_max_w of platform two is 30, allowed is -1000000 to 20",
@@ -329,10 +271,8 @@ pub(crate) mod tests {
             ),
             (
                 |s| {
-                    s.platforms[0].alarms = Some(AlarmLimits {
-                        noise_limit: f32::NAN,
-                        ..s.alarms.limits()
-                    });
+                    s.platforms[0].alarms =
+                        Some(AlarmLimits { noise_limit: f32::NAN, ..s.alarms.limits() });
                 },
                 "alarms noise_limit of platform one is NaN, allowed is 1.5 to 100",
             ),

@@ -179,22 +179,14 @@ impl Platform {
     /// Checks ranges and consistency; `leave_after_ns`: silence after which a robot has left.
     pub(crate) fn check(&self, leave_after_ns: u64) -> Result<(), SettingsError> {
         let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {
-            within(
-                &format!("{what} of platform {}", self.name),
-                found,
-                &allowed,
-            )
+            within(&format!("{what} of platform {}", self.name), found, &allowed)
         };
         let ms = |ns: u64| ns as f64 / 1e6;
         let stale_after = self.stale_after_ns as f64 / self.period_ns as f64;
         let (least_w, most_w) = bounds::POWER_MIN_W.into_inner();
         let greatest_w = f64::from(self.power_max_w);
         check("period_ms", ms(self.period_ns), bounds::PERIOD_MS)?;
-        check(
-            "stale_after, in sample periods,",
-            stale_after,
-            bounds::STALE_AFTER_PERIODS,
-        )?;
+        check("stale_after, in sample periods,", stale_after, bounds::STALE_AFTER_PERIODS)?;
         check(
             "leave_after_ms beside stale_after",
             ms(leave_after_ns),
@@ -206,28 +198,16 @@ impl Platform {
             self.power_min_w.into(),
             least_w..=most_w.min(greatest_w),
         )?;
-        check(
-            "power_resolution_w",
-            self.power_resolution_w.into(),
-            bounds::POWER_RESOLUTION_W,
-        )?;
+        check("power_resolution_w", self.power_resolution_w.into(), bounds::POWER_RESOLUTION_W)?;
         check("v_max_mps", self.v_max_mps.into(), bounds::V_MAX_MPS)?;
-        check(
-            "omega_max_radps",
-            self.omega_max_radps.into(),
-            bounds::OMEGA_MAX_RADPS,
-        )?;
+        check("omega_max_radps", self.omega_max_radps.into(), bounds::OMEGA_MAX_RADPS)?;
         if let Some(limits) = &self.alarms {
             limits.check(check)?;
         }
         let Some(battery) = &self.battery else {
             return Ok(());
         };
-        check(
-            "battery capacity_wh",
-            battery.capacity_j / 3600.0,
-            bounds::BATTERY_CAPACITY_WH,
-        )?;
+        check("battery capacity_wh", battery.capacity_j / 3600.0, bounds::BATTERY_CAPACITY_WH)?;
         check("battery reserve", battery.reserve, bounds::SHARE)?;
         check("battery initial_soc", battery.initial_soc, bounds::SHARE)?;
         check(
@@ -247,11 +227,7 @@ impl AlarmLimits {
         let [bias, noise, mismatch] = [self.cusum_limit, self.noise_limit, self.mismatch_limit];
         check("alarms cusum_limit", bias.into(), bounds::CUSUM_LIMIT)?;
         check("alarms noise_limit", noise.into(), bounds::NOISE_LIMIT)?;
-        check(
-            "alarms mismatch_limit",
-            mismatch.into(),
-            bounds::MISMATCH_LIMIT,
-        )
+        check("alarms mismatch_limit", mismatch.into(), bounds::MISMATCH_LIMIT)
     }
 }
 
@@ -265,39 +241,19 @@ impl Battery {
         let (charge_w, table) = (self.charge_power_w, self.open_circuit);
         let any_w = *bounds::CHARGE_POWER_W.end();
         check("battery counting_sd", self.counting_sd, bounds::COUNTING_SD)?;
-        check(
-            "battery charge_efficiency",
-            self.charge_efficiency,
-            bounds::CHARGE_EFFICIENCY,
-        )?;
-        check(
-            "battery charge_power_w",
-            charge_w.unwrap_or(any_w),
-            bounds::CHARGE_POWER_W,
-        )?;
+        check("battery charge_efficiency", self.charge_efficiency, bounds::CHARGE_EFFICIENCY)?;
+        check("battery charge_power_w", charge_w.unwrap_or(any_w), bounds::CHARGE_POWER_W)?;
         check("battery on_full_soc", self.on_full_soc, bounds::SHARE)?;
         check("battery sensor_sd", self.sensor_sd, bounds::SOC_SD)?;
         check("battery sensor_step", self.sensor_step, bounds::SOC_STEP)?;
         check("battery low", self.low, bounds::SHARE)?;
-        check(
-            "battery critical beside low",
-            self.critical,
-            least..=self.low,
-        )?;
+        check("battery critical beside low", self.critical, least..=self.low)?;
         check("battery level_band", self.level_band, bounds::LEVEL_BAND)?;
         let return_j = self.return_j.unwrap_or(least);
-        check(
-            "battery return energy beside the capacity",
-            return_j,
-            least..=self.capacity_j,
-        )?;
+        check("battery return energy beside the capacity", return_j, least..=self.capacity_j)?;
         if let Some(table) = &table {
             check("battery open_circuit_sd", table.sd, bounds::SOC_SD)?;
-            check(
-                "battery resistance_ohm",
-                table.resistance_ohm,
-                bounds::RESISTANCE_OHM,
-            )?;
+            check("battery resistance_ohm", table.resistance_ohm, bounds::RESISTANCE_OHM)?;
             for voltage_v in table.voltages_v() {
                 check("battery open_circuit_v", *voltage_v, bounds::OPEN_CIRCUIT_V)?;
             }

@@ -35,13 +35,7 @@ pub struct Bootstrap {
 impl Default for Bootstrap {
     /// 1,000 draws, 95 %, blocks of 50 rows (1.7 s at 30 Hz), whole trials from 20 on.
     fn default() -> Self {
-        Self {
-            resamples: 1000,
-            confidence: 0.95,
-            seed: 0,
-            block_rows: 50,
-            trials_from: 20,
-        }
+        Self { resamples: 1000, confidence: 0.95, seed: 0, block_rows: 50, trials_from: 20 }
     }
 }
 
@@ -59,11 +53,7 @@ pub struct Estimate {
 impl Estimate {
     /// A score without an interval.
     pub const fn alone(value: f64) -> Self {
-        Self {
-            value,
-            lo: f64::NAN,
-            hi: f64::NAN,
-        }
+        Self { value, lo: f64::NAN, hi: f64::NAN }
     }
 
     /// Whether the whole interval is above `bound`.

@@ -104,16 +104,8 @@ impl Tally {
     /// The tally of plain sums about the same centre, without relative residuals and without the
     /// number of unscored pairs.
     pub fn of_additive(sums: &Additive, centre_w: f64) -> Self {
-        let [
-            count,
-            sum_w,
-            sum_abs_w,
-            sum_sq_w2,
-            apart_w,
-            squares_w2,
-            reading_j,
-            forecast_j,
-        ] = *sums;
+        let [count, sum_w, sum_abs_w, sum_sq_w2, apart_w, squares_w2, reading_j, forecast_j] =
+            *sums;
         if count == 0.0 {
             return Self::default();
         }
@@ -197,11 +189,7 @@ impl Tally {
 
     /// Mean of the readings, W; NaN without a pair.
     pub fn reading_mean_w(&self) -> f64 {
-        if self.count == 0 {
-            f64::NAN
-        } else {
-            self.reading_mean_w
-        }
+        if self.count == 0 { f64::NAN } else { self.reading_mean_w }
     }
 
     /// Standard deviation of the readings (divided by their number), W; NaN without a pair.
@@ -214,11 +202,7 @@ impl Tally {
     /// high. NaN without a pair, with a step that is NaN, and if no energy was measured.
     pub fn energy_error(&self) -> f64 {
         let measured_j = self.reading_j.abs();
-        if measured_j > 0.0 {
-            (self.forecast_j - self.reading_j) / measured_j
-        } else {
-            f64::NAN
-        }
+        if measured_j > 0.0 { (self.forecast_j - self.reading_j) / measured_j } else { f64::NAN }
     }
 
     /// Skill against a baseline: 1 − ratio of the mean squared errors. Positive is better than the
@@ -289,25 +273,10 @@ impl CoverageTally {
 
     /// The tally of such sums.
     pub fn of_additive(sums: &Additive) -> Self {
-        let [
-            count,
-            unscored,
-            below,
-            above,
-            sum_width_w,
-            sum_outside_w,
-            ..,
-        ] = *sums;
+        let [count, unscored, below, above, sum_width_w, sum_outside_w, ..] = *sums;
         let [count, unscored, below, above] =
             [count, unscored, below, above].map(|count| count as u64);
-        Self {
-            count,
-            unscored,
-            below,
-            above,
-            sum_width_w,
-            sum_outside_w,
-        }
+        Self { count, unscored, below, above, sum_width_w, sum_outside_w }
     }
 
     /// Intervals that were scored.
@@ -390,10 +359,7 @@ pub fn quantile(ascending: &[f64], share: f64) -> f64 {
 
 /// The finite numbers, ascending.
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
-    let mut ascending: Vec<f64> = values
-        .into_iter()
-        .filter(|value| value.is_finite())
-        .collect();
+    let mut ascending: Vec<f64> = values.into_iter().filter(|value| value.is_finite()).collect();
     ascending.sort_unstable_by(f64::total_cmp);
     ascending
 }
@@ -434,15 +400,7 @@ impl ResidualQuantiles {
     /// Creates it from the quantiles at [`ResidualQuantiles::SHARES`].
     pub(crate) const fn at_shares(at: [f64; 7]) -> Self {
         let [min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w] = at;
-        Self {
-            min_w,
-            q05_w,
-            q25_w,
-            q50_w,
-            q75_w,
-            q95_w,
-            max_w,
-        }
+        Self { min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w }
     }
 }
 

@@ -28,10 +28,7 @@ pub fn residual_quantiles<E>(
     for rank in ranks.iter().flat_map(|place| [place.below, place.above]) {
         let (half, _) = bucket(&upper, rank);
         if wanted.iter().all(|bucket| bucket.half != half) {
-            wanted.push(Bucket {
-                half,
-                lower: vec![0; HALVES],
-            });
+            wanted.push(Bucket { half, lower: vec![0; HALVES] });
         }
     }
     let mut place_of = vec![usize::MAX; HALVES];
@@ -67,11 +64,7 @@ impl Place {
     fn of(share: f64, last: u64) -> Self {
         let place = share * last as f64;
         let below = (place.floor() as u64).min(last);
-        Self {
-            below,
-            above: (below + 1).min(last),
-            part: place - below as f64,
-        }
+        Self { below, above: (below + 1).min(last), part: place - below as f64 }
     }
 }
 

@@ -57,13 +57,7 @@ impl Acknowledgement {
         let mut by = [0; MAX_NAME_BYTES];
         by.get_mut(..name.len())?.copy_from_slice(name.as_bytes());
         let is_name = !name.trim().is_empty() && !name.contains(char::is_control);
-        is_name.then_some(Self {
-            robot,
-            alarm: alarm.code(),
-            reserved: 0,
-            at_ns,
-            by,
-        })
+        is_name.then_some(Self { robot, alarm: alarm.code(), reserved: 0, at_ns, by })
     }
 
     /// The alarm.
@@ -99,9 +93,6 @@ mod tests {
         for name in ["", " ", "a\nb", "\0", &"x".repeat(33), &"ω".repeat(17)] {
             assert_eq!(Acknowledgement::new(7, Alarm::BiasHigh, 5, name), None);
         }
-        assert_eq!(
-            (text(b"ann\0x"), text(b"an\xff"), text(b"")),
-            ("ann", "an", "")
-        );
+        assert_eq!((text(b"ann\0x"), text(b"an\xff"), text(b"")), ("ann", "an", ""));
     }
 }

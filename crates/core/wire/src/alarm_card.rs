@@ -24,9 +24,7 @@ pub struct AlarmCard {
 impl AlarmCard {
     /// Of every alarm: those of robots in the order of their codes, then those of the worker.
     pub fn all() -> impl Iterator<Item = &'static Self> {
-        OF_ROBOTS
-            .iter()
-            .chain(&[Self::IMPLAUSIBLE, Self::WORKER_GONE, Self::WORKER_STALE])
+        OF_ROBOTS.iter().chain(&[Self::IMPLAUSIBLE, Self::WORKER_GONE, Self::WORKER_STALE])
     }
 
     /// Of the alarm of this name, in any case.
@@ -65,11 +63,7 @@ impl AlarmCard {
         meaning: "A worker runs and has published nothing for `readers.worker_stale_after_s`.",
         check: "Do sources publish? With no samples there are no ticks by frames. Is its process \
             stopped, or the host overloaded? `joulebus doctor` looks at both.",
-        keys: &[
-            "readers.worker_stale_after_s",
-            "tick.policy",
-            "tick.rate_hz",
-        ],
+        keys: &["readers.worker_stale_after_s", "tick.policy", "tick.rate_hz"],
         found_within: "a second; planners hear of two missed ticks",
     };
 }
@@ -135,11 +129,7 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
              monitor's resolution explains.",
         check: "The power monitor and its bus. A source that makes up a constant power is found as \
              well; one that repeats an old measurement must keep its time of measurement.",
-        keys: &[
-            "platform.stuck_after_s",
-            "platform.power_resolution_w",
-            RAISE,
-        ],
+        keys: &["platform.stuck_after_s", "platform.power_resolution_w", RAISE],
         found_within: "10 s and 20 samples",
     },
     AlarmCard {

@@ -29,8 +29,7 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     #[must_use]
     fn robot(row: &Self::Row) -> Option<u32> {
         let id = bytemuck::bytes_of(row).first_chunk();
-        id.filter(|_| Self::ROWS == FrameRows::Robots)
-            .map(|id| u32::from_ne_bytes(*id))
+        id.filter(|_| Self::ROWS == FrameRows::Robots).map(|id| u32::from_ne_bytes(*id))
     }
 }
 

@@ -70,11 +70,7 @@ pub fn constants() -> Vec<Constants> {
         bits: true,
         values: table
             .iter()
-            .map(|&(name, value, doc)| Constant {
-                name: name.to_owned(),
-                value,
-                doc,
-            })
+            .map(|&(name, value, doc)| Constant { name: name.to_owned(), value, doc })
             .collect(),
     });
     bits.chain(codes()).collect()
@@ -86,20 +82,13 @@ fn codes() -> Vec<Constants> {
         bits: false,
         values: values
             .into_iter()
-            .map(|(name, value)| Constant {
-                name: in_capitals(name),
-                value,
-                doc: "",
-            })
+            .map(|(name, value)| Constant { name: in_capitals(name), value, doc: "" })
             .collect(),
     };
     let quality = |quality: Quality| u64::from(quality.encode().0);
     let levels = [Level::Ok, Level::Warn, Level::Error, Level::Stale];
-    let kinds = [
-        ("WhatIf", QueryKind::WhatIf),
-        ("Idle", QueryKind::Idle),
-        ("Follow", QueryKind::Follow),
-    ];
+    let kinds =
+        [("WhatIf", QueryKind::WhatIf), ("Idle", QueryKind::Idle), ("Follow", QueryKind::Follow)];
     let reasons = (1..).map(InvalidReason::decode);
     let reasons = reasons.take_while(|reason| *reason != InvalidReason::Unknown);
     let invalid = |reason: InvalidReason| (reason.name(), u64::from(reason.code()));
@@ -117,18 +106,8 @@ fn codes() -> Vec<Constants> {
             ],
         ),
         of("INVALID", reasons.map(invalid).collect()),
-        of(
-            "LEVEL",
-            levels
-                .map(|level| (level.name(), u64::from(level.code())))
-                .to_vec(),
-        ),
-        of(
-            "ALARM",
-            Alarm::ALL
-                .map(|alarm| (alarm.name(), u64::from(alarm.code())))
-                .to_vec(),
-        ),
+        of("LEVEL", levels.map(|level| (level.name(), u64::from(level.code()))).to_vec()),
+        of("ALARM", Alarm::ALL.map(|alarm| (alarm.name(), u64::from(alarm.code()))).to_vec()),
         of(
             "CHARGE",
             vec![
@@ -139,21 +118,12 @@ fn codes() -> Vec<Constants> {
         ),
         of(
             "DROP",
-            drop_reasons
-                .map(|(position, reason)| (reason.name(), position as u64))
-                .collect(),
+            drop_reasons.map(|(position, reason)| (reason.name(), position as u64)).collect(),
         ),
-        of(
-            "QUERY_KIND",
-            kinds
-                .map(|(name, kind)| (name, u64::from(kind.code())))
-                .to_vec(),
-        ),
+        of("QUERY_KIND", kinds.map(|(name, kind)| (name, u64::from(kind.code()))).to_vec()),
         of(
             "REFUSAL",
-            QueryRefusal::ALL
-                .map(|reason| (reason.name(), u64::from(reason.code())))
-                .to_vec(),
+            QueryRefusal::ALL.map(|reason| (reason.name(), u64::from(reason.code()))).to_vec(),
         ),
         of(
             "MAX_QUERY",
@@ -200,11 +170,7 @@ mod tests {
     fn names_of_constants_are_unique() {
         let mut names: Vec<String> = constants()
             .iter()
-            .flat_map(|of| {
-                of.values
-                    .iter()
-                    .map(|constant| format!("{}_{}", of.of, constant.name))
-            })
+            .flat_map(|of| of.values.iter().map(|constant| format!("{}_{}", of.of, constant.name)))
             .collect();
         let count = names.len();
         names.sort();

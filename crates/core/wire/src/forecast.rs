@@ -66,21 +66,13 @@ impl Forecast {
     /// The power expected, W, if there is a forecast.
     #[must_use]
     pub const fn expected_w(&self) -> Option<f32> {
-        if self.flags & forecast_flag::POWER != 0 {
-            Some(self.power_w)
-        } else {
-            None
-        }
+        if self.flags & forecast_flag::POWER != 0 { Some(self.power_w) } else { None }
     }
 
     /// Lower and upper end of the interval, W, if there is one.
     #[must_use]
     pub const fn interval_w(&self) -> Option<(f32, f32)> {
-        if self.flags & forecast_flag::INTERVAL != 0 {
-            Some((self.lo_w, self.hi_w))
-        } else {
-            None
-        }
+        if self.flags & forecast_flag::INTERVAL != 0 { Some((self.lo_w, self.hi_w)) } else { None }
     }
 }
 

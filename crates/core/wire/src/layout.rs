@@ -49,13 +49,7 @@ impl Row for u64 {
 }
 
 const fn element<T>(name: &'static str) -> StructLayout {
-    StructLayout {
-        name,
-        doc: "",
-        fields: &[],
-        size: size_of::<T>(),
-        align: align_of::<T>(),
-    }
+    StructLayout { name, doc: "", fields: &[], size: size_of::<T>(), align: align_of::<T>() }
 }
 
 /// Maximum number of instants or runs of a row.
@@ -194,15 +188,7 @@ pub const fn field<P, T: Described>(
     role: FieldRole,
     _: fn(&P) -> &T,
 ) -> FieldLayout {
-    FieldLayout {
-        name,
-        doc,
-        of: T::OF,
-        elements: T::ELEMENTS,
-        offset,
-        size: size_of::<T>(),
-        role,
-    }
+    FieldLayout { name, doc, of: T::OF, elements: T::ELEMENTS, offset, size: size_of::<T>(), role }
 }
 
 /// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the

@@ -125,13 +125,7 @@ impl PlanState {
         if self.flags & plan_state_flag::LAGS == 0 {
             return None;
         }
-        Some([
-            self.lag1_w,
-            self.lag2_w,
-            self.lag3_w,
-            self.lag4_w,
-            self.lag5_w,
-        ])
+        Some([self.lag1_w, self.lag2_w, self.lag3_w, self.lag4_w, self.lag5_w])
     }
 
     /// The command in force, m/s and rad/s, if it is known.

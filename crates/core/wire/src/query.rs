@@ -444,10 +444,7 @@ mod tests {
     #[test]
     fn records_are_read_as_they_were_written_and_damaged_ones_end_the_frame() {
         let mut words = Vec::new();
-        let record = |number| QueryRecord {
-            number,
-            ..QueryRecord::default()
-        };
+        let record = |number| QueryRecord { number, ..QueryRecord::default() };
         assert!(push_record(&mut words, record(1), &[1.5, -0.0], &[7]));
         assert!(push_record(&mut words, record(2), &[], &[]));
         let full = vec![0; RECORD_WORDS];
@@ -470,11 +467,7 @@ mod tests {
     #[test]
     fn answers_whose_lengths_exceed_their_words_are_empty() {
         let words = [0; ROW_WORDS + 1];
-        let header = |rows, powers| AnswerHeader {
-            rows,
-            powers,
-            ..AnswerHeader::default()
-        };
+        let header = |rows, powers| AnswerHeader { rows, powers, ..AnswerHeader::default() };
         let lengths = |header: &AnswerHeader| {
             let (rows, powers, text) = answer_parts(header, &words);
             (rows.len(), powers.len(), text.len())
@@ -483,11 +476,7 @@ mod tests {
         assert_eq!(lengths(&header(1, 3)), (1, 0, 0));
         assert_eq!(lengths(&header(2, 0)), (0, 0, 0));
         assert_eq!(lengths(&header(u32::MAX, u32::MAX)), (0, 0, 0));
-        let refused = AnswerHeader {
-            refusal: 1,
-            text_bytes: u32::MAX,
-            ..header(1, 1)
-        };
+        let refused = AnswerHeader { refusal: 1, text_bytes: u32::MAX, ..header(1, 1) };
         assert_eq!(lengths(&refused), (0, 0, 0));
     }
 

@@ -101,19 +101,15 @@ impl DropCounts {
     /// Samples dropped for any reason.
     #[must_use]
     pub fn total(&self) -> u64 {
-        self.counts
-            .iter()
-            .fold(0, |sum, count| sum.saturating_add(*count))
+        self.counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
     /// Counts since `earlier`; all counts when `earlier` is of another run.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let mut newer = Self::default();
-        for (newer, (now, before)) in newer
-            .counts
-            .iter_mut()
-            .zip(self.counts.iter().zip(&earlier.counts))
+        for (newer, (now, before)) in
+            newer.counts.iter_mut().zip(self.counts.iter().zip(&earlier.counts))
         {
             *newer = now.checked_sub(*before).unwrap_or(*now);
         }

@@ -34,10 +34,7 @@ fn an_unknown_code_never_decodes_to_ok() {
     for code in 0..=u16::MAX {
         assert_eq!(Level::decode(code) == Level::Ok, code == 0);
         assert_eq!(Alarm::decode(code) == Alarm::None, code == 0);
-        assert_ne!(
-            ChargeState::decode(u32::from(code) + 3),
-            ChargeState::Discharging
-        );
+        assert_ne!(ChargeState::decode(u32::from(code) + 3), ChargeState::Discharging);
     }
     for alarm in Alarm::ALL {
         assert_eq!(Alarm::decode(alarm.code()), alarm);
@@ -46,9 +43,7 @@ fn an_unknown_code_never_decodes_to_ok() {
 
 #[test]
 fn the_first_alarm_is_the_most_important_and_the_level_the_worst() {
-    let set = AlarmSet::default()
-        .with(Alarm::BiasHigh)
-        .with(Alarm::StuckSensor);
+    let set = AlarmSet::default().with(Alarm::BiasHigh).with(Alarm::StuckSensor);
     assert_eq!(set.first(), Alarm::StuckSensor);
     assert_eq!(set.level(), Level::Error);
     // An alarm of a worse level comes first, whatever its code.
@@ -118,12 +113,7 @@ fn instants_and_runs_of_a_row_are_those_that_are_marked() {
     });
     row.runs(|run| *run += 100);
     assert_eq!(seen, [1, 2]);
-    let moved = (
-        row.stamp_ns,
-        row.target_ns,
-        row.reading_age_ns,
-        row.source_epoch,
-    );
+    let moved = (row.stamp_ns, row.target_ns, row.reading_age_ns, row.source_epoch);
     assert_eq!(moved, (11, 12, 3, 104));
 }
 
@@ -133,11 +123,7 @@ fn a_header_states_its_place_and_when_it_was_sent_where_it_has_fields_for_that()
     let mut forecasts = ForecastHeader::default();
     forecasts.set_place(3, place);
     forecasts.set_sent(5, 6);
-    seen.push((
-        forecasts.place(),
-        forecasts.sent_ns(),
-        forecasts.sent_unix_ns(),
-    ));
+    seen.push((forecasts.place(), forecasts.sent_ns(), forecasts.sent_unix_ns()));
     let mut ticks = TickHeader::default();
     ticks.set_place(3, place);
     ticks.set_sent(5, 6);
@@ -145,18 +131,7 @@ fn a_header_states_its_place_and_when_it_was_sent_where_it_has_fields_for_that()
     let mut diagnostics = DiagnosticHeader::default();
     diagnostics.set_place(3, place);
     diagnostics.set_sent(5, 6);
-    seen.push((
-        diagnostics.place(),
-        diagnostics.sent_ns(),
-        diagnostics.sent_unix_ns(),
-    ));
-    assert_eq!(
-        seen,
-        [
-            (place, Some(5), Some(6)),
-            (place, Some(5), None),
-            (place, None, None)
-        ]
-    );
+    seen.push((diagnostics.place(), diagnostics.sent_ns(), diagnostics.sent_unix_ns()));
+    assert_eq!(seen, [(place, Some(5), Some(6)), (place, Some(5), None), (place, None, None)]);
     assert_eq!((forecasts.pid, ticks.pid, diagnostics.pid), (3, 3, 3));
 }

@@ -42,10 +42,7 @@ impl AcknowledgedRecord {
     /// Of a row; `unix_of` converts its time to Unix time, ns.
     #[must_use]
     pub fn new(row: &Acknowledgement, unix_of: impl Fn(u64) -> u64) -> Self {
-        Self {
-            by: row.by().to_owned(),
-            at_unix_ns: unix_of(row.at_ns),
-        }
+        Self { by: row.by().to_owned(), at_unix_ns: unix_of(row.at_ns) }
     }
 }
 

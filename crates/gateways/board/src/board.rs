@@ -274,10 +274,7 @@ impl Board {
             run.header = *header;
             return true;
         }
-        self.runs.push(WorkerRun {
-            header: *header,
-            first_source_epoch: None,
-        });
+        self.runs.push(WorkerRun { header: *header, first_source_epoch: None });
         if self.runs.len() > RUNS {
             let oldest = self.runs.remove(0);
             self.runs[0].add(&oldest);
@@ -304,11 +301,7 @@ impl Board {
             let point = Point {
                 reading_w: forecast.reading_w,
                 forecast_w: before.expected_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
-                interval_w: if in_a_row {
-                    (lo_w, hi_w)
-                } else {
-                    (f32::NAN, f32::NAN)
-                },
+                interval_w: if in_a_row { (lo_w, hi_w) } else { (f32::NAN, f32::NAN) },
             };
             row.point = Some(point);
             if tracked {
@@ -382,10 +375,7 @@ impl Board {
     /// Samples accepted by all workers.
     #[must_use]
     pub fn accepted(&self) -> u64 {
-        self.runs
-            .iter()
-            .map(|run| run.header.samples_accepted)
-            .sum()
+        self.runs.iter().map(|run| run.header.samples_accepted).sum()
     }
 
     /// Samples dropped by all workers, by reason.
@@ -405,11 +395,7 @@ impl Board {
     pub fn ticks(&self) -> (u64, u64, u64) {
         self.runs.iter().fold((0, 0, 0), |sum, run| {
             let header = &run.header;
-            (
-                sum.0 + header.tick,
-                sum.1 + header.ticks_skipped,
-                sum.2 + header.ticks_late,
-            )
+            (sum.0 + header.tick, sum.1 + header.ticks_skipped, sum.2 + header.ticks_late)
         })
     }
 
@@ -418,9 +404,7 @@ impl Board {
     pub fn questions(&self) -> Option<String> {
         let counts = self.queries?;
         let (answered, refused) = (counts.answered, counts.total_refused());
-        let reasons = counts
-            .iter()
-            .map(|(reason, count)| format!(", {} {count}", reason.name()));
+        let reasons = counts.iter().map(|(reason, count)| format!(", {} {count}", reason.name()));
         let reasons: String = reasons.collect();
         (answered + refused > 0)
             .then(|| format!("questions {answered} ({refused} refused{reasons})"))
@@ -440,10 +424,7 @@ impl Board {
     #[must_use]
     pub fn questions_refused_by_name(&self) -> BTreeMap<&'static str, u64> {
         let counts = self.queries.iter();
-        counts
-            .flat_map(QueryCounts::iter)
-            .map(|(reason, count)| (reason.name(), count))
-            .collect()
+        counts.flat_map(QueryCounts::iter).map(|(reason, count)| (reason.name(), count)).collect()
     }
 
     /// Number of robots at each level: ok, warn, error, stale.
@@ -461,8 +442,7 @@ impl Newest {
     /// The level. A robot without diagnostics is stale.
     #[must_use]
     pub fn level(&self) -> Level {
-        self.diagnostic
-            .map_or(Level::Stale, |diagnostic| diagnostic.level())
+        self.diagnostic.map_or(Level::Stale, |diagnostic| diagnostic.level())
     }
 
     /// The state of charge, 0 to 1, if the robot has a battery whose charge is known.
@@ -491,11 +471,7 @@ impl Row {
     /// The newest rows.
     #[must_use]
     pub const fn newest(&self) -> Newest {
-        Newest {
-            forecast: self.forecast,
-            diagnostic: self.diagnostic,
-            budget: self.budget,
-        }
+        Newest { forecast: self.forecast, diagnostic: self.diagnostic, budget: self.budget }
     }
 
     /// The level. A robot without diagnostics is stale.
@@ -519,12 +495,7 @@ mod tests {
     use super::*;
 
     fn header(worker_epoch: u64, tick: u64) -> ForecastHeader {
-        ForecastHeader {
-            worker_epoch,
-            tick,
-            pid: 7,
-            ..ForecastHeader::default()
-        }
+        ForecastHeader { worker_epoch, tick, pid: 7, ..ForecastHeader::default() }
     }
 
     fn output(robot: u32, seq: u64, reading_w: f32, power_w: f32) -> Forecast {
@@ -598,11 +569,7 @@ mod tests {
     #[test]
     fn departed_robots_are_removed_and_alarms_logged_once() {
         let mut board = Board::new(0);
-        board.forecasts(
-            &header(1, 1),
-            &[output(4, 0, 3.0, 3.5), output(5, 0, 3.0, 3.0)],
-            0,
-        );
+        board.forecasts(&header(1, 1), &[output(4, 0, 3.0, 3.5), output(5, 0, 3.0, 3.0)], 0);
         let stuck = Diagnostic {
             robot: 4,
             alarms: AlarmSet::default().with(Alarm::StuckSensor).0,
@@ -611,10 +578,7 @@ mod tests {
         };
         board.diagnostics(&[stuck], 2_000_000_000);
         board.diagnostics(&[stuck], 3_000_000_000);
-        let raised = Raised {
-            alarm: Alarm::StuckSensor,
-            at_s: 2.0,
-        };
+        let raised = Raised { alarm: Alarm::StuckSensor, at_s: 2.0 };
         assert_eq!(board.raised[&4], [raised]);
         assert_eq!(board.levels(), [0, 0, 1, 1]);
         board.forecasts(&header(1, 2), &[output(5, 1, 3.0, 3.0)], 0);

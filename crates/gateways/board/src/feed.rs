@@ -67,10 +67,7 @@ impl Reading {
     /// The domain cannot be joined.
     pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
         let reading = Self::of(Subscriber::polling(config, name, every)?)?;
-        Ok(Self {
-            polls: true,
-            ..reading
-        })
+        Ok(Self { polls: true, ..reading })
     }
 
     fn of(planner: Subscriber) -> Result<Self, ConnectError> {
@@ -111,11 +108,7 @@ impl Reading {
         let (polls, mut tick) = (self.polls, None);
         let waited = self.planner.wait_each(longest, |header, robots| {
             // Before the wait for the board, which may be locked for drawing.
-            let readable_ns = if polls {
-                header.sent_ns
-            } else {
-                clock::monotonic_ns()
-            };
+            let readable_ns = if polls { header.sent_ns } else { clock::monotonic_ns() };
             borrow().forecasts(header, robots, readable_ns);
             tick = Some((header.worker_epoch, header.tick));
         });
@@ -185,9 +178,7 @@ impl Reading {
 
 impl fmt::Debug for Reading {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Reading")
-            .field("planner", &self.planner)
-            .finish_non_exhaustive()
+        out.debug_struct("Reading").field("planner", &self.planner).finish_non_exhaustive()
     }
 }
 

@@ -40,10 +40,7 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
         && before.sample_seq.checked_add(1) == Some(after.sample_seq);
     let forecast_w = before.expected_w().filter(|_| follows)?;
     let reading_w = f64::from(after.reading_w);
-    Some((
-        reading_w - f64::from(forecast_w),
-        reading_w - f64::from(before.reading_w),
-    ))
+    Some((reading_w - f64::from(forecast_w), reading_w - f64::from(before.reading_w)))
 }
 
 /// Scores of a fleet. Unknown values are `None`.
@@ -88,18 +85,14 @@ impl Scores {
             .collect();
         let count: u64 = scored.iter().map(|diagnostic| diagnostic.scored).sum();
         let mean = |value: fn(&Diagnostic) -> f64| {
-            let sum: f64 = scored
-                .iter()
-                .map(|diagnostic| value(diagnostic) * diagnostic.scored as f64)
-                .sum();
+            let sum: f64 =
+                scored.iter().map(|diagnostic| value(diagnostic) * diagnostic.scored as f64).sum();
             known(sum / count as f64)
         };
         let middle = |value: fn(&Diagnostic) -> f64| {
             median(scored.iter().map(|diagnostic| value(diagnostic)).collect())
         };
-        let better = scored
-            .iter()
-            .filter(|diagnostic| diagnostic.r2 > diagnostic.persistence_r2);
+        let better = scored.iter().filter(|diagnostic| diagnostic.r2 > diagnostic.persistence_r2);
         let root = |error: f64| known((error / pooled.count as f64).sqrt());
         let explained = |error: f64| known(1.0 - error / pooled.scatter_w2);
         Self {
@@ -130,11 +123,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
     let upper = *values.get(middle)?;
-    Some(if values.len() % 2 == 1 {
-        upper
-    } else {
-        0.5 * (values[middle - 1] + upper)
-    })
+    Some(if values.len() % 2 == 1 { upper } else { 0.5 * (values[middle - 1] + upper) })
 }
 
 #[cfg(test)]
@@ -179,11 +168,7 @@ mod tests {
     #[test]
     fn the_mean_weights_robots_by_readings_and_median_and_share_equally() {
         let diagnostic = |scored, mae_w, r2| Diagnostic {
-            flags: if scored > 0 {
-                diagnostic_flag::SCORES
-            } else {
-                0
-            },
+            flags: if scored > 0 { diagnostic_flag::SCORES } else { 0 },
             scored,
             mae_w,
             r2,

@@ -87,13 +87,9 @@ impl Search {
         }
         let of_platform = platform.and_then(|place| self.platforms.get(place));
         of_platform.is_some_and(|found| *found)
-            || newest
-                .diagnostic
-                .is_some_and(|diagnostic| diagnostic.alarms & self.alarms.0 != 0)
+            || newest.diagnostic.is_some_and(|diagnostic| diagnostic.alarms & self.alarms.0 != 0)
             || self.levels[usize::from(newest.level().code())]
-            || quality_name(newest.forecast.quality())
-                .to_lowercase()
-                .contains(&self.text)
+            || quality_name(newest.forecast.quality()).to_lowercase().contains(&self.text)
             || robot.to_string().contains(&self.text)
     }
 }
@@ -115,22 +111,14 @@ mod tests {
     fn newest(alarms: AlarmSet, soc: Option<f32>) -> Newest {
         let (quality, quality_detail) = Quality::Held.encode();
         Newest {
-            forecast: Forecast {
-                quality,
-                quality_detail,
-                ..Forecast::default()
-            },
+            forecast: Forecast { quality, quality_detail, ..Forecast::default() },
             diagnostic: Some(Diagnostic {
                 level: alarms.level().code(),
                 alarm: alarms.first().code(),
                 alarms: alarms.0,
                 ..Diagnostic::default()
             }),
-            budget: soc.map(|soc| Budget {
-                flags: budget_flag::BATTERY,
-                soc,
-                ..Budget::default()
-            }),
+            budget: soc.map(|soc| Budget { flags: budget_flag::BATTERY, soc, ..Budget::default() }),
         }
     }
 

@@ -53,11 +53,7 @@ impl Sort {
     /// The key of a robot with these rows.
     #[must_use]
     pub fn key(self, robot: u32, newest: &Newest) -> SortKey {
-        SortKey {
-            rank: self.rank(newest),
-            value: self.value(newest),
-            robot,
-        }
+        SortKey { rank: self.rank(newest), value: self.value(newest), robot }
     }
 
     fn rank(self, newest: &Newest) -> u16 {
@@ -98,11 +94,7 @@ impl Sort {
             (a, b) => a.is_none().cmp(&b.is_none()),
         };
         let by_id = a.robot.cmp(&b.robot);
-        let by_id = if self == Self::Robot {
-            turned(by_id)
-        } else {
-            by_id
-        };
+        let by_id = if self == Self::Robot { turned(by_id) } else { by_id };
         by_rank.then(by_value).then(by_id)
     }
 }

@@ -81,9 +81,7 @@ impl Stages {
         let total_ns = readable_ns.saturating_sub(header.first_sent_ns);
         self.total.saturating_record(total_ns);
         self.total_counted.add(total_ns);
-        let compute_ns = header
-            .compute_end_ns
-            .saturating_sub(header.compute_start_ns);
+        let compute_ns = header.compute_end_ns.saturating_sub(header.compute_start_ns);
         self.compute_counted.add(compute_ns);
         Some(total_ns)
     }
@@ -91,13 +89,8 @@ impl Stages {
     /// The distributions.
     #[must_use]
     pub fn latency(&self) -> Latency {
-        let [
-            sent_to_taken,
-            taken_to_compute,
-            compute,
-            compute_to_sent,
-            sent_to_readable,
-        ] = self.parts.each_ref().map(Spread::of);
+        let [sent_to_taken, taken_to_compute, compute, compute_to_sent, sent_to_readable] =
+            self.parts.each_ref().map(Spread::of);
         Latency {
             total: Spread::of(&self.total),
             sent_to_taken,
@@ -187,17 +180,10 @@ mod tests {
             ..ForecastHeader::default()
         };
         assert_eq!(stages.observe(&header, 71_000), Some(70_000));
-        let silent = ForecastHeader {
-            first_sent_ns: 0,
-            ..header
-        };
+        let silent = ForecastHeader { first_sent_ns: 0, ..header };
         assert_eq!(stages.observe(&silent, 71_000), None);
         let latency = stages.latency();
-        let parts: Vec<f64> = latency
-            .stages()
-            .iter()
-            .map(|(_, s)| s.max_us.round())
-            .collect();
+        let parts: Vec<f64> = latency.stages().iter().map(|(_, s)| s.max_us.round()).collect();
         assert_eq!(parts, [8.0, 1.0, 20.0, 1.0, 40.0, 70.0]);
         assert!(latency.stages().iter().all(|(_, spread)| spread.count == 1));
     }

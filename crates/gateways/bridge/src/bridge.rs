@@ -370,13 +370,8 @@ impl fmt::Display for BridgeReport {
             out,
             "bridge {bridge} of fleet {fleet}, {robots} robots: {messages} messages, {observations} observations"
         )?;
-        let PublishedRecord {
-            frames,
-            samples,
-            samples_refused,
-            frames_unheard,
-            frames_failed,
-        } = published;
+        let PublishedRecord { frames, samples, samples_refused, frames_unheard, frames_failed } =
+            published;
         writeln!(
             out,
             "published {samples} samples in {frames} frames, {samples_refused} refused by the worker, \
@@ -395,37 +390,17 @@ impl fmt::Display for BridgeReport {
 
 impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            fleet,
-            bridge,
-            robots,
-            broker,
-            reads,
-            writes,
-            ros2,
-        } = self;
+        let Self { fleet, bridge, robots, broker, reads, writes, ros2 } = self;
         writeln!(out, "bridge {bridge} of fleet {fleet}: {robots} robots")?;
         if let Some(broker) = broker {
-            writeln!(
-                out,
-                "broker {broker}: reads {}; writes {writes} topics",
-                reads.join(", ")
-            )?;
+            writeln!(out, "broker {broker}: reads {}; writes {writes} topics", reads.join(", "))?;
         }
         let Some(ros2) = ros2 else {
             return Ok(());
         };
-        let RosCheckReport {
-            domain_id,
-            networks,
-            reads,
-            writes,
-        } = ros2;
-        let networks = if networks.is_empty() {
-            "all networks".to_owned()
-        } else {
-            networks.join(", ")
-        };
+        let RosCheckReport { domain_id, networks, reads, writes } = ros2;
+        let networks =
+            if networks.is_empty() { "all networks".to_owned() } else { networks.join(", ") };
         writeln!(out, "ROS domain {domain_id} on {networks}")?;
         let mut lines = reads
             .iter()
@@ -441,18 +416,9 @@ mod tests {
 
     #[test]
     fn each_kind_of_loss_and_none_that_is_not_one_ends_with_code_3() {
-        let unheard = PublishedRecord {
-            frames_unheard: 9,
-            ..PublishedRecord::default()
-        };
-        let failed = PublishedRecord {
-            frames_failed: 1,
-            ..PublishedRecord::default()
-        };
-        let refused = PublishedRecord {
-            samples_refused: 1,
-            ..PublishedRecord::default()
-        };
+        let unheard = PublishedRecord { frames_unheard: 9, ..PublishedRecord::default() };
+        let failed = PublishedRecord { frames_failed: 1, ..PublishedRecord::default() };
+        let refused = PublishedRecord { samples_refused: 1, ..PublishedRecord::default() };
         for (published, not_written, unmapped, outcome) in [
             (unheard, 0, 0, Outcome::Done),
             (failed, 0, 0, Outcome::Incomplete),

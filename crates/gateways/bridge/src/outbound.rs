@@ -82,10 +82,7 @@ pub(crate) struct Times {
 
 impl Times {
     fn now() -> Self {
-        Self {
-            now_ns: clock::monotonic_ns(),
-            now_unix_ns: clock::unix_ns(),
-        }
+        Self { now_ns: clock::monotonic_ns(), now_unix_ns: clock::unix_ns() }
     }
 
     /// Converts a monotonic time, which may lie ahead, to Unix time.
@@ -112,10 +109,7 @@ mod tests {
                 }
             }
             let expected = (looks * look_every_ns / every_ns).min(looks);
-            assert!(
-                u64::abs_diff(written, expected) <= 1,
-                "{every_ns} {look_every_ns}: {written}"
-            );
+            assert!(u64::abs_diff(written, expected) <= 1, "{every_ns} {look_every_ns}: {written}");
         }
     }
 }

@@ -78,12 +78,8 @@ pub(crate) fn run(
             if let Some(slot) = group.grid.take(now_ns) {
                 intended_ns = intended_ns.min(slot.intended_ns);
                 let mut intake = shared.intake();
-                states.extend(
-                    group
-                        .robots
-                        .iter()
-                        .filter_map(|robot| intake.sample(*robot, now_ns)),
-                );
+                states
+                    .extend(group.robots.iter().filter_map(|robot| intake.sample(*robot, now_ns)));
             }
         }
         if now_ns >= news_ns {
@@ -119,11 +115,7 @@ fn never_came(robots: &Robots, shared: &Shared) {
     let silent: Vec<u32> = shared.intake().silent().collect();
     let mut account = shared.account();
     for name in silent.iter().filter_map(|robot| robots.name(*robot)) {
-        account.count(
-            "[robots]",
-            Reason::NeverCame,
-            &format!("anything of {name}"),
-        );
+        account.count("[robots]", Reason::NeverCame, &format!("anything of {name}"));
     }
 }
 
@@ -139,10 +131,7 @@ fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
             by_period.entry(platform.period_ns).or_default().push(robot);
         }
     }
-    let group = |(period_ns, robots)| Group {
-        grid: Grid::new(now_ns, period_ns),
-        robots,
-    };
+    let group = |(period_ns, robots)| Group { grid: Grid::new(now_ns, period_ns), robots };
     by_period.into_iter().map(group).collect()
 }
 

@@ -37,9 +37,7 @@ pub(crate) fn mapping(args: &BridgeArguments) -> Result<Option<String>, UsageErr
         return Err(UsageError(why.to_owned()));
     }
     if args.broker.is_some() && shipped == ROS2 {
-        return Err(UsageError(
-            "ROS 2 has no broker: leave --broker out".to_owned(),
-        ));
+        return Err(UsageError("ROS 2 has no broker: leave --broker out".to_owned()));
     }
     let mut robots = String::new();
     for given in &args.robots {
@@ -69,10 +67,7 @@ fn quoted(text: &str) -> String {
 /// Prints a mapping to stderr, without its comments.
 pub(crate) fn print(mapping: &str) {
     say("the usual mapping; --write FILE writes it, to be changed:");
-    for line in mapping
-        .lines()
-        .filter(|line| !line.is_empty() && !line.starts_with('#'))
-    {
+    for line in mapping.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
         say(&format!("  {line}"));
     }
 }

@@ -80,11 +80,7 @@ impl Egress {
     pub(crate) fn take(&mut self) -> Result<(), NetworkError> {
         while let Ok(event) = self.inbox.next(Duration::ZERO) {
             let (from, bytes, arrived_ns) = match event {
-                Event::Message {
-                    from,
-                    bytes,
-                    arrived_ns,
-                } => (from, bytes, arrived_ns),
+                Event::Message { from, bytes, arrived_ns } => (from, bytes, arrived_ns),
                 Event::Lost { name } => {
                     self.forget(&name);
                     continue;
@@ -134,11 +130,7 @@ impl Egress {
         if let Some((stream, _)) = self.streams.remove(name) {
             tracing::info!("link {name} no longer asks");
             let is_logged = self.past.len() < MAX_PAST_RECEIVERS || self.past.contains_key(name);
-            let name = if is_logged {
-                Arc::clone(name)
-            } else {
-                OTHERS.into()
-            };
+            let name = if is_logged { Arc::clone(name) } else { OTHERS.into() };
             add(self.past.entry(name).or_default(), stream.sent());
         }
     }
@@ -223,10 +215,7 @@ impl Egress {
         for (name, (stream, _)) in &self.streams {
             add(all.entry(Arc::clone(name)).or_default(), stream.sent());
         }
-        let record = |(name, sent): (Arc<str>, Sent)| EgressRecord {
-            to: name.to_string(),
-            sent,
-        };
+        let record = |(name, sent): (Arc<str>, Sent)| EgressRecord { to: name.to_string(), sent };
         all.into_iter().map(record).collect()
     }
 }

@@ -77,9 +77,7 @@ impl<'de> Deserialize<'de> for Number {
             Form::Number(number) => Some(number),
             Form::Text(text) => text.parse().ok(),
         };
-        number
-            .map(Self)
-            .ok_or_else(|| serde::de::Error::custom("not a number of 64 bits"))
+        number.map(Self).ok_or_else(|| serde::de::Error::custom("not a number of 64 bits"))
     }
 }
 
@@ -194,12 +192,9 @@ impl Etcd {
     }
 
     fn log_failure(&mut self, error: String) {
-        let is_logged = self
-            .last_failure
-            .as_ref()
-            .is_some_and(|(last_failure, at)| {
-                *last_failure == error || at.elapsed() < LOG_INTERVAL
-            });
+        let is_logged = self.last_failure.as_ref().is_some_and(|(last_failure, at)| {
+            *last_failure == error || at.elapsed() < LOG_INTERVAL
+        });
         if !is_logged {
             tracing::warn!("etcd does not answer as it should: {error}");
             self.last_failure = Some((error, Instant::now()));
@@ -212,10 +207,7 @@ impl Etcd {
                 let body = json!({"TTL": self.ttl_s.to_string()});
                 let granted: Granted = self.post("lease/grant", &body)?;
                 anyhow::ensure!(granted.id.0 > 0, "it grants lease 0, which is none");
-                Ok(Reply::Granted {
-                    lease: granted.id.0,
-                    ttl_ns: self.ttl_ns(granted.ttl_s)?,
-                })
+                Ok(Reply::Granted { lease: granted.id.0, ttl_ns: self.ttl_ns(granted.ttl_s)? })
             }
             Call::Renew { lease } => {
                 let body = json!({"ID": lease.to_string()});
@@ -224,11 +216,7 @@ impl Etcd {
                 Ok(Reply::Renewed { ttl_ns })
             }
             Call::Look => self.look().map(Reply::StoreView),
-            Call::Acquire {
-                lease,
-                term,
-                term_revision,
-            } => {
+            Call::Acquire { lease, term, term_revision } => {
                 let body = self.acquisition(*lease, *term, *term_revision)?;
                 let done: Done = self.post("kv/txn", &body)?;
                 Ok(Reply::Acquired(done.succeeded))
@@ -262,11 +250,7 @@ impl Etcd {
         let holder = holder.map(|it| {
             let value: HolderValue =
                 serde_json::from_str(&it.text()?).context("the holder's key")?;
-            Ok::<_, anyhow::Error>(Holder {
-                name: value.name,
-                term: value.term,
-                lease: it.lease.0,
-            })
+            Ok::<_, anyhow::Error>(Holder { name: value.name, term: value.term, lease: it.lease.0 })
         });
         let number = |it: &KeyValue| {
             let term: u64 = it.text()?.parse().context("the term's key")?;
@@ -285,10 +269,7 @@ impl Etcd {
     }
 
     fn acquisition(&self, lease: u64, term: u64, term_revision: u64) -> anyhow::Result<Value> {
-        let value = HolderValue {
-            name: self.own.clone(),
-            term,
-        };
+        let value = HolderValue { name: self.own.clone(), term };
         let value = BASE64.encode(serde_json::to_vec(&value)?);
         Ok(json!({
             "compare": [
@@ -350,11 +331,7 @@ impl Etcd {
         let bytes = serde_json::to_vec(body)?;
         let sent = request.content_type("application/json").send(&bytes[..]);
         let mut answer = sent?;
-        let text = answer
-            .body_mut()
-            .with_config()
-            .limit(MAX_BYTES)
-            .read_to_string()?;
+        let text = answer.body_mut().with_config().limit(MAX_BYTES).read_to_string()?;
         if answer.status() == 404 && text.contains("requested lease not found") {
             return Err(LeaseGone.into());
         }
@@ -395,10 +372,7 @@ fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
         }
     }
     if found.is_empty() {
-        bail!(
-            "{}: no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----",
-            named()
-        );
+        bail!("{}: no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----", named());
     }
     Ok(found)
 }
@@ -432,9 +406,7 @@ mod tests {
             read.extend_from_slice(&byte);
         }
         let text = String::from_utf8_lossy(&read).to_lowercase();
-        let length = text
-            .lines()
-            .find_map(|line| line.strip_prefix("content-length: "));
+        let length = text.lines().find_map(|line| line.strip_prefix("content-length: "));
         let length = length.map_or(0, |length| length.trim().parse().unwrap());
         let _ = stream.read_exact(&mut vec![0; length]);
     }
@@ -494,11 +466,7 @@ mod tests {
         ];
         for call in [Call::Grant, Call::Look, RENEW] {
             for body in bodies {
-                assert_eq!(
-                    answer(&call, &ok(body), b"").0,
-                    Reply::Failed,
-                    "{call:?} {body:?}"
-                );
+                assert_eq!(answer(&call, &ok(body), b"").0, Reply::Failed, "{call:?} {body:?}");
             }
         }
         let long = format!("{{\"responses\":[{}]}}", " ".repeat(70_000));
@@ -514,10 +482,7 @@ mod tests {
             (RENEW, r#"{"result":{"TTL":"99999999"}}"#),
             (RENEW, r#"{"result":{"TTL":"-1"}}"#),
             (RENEW, r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#),
-            (
-                Call::Look,
-                r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#,
-            ),
+            (Call::Look, r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#),
             (Call::Look, r#"{"responses":[{},{},{}]}"#),
             (Call::Look, &*holder("not JSON")),
             (Call::Look, &*holder(r#"{"name":"base"}"#)),
@@ -526,19 +491,10 @@ mod tests {
             (Call::Look, &*term("18446744073709551615")),
             (Call::Look, &*long),
         ] {
-            assert_eq!(
-                answer(&call, &ok(body), b"").0,
-                Reply::Failed,
-                "{body:.200}"
-            );
+            assert_eq!(answer(&call, &ok(body), b"").0, Reply::Failed, "{body:.200}");
         }
         let good = r#"{"result":{"TTL":"2"}}"#;
-        assert_eq!(
-            answer(&RENEW, &ok(good), b"").0,
-            Reply::Renewed {
-                ttl_ns: 2 * NANOSECONDS
-            }
-        );
+        assert_eq!(answer(&RENEW, &ok(good), b"").0, Reply::Renewed { ttl_ns: 2 * NANOSECONDS });
         let gone = r#"{"error":"etcdserver: requested lease not found","code":5}"#;
         let length = gone.len();
         let gone = format!("HTTP/1.1 404 Not Found\r\nContent-Length: {length}\r\n\r\n{gone}");
@@ -555,16 +511,10 @@ mod tests {
                 b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n",
                 b"",
             ),
-            (
-                b"HTTP/1.1 503 Busy\r\nContent-Length: 22\r\n\r\n{\"result\":{\"TTL\":\"2\"}}",
-                b"",
-            ),
+            (b"HTTP/1.1 503 Busy\r\nContent-Length: 22\r\n\r\n{\"result\":{\"TTL\":\"2\"}}", b""),
             (b"HTTP/1.1 200 OK\r\n", b"X: y\r\n"),
             (chunked, b"1\r\n \r\n"),
-            (
-                b"HTTP/1.1 200 OK\r\nContent-Length: 99999999999\r\n\r\n",
-                b" ",
-            ),
+            (b"HTTP/1.1 200 OK\r\nContent-Length: 99999999999\r\n\r\n", b" "),
         ];
         for (bytes, for_ever) in cases {
             let (reply, took) = answer(&RENEW, bytes, for_ever);
@@ -579,14 +529,8 @@ mod tests {
     fn fields_that_are_not_known_and_keys_that_are_not_there_are_no_fault() {
         let body = r#"{"header":{"revision":"9"},"succeeded":true,"new":[1],
             "responses":[{"responseRange":{"count":"0"}},{"responseRange":{}},{"response_range":{}}]}"#;
-        assert_eq!(
-            answer(&Call::Look, &ok(body), b"").0,
-            Reply::StoreView(StoreView::default())
-        );
+        assert_eq!(answer(&Call::Look, &ok(body), b"").0, Reply::StoreView(StoreView::default()));
         let gone = r#"{"result":{"header":{},"ID":"7"}}"#;
-        assert_eq!(
-            answer(&RENEW, &ok(gone), b"").0,
-            Reply::Renewed { ttl_ns: 0 }
-        );
+        assert_eq!(answer(&RENEW, &ok(gone), b"").0, Reply::Renewed { ttl_ns: 0 });
     }
 }

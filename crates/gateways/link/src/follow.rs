@@ -127,11 +127,7 @@ impl HighestTerm {
     /// The term below which frames are dropped at `now_ns`. If no candidate has sent in it for
     /// longer than any lease lasts, the store and all candidates may have lost it.
     const fn at(self, now_ns: u64) -> u64 {
-        if now_ns.saturating_sub(self.at_ns) > TERM_TIMEOUT_NS {
-            0
-        } else {
-            self.term
-        }
+        if now_ns.saturating_sub(self.at_ns) > TERM_TIMEOUT_NS { 0 } else { self.term }
     }
 
     /// Notes a frame of `term`. Returns whether the term is new.
@@ -218,11 +214,7 @@ impl Following {
         // them.
         let plans = Carried::PLAN_STATES.bit();
         let is_read = self.worker_ports.plan_states.readers() > 0;
-        let services = if is_read {
-            self.requested
-        } else {
-            self.requested & !plans
-        };
+        let services = if is_read { self.requested } else { self.requested & !plans };
         for ingress in self.ingresses() {
             ingress.receiver().select(services);
             ingress.request_if_due();
@@ -234,11 +226,7 @@ impl Following {
         };
         self.has_message = false;
         match inbox.next(wait) {
-            Ok(Event::Message {
-                from,
-                bytes,
-                arrived_ns,
-            }) => {
+            Ok(Event::Message { from, bytes, arrived_ns }) => {
                 self.has_message = true;
                 self.message(&from, &bytes, arrived_ns)?;
             }
@@ -259,10 +247,7 @@ impl Following {
             shard.report();
         }
         if let Some(shard_merger) = &mut self.shard_merger {
-            let has_worker = self
-                .shards
-                .iter_mut()
-                .map(|it| it.worker() == Worker::Alive);
+            let has_worker = self.shards.iter_mut().map(|it| it.worker() == Worker::Alive);
             let has_worker: Vec<bool> = has_worker.collect();
             let written = shard_merger.write(&mut self.worker_ports, &has_worker);
             is_final(written)?;
@@ -271,27 +256,15 @@ impl Following {
     }
 
     fn ingresses(&mut self) -> impl Iterator<Item = &mut Ingress> {
-        self.shards
-            .iter_mut()
-            .flat_map(|shard| &mut shard.ingresses)
+        self.shards.iter_mut().flat_map(|shard| &mut shard.ingresses)
     }
 
     /// Handles a message of the link `from`.
     fn message(&mut self, from: &str, bytes: &Bytes, arrived_ns: u64) -> Result<(), SendError> {
-        let Self {
-            worker_ports,
-            shards,
-            shard_merger,
-            ..
-        } = self;
+        let Self { worker_ports, shards, shard_merger, .. } = self;
         let mut ended = Ok(());
         for (at, shard) in shards.iter_mut().enumerate() {
-            let ShardFeed {
-                ingresses,
-                leader,
-                highest,
-                ..
-            } = shard;
+            let ShardFeed { ingresses, leader, highest, .. } = shard;
             let Some(place) = ingresses.iter().position(|ingress| ingress.from() == from) else {
                 continue;
             };
@@ -332,13 +305,11 @@ impl Following {
     fn report(&mut self) -> anyhow::Result<()> {
         // Alive if any shard's worker is alive, and unknown only if all are.
         let mut states = self.shards.iter_mut().map(ShardFeed::worker);
-        let worker = states
-            .by_ref()
-            .fold(Worker::Unknown, |all, state| match (all, state) {
-                (Worker::Alive, _) | (_, Worker::Alive) => Worker::Alive,
-                (Worker::Unknown, state) => state,
-                (all, _) => all,
-            });
+        let worker = states.by_ref().fold(Worker::Unknown, |all, state| match (all, state) {
+            (Worker::Alive, _) | (_, Worker::Alive) => Worker::Alive,
+            (Worker::Unknown, state) => state,
+            (all, _) => all,
+        });
         if worker == self.reported {
             return Ok(());
         }

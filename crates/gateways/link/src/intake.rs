@@ -63,11 +63,7 @@ pub(crate) fn run(
             _ => POLL_INTERVAL,
         };
         match event {
-            Ok(Event::Message {
-                from,
-                bytes,
-                arrived_ns,
-            }) => {
+            Ok(Event::Message { from, bytes, arrived_ns }) => {
                 let Some((ingress, robots)) = hosts.get_mut(&*from) else {
                     continue;
                 };
@@ -107,10 +103,8 @@ pub(crate) fn run(
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
     }
-    let mut records: Vec<IngressRecord> = hosts
-        .values()
-        .map(|(ingress, _)| ingress.record())
-        .collect();
+    let mut records: Vec<IngressRecord> =
+        hosts.values().map(|(ingress, _)| ingress.record()).collect();
     if let Some(first) = records.first_mut() {
         first.received.lost += inbox.overflowed();
     }

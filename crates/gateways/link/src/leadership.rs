@@ -52,11 +52,7 @@ impl Leadership {
         // or a later one.
         let term = self.term.load(Ordering::Acquire);
         let until_ns = self.until_ns.load(Ordering::Acquire);
-        if until_ns == u64::MAX || clock::boot_ns() < until_ns {
-            term
-        } else {
-            0
-        }
+        if until_ns == u64::MAX || clock::boot_ns() < until_ns { term } else { 0 }
     }
 
     /// Permits the worker of this host to lead, or to go on.
@@ -92,8 +88,7 @@ impl Leadership {
 
     /// Notes that this host's worker has sent, or has just been permitted to.
     pub(crate) fn worker_active(&self) {
-        self.active_ns
-            .store(clock::monotonic_ns(), Ordering::Release);
+        self.active_ns.store(clock::monotonic_ns(), Ordering::Release);
     }
 
     /// Time since this host's worker last sent, ns.

@@ -98,10 +98,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
 fn checked(config: &Config, settings: &Settings) -> CheckReport {
     let network = &settings.network;
     let (takes, gives) = match &settings.side {
-        Side::Worker(takes) => (
-            takes.iter().map(|take| take.from.clone()).collect(),
-            Vec::new(),
-        ),
+        Side::Worker(takes) => (takes.iter().map(|take| take.from.clone()).collect(), Vec::new()),
         Side::Other { samples, follow } => (
             follow.iter().flat_map(|it| it.workers.concat()).collect(),
             samples.clone().unwrap_or_default(),
@@ -200,11 +197,7 @@ struct Link {
 impl Link {
     /// Starts all threads. `None` if a stop is requested before the router answers.
     fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
-        let mut link = Self {
-            threads: Vec::new(),
-            questions: None,
-            lock: None,
-        };
+        let mut link = Self { threads: Vec::new(), questions: None, lock: None };
         let (fleet, name) = (config.fleet(), settings.name.as_str());
         if let Side::Other { follow, .. } = &settings.side {
             if follow.is_some() {
@@ -253,11 +246,7 @@ impl Link {
         self.spawn("joulebus-outputs", move |thread| {
             let over = (&over, leadership.as_deref());
             let (given, refused) = outputs::run((&of, fleet), over, thread)?;
-            Ok(Done {
-                given,
-                refused,
-                ..Done::default()
-            })
+            Ok(Done { given, refused, ..Done::default() })
         })?;
         if takes.is_empty() {
             return Ok(());
@@ -266,10 +255,7 @@ impl Link {
         let with = settings.clone();
         self.spawn("joulebus-intake", move |thread| {
             let taken = intake::run((&of, &with, &takes), &over, thread)?;
-            Ok(Done {
-                taken,
-                ..Done::default()
-            })
+            Ok(Done { taken, ..Done::default() })
         })
     }
 
@@ -286,10 +272,7 @@ impl Link {
         let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
         self.spawn("joulebus-standby", move |thread| {
             let taken = standby::follow((&of, &with, &of_shard), (&over, &its), thread)?;
-            Ok(Done {
-                taken,
-                ..Done::default()
-            })
+            Ok(Done { taken, ..Done::default() })
         })?;
         if let Some(lease) = standby.lease.clone() {
             let (of, with) = (config.clone(), settings.clone());
@@ -314,10 +297,7 @@ impl Link {
         let lock = self.lock.clone().context("the lock is taken first")?;
         self.spawn("joulebus-follow", move |thread| {
             let taken = follow::run((&of, &with, &follow), (&over, &lock), thread)?;
-            Ok(Done {
-                taken,
-                ..Done::default()
-            })
+            Ok(Done { taken, ..Done::default() })
         })
     }
 
@@ -332,11 +312,7 @@ impl Link {
         let lock = self.lock.clone().context("the lock is taken first")?;
         self.spawn("joulebus-forward", move |thread| {
             let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), thread)?;
-            Ok(Done {
-                given,
-                refused,
-                ..Done::default()
-            })
+            Ok(Done { given, refused, ..Done::default() })
         })
     }
 
@@ -380,19 +356,13 @@ impl LinkReport {
     fn is_lossy(&self) -> bool {
         let given = self.given.iter();
         self.refused.total() > 0
-            || given
-                .clone()
-                .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
-            || self.taken.iter().any(
-                |IngressRecord {
-                     received, refused, ..
-                 }| {
-                    received.lost > 0
-                        || received.dropped > 0
-                        || received.future > 0
-                        || refused.total() > 0
-                },
-            )
+            || given.clone().any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
+            || self.taken.iter().any(|IngressRecord { received, refused, .. }| {
+                received.lost > 0
+                    || received.dropped > 0
+                    || received.future > 0
+                    || refused.total() > 0
+            })
     }
 }
 
@@ -421,11 +391,7 @@ impl fmt::Display for LinkReport {
                 it.silences
             )?;
             if let Some(uncertainty_s) = taken.clock_uncertainty_s {
-                let by = if taken.clock_realtime {
-                    " by realtime clocks"
-                } else {
-                    ""
-                };
+                let by = if taken.clock_realtime { " by realtime clocks" } else { "" };
                 writeln!(
                     out,
                     "clock of {}: within {:.3} ms{by}, {} refits, {} steps, {} contradictions",
@@ -448,22 +414,11 @@ impl fmt::Display for LinkReport {
 
 impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let way = if self.encrypted {
-            "encrypted"
-        } else {
-            "not encrypted"
-        };
-        writeln!(
-            out,
-            "link {} of fleet {}: {}, {way}",
-            self.link, self.fleet, self.mode
-        )?;
+        let way = if self.encrypted { "encrypted" } else { "not encrypted" };
+        writeln!(out, "link {} of fleet {}: {}, {way}", self.link, self.fleet, self.mode)?;
         for (shard, robots) in &self.shards {
-            let own = if self.speaks_for.as_ref() == Some(shard) {
-                ", whose worker this is"
-            } else {
-                ""
-            };
+            let own =
+                if self.speaks_for.as_ref() == Some(shard) { ", whose worker this is" } else { "" };
             writeln!(out, "shard {shard}: {robots} robots{own}")?;
         }
         for (what, list) in [

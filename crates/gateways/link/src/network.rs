@@ -73,11 +73,7 @@ impl Kind {
 #[derive(Debug)]
 pub(crate) enum Event {
     /// A message from the link `from`.
-    Message {
-        from: Arc<str>,
-        bytes: Bytes,
-        arrived_ns: u64,
-    },
+    Message { from: Arc<str>, bytes: Bytes, arrived_ns: u64 },
     /// The link of that name has left, or its connection is lost.
     Lost { name: Arc<str> },
 }
@@ -126,11 +122,7 @@ impl Inbox {
             counts: Arc::default(),
             max_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
-        Self {
-            entry,
-            receiver,
-            _subscriptions: Vec::new(),
-        }
+        Self { entry, receiver, _subscriptions: Vec::new() }
     }
 
     /// Returns the next event, waiting at most `wait`.
@@ -218,13 +210,11 @@ impl Network {
             let value = access(fleet, name, hosts);
             insert(&mut config, "access_control", &value)?;
         }
-        let session = zenoh::open(config)
-            .wait()
-            .map_err(|reason| NetworkError::Open {
-                listen: settings.listen.clone(),
-                connect: settings.connect.clone(),
-                reason: reason.to_string(),
-            })?;
+        let session = zenoh::open(config).wait().map_err(|reason| NetworkError::Open {
+            listen: settings.listen.clone(),
+            connect: settings.connect.clone(),
+            reason: reason.to_string(),
+        })?;
         let key = format!("joulebus/{fleet}/links/{name}");
         let token = session.liveliness().declare_token(key).wait()?;
         Ok(Self {
@@ -321,11 +311,8 @@ impl Network {
                 let Some(from) = from(&sample) else {
                     return;
                 };
-                let event = Event::Message {
-                    from,
-                    bytes: Bytes(sample.payload().clone()),
-                    arrived_ns,
-                };
+                let event =
+                    Event::Message { from, bytes: Bytes(sample.payload().clone()), arrived_ns };
                 entry.put(event);
             })
             .wait()?;
@@ -385,29 +372,17 @@ fn configured(
     set("scouting/gossip/target", nobody.clone())?;
     set("scouting/gossip/autoconnect", nobody)?;
     set("transport/link/tx/lease", json!(PEER_TIMEOUT_MS))?;
-    set(
-        "transport/link/rx/max_message_size",
-        json!(max_message_bytes),
-    )?;
+    set("transport/link/rx/max_message_size", json!(max_message_bytes))?;
     // Few frames of a link are in flight. They need room even while a thread of zenoh gets no
     // processor, and a long frame takes many batches.
     set("transport/link/tx/queue/size/data", json!(16))?;
     let drop = "transport/link/tx/queue/congestion_control/drop";
     set(&format!("{drop}/wait_before_drop"), json!(SEND_TIMEOUT_US))?;
-    set(
-        &format!("{drop}/max_wait_before_drop_fragments"),
-        json!(10 * SEND_TIMEOUT_US),
-    )?;
+    set(&format!("{drop}/max_wait_before_drop_fragments"), json!(10 * SEND_TIMEOUT_US))?;
     if let Some(tls) = &settings.tls {
         set("transport/link/tls/root_ca_certificate", json!(tls.ca))?;
-        set(
-            "transport/link/tls/listen_certificate",
-            json!(tls.certificate),
-        )?;
-        set(
-            "transport/link/tls/connect_certificate",
-            json!(tls.certificate),
-        )?;
+        set("transport/link/tls/listen_certificate", json!(tls.certificate))?;
+        set("transport/link/tls/connect_certificate", json!(tls.certificate))?;
         set("transport/link/tls/listen_private_key", json!(tls.key))?;
         set("transport/link/tls/connect_private_key", json!(tls.key))?;
         set("transport/link/tls/enable_mtls", json!(true))?;
@@ -462,12 +437,7 @@ fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> s
                 "declare_subscriber",
                 keys(&|other| format!("ask/outputs/{other}/*")),
             ),
-            (
-                "requests",
-                "egress",
-                "put",
-                keys(&|other| format!("ask/outputs/{other}/{name}")),
-            ),
+            ("requests", "egress", "put", keys(&|other| format!("ask/outputs/{other}/{name}"))),
             (
                 "states",
                 "egress",
@@ -502,11 +472,7 @@ pub(crate) enum NetworkError {
         "cannot open the network (listen {listen:?}, connect {connect:?}): {reason}; are the addresses this host's, and \
          free?"
     )]
-    Open {
-        listen: Vec<String>,
-        connect: Vec<String>,
-        reason: String,
-    },
+    Open { listen: Vec<String>, connect: Vec<String>, reason: String },
     #[error("zenoh refuses {key}: {reason}")]
     Config { key: String, reason: String },
     #[error("zenoh refuses a key: {0}")]
@@ -561,10 +527,7 @@ mod tests {
         let of_all = found.iter().filter(|(_, who)| who.is_empty());
         for (key, _) in of_all {
             let is_request = key.starts_with("joulebus/lab/ask/");
-            assert!(
-                is_request || key == "joulebus/lab/outputs/base-1/*",
-                "{key}"
-            );
+            assert!(is_request || key == "joulebus/lab/outputs/base-1/*", "{key}");
         }
     }
 }

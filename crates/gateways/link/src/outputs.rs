@@ -33,12 +33,8 @@ const RETRY_OPEN_NS: u64 = 1_000_000_000;
 /// Pause between a frame of forecasts and the frames that the worker writes after it.
 const BEHIND: Duration = Duration::from_millis(1);
 /// The services that the worker writes after its forecasts.
-const BEHIND_FORECASTS: [Carried; 4] = [
-    Carried::DIAGNOSTICS,
-    Carried::BUDGETS,
-    Carried::PLAN_STATES,
-    Carried::TICKS,
-];
+const BEHIND_FORECASTS: [Carried; 4] =
+    [Carried::DIAGNOSTICS, Carried::BUDGETS, Carried::PLAN_STATES, Carried::TICKS];
 /// Interval of checks for a newer state of the worker, which writes one a second.
 const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
 /// Number of consecutive frames without a permit after which the worker is reported as started
@@ -136,11 +132,7 @@ fn leader_status(worker: Worker, leadership: Option<&Leadership>) -> LeaderStatu
         return worker.into();
     };
     // Also while the old leader is shutting down: its successor waits for it.
-    LeaderStatus {
-        worker,
-        term: leadership.term(),
-        highest_term: leadership.highest_term(),
-    }
+    LeaderStatus { worker, term: leadership.term(), highest_term: leadership.highest_term() }
 }
 
 /// The worker's state, for the standbys.
@@ -154,12 +146,7 @@ struct StateFeed<'a> {
 
 impl<'a> StateFeed<'a> {
     const fn new(leadership: &'a Leadership) -> Self {
-        Self {
-            leadership,
-            look_ns: 0,
-            sent: None,
-            is_logged: false,
-        }
+        Self { leadership, look_ns: 0, sent: None, is_logged: false }
     }
 
     fn give(&mut self, egress: &mut Egress) {
@@ -280,12 +267,7 @@ struct Wanted<F> {
 
 impl<F> Wanted<F> {
     const fn new(what: &'static str) -> Self {
-        Self {
-            what,
-            feed: None,
-            again_ns: 0,
-            is_logged: false,
-        }
+        Self { what, feed: None, again_ns: 0, is_logged: false }
     }
 
     fn keep<E: Display>(&mut self, is_wanted: bool, open: impl FnOnce() -> Result<F, E>) {

@@ -97,12 +97,7 @@ impl ShardMerger {
         if self.forecasts.is_due((has_worker, &is_live), at) {
             let own = self.own(self.tick + 1);
             let merge = &mut self.forecasts;
-            if send(
-                merge,
-                &mut worker_ports.forecasts,
-                (&is_live, own),
-                (now_ns, self.capacity),
-            )? {
+            if send(merge, &mut worker_ports.forecasts, (&is_live, own), (now_ns, self.capacity))? {
                 self.tick += 1;
                 worker_ports.wake_planners();
             }
@@ -113,12 +108,7 @@ impl ShardMerger {
         let (own, with) = (self.own(self.tick), (now_ns, self.capacity));
         if self.diagnostics.is_due((has_worker, &is_live), at) {
             let live = (is_live.as_slice(), own);
-            send(
-                &mut self.diagnostics,
-                &mut worker_ports.diagnostics,
-                live,
-                with,
-            )?;
+            send(&mut self.diagnostics, &mut worker_ports.diagnostics, live, with)?;
         }
         if self.budgets.is_due((has_worker, &is_live), at) {
             let live = (is_live.as_slice(), own);
@@ -127,24 +117,13 @@ impl ShardMerger {
         if self.plan_states.is_due((has_worker, &is_live), at) {
             let agree = self.agree(&is_live, now_ns);
             let live = (agree.as_slice(), own);
-            send(
-                &mut self.plan_states,
-                &mut worker_ports.plan_states,
-                live,
-                with,
-            )?;
+            send(&mut self.plan_states, &mut worker_ports.plan_states, live, with)?;
         }
         Ok(())
     }
 
     fn own(&self, tick: u64) -> Origin {
-        Origin {
-            pid: process_id(),
-            place: Place {
-                run: self.run,
-                number: tick,
-            },
-        }
+        Origin { pid: process_id(), place: Place { run: self.run, number: tick } }
     }
 
     /// The shards whose forecasts are fresh.
@@ -153,9 +132,7 @@ impl ShardMerger {
         let is_new =
             |shard| header(shard).is_some_and(|it| is_fresh(it.sent_ns, it.period_ns, now_ns));
         let shards = has_worker.iter().enumerate();
-        shards
-            .map(|(shard, has_worker)| *has_worker && is_new(shard))
-            .collect()
+        shards.map(|(shard, has_worker)| *has_worker && is_new(shard)).collect()
     }
 
     /// The fresh shards with new plan states that agree with the first of them in settings and
@@ -199,12 +176,10 @@ fn put<C: Merged>(
     is_own: impl Fn(u32) -> bool,
 ) {
     let rows = accepted.frame.elements::<C::Row>();
-    let rows = rows
-        .filter(|row| C::robot(row).is_some_and(&is_own))
-        .map(|mut row| {
-            shift(&mut row, accepted.offset_ns);
-            row
-        });
+    let rows = rows.filter(|row| C::robot(row).is_some_and(&is_own)).map(|mut row| {
+        shift(&mut row, accepted.offset_ns);
+        row
+    });
     merge.put(shard, header, rows, clock::monotonic_ns());
 }
 

@@ -51,11 +51,7 @@ pub(crate) fn hold(
     let leader_lease = permit.and_then(|permit| {
         let until_ns = permit.until_ns?;
         let (term, lease) = (permit.term, permit.lease);
-        Some(LeaderLease {
-            term,
-            until_ns,
-            lease,
-        })
+        Some(LeaderLease { term, until_ns, lease })
     });
     if leader_lease.is_none() {
         // An operator's permit, from a time without a lease.
@@ -63,10 +59,7 @@ pub(crate) fn hold(
     }
     let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
     let mut candidate = Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease);
-    let mut permit_writer = PermitWriter {
-        leadership,
-        leader_lease,
-    };
+    let mut permit_writer = PermitWriter { leadership, leader_lease };
     let mut holder = None;
     let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
     let mut worker = LocalWorker::new(config.domain()?, hang_timeout_ns);
@@ -113,13 +106,7 @@ struct LocalWorker {
 
 impl LocalWorker {
     const fn new(domain: Domain, hang_timeout_ns: u64) -> Self {
-        Self {
-            domain,
-            hang_timeout_ns,
-            look_ns: 0,
-            seen_ns: None,
-            is_able: false,
-        }
+        Self { domain, hang_timeout_ns, look_ns: 0, seen_ns: None, is_able: false }
     }
 
     /// Whether the worker lives and, as leader, sends. A worker that restarts counts as able for a
@@ -250,11 +237,7 @@ impl Following<'_> {
             ingress.request_if_due();
         }
         match inbox.next(POLL_INTERVAL) {
-            Ok(Event::Message {
-                from,
-                bytes,
-                arrived_ns,
-            }) => {
+            Ok(Event::Message { from, bytes, arrived_ns }) => {
                 let leadership = self.leadership;
                 let ingress = self.others.iter_mut().find(|(_, it)| *it.from() == *from);
                 if let Some((rank, ingress)) = ingress {
@@ -333,11 +316,7 @@ impl Following<'_> {
             if self.others.iter_mut().any(leads) {
                 return Ok(());
             }
-            self.leadership.grant(&Permit {
-                term: self.claim,
-                until_ns: None,
-                lease: 0,
-            })?;
+            self.leadership.grant(&Permit { term: self.claim, until_ns: None, lease: 0 })?;
             tracing::warn!("by command this host serves, term {}", self.claim);
         }
         remove(request)

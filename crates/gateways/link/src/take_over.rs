@@ -54,10 +54,7 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
     let until_ns = clock::monotonic_ns() + within_ns;
     loop {
         if let Some(permit) = serves()? {
-            say(&format!(
-                "this host serves shard {shard}, term {}",
-                permit.term
-            ));
+            say(&format!("this host serves shard {shard}, term {}", permit.term));
             return Ok(());
         }
         if stop.is_asked() || clock::monotonic_ns() >= until_ns {

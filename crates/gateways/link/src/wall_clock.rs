@@ -28,12 +28,7 @@ static IS_LOGGED: AtomicBool = AtomicBool::new(false);
 
 impl WallClock {
     pub(crate) fn new(within_ns: Option<u64>) -> Self {
-        Self {
-            within_ns,
-            wall: Wall::default(),
-            look_ns: 0,
-            is_synchronised: false,
-        }
+        Self { within_ns, wall: Wall::default(), look_ns: 0, is_synchronised: false }
     }
 
     /// Reads the clock. `None` if it is not used.
@@ -50,10 +45,7 @@ impl WallClock {
             is_synchronised: self.is_synchronised,
         };
         let realtime_ns = self.wall.note(reading)?;
-        Some(RealtimeClock {
-            realtime_ns,
-            within_ns,
-        })
+        Some(RealtimeClock { realtime_ns, within_ns })
     }
 
     fn query(&mut self, within_ns: u64) {

@@ -74,10 +74,7 @@ pub(crate) fn pass_on<C: Channel>(
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header = header_here::<C>(accepted, every)?;
     let place = header.place();
-    let place = Place {
-        run: runs.of(place.run),
-        number: place.number / u64::from(every),
-    };
+    let place = Place { run: runs.of(place.run), number: place.number / u64::from(every) };
     header.set_place(process_id(), place);
     let mut loan = writer.loan_to_fill(frame.len())?;
     *loan.header_mut() = header;
@@ -167,34 +164,17 @@ mod tests {
             sent_unix_ns: 9,
             ..SignalHeader::default()
         };
-        let row = Signal {
-            robot: 3,
-            stamp_ns: 4_000,
-            level_dbm: -61.5,
-            ..Signal::default()
-        };
+        let row = Signal { robot: 3, stamp_ns: 4_000, level_dbm: -61.5, ..Signal::default() };
         let mut bytes = bytes_of(&header).to_vec();
         bytes.extend_from_slice(cast_slice(&[row; 2]));
         let frame = RawFrame::new(Carried::SIGNALS, 2, 64, &bytes).unwrap();
         assert_eq!(frame.sent_ns(), 5_000);
-        let accepted = Accepted {
-            frame,
-            offset_ns: -400,
-            term: 0,
-        };
+        let accepted = Accepted { frame, offset_ns: -400, term: 0 };
         pass_on(&mut writer, &accepted, (&mut Runs::default(), 3)).unwrap();
         let found = reader.take_latest().unwrap().unwrap();
-        let here = SignalHeader {
-            pid: process_id(),
-            tick: 4,
-            sent_ns: 4_600,
-            ..header
-        };
+        let here = SignalHeader { pid: process_id(), tick: 4, sent_ns: 4_600, ..header };
         assert_eq!(*found.header(), here);
-        let here = Signal {
-            stamp_ns: 3_600,
-            ..row
-        };
+        let here = Signal { stamp_ns: 3_600, ..row };
         assert_eq!(found.payload(), [here; 2]);
     }
 

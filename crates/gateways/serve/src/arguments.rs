@@ -70,12 +70,7 @@ pub(crate) struct ServeArguments {
     #[arg(long)]
     pub(crate) foxglove: bool,
     /// With --foxglove: address to listen on; 0.0.0.0 admits the whole network
-    #[arg(
-        long,
-        value_name = "ADDRESS",
-        default_value = "127.0.0.1",
-        requires = "foxglove"
-    )]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1", requires = "foxglove")]
     pub(crate) host: IpAddr,
     /// With --foxglove: port to listen on; 0: any free port
     #[arg(long, default_value_t = 8765, requires = "foxglove")]
@@ -98,9 +93,9 @@ fn origin(text: &str) -> Result<String, String> {
     let host = text.split_once("://").map(|(_, host)| host);
     match host {
         Some(host) if !host.is_empty() && !host.contains(['/', ' ', '*']) => Ok(text.to_owned()),
-        _ => Err(
-            "expected a scheme, a host and optionally a port, such as https://lab.example:8080"
-                .to_owned(),
-        ),
+        _ => {
+            Err("expected a scheme, a host and optionally a port, such as https://lab.example:8080"
+                .to_owned())
+        }
     }
 }

@@ -95,14 +95,7 @@ impl Foxglove {
         let recorder = Recorder::start(config, Vec::new(), clock, attachments, target, &options)?;
         let inside = SocketAddr::new(hidden, server.port());
         let guard = Guard::start(listener, inside, args.allow_origin.clone())?;
-        Ok(Self {
-            address,
-            guard,
-            server,
-            recorder,
-            forward,
-            sent,
-        })
+        Ok(Self { address, guard, server, recorder, forward, sent })
     }
 
     /// The address that it listens on.
@@ -182,7 +175,5 @@ fn open(entry: &Entry, context: &Arc<Context>) -> anyhow::Result<Arc<RawChannel>
         Some(kind) => builder.schema(Schema::new(kind.schema(), "protobuf", kind.descriptors())),
         None => builder,
     };
-    builder
-        .build_raw()
-        .with_context(|| format!("cannot open a channel for {}", entry.topic))
+    builder.build_raw().with_context(|| format!("cannot open a channel for {}", entry.topic))
 }

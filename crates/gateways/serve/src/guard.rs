@@ -75,15 +75,10 @@ impl fmt::Display for Refusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Malformed => write!(out, "the request is no WebSocket handshake"),
-            Self::Origin(origin) => write!(
-                out,
-                "a page of {origin} wants to connect: allow it with --allow-origin"
-            ),
-            Self::Late => write!(
-                out,
-                "no whole request within {} s",
-                HANDSHAKE_LIMIT.as_secs()
-            ),
+            Self::Origin(origin) => {
+                write!(out, "a page of {origin} wants to connect: allow it with --allow-origin")
+            }
+            Self::Late => write!(out, "no whole request within {} s", HANDSHAKE_LIMIT.as_secs()),
             Self::TooLong => write!(out, "a request of more than {MAX_REQUEST_BYTES} bytes"),
             Self::TooMany => write!(out, "more than {MAX_CONNECTIONS} connections"),
         }
@@ -118,10 +113,7 @@ impl Guard {
         let accept = thread::Builder::new()
             .name("joulebus-accept".to_owned())
             .spawn(move || inside.accept(&listener))?;
-        Ok(Self {
-            shared,
-            accept: Some(accept),
-        })
+        Ok(Self { shared, accept: Some(accept) })
     }
 
     /// Stops accepting. Existing connections stay open.
@@ -165,12 +157,10 @@ impl Shared {
         if self.connections.fetch_add(1, Ordering::Relaxed) >= MAX_CONNECTIONS {
             return refuse(&mut client, &Refusal::TooMany);
         }
-        let started = thread::Builder::new()
-            .name("joulebus-client".to_owned())
-            .spawn(move || {
-                let place = place;
-                place.0.serve(client);
-            });
+        let started = thread::Builder::new().name("joulebus-client".to_owned()).spawn(move || {
+            let place = place;
+            place.0.serve(client);
+        });
         if let Err(error) = started {
             tracing::warn!(%error, "a connection was not taken");
         }
@@ -257,10 +247,7 @@ fn refuse(client: &mut TcpStream, refusal: &Refusal) {
 }
 
 fn is_nothing(error: &io::Error) -> bool {
-    matches!(
-        error.kind(),
-        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
-    )
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
 }
 
 /// Length of the request, if it is complete.
@@ -298,9 +285,7 @@ fn may_connect(origin: &str, origins: &[String]) -> bool {
 
 /// Whether a page comes from a server on this host.
 fn is_of_this_host(origin: &str) -> bool {
-    let host = ["http://", "https://"]
-        .iter()
-        .find_map(|scheme| origin.strip_prefix(scheme));
+    let host = ["http://", "https://"].iter().find_map(|scheme| origin.strip_prefix(scheme));
     let rest = host.and_then(|host| {
         let names = ["localhost", "127.0.0.1", "[::1]"];
         names.iter().find_map(|name| host.strip_prefix(name))

@@ -45,10 +45,8 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let http = http.transpose()?;
     let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
     let foxglove = foxglove.transpose()?;
-    let webhook = args
-        .webhook
-        .as_deref()
-        .map(|to| Webhook::start(&config, to, args.webhook_ca.as_deref()));
+    let webhook =
+        args.webhook.as_deref().map(|to| Webhook::start(&config, to, args.webhook_ca.as_deref()));
     let webhook = webhook.transpose()?;
     let fleet = config.fleet();
     for place in http.iter().flat_map(HttpServer::places) {
@@ -58,10 +56,7 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         say(&format!("serving fleet {fleet} at {}", foxglove.address()));
     }
     if let Some(webhook) = &webhook {
-        say(&format!(
-            "telling {} of alarms of fleet {fleet}",
-            webhook.host()
-        ));
+        say(&format!("telling {} of alarms of fleet {fleet}", webhook.host()));
     }
     let is_over = || {
         webhook.as_ref().is_some_and(Webhook::is_over)
@@ -76,12 +71,7 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let webhook = webhook.map(Webhook::finish).transpose()?;
     let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0)
         || webhook.as_ref().is_some_and(|webhook| webhook.lost > 0);
-    output.report(&ServeReport {
-        fleet: fleet.to_owned(),
-        foxglove,
-        http,
-        webhook,
-    })?;
+    output.report(&ServeReport { fleet: fleet.to_owned(), foxglove, http, webhook })?;
     Ok(Outcome::unless_lost(lost))
 }
 
@@ -89,24 +79,11 @@ impl fmt::Display for ServeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let fleet = &self.fleet;
         if let Some(foxglove) = &self.foxglove {
-            let FoxgloveReport {
-                address,
-                messages,
-                lost,
-            } = foxglove;
-            writeln!(
-                out,
-                "served fleet {fleet} at {address}: {messages} messages, {lost} lost"
-            )?;
+            let FoxgloveReport { address, messages, lost } = foxglove;
+            writeln!(out, "served fleet {fleet} at {address}: {messages} messages, {lost} lost")?;
         }
         if let Some(http) = &self.http {
-            let HttpReport {
-                address,
-                socket,
-                requests,
-                refused,
-                messages,
-            } = http;
+            let HttpReport { address, socket, requests, refused, messages } = http;
             let socket = socket.as_ref().map(|socket| socket.display().to_string());
             let places: Vec<&str> = address.iter().chain(&socket).map(String::as_str).collect();
             let places = places.join(" and ");
@@ -116,13 +93,7 @@ impl fmt::Display for ServeReport {
             )?;
         }
         if let Some(webhook) = &self.webhook {
-            let WebhookReport {
-                host,
-                told,
-                failed,
-                lost,
-                ticks_missed,
-            } = webhook;
+            let WebhookReport { host, told, failed, lost, ticks_missed } = webhook;
             writeln!(
                 out,
                 "told {host} of alarms of fleet {fleet}: {told} changes, {lost} lost ({ticks_missed} of them ticks without diagnostics), \

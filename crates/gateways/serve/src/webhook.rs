@@ -124,12 +124,7 @@ impl Webhook {
         let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
         let sending =
             thread.spawn(move || Sending::new(fleet, address, agent, inside).run(&waiting))?;
-        Ok(Self {
-            host,
-            shared,
-            reading,
-            sending,
-        })
+        Ok(Self { host, shared, reading, sending })
     }
 
     /// Host of the receiver.
@@ -187,9 +182,7 @@ fn address(to: &str) -> anyhow::Result<Uri> {
     let named = authority.map_or("", |authority| authority.as_str());
     let (host, port) = (address.host().unwrap_or_default(), address.port_u16());
     if port.is_none_or(|port| port == 0)
-        && named
-            .rsplit_once(host)
-            .is_some_and(|(_, rest)| rest.starts_with(':'))
+        && named.rsplit_once(host).is_some_and(|(_, rest)| rest.starts_with(':'))
     {
         return Err(anyhow!("--webhook {named}: a port is 1 to 65535"));
     }
@@ -283,12 +276,7 @@ struct Sending {
 
 impl Sending {
     const fn new(fleet: String, address: Uri, agent: Agent, shared: Arc<Shared>) -> Self {
-        Self {
-            fleet,
-            address,
-            agent,
-            shared,
-        }
+        Self { fleet, address, agent, shared }
     }
 
     /// Sends until the reader has ended and nothing waits, or the time is over.
@@ -332,11 +320,7 @@ impl Sending {
             };
             self.shared.failed.fetch_add(1, Ordering::Relaxed);
             let pause_s = pause.as_secs_f64();
-            tracing::warn!(
-                changes = count,
-                pause_s,
-                "--webhook: sent again after a pause: {why}"
-            );
+            tracing::warn!(changes = count, pause_s, "--webhook: sent again after a pause: {why}");
             if !self.pauses(pause) {
                 return;
             }
@@ -345,10 +329,7 @@ impl Sending {
     }
 
     fn send(&self, changes: &[AlarmRecord], limit: Duration) -> Answer {
-        let body = Body {
-            fleet: &self.fleet,
-            changes,
-        };
+        let body = Body { fleet: &self.fleet, changes };
         let bytes = match serde_json::to_vec(&body) {
             Ok(bytes) => bytes,
             Err(error) => return Answer::Refused(error.to_string()),
@@ -373,12 +354,7 @@ impl Sending {
         let until = Instant::now() + pause;
         loop {
             let now = Instant::now();
-            if self
-                .shared
-                .end_by
-                .get()
-                .is_some_and(|end_by| until > *end_by)
-            {
+            if self.shared.end_by.get().is_some_and(|end_by| until > *end_by) {
                 return false;
             }
             if now >= until {
@@ -395,10 +371,7 @@ mod tests {
 
     #[test]
     fn only_addresses_of_the_web_are_taken() {
-        for good in [
-            "http://127.0.0.1:9/x",
-            "https://hooks.example/T0/secret?a=b",
-        ] {
+        for good in ["http://127.0.0.1:9/x", "https://hooks.example/T0/secret?a=b"] {
             assert_eq!(address(good).unwrap().to_string(), good);
         }
         for bad in [

@@ -30,15 +30,8 @@ const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 
 /// Names of the members that have places of their own in every service: the worker with its
 /// threads, recorders, and links.
-const OWN: [&str; 7] = [
-    "worker",
-    "checkpointer",
-    "queries",
-    "alarm-log",
-    "recorder",
-    "link",
-    "link-journal",
-];
+const OWN: [&str; 7] =
+    ["worker", "checkpointer", "queries", "alarm-log", "recorder", "link", "link-journal"];
 
 pub(crate) fn is_own(name: &str) -> bool {
     OWN.contains(&name)
@@ -83,9 +76,7 @@ impl Bus {
         let node_name = NodeName::new(name)
             .ok()
             .filter(|_| !name.is_empty())
-            .ok_or_else(|| JoinError::Name {
-                name: name.to_owned(),
-            })?;
+            .ok_or_else(|| JoinError::Name { name: name.to_owned() })?;
         for warning in crate::prepare_domain(domain).unwrap_or_default() {
             tracing::warn!("{warning}");
         }
@@ -161,10 +152,7 @@ fn create_node(domain: &Domain, config: &Config, name: &NodeName) -> Result<Node
         };
         let is_full = check_left(PORT_BYTES).is_err();
         if is_full || begin.elapsed() > NODE_LIMIT {
-            return Err(JoinError::Node {
-                root: domain.directory(),
-                reason: reason.to_string(),
-            });
+            return Err(JoinError::Node { root: domain.directory(), reason: reason.to_string() });
         }
         tracing::info!(%reason, "creating a node again");
         std::thread::sleep(NODE_AGAIN_AFTER);
@@ -186,10 +174,8 @@ fn make_private(domain: &Domain) -> Result<(), JoinError> {
 /// Does not follow symbolic links, and does not change a file with further hard links.
 fn restrict(path: &Path) -> io::Result<()> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
-    let file = fs::OpenOptions::new()
-        .read(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)?;
+    let file =
+        fs::OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)?;
     let found = file.metadata()?;
     if !found.is_file() || found.uid() != effective_uid() || found.nlink() > 1 {
         return Err(io::Error::other("it is not an object of joulebus"));

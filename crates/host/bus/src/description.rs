@@ -188,11 +188,7 @@ impl Builder {
 
 impl NamedConceptBuilder<Description> for Builder {
     fn new(name: &FileName) -> Self {
-        Self {
-            name: *name,
-            config: Configuration::default(),
-            is_owner: true,
-        }
+        Self { name: *name, config: Configuration::default(), is_owner: true }
     }
 
     fn config(mut self, config: &Configuration) -> Self {
@@ -217,11 +213,7 @@ impl StaticStorageBuilder<Description> for Builder {
         } else {
             None
         };
-        Ok(Unwritten {
-            file,
-            builder: self,
-            claim,
-        })
+        Ok(Unwritten { file, builder: self, claim })
     }
 
     fn open(self, timeout: Duration) -> Result<Description, StaticStorageOpenError> {
@@ -311,10 +303,7 @@ mod tests {
 
     fn service(node: &Node<Ipc>) -> PortFactory<Ipc> {
         let name = ServiceName::new(NAME).unwrap();
-        node.service_builder(&name)
-            .event()
-            .open_or_create()
-            .unwrap()
+        node.service_builder(&name).event().open_or_create().unwrap()
     }
 
     fn end(domain: &Domain) {
@@ -338,10 +327,7 @@ mod tests {
         // SAFETY: nobody uses the service that was read.
         unsafe { Ipc::__internal_remove_service(&read, &config) }.unwrap();
         assert_eq!(named(&domain, "", &[".service"]).len(), 1);
-        assert_eq!(
-            again.unique_service_id(),
-            service(&node).unique_service_id()
-        );
+        assert_eq!(again.unique_service_id(), service(&node).unique_service_id());
         drop((again, node));
         assert!(named(&domain, "", &[".service"]).is_empty());
         end(&domain);
@@ -362,12 +348,7 @@ mod tests {
             .prefix(&FileName::new(prefix).unwrap())
             .suffix(&FileName::new(suffix).unwrap())
             .path_hint(&Path::new(path.parent().unwrap().as_os_str().as_encoded_bytes()).unwrap());
-        let begin = || {
-            Builder::new(&name)
-                .config(&storage)
-                .create_locked()
-                .unwrap()
-        };
+        let begin = || Builder::new(&name).config(&storage).create_locked().unwrap();
         let old = || {
             let file = File::open(&path).unwrap();
             file.set_modified(SystemTime::UNIX_EPOCH).unwrap();

@@ -58,10 +58,7 @@ pub(crate) fn warnings(domain: &Domain) -> Result<Vec<DomainWarning>, RootError>
     Ok(if is_memory(filesystem) {
         Vec::new()
     } else {
-        vec![DomainWarning::NotInMemory {
-            root: root.to_owned(),
-            filesystem,
-        }]
+        vec![DomainWarning::NotInMemory { root: root.to_owned(), filesystem }]
     })
 }
 
@@ -71,10 +68,7 @@ pub(crate) fn prepare_root(domain: &Domain) -> Result<(), RootError> {
     if is_missing(root) {
         let parent = root.parent().unwrap_or(Path::new("/"));
         if is_missing(parent) {
-            return Err(RootError::NoParent {
-                path: root.to_owned(),
-                parent: parent.to_owned(),
-            });
+            return Err(RootError::NoParent { path: root.to_owned(), parent: parent.to_owned() });
         }
         Marked::root(domain).create()?;
     }

@@ -23,10 +23,8 @@ const CREATION_TIMEOUT_MS: u64 = 300;
 /// it cleans up a dead node whose details are missing, so nothing cleans up but
 /// [`remove_dead_nodes`](crate::cleanup::dead_nodes::remove_dead_nodes).
 pub(crate) fn config_for(domain: &Domain) -> Result<Config, IceoryxConfigError> {
-    let refused = |what: &'static str| IceoryxConfigError::Refused {
-        what,
-        domain: Box::new(domain.clone()),
-    };
+    let refused =
+        |what: &'static str| IceoryxConfigError::Refused { what, domain: Box::new(domain.clone()) };
     let mut config = Config::default();
     let global = &mut config.global;
     global.prefix = FileName::new(domain.shm_prefix().as_bytes()).map_err(|_| refused("prefix"))?;

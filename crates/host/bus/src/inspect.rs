@@ -81,16 +81,11 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let root = root_info(domain)?;
     let root_error = root.as_ref().and_then(|_| directory_error(domain));
     let objects = objects(domain)?;
-    let (mine, others): (Vec<_>, Vec<_>) = objects
-        .into_iter()
-        .partition(|object| object.owner == effective_uid());
+    let (mine, others): (Vec<_>, Vec<_>) =
+        objects.into_iter().partition(|object| object.owner == effective_uid());
     Ok(Inspection {
         // Files of other users are not read.
-        nodes: if root_error.is_none() {
-            nodes(domain)?
-        } else {
-            Vec::new()
-        },
+        nodes: if root_error.is_none() { nodes(domain)? } else { Vec::new() },
         worker: WorkerLock::owner(domain).unwrap_or_default(),
         incomplete: incomplete_objects(domain)?,
         foreign: others.into_iter().map(|object| object.path).collect(),
@@ -139,20 +134,14 @@ fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
             NodeState::Inaccessible(_) | NodeState::Undefined(_) => (None, None),
         };
         found.push(NodeInfo {
-            name: details
-                .map(|node| node.name().to_string())
-                .unwrap_or_default(),
+            name: details.map(|node| node.name().to_string()).unwrap_or_default(),
             pid: details.and_then(|node| u32::try_from(node.process_id().value()).ok()),
-            executable: details
-                .map(|node| node.executable().to_string())
-                .unwrap_or_default(),
+            executable: details.map(|node| node.executable().to_string()).unwrap_or_default(),
             alive,
         });
         CallbackProgression::Continue
     })
-    .map_err(|reason| InspectError::Nodes {
-        reason: reason.to_string(),
-    })?;
+    .map_err(|reason| InspectError::Nodes { reason: reason.to_string() })?;
     Ok(found)
 }
 

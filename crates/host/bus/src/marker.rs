@@ -149,10 +149,7 @@ impl Marked {
 
     fn read_marker(&self, directory: &File) -> Result<String, RootError> {
         let failed = |error| RootError::io(&self.path, error);
-        let unmarked = || RootError::Unmarked {
-            path: self.path.clone(),
-            marker: self.marker,
-        };
+        let unmarked = || RootError::Unmarked { path: self.path.clone(), marker: self.marker };
         let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let file = match openat(directory, self.marker, flags, Mode::empty()) {
             Ok(file) => File::from(file),
@@ -168,9 +165,7 @@ impl Marked {
         };
         let text = own_text(file).map_err(failed)?.ok_or_else(unmarked)?;
         if let Some(rest) = text.strip_prefix(&self.says) {
-            let boot = rest
-                .strip_prefix("boot ")
-                .and_then(|id| id.strip_suffix('\n'));
+            let boot = rest.strip_prefix("boot ").and_then(|id| id.strip_suffix('\n'));
             return Ok(boot.ok_or_else(unmarked)?.to_owned());
         }
         let Some(found) = text.strip_prefix(FIRST_LINE) else {
@@ -195,8 +190,7 @@ impl Marked {
     fn aside(&self, kind: &str) -> PathBuf {
         let number = draft_number();
         let (name, pid) = (self.name(), std::process::id());
-        self.path
-            .with_file_name(format!(".{name}.{kind}-{pid}-{number}"))
+        self.path.with_file_name(format!(".{name}.{kind}-{pid}-{number}"))
     }
 
     fn name(&self) -> &str {
@@ -269,18 +263,12 @@ fn own_text(file: File) -> io::Result<Option<String>> {
 
 fn open_regular(path: &Path) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
-    fs::OpenOptions::new()
-        .read(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)
+    fs::OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)
 }
 
 pub(crate) fn open_directory(path: &Path) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::DIRECTORY;
-    fs::OpenOptions::new()
-        .read(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)
+    fs::OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)
 }
 
 /// Never replaces an existing path, not even an empty directory.

@@ -92,10 +92,7 @@ impl Membership {
         domain: &Domain,
         report: &mut SweepReport,
     ) -> Result<Option<MembersLock>, JoinError> {
-        let failed = |source| JoinError::Lock {
-            path: domain.members_file(),
-            source,
-        };
+        let failed = |source| JoinError::Lock { path: domain.members_file(), source };
         crate::prepare_domain(domain)?;
         let lock = MembersLock::open(domain).map_err(failed)?;
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {

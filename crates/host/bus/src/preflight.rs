@@ -71,10 +71,7 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
         ..measure()?
     };
     if report.needed_bytes > report.free_bytes {
-        return Err(CapacityError::Memory {
-            needed: report.needed_bytes,
-            free: report.free_bytes,
-        });
+        return Err(CapacityError::Memory { needed: report.needed_bytes, free: report.free_bytes });
     }
     let descriptors = report.descriptors_needed + report.descriptors_used;
     if descriptors > report.descriptors_limit {
@@ -114,10 +111,7 @@ fn descriptors_used() -> io::Result<u64> {
 /// Free bytes and total bytes of `/dev/shm`.
 pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
     let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
-    Ok((
-        shm.f_bavail.saturating_mul(shm.f_frsize),
-        shm.f_blocks.saturating_mul(shm.f_frsize),
-    ))
+    Ok((shm.f_bavail.saturating_mul(shm.f_frsize), shm.f_blocks.saturating_mul(shm.f_frsize)))
 }
 
 /// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared
@@ -128,11 +122,7 @@ pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
     let used = descriptors_used().unwrap_or(limit);
     let needed = used.saturating_add(PORT_DESCRIPTORS);
     if needed > limit {
-        return Err(CapacityError::Descriptors {
-            needed,
-            used,
-            limit,
-        });
+        return Err(CapacityError::Descriptors { needed, used, limit });
     }
     Ok(())
 }

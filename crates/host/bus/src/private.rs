@@ -19,11 +19,7 @@ pub(crate) fn check_own(path: &Path) -> Result<fs::Metadata, RootError> {
     }
     let (owner, expected) = (found.uid(), effective_uid());
     if owner != expected {
-        return Err(RootError::Owner {
-            path,
-            found: owner,
-            expected,
-        });
+        return Err(RootError::Owner { path, found: owner, expected });
     }
     Ok(found)
 }
@@ -130,10 +126,7 @@ pub enum RootError {
 
 impl RootError {
     pub(crate) fn io(path: &Path, source: io::Error) -> Self {
-        Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Io { path: path.to_owned(), source }
     }
 
     /// True if the last member has removed the directory in the meantime.

@@ -15,10 +15,7 @@ static ALLOCATOR: counting::Counting = counting::Counting;
 fn only_loans_allocate_and_once_each() {
     let root = format!("/dev/shm/joulebus-allocations-{}", std::process::id());
     let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
-    let limits = Limits {
-        capacity: 100,
-        ..Limits::default()
-    };
+    let limits = Limits { capacity: 100, ..Limits::default() };
     let _lock = WorkerLock::acquire(&domain).unwrap();
     let bus = Bus::join(&domain, "test").unwrap();
     let mut source = bus.sample_writer(&limits, 100).unwrap();
@@ -33,19 +30,12 @@ fn only_loans_allocate_and_once_each() {
     for round in 0..200_u64 {
         let header = SampleHeader::default();
         let sent = allocations(|| {
-            source
-                .send(header, 100, |i| Sample::new(i as u32, round, 1))
-                .unwrap();
+            source.send(header, 100, |i| Sample::new(i as u32, round, 1)).unwrap();
         });
         let waited = allocations(|| {
             assert!(arrivals.wait_until(None, None).unwrap().frame);
             let soon_ns = clock::monotonic_ns() + 100_000;
-            assert!(
-                arrivals
-                    .wait_until(Some(soon_ns), None)
-                    .unwrap()
-                    .is_nothing()
-            );
+            assert!(arrivals.wait_until(Some(soon_ns), None).unwrap().is_nothing());
         });
         let taken = allocations(|| {
             assert!(samples.take(&mut frame).unwrap());
@@ -64,11 +54,7 @@ fn only_loans_allocate_and_once_each() {
             assert!(planner.take_latest().unwrap().is_none());
         });
         if round >= 10 {
-            assert_eq!(
-                [sent, waited, taken, answered, read],
-                [1, 0, 0, 1, 0],
-                "round {round}"
-            );
+            assert_eq!([sent, waited, taken, answered, read], [1, 0, 0, 1, 0], "round {round}");
         }
     }
 }

@@ -31,11 +31,7 @@ fn held(domain: &Domain) -> (usize, usize, usize) {
         name.to_string_lossy().starts_with(domain.shm_prefix())
     });
     let descriptors = fs::read_dir("/proc/self/fd").into_iter().flatten();
-    (
-        descriptors.count(),
-        objects.count(),
-        files(&domain.directory()),
-    )
+    (descriptors.count(), objects.count(), files(&domain.directory()))
 }
 
 /// [`held`] without what is open for a moment only.
@@ -51,12 +47,7 @@ fn least(domain: &Domain) -> (usize, usize, usize) {
 fn planners_and_sources_that_leave_give_back_every_descriptor_object_and_file() {
     let root = format!("/dev/shm/joulebus-recycling-{}", std::process::id());
     let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
-    let limits = Limits {
-        capacity: 4,
-        max_sources: 2,
-        max_planners: 2,
-        ..Limits::default()
-    };
+    let limits = Limits { capacity: 4, max_sources: 2, max_planners: 2, ..Limits::default() };
     let lives: u64 = std::env::var("JOULEBUS_LIVES").map_or(LIVES, |text| text.parse().unwrap());
     let lock = WorkerLock::acquire(&domain).unwrap();
     let bus = Bus::join(&domain, "worker").unwrap();
@@ -68,19 +59,11 @@ fn planners_and_sources_that_leave_give_back_every_descriptor_object_and_file() 
         let member = Bus::join(&domain, "guest").unwrap();
         let mut planner = member.reader::<Forecasts>(&limits).unwrap();
         let mut source = member.sample_writer(&limits, 4).unwrap();
-        let header = ForecastHeader {
-            tick: life,
-            ..ForecastHeader::default()
-        };
+        let header = ForecastHeader { tick: life, ..ForecastHeader::default() };
         forecasts.send(header, 4, |_| Forecast::default()).unwrap();
-        let tick = planner
-            .take_latest()
-            .unwrap()
-            .map(|frame| frame.header().tick);
+        let tick = planner.take_latest().unwrap().map(|frame| frame.header().tick);
         assert_eq!(tick, Some(life));
-        source
-            .send(SampleHeader::default(), 4, |_| Sample::new(1, life, 1))
-            .unwrap();
+        source.send(SampleHeader::default(), 4, |_| Sample::new(1, life, 1)).unwrap();
         assert!(samples.take(&mut frame).unwrap(), "life {life}");
         assert_eq!(frame.samples()[0].seq, life);
         drop((planner, source, member));

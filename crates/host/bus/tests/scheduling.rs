@@ -14,12 +14,7 @@ use rustix::thread::{CapabilitySet, CapabilitySets, capabilities, sched_getaffin
 /// Policy (1 is SCHED_FIFO) and priority of the calling thread.
 fn policy() -> (u32, u32) {
     let text = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
-    let fields: Vec<&str> = text
-        .rsplit(')')
-        .next()
-        .unwrap()
-        .split_whitespace()
-        .collect();
+    let fields: Vec<&str> = text.rsplit(')').next().unwrap().split_whitespace().collect();
     (fields[38].parse().unwrap(), fields[37].parse().unwrap())
 }
 
@@ -29,17 +24,11 @@ fn without_rights() {
     let held = capabilities(None).unwrap();
     let taken = CapabilitySet::SYS_NICE | CapabilitySet::IPC_LOCK | CapabilitySet::SYS_RESOURCE;
     let limits = getrlimit(Resource::Memlock);
-    for (resource, current) in [
-        (Resource::Rtprio, Some(0)),
-        (Resource::Memlock, Some(65_536)),
-    ] {
+    for (resource, current) in [(Resource::Rtprio, Some(0)), (Resource::Memlock, Some(65_536))] {
         let maximum = getrlimit(resource).maximum;
         setrlimit(resource, Rlimit { current, maximum }).unwrap();
     }
-    assert!(
-        limits.maximum.is_none_or(|most| most >= 65_536),
-        "{limits:?}"
-    );
+    assert!(limits.maximum.is_none_or(|most| most >= 65_536), "{limits:?}");
     let sets = CapabilitySets {
         effective: held.effective - taken,
         permitted: held.permitted - taken,
@@ -52,10 +41,7 @@ fn without_rights() {
 fn affinity_applies_to_the_requesting_thread() {
     let allowed = Rights::of_this_process().cpus;
     let cpu = *allowed.last().unwrap();
-    let asked = Scheduling {
-        cpus: vec![cpu],
-        ..Scheduling::default()
-    };
+    let asked = Scheduling { cpus: vec![cpu], ..Scheduling::default() };
     thread::spawn(move || {
         let before = thread::spawn(|| {
             thread::park();
@@ -76,11 +62,7 @@ fn affinity_applies_to_the_requesting_thread() {
 
 #[test]
 fn threads_of_a_real_time_thread_are_scheduled_normally() {
-    let asked = Scheduling {
-        priority: 3,
-        required: true,
-        ..Scheduling::default()
-    };
+    let asked = Scheduling { priority: 3, required: true, ..Scheduling::default() };
     thread::spawn(move || {
         if let Err(error) = schedule_process(&asked) {
             println!("skipped: {error}");
@@ -98,12 +80,8 @@ fn threads_of_a_real_time_thread_are_scheduled_normally() {
 fn a_refusal_states_the_limit_the_capability_and_the_key() {
     thread::spawn(|| {
         without_rights();
-        let wanted = Scheduling {
-            cpus: vec![1023],
-            priority: 20,
-            lock_memory: true,
-            required: false,
-        };
+        let wanted =
+            Scheduling { cpus: vec![1023], priority: 20, lock_memory: true, required: false };
         let refused = schedule_process(&wanted).unwrap();
         let [memory, cpu, priority] = &refused[..] else {
             panic!("{refused:?}");
@@ -114,32 +92,12 @@ fn a_refusal_states_the_limit_the_capability_and_the_key() {
                 assert!(text.contains(part), "no {part:?} in: {text}");
             }
         };
-        says(
-            memory,
-            &[
-                "RLIMIT_MEMLOCK is 64 kB",
-                "CAP_IPC_LOCK is missing",
-                "`worker.memory",
-            ],
-        );
+        says(memory, &["RLIMIT_MEMLOCK is 64 kB", "CAP_IPC_LOCK is missing", "`worker.memory"]);
         says(cpu, &["CPU 1023", "`worker.cpus`"]);
-        says(
-            priority,
-            &[
-                "RLIMIT_RTPRIO is 0",
-                "CAP_SYS_NICE is missing",
-                "LimitRTPRIO=20",
-            ],
-        );
+        says(priority, &["RLIMIT_RTPRIO is 0", "CAP_SYS_NICE is missing", "LimitRTPRIO=20"]);
         assert_eq!(try_scheduling(&wanted).unwrap().len(), 3);
-        let required = Scheduling {
-            required: true,
-            ..wanted
-        };
-        assert!(matches!(
-            schedule_process(&required),
-            Err(SchedulingError::Memory { .. })
-        ));
+        let required = Scheduling { required: true, ..wanted };
+        assert!(matches!(schedule_process(&required), Err(SchedulingError::Memory { .. })));
         assert_eq!(policy(), (0, 0), "scheduling unchanged");
     })
     .join()

@@ -9,23 +9,14 @@ pub(crate) const FLEET: &str = include_str!("../configs/fleet.toml");
 
 const PLATFORMS: &[(&str, &str)] = &[
     ("gternal", include_str!("../configs/platforms/gternal.toml")),
-    (
-        "robotino",
-        include_str!("../configs/platforms/robotino.toml"),
-    ),
+    ("robotino", include_str!("../configs/platforms/robotino.toml")),
     ("husky", include_str!("../configs/platforms/husky.toml")),
     ("rover", include_str!("../configs/platforms/rover.toml")),
 ];
 
 const MODELS: &[(&str, &[u8])] = &[
-    (
-        "gternal-sim",
-        include_bytes!("../configs/models/gternal-sim.safetensors"),
-    ),
-    (
-        "gternal-sim-power",
-        include_bytes!("../configs/models/gternal-sim-power.safetensors"),
-    ),
+    ("gternal-sim", include_bytes!("../configs/models/gternal-sim.safetensors")),
+    ("gternal-sim-power", include_bytes!("../configs/models/gternal-sim-power.safetensors")),
     (
         "gternal-sim-freshness",
         include_bytes!("../configs/models/gternal-sim-freshness.safetensors"),
@@ -40,9 +31,7 @@ pub fn builtin_platforms() -> impl Iterator<Item = &'static str> {
 /// The annotated file of a built-in platform.
 #[must_use]
 pub fn builtin_platform(name: &str) -> Option<&'static str> {
-    PLATFORMS
-        .iter()
-        .find_map(|(known, text)| (*known == name).then_some(*text))
+    PLATFORMS.iter().find_map(|(known, text)| (*known == name).then_some(*text))
 }
 
 /// Names of the built-in models, for `model = "builtin:<name>"`.

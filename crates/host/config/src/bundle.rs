@@ -67,11 +67,8 @@ impl Config {
 fn model(source: &ModelSource) -> Result<Option<(String, Vec<u8>)>, BundleError> {
     match source {
         ModelSource::File(path) => {
-            let bytes =
-                joulebus_files::read(path, MAX_BYTES).map_err(|source| BundleError::Model {
-                    path: path.clone(),
-                    source,
-                })?;
+            let bytes = joulebus_files::read(path, MAX_BYTES)
+                .map_err(|source| BundleError::Model { path: path.clone(), source })?;
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             Ok(Some((name.into_owned(), bytes)))
         }

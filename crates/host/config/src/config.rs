@@ -112,10 +112,8 @@ impl Config {
     }
 
     fn load_within(path: &Path, within: Option<&Path>) -> Result<Self, ConfigError> {
-        let text = files::read(path).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = files::read(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let directory = path.parent().unwrap_or(Path::new(""));
         Self::read(&text, &path.display().to_string(), directory, within)
     }
@@ -143,11 +141,7 @@ impl Config {
             files::platforms(&mut read, within, &mut problems);
             consistency::check(&read, &source.name, &mut problems, &mut warnings);
         }
-        let built = if problems.is_empty() {
-            Self::build(&read, &mut problems)
-        } else {
-            None
-        };
+        let built = if problems.is_empty() { Self::build(&read, &mut problems) } else { None };
         match built {
             Some(config) if problems.is_empty() => Ok(Self { warnings, ..config }),
             _ => {
@@ -316,16 +310,10 @@ struct Builder<'a>(&'a Values);
 impl Builder<'_> {
     fn config(read: &FleetFile) -> Option<Config> {
         let fleet = Builder(&read.values);
-        let platforms: Option<Vec<Platform>> = read
-            .platforms
-            .iter()
-            .map(|listed| Builder(&listed.values).platform(&fleet))
-            .collect();
-        let models: Option<Vec<ModelSource>> = read
-            .platforms
-            .iter()
-            .map(|listed| files::model(&listed.values))
-            .collect();
+        let platforms: Option<Vec<Platform>> =
+            read.platforms.iter().map(|listed| Builder(&listed.values).platform(&fleet)).collect();
+        let models: Option<Vec<ModelSource>> =
+            read.platforms.iter().map(|listed| files::model(&listed.values)).collect();
         let checkpoint = fleet.checkpoint()?;
         Some(Config {
             fleet: fleet.0.text("fleet.name")?,
@@ -438,16 +426,10 @@ impl Builder<'_> {
     fn platform(&self, fleet: &Self) -> Option<Platform> {
         let number = |path| self.single(path);
         let time_ns = |path| Some(ns(self.0.number(path)?));
-        let battery = if self.0.names_any("platform.battery.") {
-            Some(self.battery()?)
-        } else {
-            None
-        };
-        let alarms = if self.0.names_any("platform.alarms.") {
-            Some(self.limits(fleet)?)
-        } else {
-            None
-        };
+        let battery =
+            if self.0.names_any("platform.battery.") { Some(self.battery()?) } else { None };
+        let alarms =
+            if self.0.names_any("platform.alarms.") { Some(self.limits(fleet)?) } else { None };
         Some(Platform {
             name: self.0.text("platform.name")?,
             robots: self.0.robots(),
@@ -525,9 +507,5 @@ impl Builder<'_> {
 
 fn recordings(listed: &Listed) -> RecordingOptions {
     let text = |name: &str| listed.values.text(&format!("platform.recordings.{name}"));
-    RecordingOptions {
-        map: text("map"),
-        current: text("current"),
-        accept: text("accept"),
-    }
+    RecordingOptions { map: text("map"), current: text("current"), accept: text("accept") }
 }

@@ -87,25 +87,14 @@ fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &
 /// An inconsistency, reported at the first of the two keys that a file sets.
 fn contradiction(keys: [(&Values, &str); 2], what: &str, remedy: &str) -> Problem {
     let [first, second] = keys;
-    let (values, key) = if first.0.names(first.1) {
-        first
-    } else {
-        second
-    };
-    complaint(
-        values,
-        key,
-        format!("contradicts: {what}"),
-        remedy.to_owned(),
-    )
+    let (values, key) = if first.0.names(first.1) { first } else { second };
+    complaint(values, key, format!("contradicts: {what}"), remedy.to_owned())
 }
 
 fn tick(fleet: &Values, problems: &mut Vec<Problem>) {
-    let (Some(policy), Some(rate_hz), Some(deadline_ms)) = (
-        fleet.text("tick.policy"),
-        fleet.number("tick.rate_hz"),
-        fleet.number("tick.deadline_ms"),
-    ) else {
+    let (Some(policy), Some(rate_hz), Some(deadline_ms)) =
+        (fleet.text("tick.policy"), fleet.number("tick.rate_hz"), fleet.number("tick.deadline_ms"))
+    else {
         return;
     };
     if policy == "on_frame" && deadline_ms * rate_hz >= 1000.0 {
@@ -123,10 +112,9 @@ fn tick(fleet: &Values, problems: &mut Vec<Problem>) {
 }
 
 fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Problem>) {
-    let (Some(jump_s), Some(leave_s)) = (
-        fleet.number("intake.max_jump_s"),
-        fleet.number("intake.leave_after_s"),
-    ) else {
+    let (Some(jump_s), Some(leave_s)) =
+        (fleet.number("intake.max_jump_s"), fleet.number("intake.leave_after_s"))
+    else {
         return;
     };
     let (jump, leave) = ("intake.max_jump_s", "intake.leave_after_s");
@@ -134,11 +122,7 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
         warnings.push(complaint(
             fleet,
             if fleet.names(jump) { jump } else { leave },
-            format!(
-                "is doubtful: {} is below {}",
-                fleet.quote(jump),
-                fleet.quote(leave)
-            ),
+            format!("is doubtful: {} is below {}", fleet.quote(jump), fleet.quote(leave)),
             "A robot that returns in between is refused until it has left: raise max_jump_s"
                 .to_owned(),
         ));
@@ -149,9 +133,7 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
         return;
     };
     if every_s * rate_hz < 1.0
-        && fleet
-            .text("ledger.checkpoint")
-            .is_some_and(|path| !path.is_empty())
+        && fleet.text("ledger.checkpoint").is_some_and(|path| !path.is_empty())
     {
         problems.push(contradiction(
             [(fleet, "ledger.every_s"), (fleet, "tick.rate_hz")],
@@ -168,10 +150,9 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
 /// A thread beyond the list would share the main tick thread's CPU and wait for it.
 fn threads(fleet: &Values, problems: &mut Vec<Problem>) {
     let (threads, cpus) = ("worker.threads", "worker.cpus");
-    let (Some(asked), Some(listed)) = (
-        fleet.number(threads),
-        fleet.text(cpus).and_then(|list| cpus::parse(&list)),
-    ) else {
+    let (Some(asked), Some(listed)) =
+        (fleet.number(threads), fleet.text(cpus).and_then(|list| cpus::parse(&list)))
+    else {
         return;
     };
     let found = listed.len();
@@ -211,11 +192,7 @@ fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
     let nothing = asked == 0.0
         && fleet.text(cpus).is_some_and(|list| list.trim().is_empty())
         && fleet.text(memory).is_some_and(|word| word == "unlocked");
-    if nothing
-        && fleet
-            .text("worker.if_refused")
-            .is_some_and(|word| word == "stop")
-    {
+    if nothing && fleet.text("worker.if_refused").is_some_and(|word| word == "stop") {
         warnings.push(complaint(
             fleet,
             "worker.if_refused",
@@ -246,10 +223,7 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
         warnings.push(complaint(
             values,
             scale,
-            format!(
-                "has no effect: the file of {} states its own",
-                values.quote(model)
-            ),
+            format!("has no effect: the file of {} states its own", values.quote(model)),
             "Remove it, or write model = \"persistence\"".to_owned(),
         ));
     }
@@ -319,11 +293,8 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
             continue;
         };
         if short_s > long_s {
-            let what = format!(
-                "{} is below {}",
-                longer.0.quote(longer.1),
-                shorter.0.quote(shorter.1)
-            );
+            let what =
+                format!("{} is below {}", longer.0.quote(longer.1), shorter.0.quote(shorter.1));
             problems.push(contradiction([longer, shorter], &what, remedy));
         }
     }
@@ -331,10 +302,9 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
 }
 
 fn backlog(values: &Values, fleet: &Values, rate_hz: f64, problems: &mut Vec<Problem>) {
-    let (Some(tick_hz), Some(most)) = (
-        fleet.number("tick.rate_hz"),
-        fleet.number("intake.max_samples_per_tick"),
-    ) else {
+    let (Some(tick_hz), Some(most)) =
+        (fleet.number("tick.rate_hz"), fleet.number("intake.max_samples_per_tick"))
+    else {
         return;
     };
     if rate_hz > tick_hz * most {
@@ -345,10 +315,7 @@ fn backlog(values: &Values, fleet: &Values, rate_hz: f64, problems: &mut Vec<Pro
             fleet.quote("intake.max_samples_per_tick")
         );
         problems.push(contradiction(
-            [
-                (values, "platform.rate_hz"),
-                (fleet, "intake.max_samples_per_tick"),
-            ],
+            [(values, "platform.rate_hz"), (fleet, "intake.max_samples_per_tick")],
             &what,
             "Samples would be dropped at every tick: raise max_samples_per_tick or the tick's rate",
         ));
@@ -356,11 +323,8 @@ fn backlog(values: &Values, fleet: &Values, rate_hz: f64, problems: &mut Vec<Pro
 }
 
 fn limits(values: &Values, problems: &mut Vec<Problem>) {
-    let (min, max, step) = (
-        "platform.power_min_w",
-        "platform.power_max_w",
-        "platform.power_resolution_w",
-    );
+    let (min, max, step) =
+        ("platform.power_min_w", "platform.power_max_w", "platform.power_resolution_w");
     let (Some(min_w), Some(max_w)) = (values.number(min), values.number(max)) else {
         return;
     };
@@ -373,10 +337,7 @@ fn limits(values: &Values, problems: &mut Vec<Problem>) {
         ));
         return;
     }
-    if values
-        .number(step)
-        .is_some_and(|step_w| step_w >= max_w - min_w)
-    {
+    if values.number(step).is_some_and(|step_w| step_w >= max_w - min_w) {
         let what = format!(
             "{} is not below the span from {} to {}",
             values.quote(step),
@@ -404,10 +365,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
     else {
         return;
     };
-    if values
-        .number(low)
-        .is_some_and(|low_share| low_share > soc_share)
-    {
+    if values.number(low).is_some_and(|low_share| low_share > soc_share) {
         let what = format!("{} is above {}", values.quote(low), values.quote(soc));
         problems.push(contradiction(
             [(values, low), (values, soc)],
@@ -417,11 +375,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
     }
     for (below, above, why) in [
         ("critical", "low", "A critical battery is low too"),
-        (
-            "return_wh",
-            "capacity_wh",
-            "No full battery would be enough",
-        ),
+        ("return_wh", "capacity_wh", "No full battery would be enough"),
     ] {
         let [below, above] = [below, above].map(|name| format!("platform.battery.{name}"));
         let shares = (values.number(&below), values.number(&above));
@@ -437,11 +391,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
         }
     }
     if reserve_share >= soc_share {
-        let what = format!(
-            "{} is not below {}",
-            values.quote(reserve),
-            values.quote(soc)
-        );
+        let what = format!("{} is not below {}", values.quote(reserve), values.quote(soc));
         problems.push(contradiction(
             [(values, reserve), (values, soc)],
             &what,
@@ -509,22 +459,14 @@ fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     let key = "platform.robots";
     let line = |owned: &Owned<'_>| owned.1.place(key).map_or(0, |place| place.line);
     let quote = |owned: &Owned<'_>| {
-        let place = owned
-            .1
-            .place(key)
-            .map_or_else(String::new, Place::to_string);
+        let place = owned.1.place(key).map_or_else(String::new, Place::to_string);
         format!("{} ({place})", robots::text(&owned.0))
     };
     let later = if line(one) > line(other) { one } else { other };
     complaint(
         later.1,
         key,
-        format!(
-            "contradicts: {} and {} share robot {}",
-            quote(one),
-            quote(other),
-            other.0.start()
-        ),
+        format!("contradicts: {} and {} share robot {}", quote(one), quote(other), other.0.start()),
         "Remove it from one of them: a robot belongs to at most one platform, once".to_owned(),
     )
 }

@@ -70,11 +70,7 @@ impl Source<'_> {
             read.cut_short = true;
             return read;
         };
-        let mut walk = Walk {
-            source: self,
-            file: File::Fleet,
-            problems,
-        };
+        let mut walk = Walk { source: self, file: File::Fleet, problems };
         for (key, item) in document.get_ref() {
             if key.get_ref() != "platform" {
                 walk.item(key, item, key.get_ref(), &mut read.values);
@@ -118,11 +114,7 @@ impl Source<'_> {
     pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Option<Values> {
         let mut values = Values::default();
         let document = self.document(problems)?;
-        let mut walk = Walk {
-            source: self,
-            file: File::Platform,
-            problems,
-        };
+        let mut walk = Walk { source: self, file: File::Platform, problems };
         walk.table(document.get_ref(), "platform", &mut values);
         Some(values)
     }
@@ -160,21 +152,14 @@ impl Source<'_> {
         let place = self.place(start..start);
         let message = error.message().trim().replace('\n', "; ");
         let (key, what, remedy) = if message.contains("duplicate key") {
-            let key = error
-                .span()
-                .and_then(|span| self.text.get(span))
-                .unwrap_or("");
+            let key = error.span().and_then(|span| self.text.get(span)).unwrap_or("");
             let first = first_of(self.text, place.line)
                 .map_or_else(|| "before".to_owned(), |line| format!("in line {line}"));
             let what = format!("is set again; it was first set {first}");
             (key.trim().to_owned(), what, "Keep one of the two")
         } else {
             let what = format!("this is not TOML: {message}");
-            (
-                String::new(),
-                what,
-                "Correct the line; the rest of the file was not checked",
-            )
+            (String::new(), what, "Correct the line; the rest of the file was not checked")
         };
         Problem {
             file: place.file.to_string(),
@@ -211,11 +196,7 @@ fn shown(text: &str) -> Cow<'_, str> {
 /// The line before `line` that sets the same key or opens the same section.
 fn first_of(text: &str, line: usize) -> Option<usize> {
     let head = |line: &str| -> Option<String> {
-        let end = line.find(if line.trim_start().starts_with('[') {
-            ']'
-        } else {
-            '='
-        })?;
+        let end = line.find(if line.trim_start().starts_with('[') { ']' } else { '=' })?;
         Some(line[..=end].split_whitespace().collect())
     };
     let lines: Vec<&str> = text.lines().collect();
@@ -264,10 +245,7 @@ impl Walk<'_> {
                 None => self.wrong(
                     &place,
                     path,
-                    format!(
-                        "is {}, but it is the name of a section",
-                        self.source.found(item)
-                    ),
+                    format!("is {}, but it is the name of a section", self.source.found(item)),
                     format!(
                         "Write [{path}] on a line of its own, and the keys of the section below it"
                     ),
@@ -340,10 +318,7 @@ impl Walk<'_> {
             (what, format!("{advice}Allowed: {}", key.facts()))
         };
         let mistaken = || {
-            let advice = item
-                .get_ref()
-                .as_str()
-                .and_then(|text| remedy::number_in_text(key, text));
+            let advice = item.get_ref().as_str().and_then(|text| remedy::number_in_text(key, text));
             refused(format!("is {}", self.source.found(item)), advice)
         };
         match key.kind {
@@ -388,10 +363,8 @@ impl Walk<'_> {
             }
             ValueKind::Robots => {
                 let list = item.get_ref().as_array().ok_or_else(mistaken)?;
-                let ranges: Result<Vec<_>, String> = list
-                    .iter()
-                    .map(|entry| robots::parse(entry, self.source.text))
-                    .collect();
+                let ranges: Result<Vec<_>, String> =
+                    list.iter().map(|entry| robots::parse(entry, self.source.text)).collect();
                 Ok(Value::Robots(ranges.map_err(|what| refused(what, None))?))
             }
         }

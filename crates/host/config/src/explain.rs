@@ -81,9 +81,8 @@ fn asked_for(path: Option<&str>) -> Result<Vec<&'static Key>, UnknownKey> {
     }
     let section = format!("{path}.");
     let of_section = KEYS.iter().filter(|key| key.path.starts_with(&section));
-    let in_platform_file = KEYS
-        .iter()
-        .filter(|key| key.file == File::Platform && key.path_in_file() == path);
+    let in_platform_file =
+        KEYS.iter().filter(|key| key.file == File::Platform && key.path_in_file() == path);
     let found: Vec<&Key> = of_section.chain(in_platform_file).collect();
     if found.is_empty() {
         return Err(UnknownKey {

@@ -75,10 +75,7 @@ fn platform(
     }
     let text = read(&path).map_err(|error| {
         let what = format!("names {}, which cannot be read: {error}", path.display());
-        (
-            what,
-            "The path is relative to the file that names it".to_owned(),
-        )
+        (what, "The path is relative to the file that names it".to_owned())
     })?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let source = Source::new(&text, &path.display().to_string(), Some(folder));

@@ -166,10 +166,7 @@ impl Key {
 
 /// The voltages that a text lists, if they are a table of open-circuit voltages.
 pub(crate) fn voltages(text: &str) -> Option<Vec<f64>> {
-    let volts: Option<Vec<f64>> = text
-        .split(',')
-        .map(|volts| volts.trim().parse().ok())
-        .collect();
+    let volts: Option<Vec<f64>> = text.split(',').map(|volts| volts.trim().parse().ok()).collect();
     let inside = |volts: &Vec<f64>| volts.iter().all(|it| bounds::OPEN_CIRCUIT_V.contains(it));
     let volts = volts.filter(inside)?;
     // Resistance and deviation are checked as keys of their own.
@@ -201,10 +198,9 @@ impl TextRule {
             !text.is_empty() && text.len() <= most && text.chars().all(allowed)
         };
         match self {
-            Self::Name => made_of(
-                |letter| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_'),
-                32,
-            ),
+            Self::Name => {
+                made_of(|letter| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_'), 32)
+            }
             Self::Prefix => made_of(
                 |letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '_',
                 8,
@@ -214,10 +210,7 @@ impl TextRule {
                     && text.len() <= 60
                     && !text.contains('\0')
                     && !text.split('/').any(|part| part == "..")
-                    && text
-                        .replace("{uid}", "")
-                        .chars()
-                        .all(|letter| !matches!(letter, '{' | '}'))
+                    && text.replace("{uid}", "").chars().all(|letter| !matches!(letter, '{' | '}'))
             }
             Self::StateFile => !text.contains('\0'),
             Self::Voltages => text.is_empty() || voltages(text).is_some(),
@@ -226,9 +219,9 @@ impl TextRule {
                 let names = pair.split_once('=');
                 names.is_some_and(|(quantity, column)| !quantity.is_empty() && !column.is_empty())
             }),
-            Self::Findings => text
-                .chars()
-                .all(|letter| letter.is_ascii_lowercase() || "-,".contains(letter)),
+            Self::Findings => {
+                text.chars().all(|letter| letter.is_ascii_lowercase() || "-,".contains(letter))
+            }
             Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
         }
     }

@@ -18,14 +18,7 @@ const fn key(
     default: DefaultValue,
     doc: &'static str,
 ) -> Key {
-    Key {
-        path,
-        file: Fleet,
-        kind,
-        unit,
-        default,
-        doc,
-    }
+    Key { path, file: Fleet, kind, unit, default, doc }
 }
 
 const fn of_platform(mut key: Key) -> Key {
@@ -34,17 +27,11 @@ const fn of_platform(mut key: Key) -> Key {
 }
 
 const fn int(allowed: RangeInclusive<u32>) -> ValueKind {
-    ValueKind::Integer {
-        min: *allowed.start() as i64,
-        max: *allowed.end() as i64,
-    }
+    ValueKind::Integer { min: *allowed.start() as i64, max: *allowed.end() as i64 }
 }
 
 const fn num(allowed: RangeInclusive<f64>) -> ValueKind {
-    ValueKind::Number {
-        min: *allowed.start(),
-        max: *allowed.end(),
-    }
+    ValueKind::Number { min: *allowed.start(), max: *allowed.end() }
 }
 
 /// Tick rate of a fleet and sample rate of a robot, Hz.

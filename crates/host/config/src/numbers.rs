@@ -10,8 +10,6 @@ pub(crate) fn integer(value: &DeValue<'_>) -> Option<i64> {
 
 /// A number, with or without a decimal point.
 pub(crate) fn number(value: &DeValue<'_>) -> Option<f64> {
-    let float = value
-        .as_float()
-        .and_then(|float| float.as_str().parse().ok());
+    let float = value.as_float().and_then(|float| float.as_str().parse().ok());
     float.or_else(|| Some(integer(value)? as f64))
 }

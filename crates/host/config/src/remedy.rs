@@ -19,26 +19,8 @@ const UNITS: &[(&str, &[(&str, f64)])] = &[
     ),
     ("rate", &[("hz", 1.0), ("khz", 1e3)]),
     ("power", &[("w", 1.0), ("mw", 1e-3), ("kw", 1e3)]),
-    (
-        "energy",
-        &[
-            ("wh", 1.0),
-            ("mwh", 1e-3),
-            ("kwh", 1e3),
-            ("j", 1.0 / 3600.0),
-            ("kj", 1.0 / 3.6),
-        ],
-    ),
-    (
-        "speed",
-        &[
-            ("m/s", 1.0),
-            ("mps", 1.0),
-            ("mm/s", 1e-3),
-            ("cm/s", 1e-2),
-            ("km/h", 1.0 / 3.6),
-        ],
-    ),
+    ("energy", &[("wh", 1.0), ("mwh", 1e-3), ("kwh", 1e3), ("j", 1.0 / 3600.0), ("kj", 1.0 / 3.6)]),
+    ("speed", &[("m/s", 1.0), ("mps", 1.0), ("mm/s", 1e-3), ("cm/s", 1e-2), ("km/h", 1.0 / 3.6)]),
     (
         "turn rate",
         &[
@@ -72,10 +54,7 @@ fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
         _ => return None,
     };
     // Rounded to nine digits, to hide rounding errors of the conversion.
-    converted
-        .is_finite()
-        .then(|| format!("{converted:.9e}").parse().ok())
-        .flatten()
+    converted.is_finite().then(|| format!("{converted:.9e}").parse().ok()).flatten()
 }
 
 fn within(key: &Key, value: f64) -> bool {
@@ -126,10 +105,7 @@ pub(crate) fn other_unit(key: &Key, value: f64) -> Option<String> {
     candidates.iter().find_map(|from| {
         let converted =
             convert(value, from, key.unit).filter(|converted| within(key, *converted))?;
-        Some(format!(
-            "If {value} was meant in {from}, write {converted}: the unit is {}",
-            key.unit
-        ))
+        Some(format!("If {value} was meant in {from}, write {converted}: the unit is {}", key.unit))
     })
 }
 
@@ -203,10 +179,7 @@ const REPLACED: &[(&str, &str)] = &[
         "platform.adapt",
         "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
     ),
-    (
-        "platform.forecast = mixture",
-        "\"online\", the default, replaces it",
-    ),
+    ("platform.forecast = mixture", "\"online\", the default, replaces it"),
 ];
 
 /// The replacement of a key.
@@ -237,10 +210,7 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
     if let (Some(given), Some(value), true) = (given, value, stem == key_stem)
         && let Some(converted) = convert(value, given, key.unit)
     {
-        advice += &format!(
-            ", in {}: {value} {given} is {converted} {}",
-            key.unit, key.unit
-        );
+        advice += &format!(", in {}: {value} {given} is {converted} {}", key.unit, key.unit);
     } else if name == key.name() {
         advice += ": move it there";
     }

@@ -42,11 +42,7 @@ pub(crate) fn toml(read: &FleetFile) -> String {
 /// The keys of a platform, without those of sections that it does not have.
 fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
     let given = |section: &str| values.names_any(section);
-    let sections = [
-        "platform.battery.",
-        "platform.alarms.",
-        "platform.recordings.",
-    ];
+    let sections = ["platform.battery.", "platform.alarms.", "platform.recordings."];
     let sections = sections.map(|section| (section, given(section)));
     KEYS.iter().filter(move |key| {
         let mut own = sections.iter();

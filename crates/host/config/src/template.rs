@@ -22,21 +22,13 @@ impl Assignment {
     #[must_use]
     pub fn number(key: &'static str, value: f64, note: impl Into<String>) -> Self {
         // Debug format has a decimal point or an exponent, as a float of TOML needs.
-        Self {
-            key,
-            value: format!("{value:?}"),
-            note: note.into(),
-        }
+        Self { key, value: format!("{value:?}"), note: note.into() }
     }
 
     /// A text.
     #[must_use]
     pub fn text(key: &'static str, value: &str, note: impl Into<String>) -> Self {
-        Self {
-            key,
-            value: crate::values::quoted(value),
-            note: note.into(),
-        }
+        Self { key, value: crate::values::quoted(value), note: note.into() }
     }
 }
 
@@ -56,9 +48,7 @@ pub fn fleet_file(title: &str, assignments: &[Assignment]) -> String {
 fn file(of: File, title: &str, assignments: &[Assignment]) -> String {
     let mut text = String::new();
     comment(&mut text, title);
-    let battery = assignments
-        .iter()
-        .any(|one| one.key.starts_with("battery."));
+    let battery = assignments.iter().any(|one| one.key.starts_with("battery."));
     let mut section = "";
     for key in KEYS.iter().filter(|key| key.file == of) {
         let path = key.path_in_file();
@@ -105,10 +95,7 @@ fn comment(text: &mut String, what: &str) {
             line = String::from("#");
         }
         line.push(' ');
-        line.extend(
-            word.chars()
-                .map(|letter| if letter.is_control() { '?' } else { letter }),
-        );
+        line.extend(word.chars().map(|letter| if letter.is_control() { '?' } else { letter }));
     }
     *text += &line;
     text.push('\n');
@@ -171,22 +158,10 @@ mod tests {
         assert_eq!(same.models(), config.models());
         assert!(config.warnings().is_empty(), "{:?}", config.warnings());
         for key in KEYS {
-            let text = if key.file == File::Fleet {
-                &fleet
-            } else {
-                &platform
-            };
-            assert!(
-                text.contains(&format!("\n{} = ", key.name())),
-                "{}",
-                key.path
-            );
+            let text = if key.file == File::Fleet { &fleet } else { &platform };
+            assert!(text.contains(&format!("\n{} = ", key.name())), "{}", key.path);
         }
-        let widest = fleet
-            .lines()
-            .chain(platform.lines())
-            .map(|line| line.chars().count())
-            .max();
+        let widest = fleet.lines().chain(platform.lines()).map(|line| line.chars().count()).max();
         assert!(widest <= Some(WIDTH + 20), "{widest:?}");
     }
 }

@@ -130,17 +130,9 @@ impl Values {
         let Some(key) = keys::find(path) else {
             return format!("`{path}`");
         };
-        let value = self
-            .get(path)
-            .map_or_else(|| "not set".to_owned(), |value| value.to_string());
-        let unit = if key.unit.is_empty() {
-            String::new()
-        } else {
-            format!(" {}", key.unit)
-        };
-        let place = self
-            .place(path)
-            .map_or_else(|| "default".to_owned(), Place::to_string);
+        let value = self.get(path).map_or_else(|| "not set".to_owned(), |value| value.to_string());
+        let unit = if key.unit.is_empty() { String::new() } else { format!(" {}", key.unit) };
+        let place = self.place(path).map_or_else(|| "default".to_owned(), Place::to_string);
         format!("`{}` = {value}{unit} ({place})", key.path_in_file())
     }
 }
@@ -149,9 +141,7 @@ impl Values {
 pub(crate) fn quoted(text: &str) -> String {
     let mut quoted = String::new();
     // Writing to a String cannot fail.
-    let _ = TomlStringBuilder::new(text)
-        .as_basic()
-        .write_toml_value(&mut quoted);
+    let _ = TomlStringBuilder::new(text).as_basic().write_toml_value(&mut quoted);
     quoted
 }
 

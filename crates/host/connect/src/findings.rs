@@ -51,11 +51,7 @@ impl FindingsFile {
         // What is legible may be another source's as well.
         let hash = fnv1a(source.bytes());
         let name = format!("{}{plain}-{hash:016x}", beginning(config));
-        Self {
-            path: config.root().join(name),
-            written: String::new(),
-            at: None,
-        }
+        Self { path: config.root().join(name), written: String::new(), at: None }
     }
 
     /// Says what is implausible now: robots, and the kind of what was found, in a word. Call it
@@ -201,12 +197,9 @@ mod tests {
         let config = config(folder.path(), "lab");
         let found = || implausible_robots(&config).into_iter().collect::<Vec<_>>();
         assert_eq!(found(), []);
-        let (mut one, mut other) = (
-            FindingsFile::new(&config, "bridge"),
-            FindingsFile::new(&config, "../other bridge"),
-        );
-        one.say([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")])
-            .expect("written");
+        let (mut one, mut other) =
+            (FindingsFile::new(&config, "bridge"), FindingsFile::new(&config, "../other bridge"));
+        one.say([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")]).expect("written");
         other.say([(9, "sign")]).expect("written");
         assert_eq!(found(), [3, 7, 9]);
         one.say::<&str>([]).expect("removed");

@@ -84,10 +84,7 @@ pub fn open(path: &Path) -> io::Result<File> {
     // file by then.
     look(path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
-    let file = OpenOptions::new()
-        .read(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)?;
+    let file = OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)?;
     regular(file.metadata()?)?;
     fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
     Ok(file)
@@ -100,17 +97,13 @@ pub fn open(path: &Path) -> io::Result<File> {
 pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let allowed = |found: u64| match found > max_bytes {
-        true => Err(Refused::TooLong {
-            found,
-            allowed: max_bytes,
-        }),
+        true => Err(Refused::TooLong { found, allowed: max_bytes }),
         false => Ok(()),
     };
     allowed(file.metadata()?.len())?;
     let mut bytes = Vec::new();
     // The file may grow, or the system may not know its length.
-    file.take(max_bytes.saturating_add(1))
-        .read_to_end(&mut bytes)?;
+    file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     allowed(bytes.len() as u64)?;
     Ok(bytes)
 }

@@ -117,15 +117,8 @@ impl Draft {
     fn begin(path: &Path) -> io::Result<Self> {
         let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
-        match open(
-            folder.unwrap_or(Path::new(".")),
-            flags,
-            Mode::from_raw_mode(MODE),
-        ) {
-            Ok(file) => Ok(Self {
-                file: file.into(),
-                hidden: None,
-            }),
+        match open(folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(MODE)) {
+            Ok(file) => Ok(Self { file: file.into(), hidden: None }),
             Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Self::begin_named(path),
             Err(error) => Err(error.into()),
         }
@@ -133,16 +126,9 @@ impl Draft {
 
     fn begin_named(path: &Path) -> io::Result<Self> {
         let (file, hidden) = beside(path, |hidden| {
-            File::options()
-                .read(true)
-                .write(true)
-                .create_new(true)
-                .open(hidden)
+            File::options().read(true).write(true).create_new(true).open(hidden)
         })?;
-        Ok(Self {
-            file,
-            hidden: Some(hidden),
-        })
+        Ok(Self { file, hidden: Some(hidden) })
     }
 
     /// Gives the file its name, which must be free.
@@ -322,11 +308,7 @@ mod tests {
         one.rename(&path).unwrap();
         two.rename(&path).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "it");
-        assert!(
-            begin()
-                .rename(&folder.path().join("no/such/folder"))
-                .is_err()
-        );
+        assert!(begin().rename(&folder.path().join("no/such/folder")).is_err());
         assert_eq!(names(folder.path()), ["out"]);
     }
 }

@@ -20,25 +20,15 @@ fn only_regular_files_are_opened_without_blocking() {
     fs::write(at("file"), "text").unwrap();
     fifo(&at("fifo"));
     let _socket = UnixListener::bind(at("socket")).unwrap();
-    for (link, to) in [
-        ("link", "file"),
-        ("link to a fifo", "fifo"),
-        ("dangling", "none"),
-    ] {
+    for (link, to) in [("link", "file"), ("link to a fifo", "fifo"), ("dangling", "none")] {
         symlink(at(to), at(link)).unwrap();
     }
     for (path, expected) in [
         (at("fifo"), "is a named pipe; allowed are regular files"),
-        (
-            at("link to a fifo"),
-            "is a named pipe; allowed are regular files",
-        ),
+        (at("link to a fifo"), "is a named pipe; allowed are regular files"),
         (at("socket"), "is a socket; allowed are regular files"),
         (at("."), "is a directory; allowed are regular files"),
-        (
-            PathBuf::from("/dev/zero"),
-            "is a device; allowed are regular files",
-        ),
+        (PathBuf::from("/dev/zero"), "is a device; allowed are regular files"),
         (at("dangling"), "No such file or directory (os error 2)"),
     ] {
         let refusals = [
@@ -48,12 +38,7 @@ fn only_regular_files_are_opened_without_blocking() {
             joulebus_files::look(&path).map(drop),
         ];
         for refused in refusals {
-            assert_eq!(
-                refused.unwrap_err().to_string(),
-                expected,
-                "{}",
-                path.display()
-            );
+            assert_eq!(refused.unwrap_err().to_string(), expected, "{}", path.display());
         }
     }
     for name in ["file", "link"] {
@@ -79,10 +64,7 @@ fn files_beyond_the_limit_are_refused_with_both_lengths_before_reading() {
     // A sparse file of a terabyte takes no memory.
     fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
     let refused = joulebus_files::read(&path, 9).unwrap_err();
-    assert_eq!(
-        refused.to_string(),
-        "has 1099511627776 bytes; allowed are 9"
-    );
+    assert_eq!(refused.to_string(), "has 1099511627776 bytes; allowed are 9");
     // The length of these is unknown to the system.
     let refused = joulebus_files::read(Path::new("/proc/self/status"), 9).unwrap_err();
     assert_eq!(refused.to_string(), "has 10 bytes; allowed are 9");

@@ -43,10 +43,7 @@ pub enum ModelsError {
 /// The first model that cannot be read or is refused.
 pub fn load_models(config: &Config) -> Result<Vec<Model>, ModelsError> {
     let platforms = config.settings().platforms.iter();
-    platforms
-        .zip(config.models())
-        .map(|(platform, source)| load(&platform.name, source))
-        .collect()
+    platforms.zip(config.models()).map(|(platform, source)| load(&platform.name, source)).collect()
 }
 
 fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
@@ -71,15 +68,8 @@ fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
         }
         ModelSource::Persistence { residual_std_w } => {
             let end_w = NORMAL_95 * residual_std_w;
-            let residual = ResidualStats {
-                std_w: *residual_std_w,
-                q05_w: -end_w,
-                q95_w: end_w,
-            };
-            (
-                "persistence".to_owned(),
-                Persistence::new(residual).map(Model::Persistence),
-            )
+            let residual = ResidualStats { std_w: *residual_std_w, q05_w: -end_w, q95_w: end_w };
+            ("persistence".to_owned(), Persistence::new(residual).map(Model::Persistence))
         }
     };
     loaded.map_err(|source| ModelsError::Refused {

@@ -125,9 +125,7 @@ impl Verb {
             .groups(self.required_groups.iter().map(Group::group))
             .subcommands(self.verbs.iter().map(Self::command));
         if !self.verbs.is_empty() {
-            command = command
-                .subcommand_required(true)
-                .arg_required_else_help(true);
+            command = command.subcommand_required(true).arg_required_else_help(true);
         }
         if let Some(about) = &self.about {
             command = command.about(about.as_str());
@@ -193,10 +191,7 @@ impl Described {
                     help: text(value.get_help()),
                 })
                 .collect(),
-            conflicts: conflicts
-                .iter()
-                .map(|other| other.get_id().to_string())
-                .collect(),
+            conflicts: conflicts.iter().map(|other| other.get_id().to_string()).collect(),
             is_flag,
             is_path: option.get_value_hint() == ValueHint::AnyPath,
             repeats: matches!(option.get_action(), ArgAction::Append | ArgAction::Count),
@@ -307,10 +302,7 @@ pub fn check(file: &Path, verbs: &[Command]) {
     if file.parent().is_some_and(Path::is_dir) {
         let kept = std::fs::read_to_string(file).unwrap_or_default();
         let shown = file.display();
-        assert!(
-            kept == text,
-            "{shown} is stale: run this test again with JOULEBUS_WRITE=1"
-        );
+        assert!(kept == text, "{shown} is stale: run this test again with JOULEBUS_WRITE=1");
     }
 }
 
@@ -376,10 +368,7 @@ mod tests {
         let verbs: &'static [Verb] = Vec::leak(vec![Verb::new(&Everything::command())]);
         for (words, accepted) in [
             (vec!["p", "-a", "--c", "--d", "y"], true),
-            (
-                vec!["p", "q", "--b", "1,2", "--g", "a", "b", "--", "-x"],
-                true,
-            ),
+            (vec!["p", "q", "--b", "1,2", "--g", "a", "b", "--", "-x"], true),
             (vec!["-a"], false),
             (vec!["p"], false),
             (vec!["p", "-a", "--b", "1"], false),

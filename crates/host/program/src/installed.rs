@@ -18,11 +18,7 @@ pub fn find_program(name: &str) -> anyhow::Result<PathBuf> {
     find(name, beside, env::split_paths(&path)).ok_or_else(|| {
         let place = beside.display();
         // Where this program looks for it.
-        let profile = if beside.ends_with("debug") {
-            ""
-        } else {
-            "--release "
-        };
+        let profile = if beside.ends_with("debug") { "" } else { "--release " };
         anyhow!(
             "neither {place} nor a directory of PATH has the program {name}: build it with `cargo \
              build {profile}-p {name}`, which takes a few minutes, or install it with `cargo \
@@ -56,10 +52,7 @@ mod tests {
             let directory = place.path().join(name);
             fs::create_dir(&directory)?;
             fs::write(directory.join("joulebus-x"), "")?;
-            fs::set_permissions(
-                directory.join("joulebus-x"),
-                PermissionsExt::from_mode(mode),
-            )?;
+            fs::set_permissions(directory.join("joulebus-x"), PermissionsExt::from_mode(mode))?;
             Ok(directory)
         };
         let (beside, installed) = (directory("beside", 0o755)?, directory("installed", 0o755)?);

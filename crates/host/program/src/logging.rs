@@ -36,9 +36,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
     let levels = levels.with_target(SAID, LevelFilter::INFO);
     let registry = tracing_subscriber::registry().with(levels);
-    let layer = fmt::layer()
-        .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal());
+    let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
     // Fails only if logging was already started; it is then left unchanged.
     let _ = match format {
         LogFormat::Text => registry.with(layer).try_init(),

@@ -28,19 +28,15 @@ pub fn load(path: &Path) -> anyhow::Result<Network> {
     };
     let network = Network::from_safetensors(&bytes);
     network.with_context(|| match foreign::recognise(&bytes) {
-        Some(kind) => format!(
-            "the model {shown} is refused: it is {}",
-            kind.of_any_contents()
-        ),
+        Some(kind) => format!("the model {shown} is refused: it is {}", kind.of_any_contents()),
         None => format!("the model {shown} is refused"),
     })
 }
 
 fn shipped(name: &str) -> anyhow::Result<&'static [u8]> {
     let (_, bytes) = builtin_model(name).ok_or_else(|| {
-        let names: Vec<String> = builtin_models()
-            .map(|known| format!("{BUILTIN}{known}"))
-            .collect();
+        let names: Vec<String> =
+            builtin_models().map(|known| format!("{BUILTIN}{known}")).collect();
         let names = names.join(", ");
         anyhow!(UsageError(format!(
             "no model {BUILTIN}{name} ships with the program: there are {names}"

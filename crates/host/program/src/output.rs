@@ -162,15 +162,9 @@ mod tests {
     #[test]
     fn control_characters_are_escaped() {
         for (text, shown) in [
-            (
-                "plain: größe, 3 µs, €\n\tnext",
-                "plain: größe, 3 µs, €\n\tnext",
-            ),
+            ("plain: größe, 3 µs, €\n\tnext", "plain: größe, 3 µs, €\n\tnext"),
             ("\u{1b}[2Jred\r", "\\u001b[2Jred\\u000d"),
-            (
-                "bell\u{7} null\0 delete\u{7f}",
-                "bell\\u0007 null\\u0000 delete\\u007f",
-            ),
+            ("bell\u{7} null\0 delete\u{7f}", "bell\\u0007 null\\u0000 delete\\u007f"),
             // A single character that some terminals interpret as ESC [.
             ("\u{9b}31m", "\\u009b31m"),
             ("a\u{202e}lmth.exe", "a\\u202elmth.exe"),
@@ -183,13 +177,7 @@ mod tests {
 
     #[test]
     fn json_stays_the_same_json() {
-        let names = [
-            "\u{1b}]0;x\u{7}",
-            "\u{9b}31m",
-            "a\u{202e}b",
-            "line\nbreak",
-            "\\u001b",
-        ];
+        let names = ["\u{1b}]0;x\u{7}", "\u{9b}31m", "a\u{202e}b", "line\nbreak", "\\u001b"];
         let json = serde_json::to_string_pretty(&names).unwrap();
         let read: Vec<String> = serde_json::from_str(&printable(&json)).unwrap();
         assert_eq!(read, names);

@@ -10,22 +10,15 @@ use crate::exit::UsageError;
 /// The config has no such platform.
 pub fn platform<'a>(settings: &'a FleetSettings, name: &str) -> Result<&'a Platform, UsageError> {
     let mut platforms = settings.platforms.iter();
-    platforms
-        .find(|platform| platform.name == name)
-        .ok_or_else(|| {
-            let known = names(&settings.platforms);
-            UsageError(format!(
-                "{name:?} is not a platform of the config; its platforms are: {known}"
-            ))
-        })
+    platforms.find(|platform| platform.name == name).ok_or_else(|| {
+        let known = names(&settings.platforms);
+        UsageError(format!("{name:?} is not a platform of the config; its platforms are: {known}"))
+    })
 }
 
 /// All names, for messages.
 #[must_use]
 pub fn names(platforms: &[Platform]) -> String {
-    let names: Vec<&str> = platforms
-        .iter()
-        .map(|platform| platform.name.as_str())
-        .collect();
+    let names: Vec<&str> = platforms.iter().map(|platform| platform.name.as_str()).collect();
     names.join(", ")
 }

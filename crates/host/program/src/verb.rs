@@ -53,10 +53,7 @@ mod tests {
 
     #[test]
     fn global_options_are_accepted_before_and_after_those_of_the_verb() {
-        for words in [
-            ["--format", "json", "--foxglove"],
-            ["--foxglove", "--format", "json"],
-        ] {
+        for words in [["--format", "json", "--foxglove"], ["--foxglove", "--format", "json"]] {
             let (arguments, output) = parsed(&words).expect("both are allowed");
             assert!(arguments.foxglove);
             assert_eq!(output.asked(), OutputFormat::Json);

@@ -143,12 +143,8 @@ impl Flow {
                 say("the worker runs, but has not answered for 2 s; waiting for it");
                 mention_ns = u64::MAX;
             }
-            let process = self
-                .worker
-                .as_ref()
-                .and_then(|worker| worker.process.as_ref());
-            self.waiter
-                .wait_until(Some(now_ns + POLL_INTERVAL_NS), process)?;
+            let process = self.worker.as_ref().and_then(|worker| worker.process.as_ref());
+            self.waiter.wait_until(Some(now_ns + POLL_INTERVAL_NS), process)?;
         }
     }
 
@@ -169,11 +165,7 @@ impl Flow {
             "the worker writes schema {}, this program reads {SCHEMA_VERSION}: use one version",
             header.schema
         );
-        if self
-            .worker
-            .as_ref()
-            .is_none_or(|worker| worker.epoch != header.worker_epoch)
-        {
+        if self.worker.as_ref().is_none_or(|worker| worker.epoch != header.worker_epoch) {
             if self.worker.is_some() {
                 self.unanswered += self.window.forget();
             }
@@ -192,10 +184,7 @@ impl Flow {
     }
 
     fn is_gone(&self) -> anyhow::Result<bool> {
-        let process = self
-            .worker
-            .as_ref()
-            .and_then(|worker| worker.process.as_ref());
+        let process = self.worker.as_ref().and_then(|worker| worker.process.as_ref());
         match process {
             Some(process) => Ok(process.is_gone()),
             None => Ok(WorkerLock::owner(&self.domain)?.is_none()),

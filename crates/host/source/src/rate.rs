@@ -29,15 +29,11 @@ impl FromStr for Hertz {
 /// # Errors
 /// The text is no number, or outside the range. The message has both ends.
 pub fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, String> {
-    let value: f64 = text
-        .parse()
-        .map_err(|_| format!("{text:?} is not a number ({unit})"))?;
+    let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number ({unit})"))?;
     if least <= value && value <= greatest {
         Ok(value)
     } else {
-        Err(format!(
-            "{value} {unit}: allowed are {least} to {greatest} {unit}"
-        ))
+        Err(format!("{value} {unit}: allowed are {least} to {greatest} {unit}"))
     }
 }
 
@@ -96,9 +92,7 @@ impl FromStr for Passes {
         match text.parse() {
             _ if text == "for-ever" => Ok(Self::ForEver),
             Ok(count) if count > 0 => Ok(Self::Count(count)),
-            _ => Err(format!(
-                "{text:?}: give a whole number from 1, or leave it out"
-            )),
+            _ => Err(format!("{text:?}: give a whole number from 1, or leave it out")),
         }
     }
 }

@@ -63,30 +63,16 @@ impl PublishReport {
 
 impl fmt::Display for PublishReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            fleet,
-            source,
-            robots,
-            duration_s,
-            frames_sent,
-            samples_sent,
-            ..
-        } = self;
+        let Self { fleet, source, robots, duration_s, frames_sent, samples_sent, .. } = self;
         writeln!(
             out,
             "{source} to fleet {fleet}: {samples_sent} samples of {robots} robots in {frames_sent} \
              frames, {duration_s:.1} s"
         )?;
         for (count, what) in [
-            (
-                self.frames_unheard,
-                "frames sent while no worker was connected",
-            ),
+            (self.frames_unheard, "frames sent while no worker was connected"),
             (self.frames_failed, "frames could not be sent"),
-            (
-                self.frames_unanswered,
-                "frames were not answered by the worker",
-            ),
+            (self.frames_unanswered, "frames were not answered by the worker"),
             (self.ticks_skipped, "ticks skipped: the source was stalled"),
         ] {
             if count > 0 {
@@ -102,17 +88,10 @@ impl fmt::Display for PublishReport {
         let questionable = self.trials.iter().filter(|trial| !trial.clean);
         let more = questionable.clone().count().saturating_sub(MAX_NOTES);
         for trial in questionable.take(MAX_NOTES) {
-            writeln!(
-                out,
-                "robot {}: {}: {}",
-                trial.robot, trial.file, trial.notes
-            )?;
+            writeln!(out, "robot {}: {}: {}", trial.robot, trial.file, trial.notes)?;
         }
         if more > 0 {
-            writeln!(
-                out,
-                "{more} more recordings have gaps or other oddities: see --format json"
-            )?;
+            writeln!(out, "{more} more recordings have gaps or other oddities: see --format json")?;
         }
         Ok(())
     }

@@ -65,10 +65,7 @@ impl Window {
 
     /// Records a frame sent at `sent_ns`.
     pub fn sent(&mut self, frame: &[Sample], sent_ns: u64) {
-        self.frames.push_back(Outstanding {
-            sent_ns,
-            robots: by_robot(frame),
-        });
+        self.frames.push_back(Outstanding { sent_ns, robots: by_robot(frame) });
     }
 
     /// Records that a tick that began at `started_ns` has answered these robots' samples.
@@ -133,15 +130,9 @@ mod tests {
             assert!(window.has_capacity(&frame(&[(1, seq)])));
             window.sent(&frame(&[(1, seq)]), 10 + seq);
         }
-        assert!(
-            !window.has_capacity(&frame(&[(1, 2)])),
-            "two are outstanding"
-        );
+        assert!(!window.has_capacity(&frame(&[(1, 2)])), "two are outstanding");
         window.answered(5, [(1, 0)].into_iter());
-        assert!(
-            window.has_capacity(&frame(&[(1, 2)])),
-            "the first was answered"
-        );
+        assert!(window.has_capacity(&frame(&[(1, 2)])), "the first was answered");
         assert_eq!(window.len(), 1);
     }
 
@@ -150,10 +141,7 @@ mod tests {
         let mut window = Window::new(8, 3);
         window.sent(&frame(&[(1, 0), (1, 1), (2, 0)]), 10);
         assert!(window.has_capacity(&frame(&[(1, 2), (2, 1)])));
-        assert!(
-            !window.has_capacity(&frame(&[(1, 2), (1, 3)])),
-            "four of robot 1"
-        );
+        assert!(!window.has_capacity(&frame(&[(1, 2), (1, 3)])), "four of robot 1");
         window.answered(5, [(2, 0)].into_iter());
         assert!(window.has_capacity(&frame(&[(1, 2), (1, 3)])));
         // A frame that could never fit is not waited for.

@@ -37,10 +37,7 @@ impl Permit {
     /// # Errors
     /// [`PermitError`].
     pub fn read(path: &Path) -> Result<Option<Self>, PermitError> {
-        let failed = |source| PermitError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let failed = |source| PermitError::Io { path: path.to_owned(), source };
         let bytes = match joulebus_files::read(path, MAX_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -65,10 +62,7 @@ impl Permit {
             let text = self.text(&boot_id);
             replace(path, &[text.as_bytes()])
         });
-        written.map_err(|source| PermitError::Io {
-            path: path.to_owned(),
-            source,
-        })
+        written.map_err(|source| PermitError::Io { path: path.to_owned(), source })
     }
 
     /// Withdraws the permit of this host's worker, which ends.
@@ -76,10 +70,7 @@ impl Permit {
     /// # Errors
     /// [`PermitError::Io`]; the permit is in force.
     pub fn withdraw(path: &Path) -> Result<(), PermitError> {
-        remove(path).map_err(|source| PermitError::Io {
-            path: path.to_owned(),
-            source,
-        })
+        remove(path).map_err(|source| PermitError::Io { path: path.to_owned(), source })
     }
 
     fn text(&self, boot_id: &str) -> String {
@@ -107,11 +98,7 @@ fn parse(text: &str) -> Option<(&str, Permit)> {
     if lines.next().is_some() {
         return None;
     }
-    let permit = Permit {
-        term,
-        until_ns,
-        lease,
-    };
+    let permit = Permit { term, until_ns, lease };
     Some((boot, permit))
 }
 
@@ -145,21 +132,14 @@ mod tests {
 
     use super::*;
 
-    const SOME: Permit = Permit {
-        term: 7,
-        until_ns: Some(1_234),
-        lease: u64::MAX,
-    };
+    const SOME: Permit = Permit { term: 7, until_ns: Some(1_234), lease: u64::MAX };
 
     #[test]
     fn a_permit_is_read_as_it_was_written_and_withdrawn_whether_or_not_it_is_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("permit-lab");
         assert_eq!(Permit::read(&path).unwrap(), None);
-        let never = Permit {
-            until_ns: None,
-            ..SOME
-        };
+        let never = Permit { until_ns: None, ..SOME };
         for permit in [SOME, never] {
             permit.write(&path).unwrap();
             assert_eq!(Permit::read(&path).unwrap(), Some(permit));

@@ -27,12 +27,7 @@ impl Places {
     pub fn of(config: &Config) -> Self {
         let directory = config.root().join(config.fleet());
         let [permit, keyframe, replica, request] = STANDBY_FILES.map(|name| directory.join(name));
-        Self {
-            permit,
-            keyframe,
-            replica,
-            request,
-        }
+        Self { permit, keyframe, replica, request }
     }
 }
 

@@ -37,19 +37,14 @@ impl SavedState {
     /// # Errors
     /// [`SavedStateError`].
     pub fn read(path: &Path) -> Result<Option<Self>, SavedStateError> {
-        let failed = |source| SavedStateError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let failed = |source| SavedStateError::Io { path: path.to_owned(), source };
         let bytes = match joulebus_files::read(path, MAX_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(failed(error)),
         };
-        let (boot, state) = parse(bytes).map_err(|reason| SavedStateError::Damaged {
-            path: path.to_owned(),
-            reason,
-        })?;
+        let (boot, state) = parse(bytes)
+            .map_err(|reason| SavedStateError::Damaged { path: path.to_owned(), reason })?;
         Ok((boot == boot_bytes().map_err(failed)?).then_some(state))
     }
 
@@ -65,12 +60,7 @@ impl SavedState {
         let written = boot_bytes().and_then(|boot| {
             let mut head = Vec::with_capacity(HEAD_BYTES);
             head.extend_from_slice(&MAGIC);
-            let numbers = [
-                term,
-                taken_ns,
-                offset_ns.cast_unsigned(),
-                bytes.len() as u64,
-            ];
+            let numbers = [term, taken_ns, offset_ns.cast_unsigned(), bytes.len() as u64];
             for number in numbers {
                 head.extend_from_slice(&number.to_le_bytes());
             }
@@ -79,10 +69,7 @@ impl SavedState {
             head.extend_from_slice(&sum.to_le_bytes());
             replace(path, &[&head, bytes])
         });
-        written.map_err(|source| SavedStateError::Io {
-            path: path.to_owned(),
-            source,
-        })
+        written.map_err(|source| SavedStateError::Io { path: path.to_owned(), source })
     }
 
     /// Sort key by age: the term, then the time at which it was taken.
@@ -95,10 +82,7 @@ impl SavedState {
 /// The boot and the state in a file's bytes, or what is wrong with them.
 fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
     let Some((head, payload)) = bytes.split_first_chunk::<HEAD_BYTES>() else {
-        return Err(format!(
-            "it has {} bytes, at least {HEAD_BYTES} are needed",
-            bytes.len()
-        ));
+        return Err(format!("it has {} bytes, at least {HEAD_BYTES} are needed", bytes.len()));
     };
     if !head.starts_with(&MAGIC) {
         return Err(format!("it begins with {:02x?}", &head[..MAGIC.len()]));
@@ -109,30 +93,17 @@ fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
     };
     let [term, taken_ns, offset_ns, length] = [8, 16, 24, 32].map(number);
     if payload.len() as u64 != length {
-        return Err(format!(
-            "it has {} bytes of a state with {length}",
-            payload.len()
-        ));
+        return Err(format!("it has {} bytes of a state with {length}", payload.len()));
     }
     let sum_at = HEAD_BYTES - 8;
-    let (expected, found) = (
-        fnv1a(head[..sum_at].iter().chain(payload).copied()),
-        number(sum_at),
-    );
+    let (expected, found) = (fnv1a(head[..sum_at].iter().chain(payload).copied()), number(sum_at));
     if found != expected {
-        return Err(format!(
-            "its checksum is {found:016x}, that of its content {expected:016x}"
-        ));
+        return Err(format!("its checksum is {found:016x}, that of its content {expected:016x}"));
     }
     let mut boot = [0; BOOT_BYTES];
     boot.copy_from_slice(&head[40..sum_at]);
     bytes.drain(..HEAD_BYTES);
-    let state = SavedState {
-        term,
-        taken_ns,
-        offset_ns: offset_ns.cast_signed(),
-        bytes,
-    };
+    let state = SavedState { term, taken_ns, offset_ns: offset_ns.cast_signed(), bytes };
     Ok((boot, state))
 }
 
@@ -178,12 +149,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("replica-lab");
         assert_eq!(SavedState::read(&path).unwrap(), None);
-        let state = SavedState {
-            term: 3,
-            taken_ns: 1 << 40,
-            offset_ns: -77,
-            bytes: (0..200).collect(),
-        };
+        let state =
+            SavedState { term: 3, taken_ns: 1 << 40, offset_ns: -77, bytes: (0..200).collect() };
         let write = || {
             let of = (state.term, state.taken_ns, state.offset_ns);
             SavedState::write(&path, of, &state.bytes).unwrap();

@@ -109,12 +109,7 @@ impl Header {
         read_until(&mut source, &mut bytes, text_at + length)?;
         let length = bytes.len();
         let (element, fortran_order, shape) = parse(text_at, &bytes[text_at..])?;
-        Ok(Self {
-            length,
-            element,
-            fortran_order,
-            shape,
-        })
+        Ok(Self { length, element, fortran_order, shape })
     }
 
     /// Length of the header in bytes, which is the position of the elements.
@@ -177,10 +172,7 @@ fn read_until(
     let missing = needed - header.len();
     match source.take(missing as u64).read_to_end(header)? {
         read if read == missing => Ok(()),
-        _ => Err(HeaderError::Truncated {
-            needed,
-            found: header.len(),
-        }),
+        _ => Err(HeaderError::Truncated { needed, found: header.len() }),
     }
 }
 
@@ -249,9 +241,7 @@ fn parts(text: &str) -> Option<(&str, &str, &str)> {
     let inner = text.trim().strip_prefix('{')?.strip_suffix('}')?;
     let (before, rest) = inner.split_once('(')?;
     let (shape, after) = rest.split_once(')')?;
-    let more = [before, shape, after]
-        .concat()
-        .contains(['{', '}', '(', ')']);
+    let more = [before, shape, after].concat().contains(['{', '}', '(', ')']);
     (!more).then_some((before, shape.trim(), after.trim()))
 }
 
@@ -298,12 +288,7 @@ mod tests {
             };
             for text in [text.clone(), format!("{text}  ")] {
                 let header = read(&text).expect(&text);
-                let Header {
-                    element,
-                    fortran_order,
-                    shape,
-                    ..
-                } = &header;
+                let Header { element, fortran_order, shape, .. } = &header;
                 assert_eq!(&format!("{element} {fortran_order} {shape:?}"), expected);
                 assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
             }

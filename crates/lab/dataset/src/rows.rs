@@ -57,11 +57,7 @@ impl Dataset {
                 }
             }
         }
-        digest
-            .finalize()
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect()
+        digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }
 
@@ -99,10 +95,8 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
         let elapsed_ns = after.stamp_ns.saturating_sub(before.stamp_ns);
         elapsed_ns > 0 && elapsed_ns <= longest_ns && after.has(sample_flag::POWER)
     };
-    let mut found = TrialRows {
-        period_s: (period_ns as f64 * 1e-9) as f32,
-        ..TrialRows::default()
-    };
+    let mut found =
+        TrialRows { period_s: (period_ns as f64 * 1e-9) as f32, ..TrialRows::default() };
     let mut have = 0;
     let mut age = Age::default();
     for (at, sample) in samples.iter().enumerate() {
@@ -131,10 +125,7 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
         age.reading_age.fill(&mut features);
         found.sample_seq.push(sample.seq);
         found.reading_ages.push(age.reading_age);
-        found.rows.push(Row {
-            features,
-            target_w: next.power_w,
-        });
+        found.rows.push(Row { features, target_w: next.power_w });
     }
     found
 }
@@ -149,19 +140,13 @@ struct Age {
 
 impl Default for Age {
     fn default() -> Self {
-        Self {
-            reading_age: ReadingAge::UNKNOWN,
-            stamp_ns: None,
-        }
+        Self { reading_age: ReadingAge::UNKNOWN, stamp_ns: None }
     }
 }
 
 impl Age {
     fn take(&mut self, sample: &Sample, period_ns: u64) {
-        if self
-            .stamp_ns
-            .is_some_and(|before_ns| sample.stamp_ns <= before_ns)
-        {
+        if self.stamp_ns.is_some_and(|before_ns| sample.stamp_ns <= before_ns) {
             return;
         }
         let before_ns = self.stamp_ns.replace(sample.stamp_ns);

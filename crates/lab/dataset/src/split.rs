@@ -87,29 +87,16 @@ pub struct Split {
 impl Default for Split {
     /// A split by trial with 15 % for validation and 15 % held out.
     fn default() -> Self {
-        Self {
-            by: By::Trial,
-            validation: 0.15,
-            held_out: 0.15,
-            seed: 0,
-        }
+        Self { by: By::Trial, validation: 0.15, held_out: 0.15, seed: 0 }
     }
 }
 
 impl fmt::Display for Split {
     /// `by trial, 15 % for validation, 15 % held out, seed 0`
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            by,
-            validation,
-            held_out,
-            seed,
-        } = self;
+        let Self { by, validation, held_out, seed } = self;
         let (validation, held_out) = (percent(*validation), percent(*held_out));
-        write!(
-            out,
-            "by {by}, {validation} % for validation, {held_out} % held out"
-        )?;
+        write!(out, "by {by}, {validation} % for validation, {held_out} % held out")?;
         match by {
             By::Time => write!(out, ", {PAUSE_ROWS} rows or more between"),
             _ => write!(out, ", seed {seed}"),
@@ -303,9 +290,7 @@ pub fn assign_given(parts: [&[SourceInfo]; 3]) -> Result<Assignment, SplitError>
 /// [`SplitError`].
 pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError> {
     let infos = SourceInfo::of(sources);
-    assign_unread(&infos, split, |at, cuts| {
-        Ok(resume(&sources[at].rows, cuts))
-    })
+    assign_unread(&infos, split, |at, cuts| Ok(resume(&sources[at].rows, cuts)))
 }
 
 /// Same as [`assign`], for trials whose rows are elsewhere. Only a split in time calls `resume_at`,
@@ -330,10 +315,7 @@ fn assign_units(sources: &[SourceInfo], split: Split) -> Result<Assignment, Spli
     let mut names = units(sources, split.by);
     let found = names.len();
     if found < 3 {
-        return Err(SplitError::TooFew {
-            by: split.by,
-            found,
-        });
+        return Err(SplitError::TooFew { by: split.by, found });
     }
     shuffle(&mut names, split.seed);
     let count = |share: f64| ((share * found as f64).round() as usize).clamp(1, found - 2);
@@ -381,10 +363,7 @@ pub fn assign_unread_leaving_out(
         all.into_iter().partition(|name| held_out.contains(name));
     let found = names.len();
     if left_out.is_empty() || found < 2 {
-        return Err(SplitError::TooFew {
-            by: split.by,
-            found: found + left_out.len(),
-        });
+        return Err(SplitError::TooFew { by: split.by, found: found + left_out.len() });
     }
     shuffle(&mut names, split.seed);
     let validation = ((split.validation * found as f64).round() as usize).clamp(1, found - 1);
@@ -452,18 +431,11 @@ impl Assignment {
 }
 
 fn check(split: Split) -> Result<(), SplitError> {
-    let Split {
-        validation,
-        held_out,
-        ..
-    } = split;
+    let Split { validation, held_out, .. } = split;
     if validation > 0.0 && held_out > 0.0 && validation + held_out < 1.0 {
         return Ok(());
     }
-    Err(SplitError::Shares {
-        validation,
-        held_out,
-    })
+    Err(SplitError::Shares { validation, held_out })
 }
 
 fn unit(source: &SourceInfo, by: By) -> &str {
@@ -522,15 +494,7 @@ fn by_unit(
     });
     Ok(Assignment {
         ranges,
-        summary: SplitSummary {
-            by,
-            training,
-            validation,
-            held_out,
-            rows,
-            pause_rows: 0,
-            name,
-        },
+        summary: SplitSummary { by, training, validation, held_out, rows, pause_rows: 0, name },
     })
 }
 
@@ -613,10 +577,8 @@ fn resume_after(rows: &TrialRows, cut: usize) -> usize {
         return earliest;
     };
     let after = &rows.rows[cut.min(found)..];
-    let held = after
-        .iter()
-        .take_while(|row| row.target_w.to_bits() == before.target_w.to_bits())
-        .count();
+    let held =
+        after.iter().take_while(|row| row.target_w.to_bits() == before.target_w.to_bits()).count();
     match held {
         0 => earliest,
         // A row's window holds the readings of the LAGS rows before it.

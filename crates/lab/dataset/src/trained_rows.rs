@@ -39,9 +39,7 @@ pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
         stretches.extend(self::stretches(part));
     }
     let count = |length: usize| -> usize {
-        let blocks = stretches
-            .iter()
-            .map(|stretch| starts(stretch.len(), length).count());
+        let blocks = stretches.iter().map(|stretch| starts(stretch.len(), length).count());
         blocks.sum()
     };
     let longest = stretches.iter().map(Vec::len).max().unwrap_or(0);

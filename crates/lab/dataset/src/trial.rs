@@ -93,19 +93,13 @@ impl Trial {
             is_part,
         } = table;
         for column in &mut columns {
-            if column
-                .as_ref()
-                .is_some_and(|values| values.iter().all(|value| value.is_nan()))
-            {
+            if column.as_ref().is_some_and(|values| values.iter().all(|value| value.is_nan())) {
                 *column = None;
             }
         }
         let offset_ns = note::offsets_ns(&timestamp_s);
         let Some(period_ns) = note::median_step_ns(&offset_ns) else {
-            return Err(TrialError::NoPeriod {
-                path,
-                rows: timestamp_s.len(),
-            });
+            return Err(TrialError::NoPeriod { path, rows: timestamp_s.len() });
         };
         let mut trial = Self {
             path,
@@ -127,9 +121,7 @@ impl Trial {
             unnamed_rows,
             left_out,
             understood,
-            ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| {
-                trial.file_row(row)
-            })
+            ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| trial.file_row(row))
         };
         Ok(trial)
     }

@@ -20,9 +20,7 @@ const ROUNDS: usize = 5;
 
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
-    let named = std::env::args()
-        .skip(1)
-        .find(|argument| !argument.starts_with('-'));
+    let named = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     let folder = named.map_or_else(|| root.join("../shared/data/robotino"), PathBuf::from);
     let Some(files) = recordings(&folder) else {
         println!("skipped: no recordings in {}", folder.display());
@@ -41,22 +39,15 @@ fn main() {
     let mut reports = Vec::new();
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        let report = pool
-            .expect("threads")
-            .install(|| run(&files, &model, threads));
+        let report = pool.expect("threads").install(|| run(&files, &model, threads));
         reports.push(report);
     }
-    assert!(
-        reports[0] == reports[1],
-        "the number of threads changes no bit"
-    );
+    assert!(reports[0] == reports[1], "the number of threads changes no bit");
 }
 
 fn recordings(folder: &Path) -> Option<Vec<(u32, PathBuf)>> {
     let entries = std::fs::read_dir(folder).ok()?;
-    let mut paths: Vec<PathBuf> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .collect();
+    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.retain(|path| path.to_string_lossy().ends_with(".csv.gz"));
     paths.sort();
     (!paths.is_empty()).then(|| (0..).zip(paths).collect())
@@ -81,37 +72,20 @@ fn run(files: &[(u32, PathBuf)], model: &Model, threads: usize) -> String {
     let rows: usize = found.iter().map(|one| one.trial_rows()).sum();
     println!("{threads} thread(s): reading {rows} rows and making features {reading_s:.3} s");
     let everything = Options::default();
-    let corrected = Options {
-        horizons: Vec::new(),
-        ..everything.clone()
-    };
+    let corrected = Options { horizons: Vec::new(), ..everything.clone() };
     let plain = Options {
-        bootstrap: Bootstrap {
-            resamples: 0,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { resamples: 0, ..Bootstrap::default() },
         ..corrected.clone()
     };
     let folds = || Design::folds(&found);
     let split = || {
-        Design::held_out(
-            &found,
-            Split {
-                by: By::Trial,
-                ..Split::default()
-            },
-        )
-        .expect("many trials")
+        Design::held_out(&found, Split { by: By::Trial, ..Split::default() }).expect("many trials")
     };
     let design: [(&str, &Options, &dyn Fn() -> Design); 4] = [
         ("corrected, all rows, no intervals", &plain, &folds),
         ("corrected, all rows, intervals", &corrected, &folds),
         ("open loop too, all rows, intervals", &everything, &folds),
-        (
-            "open loop too, held-out 15 %, intervals",
-            &everything,
-            &split,
-        ),
+        ("open loop too, held-out 15 %, intervals", &everything, &split),
     ];
     let mut last = String::new();
     for (what, options, design) in design {
@@ -130,8 +104,5 @@ fn evaluate(recordings: &[Recording], model: &Model, design: &Design, options: &
         recordings,
         design,
     };
-    score(subject, options)
-        .expect("sound data")
-        .report
-        .to_string()
+    score(subject, options).expect("sound data").report.to_string()
 }

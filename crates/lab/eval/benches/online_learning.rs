@@ -28,10 +28,8 @@ use live::settings;
 const SEED: u64 = 1;
 
 fn main() {
-    let wanted: Vec<String> = std::env::args()
-        .skip(1)
-        .filter(|arg| !arg.starts_with('-'))
-        .collect();
+    let wanted: Vec<String> =
+        std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
     let want = |name: &str| wanted.is_empty() || wanted.iter().any(|word| word == name);
     heading();
     if want("husky") {
@@ -83,11 +81,7 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
         network.forecasts.count(),
         r2(&judged.persistence),
         judged.linear.as_ref().map_or("–".to_owned(), r2),
-        judged
-            .variants
-            .each_ref()
-            .map(|variant| r2(&variant.forecasts))
-            .join(" | "),
+        judged.variants.each_ref().map(|variant| r2(&variant.forecasts)).join(" | "),
         last.forecasts.r2() - judged.best_member_r2(),
         last.forecasts.mae_w(),
         last.first / judged.first_allowed,
@@ -125,11 +119,7 @@ impl Recordings {
         let sources = trials
             .iter()
             .map(|trial| {
-                let name = trial
-                    .path()
-                    .file_name()
-                    .unwrap_or_default()
-                    .to_string_lossy();
+                let name = trial.path().file_name().unwrap_or_default().to_string_lossy();
                 Source {
                     trial: name.to_string(),
                     robot: trial.robot_name().unwrap_or_default().to_owned(),
@@ -138,19 +128,11 @@ impl Recordings {
                 }
             })
             .collect();
-        Self {
-            trials,
-            sources,
-            recipe,
-            resolution_w,
-        }
+        Self { trials, sources, recipe, resolution_w }
     }
 
     fn platform(&self) -> Platform {
-        Platform {
-            power_resolution_w: self.resolution_w,
-            ..recorded_platform(0, &self.trials[0])
-        }
+        Platform { power_resolution_w: self.resolution_w, ..recorded_platform(0, &self.trials[0]) }
     }
 
     fn network(&self, dataset: &Dataset) -> Network {
@@ -171,12 +153,7 @@ impl Recordings {
 
     /// Three of ten trials are held out; a network of the others.
     fn split(&self, name: &str) -> (Assignment, Network) {
-        let split = Split {
-            by: By::Trial,
-            held_out: 0.3,
-            seed: SEED,
-            ..Split::default()
-        };
+        let split = Split { by: By::Trial, held_out: 0.3, seed: SEED, ..Split::default() };
         let assignment = assign(&self.sources, split).unwrap_or_else(|error| panic!("{error}"));
         let network = self.network(&assignment.dataset(&self.sources, name.to_owned()));
         (assignment, network)
@@ -185,9 +162,8 @@ impl Recordings {
     /// The trials held out, by a network of the others.
     fn by_trial(&self, name: &str) {
         let (assignment, network) = self.split(name);
-        let judged = self.judge(&network, |source| {
-            assignment.summary.held_out.contains(&source.trial)
-        });
+        let judged =
+            self.judge(&network, |source| assignment.summary.held_out.contains(&source.trial));
         line(name, "other trials of the same", &judged);
     }
 
@@ -198,11 +174,7 @@ impl Recordings {
         is_left_out: impl Fn(&str) -> bool,
         tests: &[(&str, &str)],
     ) {
-        let split = Split {
-            by: By::Trial,
-            seed: SEED,
-            ..Split::default()
-        };
+        let split = Split { by: By::Trial, seed: SEED, ..Split::default() };
         let left_out: Vec<String> = self
             .sources
             .iter()
@@ -301,11 +273,7 @@ fn robotino() {
             &[(surface, &group)],
         );
     }
-    robotino.without(
-        "Robotino's surfaces",
-        |other| other == LOAD,
-        &[("unseen wheel load", LOAD)],
-    );
+    robotino.without("Robotino's surfaces", |other| other == LOAD, &[("unseen wheel load", LOAD)]);
 }
 
 fn rover() {
@@ -339,9 +307,7 @@ fn simulated() {
         let learned = Recordings::new(trials.clone(), recipe.clone(), 0.01);
         let rows = |range: std::ops::Range<usize>| {
             let sources = learned.sources[range].iter();
-            sources
-                .flat_map(|source| source.rows.rows.iter().copied())
-                .collect()
+            sources.flat_map(|source| source.rows.rows.iter().copied()).collect()
         };
         let dataset = Dataset {
             training: rows(0..4),
@@ -352,11 +318,7 @@ fn simulated() {
         };
         let network = learned.network(&dataset);
         let sixth = learned.sources[5].trial.clone();
-        line(
-            name,
-            "trial 6",
-            &learned.judge(&network, |source| source.trial == sixth),
-        );
+        line(name, "trial 6", &learned.judge(&network, |source| source.trial == sixth));
         let tested = Recordings::new(seven.clone(), recipe, 0.01);
         line(name, "seven robots", &tested.judge(&network, |_| true));
     }

@@ -27,21 +27,12 @@ fn main() -> Result<()> {
     let number = |option: &str| {
         std::env::args().find_map(|argument| argument.strip_prefix(option)?.parse().ok())
     };
-    let origins = (
-        number("--every=").unwrap_or(10),
-        number("--from=").unwrap_or(0),
-    );
+    let origins = (number("--every=").unwrap_or(10), number("--from=").unwrap_or(0));
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
-    let simulated = std::env::args()
-        .skip(1)
-        .find(|argument| !argument.starts_with("--"));
+    let simulated = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
     let sets = [
         ("robotino", FeatureSet::Full, data.join("robotino")),
-        (
-            "borealtc_husky",
-            FeatureSet::Full,
-            data.join("borealtc_husky"),
-        ),
+        ("borealtc_husky", FeatureSet::Full, data.join("borealtc_husky")),
         ("ase_rover", FeatureSet::PowerOnly, data.join("ase_rover")),
     ];
     let simulated = simulated.map(|folder| ("simulated", FeatureSet::Full, PathBuf::from(folder)));
@@ -54,13 +45,7 @@ fn main() -> Result<()> {
         let half = |half: usize| move |place: usize, _: &Trial| place % 2 == half;
         let mut scores = EnergyScores::default();
         for own in 0..2 {
-            evaluate(
-                &trials,
-                &settings,
-                half(own),
-                half(1 - own),
-                (origins, &mut scores),
-            )?;
+            evaluate(&trials, &settings, half(own), half(1 - own), (origins, &mut scores))?;
         }
         println!("\n{name}, each half by the other\n\n{}", scores.errors());
         let groups = groups(&trials);
@@ -85,14 +70,11 @@ fn evaluate(
     ((every, from), scores): ((usize, usize), &mut EnergyScores),
 ) -> Result<()> {
     let all = || trials.iter().enumerate();
-    let own: Vec<&Trial> = all()
-        .filter(|(place, trial)| trains(*place, trial))
-        .map(|(_, trial)| trial)
-        .collect();
+    let own: Vec<&Trial> =
+        all().filter(|(place, trial)| trains(*place, trial)).map(|(_, trial)| trial).collect();
     let rows = |keep: fn(usize) -> bool| {
         let kept = own.iter().enumerate().filter(|(place, _)| keep(*place));
-        kept.flat_map(|(_, trial)| trial_rows(trial).rows)
-            .collect::<Vec<_>>()
+        kept.flat_map(|(_, trial)| trial_rows(trial).rows).collect::<Vec<_>>()
     };
     let validation = rows(|place| place % 5 == 4);
     let dataset = Dataset {
@@ -125,11 +107,7 @@ fn read(folder: &Path) -> Result<Vec<Trial>> {
 /// Surface, terrain or protocol: the file's name up to its number.
 fn group_of(trial: &Trial) -> String {
     joulebus_dataset::split::group_of(
-        &trial
-            .path()
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy(),
+        &trial.path().file_name().unwrap_or_default().to_string_lossy(),
     )
 }
 

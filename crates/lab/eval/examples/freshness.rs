@@ -72,11 +72,7 @@ fn main() -> std::result::Result<(), Box<dyn Error>> {
 }
 
 fn options() -> std::result::Result<Options, Box<dyn Error>> {
-    let mut options = Options {
-        every: 1,
-        seeds: 1,
-        names: Vec::new(),
-    };
+    let mut options = Options { every: 1, seeds: 1, names: Vec::new() };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut number = || words.next().ok_or(format!("{word} needs a number"));
@@ -104,9 +100,7 @@ enum Shown {
     },
 }
 
-const TEN_HZ: Shown = Shown::Polled {
-    poll_ns: SECOND_NS / 10,
-};
+const TEN_HZ: Shown = Shown::Polled { poll_ns: SECOND_NS / 10 };
 const ONE_HZ: Shown = Shown::Polled { poll_ns: SECOND_NS };
 
 fn cases(options: &Options) -> std::result::Result<Vec<Case>, Box<dyn Error>> {
@@ -150,9 +144,7 @@ fn known(rows: Vec<Row>) -> Vec<Row> {
 fn simulated(name: &str, shown: Shown) -> Case {
     let trials = protocol::trials(SEED);
     let rows = |trials: &[Trial]| -> Vec<Row> {
-        let rows = trials
-            .iter()
-            .flat_map(|trial| shown_rows(trial, shown).rows);
+        let rows = trials.iter().flat_map(|trial| shown_rows(trial, shown).rows);
         known(rows.collect())
     };
     let held_out = match name.contains("robots") {
@@ -193,18 +185,10 @@ fn recorded(
         let file = file.display().to_string();
         let mut rows = shown_rows(&trial, shown);
         rows.rows = known(rows.rows);
-        sources.push(Source {
-            group: group_of(&file),
-            robot: file.clone(),
-            trial: file,
-            rows,
-        });
+        sources.push(Source { group: group_of(&file), robot: file.clone(), trial: file, rows });
     }
     let (dataset, _) = split(&sources, Split::default(), name)?;
-    Ok(Some(Case {
-        name: name.to_owned(),
-        dataset,
-    }))
+    Ok(Some(Case { name: name.to_owned(), dataset }))
 }
 
 fn shown_rows(trial: &Trial, shown: Shown) -> TrialRows {
@@ -222,12 +206,7 @@ fn held(trial: &Trial, poll_ns: Option<u64>) -> Vec<Sample> {
     let offsets_ns = trial.offset_ns();
     let end_ns = offsets_ns.iter().copied().max().unwrap_or(0) as u64;
     let period_ns = trial.period_ns();
-    let newest = |at_ns: u64| {
-        offsets_ns
-            .partition_point(|row| *row <= at_ns as i64)
-            .max(1)
-            - 1
-    };
+    let newest = |at_ns: u64| offsets_ns.partition_point(|row| *row <= at_ns as i64).max(1) - 1;
     let value = |column, row: usize| trial.column(column).map_or(f64::NAN, |of| of[row]) as f32;
     let mut before = None;
     let mut samples = Vec::new();
@@ -255,9 +234,7 @@ fn held(trial: &Trial, poll_ns: Option<u64>) -> Vec<Sample> {
 }
 
 fn run(case: &Case, options: &Options) -> std::result::Result<Result, Box<dyn Error>> {
-    let Dataset {
-        training, held_out, ..
-    } = &case.dataset;
+    let Dataset { training, held_out, .. } = &case.dataset;
     let (terms, _) = known_terms(&[training, held_out], Terms::AR5_AND_VELOCITIES);
     let has_commands = terms.has(0);
     let sets = match has_commands {
@@ -266,10 +243,7 @@ fn run(case: &Case, options: &Options) -> std::result::Result<Result, Box<dyn Er
     };
     let persistence = held_out.iter().map(|row| f64::from(row.features[NEWEST]));
     let line = Linear::fit(training, terms)?.predict_rows(held_out);
-    let [plain, fresh] = [
-        networks(case, sets[0], options)?,
-        networks(case, sets[1], options)?,
-    ];
+    let [plain, fresh] = [networks(case, sets[0], options)?, networks(case, sets[1], options)?];
     let last_w: Vec<f64> = persistence.collect();
     let until_due = fresh.iter().zip(held_out.iter().zip(&last_w).cycle());
     let until_due = until_due.map(|(fresh_w, (row, last_w))| match is_due(row) {
@@ -278,14 +252,7 @@ fn run(case: &Case, options: &Options) -> std::result::Result<Result, Box<dyn Er
     });
     let until_due = until_due.collect();
     Ok(Result {
-        models: [
-            last_w,
-            line,
-            by_due(training, held_out, terms)?,
-            plain,
-            fresh,
-            until_due,
-        ],
+        models: [last_w, line, by_due(training, held_out, terms)?, plain, fresh, until_due],
     })
 }
 
@@ -300,11 +267,7 @@ fn by_due(
     terms: Terms,
 ) -> std::result::Result<Vec<f64>, Box<dyn Error>> {
     let fit = |due: bool| -> std::result::Result<Linear, Box<dyn Error>> {
-        let rows: Vec<Row> = training
-            .iter()
-            .filter(|row| is_due(row) == due)
-            .copied()
-            .collect();
+        let rows: Vec<Row> = training.iter().filter(|row| is_due(row) == due).copied().collect();
         match rows.len() > 100 {
             true => Ok(Linear::fit(&rows, terms)?),
             false => Ok(Linear::fit(training, terms)?),
@@ -321,12 +284,7 @@ fn networks(
     set: FeatureSet,
     options: &Options,
 ) -> std::result::Result<Vec<f64>, Box<dyn Error>> {
-    let inputs: Vec<Features> = case
-        .dataset
-        .held_out
-        .iter()
-        .map(|row| row.features)
-        .collect();
+    let inputs: Vec<Features> = case.dataset.held_out.iter().map(|row| row.features).collect();
     let mut all = Vec::new();
     for seed in 0..options.seeds {
         let start = std::time::Instant::now();
@@ -427,17 +385,8 @@ fn by_kind(case: &Case, result: &Result) -> String {
     let rows = &case.dataset.held_out;
     let cell = |model: usize, held: bool| {
         let tallies = tallies(rows, &result.models[model], |row| is_held(row) == held);
-        format!(
-            "{} mW",
-            over_seeds(&tallies, |tally| tally.mae_w() * 1e3, 1)
-        )
+        format!("{} mW", over_seeds(&tallies, |tally| tally.mae_w() * 1e3, 1))
     };
-    let cells = [
-        cell(3, true),
-        cell(4, true),
-        cell(0, false),
-        cell(3, false),
-        cell(4, false),
-    ];
+    let cells = [cell(3, true), cell(4, true), cell(0, false), cell(3, false), cell(4, false)];
     format!("| {} | {} |", case.name, cells.join(" | "))
 }

@@ -47,14 +47,8 @@ impl Default for AnalysisSettings {
         Self {
             lags: 10,
             window: LAGS,
-            grids: vec![Resample {
-                method: Method::Hold,
-                rate_hz: 30.0,
-            }],
-            split: Split {
-                held_out: 0.3,
-                ..Split::default()
-            },
+            grids: vec![Resample { method: Method::Hold, rate_hz: 30.0 }],
+            split: Split { held_out: 0.3, ..Split::default() },
             leave_out: Vec::new(),
         }
     }
@@ -128,12 +122,7 @@ pub fn analyze(
     models: &[(String, Model)],
 ) -> Result<Analysis, AnalyzeError> {
     check(recordings, settings)?;
-    let mut series = vec![analyze_series(
-        View::native(recordings),
-        settings,
-        models,
-        None,
-    )?];
+    let mut series = vec![analyze_series(View::native(recordings), settings, models, None)?];
     for grid in &settings.grids {
         let view = View::on(recordings, *grid);
         series.push(analyze_series(view, settings, models, Some(*grid))?);
@@ -289,9 +278,8 @@ fn name_of(grid: Option<Resample>) -> String {
 fn mean(found: &[Autocorrelation], lags: usize) -> Vec<Option<f64>> {
     let at = |lag: usize| {
         let known = found.iter().filter_map(|found| found.at_lag[lag]);
-        let (count, sum) = known.fold((0_usize, 0.0), |(count, sum), value| {
-            (count + 1, sum + value)
-        });
+        let (count, sum) =
+            known.fold((0_usize, 0.0), |(count, sum), value| (count + 1, sum + value));
         (count > 0).then(|| sum / count as f64)
     };
     (0..lags).map(at).collect()

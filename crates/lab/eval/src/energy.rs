@@ -21,15 +21,8 @@ const EVERY: usize = 10;
 const COVERAGE: f32 = 0.9;
 
 /// The forecasts, in the order of [`HorizonErrors::errors`].
-pub const FORECASTS: [&str; 7] = [
-    "energy model",
-    "last reading",
-    "mean 1 s",
-    "mean 5 s",
-    "mean of all",
-    "AR(5)",
-    "network",
-];
+pub const FORECASTS: [&str; 7] =
+    ["energy model", "last reading", "mean 1 s", "mean 5 s", "mean of all", "AR(5)", "network"];
 
 /// Errors at one horizon.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -123,9 +116,7 @@ impl EnergyScores {
         let horizons = self.scored.iter().zip(HORIZONS_S);
         let horizons = horizons.filter(|(scored, _)| !scored.is_empty());
         EnergyErrors {
-            horizons: horizons
-                .map(|(scored, horizon_s)| errors(scored, horizon_s))
-                .collect(),
+            horizons: horizons.map(|(scored, horizon_s)| errors(scored, horizon_s)).collect(),
         }
     }
 }
@@ -134,20 +125,15 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
     let count = scored.len() as f64;
     let energy_j: f64 = scored.iter().map(|one| one.energy_j.abs()).sum();
     let known = scored.iter().filter_map(|one| Some((one, one.interval_j?)));
-    let inside = known
-        .clone()
-        .filter(|(one, [lo_j, hi_j])| (*lo_j..=*hi_j).contains(&one.energy_j));
+    let inside =
+        known.clone().filter(|(one, [lo_j, hi_j])| (*lo_j..=*hi_j).contains(&one.energy_j));
     let width_j: f64 = known.clone().map(|(_, [lo_j, hi_j])| hi_j - lo_j).sum();
     let intervals = known.count() as f64;
-    let mut residuals: Vec<f64> = scored
-        .iter()
-        .map(|one| one.energy_j - one.forecasts_j[0])
-        .collect();
+    let mut residuals: Vec<f64> =
+        scored.iter().map(|one| one.energy_j - one.forecasts_j[0]).collect();
     residuals.sort_by(f64::total_cmp);
     let within = (f64::from(COVERAGE) * count).ceil() as usize;
-    let widths = residuals
-        .windows(within.max(1))
-        .map(|part| part[part.len() - 1] - part[0]);
+    let widths = residuals.windows(within.max(1)).map(|part| part[part.len() - 1] - part[0]);
     HorizonErrors {
         horizon_s,
         origins: scored.len(),
@@ -195,10 +181,7 @@ impl<'a> Recorded<'a> {
                 v_mps,
                 omega_radps,
             });
-            sum = [
-                sum[0] + f64::from(sample.power_w) * elapsed_s,
-                sum[1] + elapsed_s,
-            ];
+            sum = [sum[0] + f64::from(sample.power_w) * elapsed_s, sum[1] + elapsed_s];
             sums.push(sum);
         }
         Self {
@@ -237,16 +220,10 @@ impl<'a> Recorded<'a> {
             return None;
         }
         let duration_s = self.sums[last][1] - self.sums[row][1];
-        let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) = self.told[row..last]
-            .iter()
-            .map(|told| (told.v_mps, told.omega_radps))
-            .unzip();
+        let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) =
+            self.told[row..last].iter().map(|told| (told.v_mps, told.omega_radps)).unzip();
         let period_s = (duration_s / steps as f64) as f32;
-        let plan = Commands {
-            period_s,
-            v_mps: &v_mps,
-            omega_radps: &omega_radps,
-        };
+        let plan = Commands { period_s, v_mps: &v_mps, omega_radps: &omega_radps };
         let forecast = self.energy.forecast(state, plan);
         let end = |p: f32| forecast.quantile_j(p).map(f64::from);
         let lo_j = end((1.0 - COVERAGE) / 2.0);
@@ -256,11 +233,7 @@ impl<'a> Recorded<'a> {
         Some(Scored {
             energy_j: self.sums[last][0] - self.sums[row][0],
             forecasts_j: [
-                if trained {
-                    forecast.energy_j.into()
-                } else {
-                    f64::NAN
-                },
+                if trained { forecast.energy_j.into() } else { f64::NAN },
                 f64::from(lag_w[0]) * duration_s,
                 mean(1.0),
                 mean(5.0),
@@ -270,9 +243,7 @@ impl<'a> Recorded<'a> {
                 }),
                 self.network(plan, row, lag_w, age).unwrap_or(f64::NAN),
             ],
-            interval_j: lo_j
-                .zip(end((1.0 + COVERAGE) / 2.0))
-                .map(|(lo_j, hi_j)| [lo_j, hi_j]),
+            interval_j: lo_j.zip(end((1.0 + COVERAGE) / 2.0)).map(|(lo_j, hi_j)| [lo_j, hi_j]),
         })
     }
 
@@ -309,9 +280,7 @@ impl<'a> Recorded<'a> {
             omega_radps: plan.omega_radps,
         };
         let mut energy_j = [f32::NAN];
-        self.model
-            .rollout(&rollouts, 0..1, &mut energy_j, None)
-            .ok()?;
+        self.model.rollout(&rollouts, 0..1, &mut energy_j, None).ok()?;
         Some(energy_j[0].into())
     }
 }
@@ -365,9 +334,5 @@ impl fmt::Display for EnergyErrors {
 }
 
 fn share(value: f64, digits: usize) -> String {
-    if value.is_finite() {
-        format!("{value:.digits$}")
-    } else {
-        "–".to_owned()
-    }
+    if value.is_finite() { format!("{value:.digits$}") } else { "–".to_owned() }
 }

@@ -202,15 +202,9 @@ pub fn evaluate_trial(
     let is_its = |platform: &Platform| platform.robots.iter().any(|ids| ids.contains(&robot));
     let kind = settings.platforms.iter().position(is_its);
     let Some(kind) = kind else {
-        return Err(EvaluateError::UnknownRobot {
-            robot,
-            platforms: settings.platforms.len(),
-        });
+        return Err(EvaluateError::UnknownRobot { robot, platforms: settings.platforms.len() });
     };
-    let alone = FleetSettings {
-        capacity: 1,
-        ..settings.clone()
-    };
+    let alone = FleetSettings { capacity: 1, ..settings.clone() };
     let mut fleet = Fleet::new(alone, models.to_vec())?;
     let mut steps = Vec::with_capacity(trial.rows());
     let (mut now_ns, mut published_w, mut has_left) = (0, None, false);

@@ -69,10 +69,7 @@ impl Judged {
     pub fn best_member_r2(&self) -> f64 {
         let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);
         let [network, ..] = &self.variants;
-        self.persistence
-            .r2()
-            .max(linear)
-            .max(network.forecasts.r2())
+        self.persistence.r2().max(linear).max(network.forecasts.r2())
     }
 }
 

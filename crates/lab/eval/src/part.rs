@@ -133,12 +133,7 @@ pub struct Merged {
 impl EvalPart {
     /// Part `number` of `of`, from 1; one portion for each platform.
     pub fn new(number: u32, of: u32, portions: Vec<Portion>) -> Self {
-        Self {
-            release: RELEASE.to_owned(),
-            number,
-            of,
-            portions,
-        }
+        Self { release: RELEASE.to_owned(), number, of, portions }
     }
 
     /// The contents of a file.
@@ -154,13 +149,8 @@ impl EvalPart {
     /// # Errors
     /// [`PartError`]: another file, a damaged one, or one of another release.
     pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self, PartError> {
-        let foreign = || PartError::Foreign {
-            name: name.to_owned(),
-        };
-        let damaged = || PartError::Damaged {
-            name: name.to_owned(),
-            bytes: bytes.len(),
-        };
+        let foreign = || PartError::Foreign { name: name.to_owned() };
+        let damaged = || PartError::Damaged { name: name.to_owned(), bytes: bytes.len() };
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(foreign)?;
         let (hash, body) = rest.split_first_chunk::<HASH_BYTES>().ok_or_else(damaged)?;
         if u64::from_le_bytes(*hash) != fnv1a(body.iter().copied()) {
@@ -203,10 +193,7 @@ impl EvalPart {
         }
         match refused.pop_if(|_| evaluations.is_empty()) {
             Some((_, error)) => Err(error.into()),
-            None => Ok(Merged {
-                report: EvalReport::of_reported(evaluations),
-                refused,
-            }),
+            None => Ok(Merged { report: EvalReport::of_reported(evaluations), refused }),
         }
     }
 }
@@ -217,10 +204,7 @@ fn merged(
 ) -> Result<Result<Reported, ScoreError>, PartError> {
     Portion::merged(portions).map_err(|misfit| match misfit {
         Misfit::Different | Misfit::Size => PartError::Different { platform },
-        Misfit::Recording(place) => PartError::Recording {
-            platform,
-            place: place + 1,
-        },
+        Misfit::Recording(place) => PartError::Recording { platform, place: place + 1 },
     })
 }
 
@@ -251,9 +235,6 @@ fn check_numbers(parts: &[(String, EvalPart)]) -> Result<(), PartError> {
     let missing: Vec<String> = missing.take(10).map(|number| number.to_string()).collect();
     match missing.is_empty() {
         true => Ok(()),
-        false => Err(PartError::Missing {
-            missing: missing.join(", "),
-            of: *of,
-        }),
+        false => Err(PartError::Missing { missing: missing.join(", "), of: *of }),
     }
 }

@@ -22,10 +22,7 @@ pub struct EvalReport {
 impl EvalReport {
     /// Creates the report from the live path of all trials and the scores of each platform.
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
-        Self {
-            live: live.report(),
-            evaluations,
-        }
+        Self { live: live.report(), evaluations }
     }
 
     /// The same of each platform's evaluation.
@@ -35,10 +32,7 @@ impl EvalReport {
             one.live.into_iter().for_each(|pool| live.append(pool));
             evaluations.push(one.report);
         }
-        Self {
-            live: live.report(),
-            evaluations,
-        }
+        Self { live: live.report(), evaluations }
     }
 }
 
@@ -50,17 +44,11 @@ impl fmt::Display for EvalReport {
             }
             write!(out, "{evaluation}")?;
         }
-        writeln!(
-            out,
-            "\nLive path: the readings of these rows, and those after gaps"
-        )?;
+        writeln!(out, "\nLive path: the readings of these rows, and those after gaps")?;
         if self.live.robots.len() <= LISTED {
             return write!(out, "{}", self.live);
         }
-        let platforms = EvaluationReport {
-            robots: Vec::new(),
-            ..self.live.clone()
-        };
+        let platforms = EvaluationReport { robots: Vec::new(), ..self.live.clone() };
         write!(out, "{platforms}")
     }
 }

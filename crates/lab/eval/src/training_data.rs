@@ -71,11 +71,7 @@ pub fn training_data(
         description: described,
         period_s: median_period_s(&sources(period_of)),
     };
-    let summary = SplitSummary {
-        rows: thinned.rows,
-        name,
-        ..assignment.summary
-    };
+    let summary = SplitSummary { rows: thinned.rows, name, ..assignment.summary };
     Ok((dataset, summary))
 }
 

@@ -33,28 +33,17 @@ pub enum Scale {
 impl Axis {
     /// A linear axis over the range of the data.
     pub fn new(label: impl Into<String>) -> Self {
-        Self {
-            label: label.into(),
-            scale: Scale::Linear,
-            limits: None,
-            includes: None,
-        }
+        Self { label: label.into(), scale: Scale::Linear, limits: None, includes: None }
     }
 
     /// A logarithmic axis.
     pub fn log(label: impl Into<String>) -> Self {
-        Self {
-            scale: Scale::Log,
-            ..Self::new(label)
-        }
+        Self { scale: Scale::Log, ..Self::new(label) }
     }
 
     /// A categorical axis.
     pub fn names(label: impl Into<String>, names: Vec<String>) -> Self {
-        Self {
-            scale: Scale::Names(names),
-            ..Self::new(label)
-        }
+        Self { scale: Scale::Names(names), ..Self::new(label) }
     }
 
     /// With these ends.
@@ -81,9 +70,7 @@ impl Axis {
         if let Scale::Names(names) = &self.scale {
             return (!names.is_empty()).then(|| Span::of_names(names));
         }
-        let shown = values
-            .chain(self.includes)
-            .filter(|value| self.shows(*value));
+        let shown = values.chain(self.includes).filter(|value| self.shows(*value));
         let ends = shown.fold(None, |ends: Option<[f64; 2]>, value| {
             let [low, high] = ends.unwrap_or([value, value]);
             Some([low.min(value), high.max(value)])
@@ -136,32 +123,16 @@ impl Span {
                 high += room;
             }
         }
-        Self {
-            low,
-            high,
-            log: false,
-            downwards: false,
-            ticks: even_ticks(low, high, ticks),
-        }
+        Self { low, high, log: false, downwards: false, ticks: even_ticks(low, high, ticks) }
     }
 
     fn of_logarithms(low: f64, high: f64, limited: bool) -> Self {
         // Beyond these, quotients of two numbers are not finite.
         let [low, high] = [low, high].map(|end| end.clamp(1e-150, 1e150));
         let high = if high > low { high } else { low * 2.0 };
-        let room = if limited {
-            1.0
-        } else {
-            libm::pow(high / low, 0.03)
-        };
+        let room = if limited { 1.0 } else { libm::pow(high / low, 0.03) };
         let (low, high) = (low / room, high * room);
-        Self {
-            low,
-            high,
-            log: true,
-            downwards: false,
-            ticks: log_ticks(low, high),
-        }
+        Self { low, high, log: true, downwards: false, ticks: log_ticks(low, high) }
     }
 
     /// Vertical numeric axes point up, categorical ones down.
@@ -228,18 +199,11 @@ fn even_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
         return Vec::new();
     }
     let decimals = (-libm::floor(libm::log10(step) + 1e-9)).max(0.0) as usize;
-    let (first, last) = (
-        libm::ceil(low / step - 1e-9),
-        libm::floor(high / step + 1e-9),
-    );
+    let (first, last) = (libm::ceil(low / step - 1e-9), libm::floor(high / step + 1e-9));
     let places = (last - first).clamp(-1.0, 100.0) as i64 + 1;
     let tick = |place: i64| {
         let value = (first + place as f64) * step;
-        let value = if value.abs() < step * 1e-6 {
-            0.0
-        } else {
-            value
-        };
+        let value = if value.abs() < step * 1e-6 { 0.0 } else { value };
         (value, written(value, decimals))
     };
     (0..places).map(tick).collect()

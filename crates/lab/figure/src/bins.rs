@@ -27,11 +27,7 @@ pub struct Tiles {
 /// Counts numbers in `count` equal bins from `from` to `to`; NaN is ignored.
 pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usize) -> Bins {
     let count = count.max(1);
-    let mut found = Bins {
-        edges: edges([from, to], count),
-        counts: vec![0; count],
-        outside: 0,
-    };
+    let mut found = Bins { edges: edges([from, to], count), counts: vec![0; count], outside: 0 };
     for value in values.filter(|value| value.is_finite()) {
         match place(value, [from, to], count) {
             Some(place) => found.counts[place] += 1,
@@ -55,11 +51,7 @@ pub fn tiles(
             counts[row * count + column] += 1;
         }
     }
-    Tiles {
-        x_edges: edges(x, count),
-        y_edges: edges(y, count),
-        counts,
-    }
+    Tiles { x_edges: edges(x, count), y_edges: edges(y, count), counts }
 }
 
 fn edges([from, to]: [f64; 2], count: usize) -> Vec<f64> {

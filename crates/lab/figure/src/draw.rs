@@ -51,11 +51,8 @@ fn document(figure: &Figure) -> Result<String, FigureError> {
     let (width, height) = size_px(figure);
     let head = head(figure, " xmlns=\"http://www.w3.org/2000/svg\"");
     let ground = "<rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>";
-    Ok(head.replacen(
-        "<svg",
-        &format!("<svg width=\"{width}\" height=\"{height}\""),
-        1,
-    ) + ground
+    Ok(head.replacen("<svg", &format!("<svg width=\"{width}\" height=\"{height}\""), 1)
+        + ground
         + "\n"
         + &body)
 }
@@ -98,12 +95,9 @@ fn body(figure: &Figure) -> Result<String, FigureError> {
     {
         let size = ((width * UNITS) as u32, (height * UNITS) as u32);
         let ground = SVGBackend::with_string(&mut drawn, size).into_drawing_area();
-        draw(figure, &ground)
-            .and_then(|()| ground.present())
-            .map_err(|error| FigureError::Draw {
-                name: figure.name.clone(),
-                reason: error.to_string(),
-            })?;
+        draw(figure, &ground).and_then(|()| ground.present()).map_err(|error| {
+            FigureError::Draw { name: figure.name.clone(), reason: error.to_string() }
+        })?;
     }
     // The library's opening tag is replaced by ours.
     let opening = drawn.find(">\n").map_or(0, |end| end + 2);
@@ -112,11 +106,7 @@ fn body(figure: &Figure) -> Result<String, FigureError> {
 
 /// Width and height in CSS pixels.
 fn size_px(figure: &Figure) -> (i32, i32) {
-    let width = if figure.columns > 1 {
-        WIDTH_PX
-    } else {
-        NARROW_PX
-    };
+    let width = if figure.columns > 1 { WIDTH_PX } else { NARROW_PX };
     let rows: i32 = (0..figure.panels.len().div_ceil(figure.columns.max(1)))
         .map(|row| row_px(figure, row))
         .sum();
@@ -125,11 +115,7 @@ fn size_px(figure: &Figure) -> (i32, i32) {
 }
 
 fn panel_width_px(figure: &Figure) -> i32 {
-    let width = if figure.columns > 1 {
-        WIDTH_PX
-    } else {
-        NARROW_PX
-    };
+    let width = if figure.columns > 1 { WIDTH_PX } else { NARROW_PX };
     width / figure.columns.max(1) as i32
 }
 
@@ -148,11 +134,7 @@ fn header_px(figure: &Figure, row: usize) -> i32 {
     let width = panel_width_px(figure);
     let panels = row_of(figure, row).iter();
     let header = panels.map(|panel| {
-        let title = if panel.title.is_empty() && figure.panels.len() == 1 {
-            0
-        } else {
-            TITLE_PX
-        };
+        let title = if panel.title.is_empty() && figure.panels.len() == 1 { 0 } else { TITLE_PX };
         title + legend_rows(panel, width).len() as i32 * LEGEND_ROW_PX
     });
     header.max().unwrap_or(0) + 4
@@ -167,9 +149,8 @@ fn draw(figure: &Figure, ground: &Ground<'_>) -> Drawn {
             let number = row * figure.columns + column;
             let letter = (figure.panels.len() > 1).then(|| letter(number));
             let left = column as i32 * width;
-            let area = ground
-                .clone()
-                .shrink((left * UNITS, top * UNITS), (width * UNITS, height * UNITS));
+            let area =
+                ground.clone().shrink((left * UNITS, top * UNITS), (width * UNITS, height * UNITS));
             draw_panel(&area, panel, letter, [width, height, header])?;
         }
         top += height;
@@ -202,10 +183,7 @@ fn draw_panel(
     }
     let below_title = if title.is_empty() { 0 } else { TITLE_PX };
     draw_legend(area, panel, width, below_title)?;
-    let plot = area.clone().shrink(
-        (0, header * UNITS),
-        (width * UNITS, (height - header) * UNITS),
-    );
+    let plot = area.clone().shrink((0, header * UNITS), (width * UNITS, (height - header) * UNITS));
     draw_axes(&plot, panel, [width, height - header])
 }
 
@@ -246,20 +224,12 @@ fn draw_swatch(area: &Ground<'_>, layer: &Layer, left: i32, middle: i32) -> Draw
     let colour = rgb(layer.colour);
     let (from, to, y) = (left * UNITS, (left + SWATCH_PX) * UNITS, middle * UNITS);
     let line = colour.stroke_width((UNITS as u32 * 3).div_ceil(2));
-    let boxed = [
-        (from + 3 * UNITS, y - 5 * UNITS),
-        (to - 3 * UNITS, y + 5 * UNITS),
-    ];
+    let boxed = [(from + 3 * UNITS, y - 5 * UNITS), (to - 3 * UNITS, y + 5 * UNITS)];
     match layer.mark.swatch() {
         Swatch::Line => area.draw(&PathElement::new([(from, y), (to, y)], line)),
         Swatch::Dashes => {
             let (dash, gap) = (5 * UNITS, 3 * UNITS);
-            area.draw(&DashedPathElement::new(
-                [(from, y), (to, y)],
-                dash,
-                gap,
-                line,
-            ))
+            area.draw(&DashedPathElement::new([(from, y), (to, y)], dash, gap, line))
         }
         Swatch::Dot => {
             let dot = plotters::element::Circle::new(((from + to) / 2, y), 36, colour.filled());
@@ -271,11 +241,8 @@ fn draw_swatch(area: &Ground<'_>, layer: &Layer, left: i32, middle: i32) -> Draw
 }
 
 fn draw_axes(area: &Ground<'_>, panel: &Panel, [width, height]: [i32; 2]) -> Drawn {
-    let extents: Vec<[f64; 2]> = panel
-        .layers
-        .iter()
-        .flat_map(|layer| layer.mark.extent())
-        .collect();
+    let extents: Vec<[f64; 2]> =
+        panel.layers.iter().flat_map(|layer| layer.mark.extent()).collect();
     let has_data = panel.layers.iter().any(|layer| layer.mark.has_data(panel));
     let ticks = [width / 75, height / 45].map(|count| count.max(2) as usize);
     let x = panel.x.spanned(extents.iter().map(|[x, _]| *x), ticks[0]);
@@ -287,11 +254,7 @@ fn draw_axes(area: &Ground<'_>, panel: &Panel, [width, height]: [i32; 2]) -> Dra
     for (_, words) in x.ticks.iter_mut().chain(&mut y.ticks) {
         *words = shortened(words, TICK_LETTERS);
     }
-    let widest = y
-        .ticks
-        .iter()
-        .map(|(_, text)| width_px(text, SMALL_PX))
-        .max();
+    let widest = y.ticks.iter().map(|(_, text)| width_px(text, SMALL_PX)).max();
     let left = widest.unwrap_or(0) + 2 * TICK_PX + LABEL_PX + 12;
     let mut chart = ChartBuilder::on(area)
         .margin_top(6 * UNITS)
@@ -319,9 +282,7 @@ fn draw_axes(area: &Ground<'_>, panel: &Panel, [width, height]: [i32; 2]) -> Dra
     }
     mesh.draw()?;
     for layer in &panel.layers {
-        layer
-            .mark
-            .draw(chart.plotting_area(), layer.colour, panel)?;
+        layer.mark.draw(chart.plotting_area(), layer.colour, panel)?;
     }
     Ok(())
 }
@@ -346,10 +307,7 @@ fn draw_nothing(area: &Ground<'_>, panel: &Panel) -> Drawn {
 fn words(size_px: i32, colour: Colour, across: HPos, down: VPos) -> TextStyle<'static> {
     // The library writes the size divided by 1.24.
     let size = f64::from(size_px * UNITS) * 1.24;
-    ("sans-serif", size)
-        .into_font()
-        .color(&rgb(colour))
-        .pos(Pos::new(across, down))
+    ("sans-serif", size).into_font().color(&rgb(colour)).pos(Pos::new(across, down))
 }
 
 fn text(area: &Ground<'_>, words: &str, style: &TextStyle<'_>, at: (i32, i32)) -> Drawn {

@@ -109,20 +109,12 @@ pub enum FigureError {
 impl Layer {
     /// A layer with a legend entry.
     pub fn named(label: impl Into<String>, colour: Colour, mark: Mark) -> Self {
-        Self {
-            label: Some(label.into()),
-            colour,
-            mark,
-        }
+        Self { label: Some(label.into()), colour, mark }
     }
 
     /// A layer without a legend entry.
     pub fn plain(colour: Colour, mark: Mark) -> Self {
-        Self {
-            label: None,
-            colour,
-            mark,
-        }
+        Self { label: None, colour, mark }
     }
 }
 

@@ -83,11 +83,7 @@ pub enum Mark {
 impl Interval {
     /// A number without an interval.
     pub const fn exact(value: f64) -> Self {
-        Self {
-            value,
-            low: f64::NAN,
-            high: f64::NAN,
-        }
+        Self { value, low: f64::NAN, high: f64::NAN }
     }
 }
 
@@ -99,10 +95,7 @@ impl Mark {
         let counts = bins.counts.iter().map(|count| *count as f64);
         Self::Columns {
             edges: bins.edges.clone(),
-            heights: counts
-                .zip(widths)
-                .map(|(count, width)| count / total / width)
-                .collect(),
+            heights: counts.zip(widths).map(|(count, width)| count / total / width).collect(),
         }
     }
 }

@@ -55,14 +55,10 @@ impl Mark {
                 .filter(|point| point.iter().all(|number| number.is_finite()))
                 .flat_map(|[x, low, high]| [[*x, *low], [*x, *high]])
                 .collect(),
-            Self::Bars {
-                values, direction, ..
-            } => spans(values, *direction)
-                .chain([oriented(f64::NAN, 0.0, *direction)])
-                .collect(),
-            Self::Dots {
-                values, direction, ..
-            } => spans(values, *direction).collect(),
+            Self::Bars { values, direction, .. } => {
+                spans(values, *direction).chain([oriented(f64::NAN, 0.0, *direction)]).collect()
+            }
+            Self::Dots { values, direction, .. } => spans(values, *direction).collect(),
             Self::Columns { edges, heights } => edges
                 .iter()
                 .map(|edge| [*edge, f64::NAN])
@@ -96,10 +92,9 @@ impl Mark {
             Self::Band(points) => points.iter().any(|[x, low, high]| {
                 shown(&panel.x, *x) && shown(&panel.y, *low) && shown(&panel.y, *high)
             }),
-            Self::Line { .. } | Self::Points(_) => self
-                .extent()
-                .into_iter()
-                .any(|[x, y]| shown(&panel.x, x) && shown(&panel.y, y)),
+            Self::Line { .. } | Self::Points(_) => {
+                self.extent().into_iter().any(|[x, y]| shown(&panel.x, x) && shown(&panel.y, y))
+            }
         }
     }
 
@@ -128,16 +123,12 @@ impl Mark {
                 .iter()
                 .filter(|point| seen(**point))
                 .try_for_each(|point| dot(plane, *point, 22, colour, 0.7)),
-            Self::Bars {
-                values,
-                slot,
-                direction,
-            } => bars(plane, values, *slot, *direction, colour),
-            Self::Dots {
-                values,
-                slot,
-                direction,
-            } => dots(plane, values, *slot, *direction, colour),
+            Self::Bars { values, slot, direction } => {
+                bars(plane, values, *slot, *direction, colour)
+            }
+            Self::Dots { values, slot, direction } => {
+                dots(plane, values, *slot, *direction, colour)
+            }
             Self::Columns { edges, heights } => edges
                 .windows(2)
                 .zip(heights)
@@ -180,11 +171,7 @@ fn stroke(colour: Colour, tenths: u32) -> ShapeStyle {
 }
 
 fn fill(colour: Colour, opacity: f64) -> ShapeStyle {
-    ShapeStyle {
-        color: rgb(colour).mix(opacity),
-        filled: true,
-        stroke_width: 0,
-    }
+    ShapeStyle { color: rgb(colour).mix(opacity), filled: true, stroke_width: 0 }
 }
 
 fn pair([x, y]: [f64; 2]) -> (f64, f64) {
@@ -220,21 +207,12 @@ fn rectangle(
     opacity: f64,
 ) -> Drawn {
     // The backend expects the corners in screen order.
-    let (a, b) = (
-        plane.map_coordinate(&pair(from)),
-        plane.map_coordinate(&pair(to)),
-    );
+    let (a, b) = (plane.map_coordinate(&pair(from)), plane.map_coordinate(&pair(to)));
     let ordered = [(a.0.min(b.0), a.1.min(b.1)), (a.0.max(b.0), a.1.max(b.1))];
     let ((x_from, x_to), (y_from, y_to)) = bounds(plane);
-    let inside = ordered.map(|(x, y)| {
-        (
-            x.clamp(x_from, x_to) - x_from,
-            y.clamp(y_from, y_to) - y_from,
-        )
-    });
-    plane
-        .strip_coord_spec()
-        .draw(&Rectangle::new(inside, fill(colour, opacity)))
+    let inside =
+        ordered.map(|(x, y)| (x.clamp(x_from, x_to) - x_from, y.clamp(y_from, y_to) - y_from));
+    plane.strip_coord_spec().draw(&Rectangle::new(inside, fill(colour, opacity)))
 }
 
 fn bounds(plane: &Plane<'_>) -> ((i32, i32), (i32, i32)) {
@@ -243,11 +221,7 @@ fn bounds(plane: &Plane<'_>) -> ((i32, i32), (i32, i32)) {
 }
 
 fn dot(plane: &Plane<'_>, at: [f64; 2], tenths: i32, colour: Colour, opacity: f64) -> Drawn {
-    plane.draw(&Circle::new(
-        pair(at),
-        tenths * UNITS / 10,
-        fill(colour, opacity),
-    ))
+    plane.draw(&Circle::new(pair(at), tenths * UNITS / 10, fill(colour, opacity)))
 }
 
 /// The intervals with a value, each with the position of its `slot` in its category, and half of
@@ -317,10 +291,7 @@ fn whisker(
     }
     let caps = [low, high].map(|end| [(centre - half, end), (centre + half, end)]);
     for [(from, at), (to, until)] in [[(centre, low), (centre, high)], caps[0], caps[1]] {
-        let ends = [
-            oriented(from, at, direction),
-            oriented(to, until, direction),
-        ];
+        let ends = [oriented(from, at, direction), oriented(to, until, direction)];
         line(plane, &ends, colour, false)?;
     }
     Ok(())
@@ -329,12 +300,7 @@ fn whisker(
 fn draw_tiles(plane: &Plane<'_>, tiles: &Tiles, colour: Colour) -> Drawn {
     let most = tiles.counts.iter().max().copied().unwrap_or(0) as f64;
     let columns = tiles.x_edges.len().saturating_sub(1).max(1);
-    for (place, count) in tiles
-        .counts
-        .iter()
-        .enumerate()
-        .filter(|(_, count)| **count > 0)
-    {
+    for (place, count) in tiles.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
         let (column, row) = (place % columns, place / columns);
         let from = [tiles.x_edges[column], tiles.y_edges[row]];
         let to = [tiles.x_edges[column + 1], tiles.y_edges[row + 1]];
@@ -349,11 +315,8 @@ fn draw_tiles(plane: &Plane<'_>, tiles: &Tiles, colour: Colour) -> Drawn {
 fn rule(plane: &Plane<'_>, at: f64, direction: Direction, colour: Colour) -> Drawn {
     let across = direction == Direction::Across;
     let spec = plane.as_coord_spec();
-    let (along, beside) = if across {
-        (spec.x_spec(), spec.y_spec())
-    } else {
-        (spec.y_spec(), spec.x_spec())
-    };
+    let (along, beside) =
+        if across { (spec.x_spec(), spec.y_spec()) } else { (spec.y_spec(), spec.x_spec()) };
     let ([low, high], [first, last]) = (along.ends(), beside.ends());
     if !(first <= at && at <= last) {
         return Ok(());

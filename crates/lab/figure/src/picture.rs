@@ -23,32 +23,19 @@ impl Figure {
 }
 
 fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
-    let failed = |reason: String| FigureError::Picture {
-        name: figure.name.clone(),
-        reason,
-    };
+    let failed = |reason: String| FigureError::Picture { name: figure.name.clone(), reason };
     if !(0.5..=8.0).contains(&scale) {
         return Err(failed(format!("scale {scale}; allowed: 0.5 to 8")));
     }
-    let options = Options {
-        fontdb: fonts(),
-        font_family: FAMILY.to_owned(),
-        ..Options::default()
-    };
+    let options = Options { fontdb: fonts(), font_family: FAMILY.to_owned(), ..Options::default() };
     let tree =
         Tree::from_str(&figure.svg()?, &options).map_err(|error| failed(error.to_string()))?;
     let size = tree.size();
     let [width, height] = [size.width(), size.height()].map(|side| (side * scale).round() as u32);
     let mut pixels = Pixmap::new(width, height)
         .ok_or_else(|| failed(format!("{width} by {height} pixels are too many or none")))?;
-    resvg::render(
-        &tree,
-        Transform::from_scale(scale, scale),
-        &mut pixels.as_mut(),
-    );
-    pixels
-        .encode_png()
-        .map_err(|error| failed(error.to_string()))
+    resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixels.as_mut());
+    pixels.encode_png().map_err(|error| failed(error.to_string()))
 }
 
 /// The font of all figures.

@@ -4,11 +4,7 @@
 /// first, the minimum, the maximum and the last. The drawing looks the same, because a pixel column
 /// shows no more. Points must be in order of x; a NaN is kept as a gap.
 pub(super) fn thinned(points: &[[f64; 2]], columns: usize) -> Vec<[f64; 2]> {
-    let known = || {
-        points
-            .iter()
-            .filter(|[x, y]| x.is_finite() && y.is_finite())
-    };
+    let known = || points.iter().filter(|[x, y]| x.is_finite() && y.is_finite());
     let (Some(first), Some(last)) = (known().next(), known().next_back()) else {
         return Vec::new();
     };

@@ -21,10 +21,7 @@ fn figure(panels: Vec<Panel>) -> Figure {
 }
 
 fn line(points: &[[f64; 2]], dashed: bool) -> Mark {
-    Mark::Line {
-        points: points.to_vec(),
-        dashed,
-    }
+    Mark::Line { points: points.to_vec(), dashed }
 }
 
 fn rule(at: f64, direction: Direction) -> Mark {
@@ -34,21 +31,12 @@ fn rule(at: f64, direction: Direction) -> Mark {
 /// One panel for every kind of mark.
 fn everything() -> Figure {
     use Colour::{Blue, Green, Grey, Ink, Orange, Sky, Vermilion};
-    let wave: Vec<[f64; 2]> = (0..500)
-        .map(|i| [f64::from(i) / 30.0, (f64::from(i) / 20.0).sin()])
-        .collect();
-    let names = || {
-        ["network", "AR(5)", "persistence"]
-            .map(str::to_owned)
-            .to_vec()
-    };
+    let wave: Vec<[f64; 2]> =
+        (0..500).map(|i| [f64::from(i) / 30.0, (f64::from(i) / 20.0).sin()]).collect();
+    let names = || ["network", "AR(5)", "persistence"].map(str::to_owned).to_vec();
     let values = |shift: f64| -> Vec<Interval> {
         let values = [0.9, 0.8, f64::NAN].map(|value| value + shift);
-        let interval = |value| Interval {
-            value,
-            low: value - 0.05,
-            high: value + 0.02,
-        };
+        let interval = |value| Interval { value, low: value - 0.05, high: value + 0.02 };
         values.map(interval).to_vec()
     };
     let dots = |shift, slot| Mark::Dots {
@@ -56,11 +44,7 @@ fn everything() -> Figure {
         slot: [slot, 2],
         direction: Direction::Across,
     };
-    let bars = Mark::Bars {
-        values: values(0.0),
-        slot: [0, 1],
-        direction: Direction::Up,
-    };
+    let bars = Mark::Bars { values: values(0.0), slot: [0, 1], direction: Direction::Up };
     let band = wave.iter().map(|[x, y]| [*x, y - 0.2, y + 0.2]).collect();
     let heights = bins(wave.iter().map(|[_, y]| *y), [-1.0, 1.0], 20);
     let pairs = tiles(wave.iter().copied(), [0.0, 17.0], [-1.0, 1.0], 20);
@@ -90,10 +74,7 @@ fn everything() -> Figure {
     panels[3].y = Axis::names("model", names());
     panels[4].x = Axis::names("model", names());
     panels[4].y = Axis::new("R²").including(0.0);
-    Figure {
-        note: Some("simulated".to_owned()),
-        ..figure(panels)
-    }
+    Figure { note: Some("simulated".to_owned()), ..figure(panels) }
 }
 
 fn words<'a>(document: &'a Document<'_>) -> Vec<&'a str> {
@@ -152,18 +133,13 @@ fn every_kind_of_mark_is_drawn_within_the_picture() {
 
 #[test]
 fn figures_have_a_text_alternative() {
-    let figure = Figure {
-        title: "R² < 1 & \"skill\"".to_owned(),
-        ..everything()
-    };
+    let figure = Figure { title: "R² < 1 & \"skill\"".to_owned(), ..everything() };
     let svg = figure.svg().unwrap();
     let document = Document::parse(&svg).unwrap();
     let root = document.root_element();
     assert_eq!(root.attribute("role"), Some("img"));
     for id in root.attribute("aria-labelledby").unwrap().split(' ') {
-        let named = root
-            .children()
-            .find(|node| node.attribute("id") == Some(id));
+        let named = root.children().find(|node| node.attribute("id") == Some(id));
         assert!(named.unwrap().text().is_some(), "{id}");
     }
     let title = root.children().find(|node| node.has_tag_name("title"));
@@ -194,29 +170,20 @@ fn panels_without_data_say_so() {
 #[test]
 fn a_gap_in_a_line_is_kept() {
     let heights = [1.0, 2.0, f64::NAN, 1.0, 2.0];
-    let points: Vec<[f64; 2]> = (0..)
-        .map(f64::from)
-        .zip(heights)
-        .map(<[f64; 2]>::from)
-        .collect();
+    let points: Vec<[f64; 2]> = (0..).map(f64::from).zip(heights).map(<[f64; 2]>::from).collect();
     let layer = Layer::plain(Colour::Blue, line(&points, false));
     let svg = figure(vec![panel(vec![layer])]).svg().unwrap();
     let document = Document::parse(&svg).unwrap();
     let blue = Colour::hex(Colour::Blue.light());
-    let lines = document
-        .descendants()
-        .filter(|node| node.attribute("stroke") == Some(&blue))
-        .count();
+    let lines =
+        document.descendants().filter(|node| node.attribute("stroke") == Some(&blue)).count();
     assert_eq!(lines, 2);
 }
 
 #[test]
 fn the_same_data_gives_the_same_bytes() {
     assert_eq!(everything().svg().unwrap(), everything().svg().unwrap());
-    assert_eq!(
-        everything().png(1.0).unwrap(),
-        everything().png(1.0).unwrap()
-    );
+    assert_eq!(everything().png(1.0).unwrap(), everything().png(1.0).unwrap());
 }
 
 #[test]
@@ -249,10 +216,7 @@ fn a_layout_out_of_range_is_refused_with_its_numbers() {
         let mut figure = sound.clone();
         change(&mut figure);
         let refused = figure.svg();
-        assert!(
-            matches!(refused, Err(FigureError::Layout { .. })),
-            "{figure:?}"
-        );
+        assert!(matches!(refused, Err(FigureError::Layout { .. })), "{figure:?}");
     }
 }
 

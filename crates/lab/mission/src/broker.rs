@@ -154,11 +154,7 @@ impl Broker<'_> {
 
     /// The robot for questions.
     pub(crate) fn robot(&self, (state, budget): &(PlanState, Budget)) -> Option<Robot<'_>> {
-        let header = PlanStateHeader {
-            tick: self.frames,
-            sent_ns: self.now_ns,
-            ..self.header
-        };
+        let header = PlanStateHeader { tick: self.frames, sent_ns: self.now_ns, ..self.header };
         let of = BudgetHeader {
             schema: SCHEMA_VERSION,
             worker_epoch: header.worker_epoch,

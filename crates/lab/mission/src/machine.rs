@@ -78,10 +78,7 @@ impl Machine {
 
     pub(crate) fn pose(&self) -> Pose {
         let pose = self.driven.pose();
-        Pose {
-            at: Point::new(pose.at_m.x, pose.at_m.y),
-            heading_rad: pose.theta_rad,
-        }
+        Pose { at: Point::new(pose.at_m.x, pose.at_m.y), heading_rad: pose.theta_rad }
     }
 
     /// Drives and discharges for `dt_ns`, with the power supplied in that time.
@@ -155,10 +152,7 @@ impl Machine {
                 return ahead.driven.drawn_j() - self.driven.drawn_j();
             };
             let (v_mps, omega_radps) = follower.command(&pose, *goal, SPEED_MPS);
-            let command = Command {
-                v_mps: v_mps.into(),
-                omega_radps: omega_radps.into(),
-            };
+            let command = Command { v_mps: v_mps.into(), omega_radps: omega_radps.into() };
             ahead.driven.drive(command, dt_ns);
             driven_ns += dt_ns;
         }

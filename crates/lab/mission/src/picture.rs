@@ -11,12 +11,8 @@ use crate::scenario::Scenario;
 const EVERY_S: f64 = 2.0;
 const SHOWN_MIN: (f64, f64) = (10.0, 25.0);
 /// Robots whose state of charge is drawn.
-const DRAWN: [(usize, Colour); 4] = [
-    (0, Colour::Blue),
-    (4, Colour::Green),
-    (8, Colour::Orange),
-    (12, Colour::Purple),
-];
+const DRAWN: [(usize, Colour); 4] =
+    [(0, Colour::Blue), (4, Colour::Green), (8, Colour::Orange), (12, Colour::Purple)];
 
 /// Errors of drawing a mission.
 #[derive(Debug, thiserror::Error)]
@@ -45,11 +41,7 @@ pub fn picture(scenario: &Scenario, policy: Policy, seed: u64) -> Result<String,
         outcome.stranded
     );
     let end_min = scenario.duration_s / 60.0;
-    let ends = if SHOWN_MIN.1 <= end_min {
-        SHOWN_MIN
-    } else {
-        (0.0, end_min)
-    };
+    let ends = if SHOWN_MIN.1 <= end_min { SHOWN_MIN } else { (0.0, end_min) };
     let figure = Figure {
         columns: 1,
         panel_height_px: 300,
@@ -70,20 +62,12 @@ fn jobs(looks: &[Look], ends: (f64, f64)) -> Panel {
         // One line through all robots, with gaps between them and during other activities.
         let points = (0..robots).map(|robot| {
             let at = looks.iter().map(move |(at_s, robots)| {
-                let y = if robots[robot].0 == doing {
-                    robot as f64
-                } else {
-                    f64::NAN
-                };
+                let y = if robots[robot].0 == doing { robot as f64 } else { f64::NAN };
                 [at_s / 60.0, y]
             });
-            at.filter(move |[at_min, _]| (ends.0..=ends.1).contains(at_min))
-                .collect()
+            at.filter(move |[at_min, _]| (ends.0..=ends.1).contains(at_min)).collect()
         });
-        let lines = points.map(|points| Mark::Line {
-            points,
-            dashed: false,
-        });
+        let lines = points.map(|points| Mark::Line { points, dashed: false });
         let mut layers: Vec<Layer> = lines.map(|mark| Layer::plain(colour, mark)).collect();
         if let Some(first) = layers.first_mut() {
             first.label = Some(label.to_owned());
@@ -111,20 +95,10 @@ fn charge(looks: &[Look], ends: (f64, f64)) -> Panel {
     let layers = drawn.map(|(robot, colour)| {
         let points = looks.iter().map(|(at_s, robots)| {
             let (doing, soc) = robots[*robot];
-            [
-                at_s / 60.0,
-                if doing == Doing::Off {
-                    f64::NAN
-                } else {
-                    100.0 * soc
-                },
-            ]
+            [at_s / 60.0, if doing == Doing::Off { f64::NAN } else { 100.0 * soc }]
         });
         let points = points.filter(|[at_min, _]| (ends.0..=ends.1).contains(at_min));
-        let mark = Mark::Line {
-            points: points.collect(),
-            dashed: false,
-        };
+        let mark = Mark::Line { points: points.collect(), dashed: false };
         Layer::named(format!("robot {robot}"), *colour, mark)
     });
     Panel {

@@ -84,10 +84,7 @@ impl Asked {
     /// The path from its position over some points.
     fn path(&self, points: &[Point]) -> Path {
         let all: Vec<Point> = [&[self.pose.at], points].concat();
-        Path {
-            heading_rad: Some(self.pose.heading_rad),
-            ..Path::new(&all, SPEED_MPS)
-        }
+        Path { heading_rad: Some(self.pose.heading_rad), ..Path::new(&all, SPEED_MPS) }
     }
 
     fn distance_m(&self, to: Point) -> f64 {
@@ -174,10 +171,7 @@ impl Policy {
                     return Ok(f64::INFINITY);
                 };
                 let trip = robot.finish(&path, None, *coverage)?;
-                let hi_j = trip
-                    .answer
-                    .energy
-                    .map_or(f32::INFINITY, |energy| energy.hi_j);
+                let hi_j = trip.answer.energy.map_or(f32::INFINITY, |energy| energy.hi_j);
                 // A load that has just begun: the mean of the last seconds knows it, the level of
                 // the last minutes not yet.
                 let recent_j = recent_w(&robot) * trip.answer.duration_s;
@@ -243,18 +237,13 @@ fn rolled_j(broker: &Broker<'_>, state: &PlanState, path: &Path) -> Result<f64, 
     let held = (f64::from(followed.period_s) / step_s).round() as usize;
     let commands = |planned: &[f32]| -> Vec<f32> {
         let each = planned.iter();
-        each.flat_map(|value| std::iter::repeat_n(*value, held))
-            .collect()
+        each.flat_map(|value| std::iter::repeat_n(*value, held)).collect()
     };
     let (v_mps, omega_radps) = (commands(&followed.v_mps), commands(&followed.omega_radps));
     let Some(lag_w) = state.lags_w() else {
         return Ok(f64::INFINITY);
     };
-    let start = RolloutStart {
-        command: state.command(),
-        lag_w,
-        reading_age: ReadingAge::UNKNOWN,
-    };
+    let start = RolloutStart { command: state.command(), lag_w, reading_age: ReadingAge::UNKNOWN };
     let rollouts = Rollouts {
         starts: &[start],
         candidates: 1,
@@ -264,28 +253,16 @@ fn rolled_j(broker: &Broker<'_>, state: &PlanState, path: &Path) -> Result<f64, 
         omega_radps: &omega_radps,
     };
     let mut energy_j = [f32::NAN];
-    broker
-        .product
-        .model()
-        .rollout(&rollouts, 0..1, &mut energy_j, None)?;
+    broker.product.model().rollout(&rollouts, 0..1, &mut energy_j, None)?;
     let energy_j = f64::from(energy_j[0]);
-    Ok(if energy_j > 0.0 {
-        energy_j
-    } else {
-        f64::INFINITY
-    })
+    Ok(if energy_j > 0.0 { energy_j } else { f64::INFINITY })
 }
 
 impl fmt::Display for Policy {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Threshold { begin, go } => {
-                write!(
-                    out,
-                    "begin above {:.0} %, go below {:.0} %",
-                    100.0 * begin,
-                    100.0 * go
-                )
+                write!(out, "begin above {:.0} %, go below {:.0} %", 100.0 * begin, 100.0 * go)
             }
             Self::Distance { power_w, .. } => write!(out, "{power_w} W"),
             Self::Network { margin, .. } => write!(out, "rollout × {margin}"),

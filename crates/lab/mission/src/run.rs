@@ -218,10 +218,7 @@ impl<'a> Mission<'a> {
         let command = target.map_or((0.0, 0.0), |goal| {
             self.broker.product.follower.command(&pose, goal, SPEED_MPS)
         });
-        let command = Command {
-            v_mps: command.0.into(),
-            omega_radps: command.1.into(),
-        };
+        let command = Command { v_mps: command.0.into(), omega_radps: command.1.into() };
         let charger = match self.jobs[robot] {
             Job::Charging(charger, since) => Some((charger, self.is_docked(since))),
             _ => None,
@@ -242,20 +239,14 @@ impl<'a> Mission<'a> {
         let sample = machine.sample(robot as u32, now_ns, is_docked);
         self.counted[0] += 1;
         self.counted[1] += u64::from(matches!(self.jobs[robot], Job::Task { .. }));
-        let in_line = matches!(
-            self.jobs[robot],
-            Job::ToLine | Job::Waiting | Job::ToCharger(_)
-        );
+        let in_line = matches!(self.jobs[robot], Job::ToLine | Job::Waiting | Job::ToCharger(_));
         self.counted[2] += u64::from(in_line);
         self.outcome.charger_use += if is_docked { 1.0 } else { 0.0 };
         // Only the policy that uses `CannotReturn` states a path home in its samples.
         let states = matches!(self.policy, Policy::Joulebus { .. });
         let home_j = self.home_j[robot];
-        let sample = if states && home_j.is_finite() {
-            sample.return_energy(home_j as f32)
-        } else {
-            sample
-        };
+        let sample =
+            if states && home_j.is_finite() { sample.return_energy(home_j as f32) } else { sample };
         self.samples.push(sample);
         if let Some((charger, _)) = charger.filter(|_| self.machines[robot].is_full()) {
             self.chargers[charger] = None;
@@ -394,10 +385,7 @@ impl<'a> Mission<'a> {
                 let home_j = self.policy.needed_j(&self.broker, &asked, way)?;
                 self.home_j[robot] = home_j;
             }
-            if !self
-                .policy
-                .must_go(&self.broker, &asked, self.home_j[robot])
-            {
+            if !self.policy.must_go(&self.broker, &asked, self.home_j[robot]) {
                 continue;
             }
             let job = std::mem::replace(&mut self.jobs[robot], Job::ToLine);
@@ -443,11 +431,7 @@ impl<'a> Mission<'a> {
 
     /// Lets robots without tasks charge while chargers are free.
     fn rest(&mut self, idle: &[Asked]) {
-        let mut free = self
-            .chargers
-            .iter()
-            .filter(|holder| holder.is_none())
-            .count();
+        let mut free = self.chargers.iter().filter(|holder| holder.is_none()).count();
         for asked in idle {
             if free > 0 && f64::from(asked.rows.1.soc) < RESTS_BELOW {
                 self.jobs[asked.robot] = Job::ToLine;
@@ -459,10 +443,7 @@ impl<'a> Mission<'a> {
     fn metered_error(&self) -> f64 {
         let errors = self.machines.iter().enumerate().map(|(robot, machine)| {
             let shown_j = machine.shown_j();
-            let state = self
-                .broker
-                .state(robot)
-                .filter(|_| shown_j > MIN_COMPARED_J);
+            let state = self.broker.state(robot).filter(|_| shown_j > MIN_COMPARED_J);
             state.map_or(0.0, |(_, budget)| (budget.drawn_j() / shown_j - 1.0).abs())
         });
         errors.fold(0.0, f64::max)
@@ -496,10 +477,7 @@ impl<'a> Mission<'a> {
         (outcome.at_work, outcome.in_line) = (working / steps, in_line / steps);
         outcome.charger_use /= self.chargers.len() as f64 * self.step as f64;
         outcome.soc_before = self.socs_before / outcome.charges as f64;
-        let unaccounted = self
-            .machines
-            .iter()
-            .map(|machine| machine.unaccounted_j().abs());
+        let unaccounted = self.machines.iter().map(|machine| machine.unaccounted_j().abs());
         outcome.unaccounted_j = unaccounted.fold(0.0, f64::max);
         Ok(self.outcome)
     }

@@ -129,14 +129,8 @@ impl Scenario {
         let (capacity_j, gain) = (self.capacity_j * factor(CAPACITY_SD), factor(GAIN_SD));
         let extra_w = EXTRA_W[noise.below(EXTRA_W.len())];
         let at = anywhere(&mut noise);
-        let pose = Pose {
-            at_m: Vector::new(at.x_m, at.y_m),
-            theta_rad: 0.0,
-        };
-        let parts = Parts {
-            friction_spread: FRICTION_SPREAD,
-            ..Parts::default()
-        };
+        let pose = Pose { at_m: Vector::new(at.x_m, at.y_m), theta_rad: 0.0 };
+        let parts = Parts { friction_spread: FRICTION_SPREAD, ..Parts::default() };
         let stream = ROBOTS + 2 * robot as u64;
         let mut driven = Driven::new(parts, extra_w, pose, (seed, stream));
         let (drags, from_s) = (noise.uniform(), self.duration_s * noise.uniform());
@@ -144,11 +138,7 @@ impl Scenario {
         if drags < self.dragging_share {
             driven = driven.with_fault(Fault::ExtraLoad { power_w }, from_s);
         }
-        Made {
-            driven,
-            capacity_j,
-            gain,
-        }
+        Made { driven, capacity_j, gain }
     }
 }
 

@@ -85,9 +85,7 @@ impl Summary {
     /// no baseline.
     pub fn of(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
         let last = runs.last().map(|runs| runs.outcomes.as_slice());
-        let policies = runs
-            .iter()
-            .map(|own| summary(own, last.unwrap_or_default(), &scenario));
+        let policies = runs.iter().map(|own| summary(own, last.unwrap_or_default(), &scenario));
         let policies: Vec<PolicySummary> = policies.collect();
         Self {
             scenario,
@@ -121,10 +119,7 @@ fn summary(runs: &Runs, joulebus: &[Outcome], scenario: &Scenario) -> PolicySumm
     let hours = scenario.duration_s / 3600.0;
     let count = outcomes.len() as f64;
     let mean = |of: fn(&Outcome) -> f64| outcomes.iter().map(of).sum::<f64>() / count;
-    let bootstrap = Bootstrap {
-        resamples: RESAMPLES,
-        ..Bootstrap::default()
-    };
+    let bootstrap = Bootstrap { resamples: RESAMPLES, ..Bootstrap::default() };
     let estimates = bootstrap.estimate(outcomes.len(), |seeds| {
         let sum = |of: &[Outcome], value: fn(&Outcome) -> u64| {
             seeds.iter().map(|seed| value(&of[*seed])).sum::<u64>() as f64
@@ -171,23 +166,13 @@ impl fmt::Display for Shown {
 }
 
 fn percent(estimate: Estimate) -> Estimate {
-    Estimate {
-        value: 100.0 * estimate.value,
-        lo: 100.0 * estimate.lo,
-        hi: 100.0 * estimate.hi,
-    }
+    Estimate { value: 100.0 * estimate.value, lo: 100.0 * estimate.lo, hi: 100.0 * estimate.hi }
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Scenario {
-            robots,
-            chargers,
-            duration_s,
-            capacity_j,
-            dragging_share,
-            ..
-        } = self.scenario;
+        let Scenario { robots, chargers, duration_s, capacity_j, dragging_share, .. } =
+            self.scenario;
         let (missions, first) = (self.missions, self.first_seed);
         writeln!(
             out,
@@ -230,20 +215,15 @@ impl fmt::Display for Summary {
             )?;
         }
         match &self.verdict {
-            Some(Comparison {
-                baseline: Some(name),
-                more: Some(more),
-                stranded,
-            }) => writeln!(
+            Some(Comparison { baseline: Some(name), more: Some(more), stranded }) => writeln!(
                 out,
                 "joulebus strands {stranded} robots and does {} % more tasks than {name}, the best baseline \
                  that strands at most as many",
                 Shown(percent(*more), 1)
             ),
-            Some(Comparison { stranded, .. }) => writeln!(
-                out,
-                "joulebus strands {stranded} robots; every baseline strands more"
-            ),
+            Some(Comparison { stranded, .. }) => {
+                writeln!(out, "joulebus strands {stranded} robots; every baseline strands more")
+            }
             None => Ok(()),
         }
     }

@@ -6,22 +6,10 @@ use crate::policy::Policy;
 /// (`joulebus mission --tune --seeds 16`). Of those that strand at most one of the 320 robots they
 /// do the most tasks.
 pub const CHOSEN: [Policy; 4] = [
-    Policy::Threshold {
-        begin: 0.55,
-        go: 0.3,
-    },
-    Policy::Distance {
-        power_w: 5.0,
-        reserve: 0.15,
-    },
-    Policy::Network {
-        margin: 1.2,
-        reserve: 0.15,
-    },
-    Policy::Joulebus {
-        coverage: 0.98,
-        reserve: 0.025,
-    },
+    Policy::Threshold { begin: 0.55, go: 0.3 },
+    Policy::Distance { power_w: 5.0, reserve: 0.15 },
+    Policy::Network { margin: 1.2, reserve: 0.15 },
+    Policy::Joulebus { coverage: 0.98, reserve: 0.025 },
 ];
 
 /// The settings that `--tune` tries: around the best of each policy, which must not lie at an edge.

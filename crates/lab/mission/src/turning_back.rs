@@ -22,10 +22,7 @@ fn shown_j(robot: &Machine, product: &Product, goal: Point, out_s: f64) -> f64 {
             return robot.shown_j() - begun_j;
         }
         let (v_mps, omega_radps) = product.follower.command(&pose, towards, SPEED_MPS);
-        let command = Command {
-            v_mps: v_mps.into(),
-            omega_radps: omega_radps.into(),
-        };
+        let command = Command { v_mps: v_mps.into(), omega_radps: omega_radps.into() };
         robot.step(command, dt_ns, Fed::Nothing);
         driven_s += dt_ns as f64 * 1e-9;
         if robot.is_empty() {
@@ -36,11 +33,7 @@ fn shown_j(robot: &Machine, product: &Product, goal: Point, out_s: f64) -> f64 {
 
 #[test]
 fn a_robot_that_turns_back_in_time_keeps_its_reserve_and_one_that_is_late_does_not() {
-    let scenario = Scenario {
-        robots: ROBOTS,
-        dragging_share: 0.0,
-        ..Scenario::default()
-    };
+    let scenario = Scenario { robots: ROBOTS, dragging_share: 0.0, ..Scenario::default() };
     let product = Product::new(&scenario, RESERVE).expect("it is valid");
     let mut broker = product.broker().expect("it is valid");
     let made = (0..ROBOTS).map(|robot| Machine::new(scenario.made(5, robot), 0));
@@ -61,13 +54,9 @@ fn a_robot_that_turns_back_in_time_keeps_its_reserve_and_one_that_is_late_does_n
         let asked = broker.robot(&rows).expect("it is of the fleet");
         let pose = robot.pose();
         let goal = Point::new(pose.at.x_m + 8.0, pose.at.y_m);
-        let path = Path {
-            heading_rad: Some(pose.heading_rad),
-            ..Path::new(&[pose.at, goal], SPEED_MPS)
-        };
-        let trip = asked
-            .can_finish(&path, Some(pose.at), 0.9)
-            .expect("it moves");
+        let path =
+            Path { heading_rad: Some(pose.heading_rad), ..Path::new(&[pose.at, goal], SPEED_MPS) };
+        let trip = asked.can_finish(&path, Some(pose.at), 0.9).expect("it moves");
         assert_ne!(trip.answer.verdict, Verdict::Yes, "{:?}", trip.answer);
         let turn_back_s = f64::from(trip.turn_back_s.expect("now it could"));
         assert!((20.0..50.0).contains(&turn_back_s), "{turn_back_s}");
@@ -76,8 +65,5 @@ fn a_robot_that_turns_back_in_time_keeps_its_reserve_and_one_that_is_late_does_n
         lost += usize::from(shown_j(robot, &product, goal, turn_back_s + 12.0) > usable_j);
     }
     // Nine of ten at least, as asked for. Twelve seconds later it is nearly 100 J more.
-    assert!(
-        kept * 10 >= ROBOTS * 9 && lost * 10 >= ROBOTS * 9,
-        "{kept} {lost}"
-    );
+    assert!(kept * 10 >= ROBOTS * 9 && lost * 10 >= ROBOTS * 9, "{kept} {lost}");
 }

@@ -5,10 +5,7 @@ use joulebus_mission::{CHOSEN, Outcome, Policy, Runs, Scenario, Summary, mission
 
 /// Eight minutes, in which every robot is charged at least once.
 fn short() -> Scenario {
-    Scenario {
-        duration_s: 480.0,
-        ..Scenario::default()
-    }
+    Scenario { duration_s: 480.0, ..Scenario::default() }
 }
 
 #[test]
@@ -23,10 +20,7 @@ fn no_charger_takes_two_robots_and_every_joule_is_accounted_for() {
         // The fleet meters the energy that the monitors show.
         assert!(outcome.metered_error < 0.01, "{name}: {outcome:?}");
         let shares = [outcome.at_work, outcome.in_line, outcome.charger_use];
-        assert!(
-            shares.iter().all(|share| (0.0..1.0).contains(share)),
-            "{name}: {outcome:?}"
-        );
+        assert!(shares.iter().all(|share| (0.0..1.0).contains(share)), "{name}: {outcome:?}");
     }
 }
 
@@ -47,10 +41,7 @@ fn the_same_seed_gives_the_same_mission_in_any_thread_and_another_seed_another()
 
 #[test]
 fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted() {
-    let blind = Policy::Distance {
-        power_w: 2.0,
-        reserve: 0.05,
-    };
+    let blind = Policy::Distance { power_w: 2.0, reserve: 0.05 };
     let blind = mission(&short(), blind, 2001).unwrap();
     let careful = mission(&short(), CHOSEN[3], 2001).unwrap();
     assert!(blind.stranded >= 3, "{blind:?}");
@@ -61,26 +52,15 @@ fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted()
 
 #[test]
 fn a_fleet_with_large_batteries_and_sound_robots_strands_under_no_policy() {
-    let scenario = Scenario {
-        capacity_j: 3600.0,
-        dragging_share: 0.0,
-        ..short()
-    };
+    let scenario = Scenario { capacity_j: 3600.0, dragging_share: 0.0, ..short() };
     for policy in CHOSEN {
-        assert_eq!(
-            mission(&scenario, policy, 2004).unwrap().stranded,
-            0,
-            "{policy:?}"
-        );
+        assert_eq!(mission(&scenario, policy, 2004).unwrap().stranded, 0, "{policy:?}");
     }
 }
 
 #[test]
 fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
-    let brief = Scenario {
-        duration_s: 2.0,
-        ..short()
-    };
+    let brief = Scenario { duration_s: 2.0, ..short() };
     let outcome = |tasks: u64, stranded: u64| Outcome {
         tasks,
         stranded,
@@ -99,15 +79,9 @@ fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
     let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
     assert_eq!(verdict.baseline, Some("distance"));
     let more = verdict.more.unwrap();
-    assert!(
-        (more.value - 0.1).abs() < 1e-12 && more.lo <= more.value,
-        "{more:?}"
-    );
+    assert!((more.value - 0.1).abs() < 1e-12 && more.lo <= more.value, "{more:?}");
     let all = [runs(CHOSEN[2], 120, 1), runs(CHOSEN[3], 110, 0)];
-    assert_eq!(
-        Summary::of(short(), 1, &all).verdict.unwrap().baseline,
-        None
-    );
+    assert_eq!(Summary::of(short(), 1, &all).verdict.unwrap().baseline, None);
 }
 
 #[test]
@@ -115,27 +89,12 @@ fn with_true_energies_nobody_strands_robots_charge_later_and_the_oracle_is_no_ba
     let oracle = mission(&short(), Policy::Oracle, 2001).unwrap();
     let joulebus = mission(&short(), CHOSEN[3], 2001).unwrap();
     assert_eq!(oracle.stranded, 0, "{oracle:?}");
-    assert!(
-        oracle.soc_before < joulebus.soc_before,
-        "{oracle:?} {joulebus:?}"
-    );
-    assert!(
-        oracle.unaccounted_j < 1e-6 && oracle.metered_error < 0.01,
-        "{oracle:?}"
-    );
-    let more = Outcome {
-        tasks: 2 * joulebus.tasks,
-        ..oracle
-    };
-    let runs = |policy: Policy, outcome: &Outcome| Runs {
-        policy,
-        outcomes: vec![outcome.clone(); 10],
-    };
-    let all = [
-        runs(Policy::Oracle, &more),
-        runs(CHOSEN[1], &joulebus),
-        runs(CHOSEN[3], &joulebus),
-    ];
+    assert!(oracle.soc_before < joulebus.soc_before, "{oracle:?} {joulebus:?}");
+    assert!(oracle.unaccounted_j < 1e-6 && oracle.metered_error < 0.01, "{oracle:?}");
+    let more = Outcome { tasks: 2 * joulebus.tasks, ..oracle };
+    let runs =
+        |policy: Policy, outcome: &Outcome| Runs { policy, outcomes: vec![outcome.clone(); 10] };
+    let all = [runs(Policy::Oracle, &more), runs(CHOSEN[1], &joulebus), runs(CHOSEN[3], &joulebus)];
     let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
     assert_eq!(verdict.baseline, Some("distance"));
 }

@@ -56,13 +56,9 @@ fn shown(entry: &Entry) -> String {
 /// The statement of an entry, if it is about the activation of hidden layers.
 fn statement(entry: &Entry) -> Result<Option<Stated>, FindError> {
     let path = entry.path.as_str();
-    let unsupported = |found: &str| FindError::Activation {
-        path: path.to_owned(),
-        found: found.to_owned(),
-    };
-    let class = path
-        .rsplit_once("(activation.")
-        .and_then(|(_, class)| class.strip_suffix(')'));
+    let unsupported =
+        |found: &str| FindError::Activation { path: path.to_owned(), found: found.to_owned() };
+    let class = path.rsplit_once("(activation.").and_then(|(_, class)| class.strip_suffix(')'));
     if let Some(class) = class {
         return named(class).map(Some).ok_or_else(|| unsupported(class));
     }
@@ -79,22 +75,13 @@ fn statement(entry: &Entry) -> Result<Option<Stated>, FindError> {
             _ => Err(unsupported(found)),
         };
     }
-    if !word(&[
-        "activation",
-        "activations",
-        "act",
-        "nonlinearity",
-        "nonlinearities",
-    ]) {
+    if !word(&["activation", "activations", "act", "nonlinearity", "nonlinearities"]) {
         return Ok(None);
     }
     if word(&["output", "out", "final", "last"]) {
         return match found.to_lowercase().as_str() {
             "identity" | "linear" | "none" | "" => Ok(None),
-            _ => Err(FindError::OutputActivation {
-                path: path.to_owned(),
-                found: found.clone(),
-            }),
+            _ => Err(FindError::OutputActivation { path: path.to_owned(), found: found.clone() }),
         };
     }
     named(found).map(Some).ok_or_else(|| unsupported(found))
@@ -107,16 +94,8 @@ fn named(text: &str) -> Option<Stated> {
         .iter()
         .map(String::as_str)
         .filter(|word| {
-            let places = [
-                "torch",
-                "nn",
-                "modules",
-                "activation",
-                "functional",
-                "f",
-                "jax",
-                "class",
-            ];
+            let places =
+                ["torch", "nn", "modules", "activation", "functional", "f", "jax", "class"];
             !places.contains(word)
         })
         .collect();
@@ -138,10 +117,7 @@ mod tests {
     use super::*;
 
     fn text(path: &str, value: &str) -> Entry {
-        Entry {
-            path: path.to_owned(),
-            value: EntryValue::Text(value.to_owned()),
-        }
+        Entry { path: path.to_owned(), value: EntryValue::Text(value.to_owned()) }
     }
 
     #[test]
@@ -169,23 +145,11 @@ mod tests {
 
     #[test]
     fn what_cannot_run_is_refused_by_name_and_never_replaced() {
-        for value in [
-            "tanh",
-            "Tanh()",
-            "sigmoid",
-            "silu",
-            "leaky_relu",
-            "relu6",
-            "quick_gelu",
-            "elu",
-        ] {
-            let error = stated(&[text("activation", value)])
-                .expect_err(value)
-                .to_string();
-            assert!(
-                error.contains(value) && error.contains("gelu_tanh, relu"),
-                "{error}"
-            );
+        for value in
+            ["tanh", "Tanh()", "sigmoid", "silu", "leaky_relu", "relu6", "quick_gelu", "elu"]
+        {
+            let error = stated(&[text("activation", value)]).expect_err(value).to_string();
+            assert!(error.contains(value) && error.contains("gelu_tanh, relu"), "{error}");
         }
         let error = stated(&[text("output_activation", "relu")]).expect_err("no such output");
         assert!(error.to_string().contains("output"), "{error}");
@@ -193,23 +157,14 @@ mod tests {
 
     #[test]
     fn statements_must_agree_and_the_more_exact_one_counts() {
-        let both = stated(&[
-            text("activation", "gelu"),
-            text("net.1.approximate", "tanh"),
-        ]);
+        let both = stated(&[text("activation", "gelu"), text("net.1.approximate", "tanh")]);
         assert_eq!(both.expect("they agree"), Some(Activation::GeluTanh));
-        let both = stated(&[
-            text("net.1.approximate", "tanh"),
-            text("activation", "gelu"),
-        ]);
+        let both = stated(&[text("net.1.approximate", "tanh"), text("activation", "gelu")]);
         assert_eq!(both.expect("they agree"), Some(Activation::GeluTanh));
         for other in ["relu", "gelu_tanh"] {
             let differ = stated(&[text("a.activation", "gelu_erf"), text("activation", other)]);
             let error = differ.expect_err("they differ").to_string();
-            assert!(
-                error.contains("a.activation") && error.contains(other),
-                "{error}"
-            );
+            assert!(error.contains("a.activation") && error.contains(other), "{error}");
         }
     }
 }

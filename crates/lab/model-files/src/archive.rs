@@ -26,11 +26,7 @@ pub(super) struct Member {
 
 /// All members, in the order of the archive. Checksums are checked.
 pub(super) fn read(container: Container, bytes: &[u8]) -> Result<Vec<Member>, ReadError> {
-    let part = |part: String, detail: String| ReadError::Part {
-        container,
-        part,
-        detail,
-    };
+    let part = |part: String, detail: String| ReadError::Part { container, part, detail };
     check_counts(container, bytes)?;
     let damaged =
         |place: &str, error: &dyn std::fmt::Display| part(place.to_owned(), error.to_string());
@@ -41,25 +37,17 @@ pub(super) fn read(container: Container, bytes: &[u8]) -> Result<Vec<Member>, Re
     let mut left = MAX_BYTES;
     for index in 0..archive.len() {
         let place = format!("member {index}");
-        let member = archive
-            .by_index(index)
-            .map_err(|error| damaged(&place, &error))?;
+        let member = archive.by_index(index).map_err(|error| damaged(&place, &error))?;
         let name = member.name().map_err(|error| damaged(&place, &error))?;
         let name = name.into_owned();
         let place = format!("member {name:?}");
         let mut content = Vec::new();
         let read = member.take(left + 1).read_to_end(&mut content);
         read.map_err(|error| damaged(&place, &error))?;
-        left = left.checked_sub(content.len() as u64).ok_or_else(|| {
-            part(
-                place,
-                format!("the members have more than {MAX_BYTES} bytes"),
-            )
-        })?;
-        members.push(Member {
-            name,
-            bytes: content,
-        });
+        left = left
+            .checked_sub(content.len() as u64)
+            .ok_or_else(|| part(place, format!("the members have more than {MAX_BYTES} bytes")))?;
+        members.push(Member { name, bytes: content });
     }
     Ok(members)
 }
@@ -94,10 +82,7 @@ fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
         let places = bytes.windows(mark.len()).enumerate();
         for (start, _) in places.filter(|(_, window)| *window == mark) {
             let field = bytes.get(start + at..start + at + size).unwrap_or_default();
-            let count = field
-                .iter()
-                .rev()
-                .fold(0_u64, |count, byte| count << 8 | u64::from(*byte));
+            let count = field.iter().rev().fold(0_u64, |count, byte| count << 8 | u64::from(*byte));
             // 65535 refers to the ZIP64 record.
             if count > MAX_MEMBERS as u64 && count != u64::from(u16::MAX) {
                 return Err(ReadError::Part {

@@ -38,11 +38,7 @@ impl Checkpoint {
         if bytes.starts_with(archive::MAGIC) {
             // A damaged archive is reported as the format that it had.
             let is_torch = bytes.windows(8).any(|window| window == b"data.pkl");
-            let container = if is_torch {
-                Container::TorchZip
-            } else {
-                Container::Npz
-            };
+            let container = if is_torch { Container::TorchZip } else { Container::Npz };
             let members = archive::read(container, bytes)?;
             if let Some(found) = archive::foreign(&members) {
                 return Err(ReadError::Kind { found });
@@ -111,12 +107,7 @@ fn checkpoint(
     entries: Vec<Entry>,
 ) -> Result<Checkpoint, ReadError> {
     let network = own::from_arrays(container, &entries)?;
-    Ok(Checkpoint {
-        container,
-        network,
-        entries,
-        sha256: hex(&Sha256::digest(bytes)),
-    })
+    Ok(Checkpoint { container, network, entries, sha256: hex(&Sha256::digest(bytes)) })
 }
 
 fn own_file(bytes: &[u8]) -> Result<Checkpoint, ReadError> {

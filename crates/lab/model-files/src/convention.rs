@@ -93,10 +93,8 @@ pub struct Convention {
 }
 
 const UNITS: [(PowerUnit, &str); 2] = [(PowerUnit::Milliwatt, "mW"), (PowerUnit::Watt, "W")];
-const ORDERS: [(LagOrder, &str); 2] = [
-    (LagOrder::Newest, "newest-first"),
-    (LagOrder::Oldest, "oldest-first"),
-];
+const ORDERS: [(LagOrder, &str); 2] =
+    [(LagOrder::Newest, "newest-first"), (LagOrder::Oldest, "oldest-first")];
 const PLACES: [(Lags, &str); 2] = [(Lags::Last, "lags-last"), (Lags::First, "lags-first")];
 const DERIVATIVES: [(Derivative, &str); 6] = [
     (Derivative::OwnPerSecond, "d-own-per-second"),
@@ -153,17 +151,9 @@ impl FromStr for Convention {
         };
         let Some(((((unit, order), lags), derivative), magnitude)) = convention else {
             let example = "mW+newest-first+lags-last+d-own-per-second+abs-own";
-            return Err(format!(
-                "{text:?} is not a convention; an example is {example}"
-            ));
+            return Err(format!("{text:?} is not a convention; an example is {example}"));
         };
-        Ok(Convention {
-            unit,
-            order,
-            lags,
-            derivative,
-            magnitude,
-        })
+        Ok(Convention { unit, order, lags, derivative, magnitude })
     }
 }
 

@@ -26,11 +26,7 @@ pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
         return Ok(vec![Entry { path, value }]);
     }
     let pickle = Pickle::read(bytes, header.length(), Storages::Inside).map_err(|source| {
-        ReadError::Pickle {
-            container: Container::Npy,
-            part: "object array".to_owned(),
-            source,
-        }
+        ReadError::Pickle { container: Container::Npy, part: "object array".to_owned(), source }
     })?;
     if pickle.end != bytes.len() {
         return Err(ReadError::Part {
@@ -46,11 +42,8 @@ pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
 pub(super) fn of_bare_pickle(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     let container = Container::Pickle;
     let pickle = Pickle::read(bytes, 0, Storages::Inside);
-    let pickle = pickle.map_err(|source| ReadError::Pickle {
-        container,
-        part: "top".to_owned(),
-        source,
-    })?;
+    let pickle =
+        pickle.map_err(|source| ReadError::Pickle { container, part: "top".to_owned(), source })?;
     of_pickle(container, &pickle, &no_storage)
 }
 
@@ -70,10 +63,7 @@ pub(super) fn of_arrays<'a>(
         if entries.len() == MAX_ENTRIES {
             return Err(too_many(container, path));
         }
-        entries.push(Entry {
-            path: path.to_owned(),
-            value,
-        });
+        entries.push(Entry { path: path.to_owned(), value });
     }
     Ok(entries)
 }
@@ -84,14 +74,7 @@ pub(super) fn of_pickle<'a>(
     pickle: &'a Pickle,
     fetch: Fetch<'a>,
 ) -> Result<Vec<Entry>, ReadError> {
-    let mut walk = Walk {
-        container,
-        pickle,
-        fetch,
-        entries: Vec::new(),
-        visits: 0,
-        elements: 0,
-    };
+    let mut walk = Walk { container, pickle, fetch, entries: Vec::new(), visits: 0, elements: 0 };
     walk.visit(pickle.root(), "", 0)?;
     Ok(walk.entries)
 }
@@ -196,10 +179,7 @@ impl Walk<'_> {
         while let Some((id, depth)) = open.pop() {
             let parts: Vec<Id> = match self.pickle.value(id) {
                 Value::List(items) | Value::Tuple(items) => items.clone(),
-                Value::Dict(pairs) => pairs
-                    .iter()
-                    .flat_map(|&(key, value)| [key, value])
-                    .collect(),
+                Value::Dict(pairs) => pairs.iter().flat_map(|&(key, value)| [key, value]).collect(),
                 Value::Foreign(inner) => inner.parts.clone(),
                 Value::Objects(list) => vec![*list],
                 Value::Array(_) | Value::Tensor(_) | Value::Storage(_) | Value::Layer { .. } => {
@@ -289,10 +269,7 @@ impl Walk<'_> {
             }
             other => {
                 let found = other.kind();
-                Err(self.bad(
-                    path,
-                    format!("a key that is {found}, allowed: text and integers"),
-                ))
+                Err(self.bad(path, format!("a key that is {found}, allowed: text and integers")))
             }
         }
     }
@@ -304,36 +281,21 @@ impl Walk<'_> {
         if self.entries.len() == MAX_ENTRIES || self.elements > MAX_ELEMENTS {
             return Err(too_many(self.container, path));
         }
-        self.entries.push(Entry {
-            path: path.to_owned(),
-            value,
-        });
+        self.entries.push(Entry { path: path.to_owned(), value });
         Ok(())
     }
 
     fn bad(&self, path: &str, detail: String) -> ReadError {
-        ReadError::Part {
-            container: self.container,
-            part: place(path),
-            detail,
-        }
+        ReadError::Part { container: self.container, part: place(path), detail }
     }
 }
 
 fn joined(path: &str, key: &str) -> String {
-    if path.is_empty() {
-        key.to_owned()
-    } else {
-        format!("{path}.{key}")
-    }
+    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
 fn place(path: &str) -> String {
-    if path.is_empty() {
-        "top".to_owned()
-    } else {
-        format!("{path:?}")
-    }
+    if path.is_empty() { "top".to_owned() } else { format!("{path:?}") }
 }
 
 fn too_many(container: Container, path: &str) -> ReadError {

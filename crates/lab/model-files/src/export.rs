@@ -50,10 +50,7 @@ pub enum ExportError {
 pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportError> {
     let metadata = own::metadata(&network.to_safetensors()?)?;
     let descr = format!("|S{}", metadata.len());
-    let mut arrays = vec![(
-        own::METADATA.to_owned(),
-        npy::write(&descr, &[], metadata.as_bytes()),
-    )];
+    let mut arrays = vec![(own::METADATA.to_owned(), npy::write(&descr, &[], metadata.as_bytes()))];
     for Entry { path, value } in own::entries(network) {
         if let EntryValue::Tensor(tensor) = value {
             let values = tensor.values().iter().map(|value| *value as f32);
@@ -68,10 +65,7 @@ pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportErro
     let name = |what: &str| format!("{}{what}", own::CHECK);
     let shape = [CHECK_ROWS, set.inputs()];
     arrays.push((name("features"), plain(&shape, inputs)));
-    arrays.push((
-        name("power_w"),
-        plain(&[CHECK_ROWS], forecasts_w.into_iter()),
-    ));
+    arrays.push((name("power_w"), plain(&[CHECK_ROWS], forecasts_w.into_iter())));
     Ok(arrays)
 }
 
@@ -81,9 +75,7 @@ pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportErro
 /// As [`to_arrays`].
 pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
     let arrays = to_arrays(network)?.into_iter();
-    let members: Vec<_> = arrays
-        .map(|(name, bytes)| (format!("{name}.npy"), bytes))
-        .collect();
+    let members: Vec<_> = arrays.map(|(name, bytes)| (format!("{name}.npy"), bytes)).collect();
     Ok(archive::write(&members)?)
 }
 

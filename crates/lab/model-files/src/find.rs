@@ -82,25 +82,11 @@ impl Checkpoint {
                 None => (Activation::GeluErf, ActivationFrom::Default),
             },
         };
-        let taken: Vec<&str> = arrays
-            .weights
-            .iter()
-            .chain(&arrays.biases)
-            .map(|named| named.0)
-            .collect();
-        let rest = self
-            .entries
-            .iter()
-            .filter(|entry| !taken.contains(&&*entry.path));
-        let widths: Vec<usize> = arrays
-            .biases
-            .iter()
-            .map(|bias| bias.1.values().len())
-            .collect();
-        if let Some(entry) = rest
-            .clone()
-            .find(|entry| is_of_normalisation_layer(entry, &widths))
-        {
+        let taken: Vec<&str> =
+            arrays.weights.iter().chain(&arrays.biases).map(|named| named.0).collect();
+        let rest = self.entries.iter().filter(|entry| !taken.contains(&&*entry.path));
+        let widths: Vec<usize> = arrays.biases.iter().map(|bias| bias.1.values().len()).collect();
+        if let Some(entry) = rest.clone().find(|entry| is_of_normalisation_layer(entry, &widths)) {
             let path = entry.path.clone();
             return Err(FindError::NormalisationLayer { path });
         }
@@ -134,10 +120,7 @@ impl Checkpoint {
         if let Some(part) = part {
             return arrays_in(&self.entries, part, in_order).ok_or_else(|| {
                 let found = names(parts.iter().map(|(part, _)| part.as_str()));
-                FindError::NoSuchPart {
-                    asked: part.to_owned(),
-                    found,
-                }
+                FindError::NoSuchPart { asked: part.to_owned(), found }
             });
         }
         match (parts.pop(), parts.is_empty()) {
@@ -159,9 +142,7 @@ impl Checkpoint {
                 let found = widths.join("→");
                 FindError::TooLarge { found }
             }
-            _ => FindError::NoNetwork {
-                found: shapes(&self.entries),
-            },
+            _ => FindError::NoNetwork { found: shapes(&self.entries) },
         }
     }
 }
@@ -173,9 +154,7 @@ fn is_of_normalisation_layer(entry: &Entry, widths: &[usize]) -> bool {
         return false;
     };
     let layers = ["norm", "bn", "ln", "batchnorm", "layernorm", "running"];
-    let named = tokens(&entry.path)
-        .iter()
-        .any(|word| layers.contains(&word.as_str()));
+    let named = tokens(&entry.path).iter().any(|word| layers.contains(&word.as_str()));
     named && matches!(*tensor.shape(), [width] if width > 1 && widths.contains(&width))
 }
 
@@ -192,10 +171,7 @@ fn fits(widths: &[usize]) -> bool {
     ];
     sets.iter().any(|set| set.inputs() == *inputs)
         && hidden.len() <= HIDDEN.len()
-        && hidden
-            .iter()
-            .zip(HIDDEN)
-            .all(|(width, limit)| *width <= limit)
+        && hidden.iter().zip(HIDDEN).all(|(width, limit)| *width <= limit)
 }
 
 /// The smallest parts of the file that hold a network, in the file's order. Of nested parts with
@@ -203,10 +179,7 @@ fn fits(widths: &[usize]) -> bool {
 fn complete_parts(entries: &[Entry], in_order: bool) -> Vec<(String, Arrays<'_>)> {
     let mut parts: Vec<&str> = vec![""];
     for entry in entries {
-        let cuts = entry
-            .path
-            .match_indices('.')
-            .map(|(at, _)| &entry.path[..at]);
+        let cuts = entry.path.match_indices('.').map(|(at, _)| &entry.path[..at]);
         for part in cuts {
             if !parts.contains(&part) && parts.len() < MAX_PARTS {
                 parts.push(part);
@@ -217,10 +190,8 @@ fn complete_parts(entries: &[Entry], in_order: bool) -> Vec<(String, Arrays<'_>)
         .iter()
         .filter_map(|part| Some((*part, arrays_in(entries, part, in_order)?)))
         .collect();
-    let found: Vec<(&str, usize)> = complete
-        .iter()
-        .map(|(part, arrays)| (*part, arrays.weights.len()))
-        .collect();
+    let found: Vec<(&str, usize)> =
+        complete.iter().map(|(part, arrays)| (*part, arrays.weights.len())).collect();
     let is_chosen = |part: &str, layers: usize| {
         !found.iter().any(|&(other, others)| {
             let inside = other != part && within(other, part);
@@ -243,11 +214,7 @@ fn finite(named: &Named<'_>, transposed: bool) -> Result<Vec<f32>, FindError> {
     let values = tensor.values();
     let wrong = values.iter().position(|value| !(*value as f32).is_finite());
     if let Some(index) = wrong {
-        return Err(FindError::NotFinite {
-            path: path.to_owned(),
-            index,
-            value: values[index],
-        });
+        return Err(FindError::NotFinite { path: path.to_owned(), index, value: values[index] });
     }
     let values = values.iter().map(|value| *value as f32);
     let &[rows, columns] = tensor.shape() else {

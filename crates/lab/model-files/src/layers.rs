@@ -41,23 +41,15 @@ pub(super) fn arrays_in<'a>(
             let limit = |hidden: usize| HIDDEN.get(hidden).copied();
             let inputs = feature_set.inputs();
             for chain in chains(&groups, inputs, limit).into_iter().rev() {
-                if best
-                    .as_ref()
-                    .is_some_and(|best| best.weights.len() >= chain.len())
-                {
+                if best.as_ref().is_some_and(|best| best.weights.len() >= chain.len()) {
                     break;
                 }
                 let weights = members(&groups, &chain);
                 if let Some((biases, paired_by_name)) =
                     biases(&tensors, &weights, transposed, in_order)
                 {
-                    best = Some(Arrays {
-                        feature_set,
-                        transposed,
-                        paired_by_name,
-                        weights,
-                        biases,
-                    });
+                    best =
+                        Some(Arrays { feature_set, transposed, paired_by_name, weights, biases });
                 }
             }
         }
@@ -90,9 +82,7 @@ pub(super) fn any_widths(entries: &[Entry]) -> Option<Vec<usize>> {
 pub(super) fn within(path: &str, part: &str) -> bool {
     part.is_empty()
         || path == part
-        || path
-            .strip_prefix(part)
-            .is_some_and(|rest| rest.starts_with('.'))
+        || path.strip_prefix(part).is_some_and(|rest| rest.starts_with('.'))
 }
 
 fn tensors_in<'a>(entries: &'a [Entry], part: &str) -> Vec<Named<'a>> {
@@ -126,11 +116,7 @@ fn groups<'a>(tensors: &[Named<'a>], transposed: bool, in_order: bool) -> Vec<Gr
         match groups.iter().position(same) {
             Some(at) => groups[at].members.push(*named),
             None if groups.len() == MAX_MATRICES => return Vec::new(),
-            None => groups.push(Group {
-                inputs,
-                outputs,
-                members: vec![*named],
-            }),
+            None => groups.push(Group { inputs, outputs, members: vec![*named] }),
         }
     }
     groups.retain_mut(|group| {
@@ -235,9 +221,7 @@ fn biases<'a>(
     };
     let fitting = |outputs: usize| -> Vec<Named<'a>> {
         let free = |path: &str| weights.iter().all(|weight| weight.0 != path);
-        let biases = tensors
-            .iter()
-            .filter(|(path, tensor)| is_bias(tensor, outputs) && free(path));
+        let biases = tensors.iter().filter(|(path, tensor)| is_bias(tensor, outputs) && free(path));
         biases.copied().collect()
     };
     let layers_of = |outputs: usize| weights.iter().filter(|w| outputs_of(w) == outputs).count();
@@ -249,9 +233,7 @@ fn biases<'a>(
         if outputs_of(weight) > 1 && biases.len() != layers_of(outputs_of(weight)) {
             return None;
         }
-        let mut same = biases
-            .into_iter()
-            .filter(|(path, _)| self::stem(path) == stem);
+        let mut same = biases.into_iter().filter(|(path, _)| self::stem(path) == stem);
         match (same.next(), same.next()) {
             (Some(only), None) => Some(only),
             _ => None,
@@ -314,10 +296,7 @@ mod tests {
             known.then(|| members.iter().map(|member| member.0).collect())
         };
         let numbered = ["net.10.weight", "net.3.weight"];
-        assert_eq!(
-            sorted(&numbered, false),
-            Some(vec![numbered[1], numbered[0]])
-        );
+        assert_eq!(sorted(&numbered, false), Some(vec![numbered[1], numbered[0]]));
         let named = ["second.weight", "third.weight"];
         assert_eq!(sorted(&named, true), Some(named.to_vec()));
         assert_eq!(sorted(&named, false), None);

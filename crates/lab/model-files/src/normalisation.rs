@@ -125,13 +125,7 @@ pub(super) fn find<'a>(
     if named.is_empty() {
         return Ok(published(set));
     }
-    for Named {
-        path,
-        statistic,
-        values,
-        ..
-    } in &named
-    {
+    for Named { path, statistic, values, .. } in &named {
         let (what, allowed, fine): (_, _, fn(f64) -> bool) = match statistic {
             Statistic::Mean => ("a mean", "finite numbers", f64::is_finite),
             Statistic::Std | Statistic::Variance => {
@@ -141,19 +135,10 @@ pub(super) fn find<'a>(
         };
         if let Some(value) = values.iter().copied().find(|value| !fine(*value)) {
             let path = (*path).to_owned();
-            return Err(FindError::Statistic {
-                path,
-                value,
-                what,
-                allowed,
-            });
+            return Err(FindError::Statistic { path, value, what, allowed });
         }
     }
-    let mut search = Search {
-        named: &named,
-        sources: Vec::new(),
-        missing: Vec::new(),
-    };
+    let mut search = Search { named: &named, sources: Vec::new(), missing: Vec::new() };
     let power = search.pair(Quantity::Power, "power");
     let features = (
         search.one(Quantity::Features, Statistic::Mean),
@@ -163,31 +148,23 @@ pub(super) fn find<'a>(
         ((Some(mean), Some(std)), _) if mean.len() == std.len() => {
             Statistics::Own { mean, std, power }
         }
-        (_, set) if !set.needs_command() => Statistics::Shared {
-            v: (0.0, 1.0),
-            omega: (0.0, 1.0),
-            power,
-        },
+        (_, set) if !set.needs_command() => {
+            Statistics::Shared { v: (0.0, 1.0), omega: (0.0, 1.0), power }
+        }
         _ => Statistics::Shared {
             v: search.pair(Quantity::V, "v"),
             omega: search.pair(Quantity::Omega, "omega"),
             power,
         },
     };
-    let Search {
-        sources, missing, ..
-    } = search;
+    let Search { sources, missing, .. } = search;
     if !missing.is_empty() {
         return Err(FindError::Normalisation {
             found: sources.join(", "),
             missing: missing.join(", "),
         });
     }
-    Ok(FoundNormalisation {
-        statistics,
-        sources,
-        from: StatisticsFrom::File,
-    })
+    Ok(FoundNormalisation { statistics, sources, from: StatisticsFrom::File })
 }
 
 /// An entry as a statistic, if its name and size allow it.
@@ -209,12 +186,7 @@ fn named(entry: &Entry, set: FeatureSet) -> Option<Named<'_>> {
         (LAGS, _) if set == FeatureSet::PowerOnly => Quantity::Features,
         _ => return None,
     };
-    Some(Named {
-        path: &entry.path,
-        quantity,
-        statistic,
-        values,
-    })
+    Some(Named { path: &entry.path, quantity, statistic, values })
 }
 
 struct Search<'a> {
@@ -236,10 +208,7 @@ impl Search<'_> {
                 }
             }
         };
-        (
-            number(Statistic::Mean, "mean", 0.0),
-            number(Statistic::Std, "deviation", 1.0),
-        )
+        (number(Statistic::Mean, "mean", 0.0), number(Statistic::Std, "deviation", 1.0))
     }
 
     /// The statistic with the shortest name.
@@ -254,10 +223,7 @@ impl Search<'_> {
             (Some(named), _) => (named, named.values.clone()),
             (None, Statistic::Std) => {
                 let named = with(Statistic::Variance)?;
-                (
-                    named,
-                    named.values.iter().map(|value| value.sqrt()).collect(),
-                )
+                (named, named.values.iter().map(|value| value.sqrt()).collect())
             }
             (None, _) => return None,
         };
@@ -275,10 +241,7 @@ fn published(set: FeatureSet) -> FoundNormalisation {
         found.map_or((0.0, 1.0), |&(_, mean, std)| (mean, std))
     };
     let (v, omega, power) = (of(Quantity::V), of(Quantity::Omega), of(Quantity::Power));
-    let mut sources = vec![format!(
-        "power: mean {} mW, deviation {} mW",
-        power.0, power.1
-    )];
+    let mut sources = vec![format!("power: mean {} mW, deviation {} mW", power.0, power.1)];
     if set == FeatureSet::Full {
         sources.push(format!("v: mean {} m/s, deviation {} m/s", v.0, v.1));
         let (mean, std) = omega;

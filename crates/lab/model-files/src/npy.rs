@@ -29,10 +29,7 @@ pub(super) fn header(name: &str, bytes: &[u8]) -> Result<(Header, ElementType), 
     let header = Header::read(bytes).map_err(|error| bad(error.at(), error.to_string()))?;
     let kind = kind(&header.element).ok_or_else(|| {
         let allowed = "numbers, bytes of text and objects";
-        let detail = format!(
-            "found element type {:?}, allowed: {allowed}",
-            header.element
-        );
+        let detail = format!("found element type {:?}, allowed: {allowed}", header.element);
         bad(0, detail)
     })?;
     Ok((header, kind))
@@ -86,9 +83,7 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
         }
         _ if !shape.is_empty() => return Ok(EntryValue::Other("an array of texts")),
         ElementType::Unicode(_) => code_points(contents, big_endian),
-        _ => std::str::from_utf8(contents)
-            .map(str::to_owned)
-            .map_err(|error| error.to_string()),
+        _ => std::str::from_utf8(contents).map(str::to_owned).map_err(|error| error.to_string()),
     };
     match text {
         Ok(text) => Ok(EntryValue::Text(text.trim_end_matches('\0').to_owned())),
@@ -123,10 +118,7 @@ mod tests {
     #[test]
     fn written_arrays_can_be_read() {
         let values = [1.5_f32, -2.0, 0.25, 4.0, 5.0, 6.0];
-        let contents: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
+        let contents: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         for shape in [vec![2, 3], vec![6], vec![1, 6, 1]] {
             let bytes = write("<f4", &shape, &contents);
             let EntryValue::Tensor(tensor) = value("", &bytes).expect("whole") else {

@@ -151,10 +151,8 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     let inverse = |std: f32| if std > 0.0 { 1.0 / std } else { 0.0 };
     let features = set.range();
     let mean = &normalisation.feature_mean[features.clone()];
-    let inverse: Vec<f32> = normalisation.feature_std[features.clone()]
-        .iter()
-        .map(|std| inverse(*std))
-        .collect();
+    let inverse: Vec<f32> =
+        normalisation.feature_std[features.clone()].iter().map(|std| inverse(*std)).collect();
     let inputs = set.inputs() as i64;
     builder.constant("feature_mean", &[inputs], mean);
     builder.constant("feature_inverse_std", &[inputs], &inverse);
@@ -175,10 +173,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     let centred = builder.node("Sub", &["features", "feature_mean"], "centred");
     let mut values = builder.node("Mul", &[&centred, "feature_inverse_std"], "normalised");
     for (number, layer) in parameters.layers.iter().enumerate() {
-        let (weight, bias) = (
-            format!("layers.{number}.weight"),
-            format!("layers.{number}.bias"),
-        );
+        let (weight, bias) = (format!("layers.{number}.weight"), format!("layers.{number}.bias"));
         let outputs = layer.bias.len();
         let inputs = layer.weights.len() / outputs;
         builder.constant(&weight, &[outputs as i64, inputs as i64], &layer.weights);
@@ -196,10 +191,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     builder.node("Add", &[&scaled, "power_mean_w"], "power_w");
 
     let names = FEATURE_NAMES[features].join(", ");
-    let property = |key: &str, value: String| Property {
-        key: key.to_owned(),
-        value,
-    };
+    let property = |key: &str, value: String| Property { key: key.to_owned(), value };
     Model {
         ir_version: IR_VERSION,
         producer_name: PRODUCER.to_owned(),
@@ -212,10 +204,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
             input: vec![value("features", inputs)],
             output: vec![value("power_w", 1)],
         }),
-        opset_import: vec![Opset {
-            domain: String::new(),
-            version: OPSET,
-        }],
+        opset_import: vec![Opset { domain: String::new(), version: OPSET }],
         metadata_props: vec![
             property("joulebus_hash", format!("{:016x}", network.hash())),
             property(METADATA, metadata.to_owned()),
@@ -237,10 +226,7 @@ pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
         part: format!("{part:?}"),
         detail: detail.to_owned(),
     };
-    let metadata = model
-        .metadata_props
-        .iter()
-        .find(|property| property.key == METADATA);
+    let metadata = model.metadata_props.iter().find(|property| property.key == METADATA);
     let Some(metadata) = metadata.filter(|_| model.producer_name == PRODUCER) else {
         let detail = "is not joulebus; only graphs that `model export` wrote are read, others as \
                       state dict (.pt, .safetensors) or arrays (.npz)";
@@ -260,10 +246,7 @@ pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
 }
 
 fn entry(tensor: &Tensor) -> Entry {
-    let shape = tensor
-        .dims
-        .iter()
-        .map(|size| usize::try_from(*size).unwrap_or(0));
+    let shape = tensor.dims.iter().map(|size| usize::try_from(*size).unwrap_or(0));
     let (words, _) = tensor.raw_data.as_chunks::<4>();
     let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
     Entry {
@@ -284,10 +267,7 @@ impl Builder {
             dims: dims.to_vec(),
             data_type: FLOAT,
             name: name.to_owned(),
-            raw_data: values
-                .iter()
-                .flat_map(|value| value.to_le_bytes())
-                .collect(),
+            raw_data: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
         });
     }
 
@@ -307,11 +287,7 @@ impl Builder {
     fn dense(&mut self, inputs: &[&str], output: &str) -> String {
         let output = self.node("Gemm", inputs, output);
         if let Some(node) = self.nodes.last_mut() {
-            node.attribute.push(Attribute {
-                name: "transB".to_owned(),
-                i: 1,
-                r#type: INTEGER,
-            });
+            node.attribute.push(Attribute { name: "transB".to_owned(), i: 1, r#type: INTEGER });
         }
         output
     }
@@ -373,18 +349,15 @@ mod tests {
 
     fn floats(tensor: &Tensor) -> Vec<f64> {
         let (words, _) = tensor.raw_data.as_chunks::<4>();
-        let floats = words
-            .iter()
-            .map(|word| f64::from(f32::from_le_bytes(*word)));
+        let floats = words.iter().map(|word| f64::from(f32::from_le_bytes(*word)));
         floats.collect()
     }
 
     /// Evaluates a graph for one row, operator by operator as ONNX defines them.
     fn run(graph: &Graph, row: Vec<f64>) -> f64 {
         let constants = graph.initializer.iter();
-        let mut values: HashMap<&str, Vec<f64>> = constants
-            .map(|tensor| (tensor.name.as_str(), floats(tensor)))
-            .collect();
+        let mut values: HashMap<&str, Vec<f64>> =
+            constants.map(|tensor| (tensor.name.as_str(), floats(tensor))).collect();
         values.insert("features", row);
         for node in &graph.node {
             let inputs: Vec<&Vec<f64>> = node.input.iter().map(|name| &values[&**name]).collect();
@@ -413,9 +386,7 @@ mod tests {
             };
             values.insert(&node.output[0], output);
         }
-        let [power_w] = values["power_w"][..] else {
-            panic!("one number a row")
-        };
+        let [power_w] = values["power_w"][..] else { panic!("one number a row") };
         power_w
     }
 
@@ -432,10 +403,7 @@ mod tests {
             parameters.activation = activation;
             let network = Network::new(parameters, shipped.card().clone()).expect("still sound");
             let bytes = model(&network, "{}").encode_to_vec();
-            let graph = Model::decode(&*bytes)
-                .expect("own bytes")
-                .graph
-                .expect("a graph");
+            let graph = Model::decode(&*bytes).expect("own bytes").graph.expect("a graph");
             let (min, max) = {
                 let range = &network.card().training_range;
                 (range.min, range.max)

@@ -30,12 +30,7 @@ pub(super) fn is_foreign(bytes: &[u8]) -> bool {
     };
     let own = ["format_version", "kind", "convention", "sha256"];
     match header.metadata() {
-        Some(fields) => {
-            own.iter()
-                .filter(|field| fields.contains_key(**field))
-                .count()
-                < 2
-        }
+        Some(fields) => own.iter().filter(|field| fields.contains_key(**field)).count() < 2,
         None => true,
     }
 }
@@ -69,17 +64,9 @@ pub(super) fn entries(network: &Network) -> Vec<Entry> {
                     *left_out = std::mem::take(weight);
                 }
             }
-            add(
-                CONSTANT_WEIGHT.to_owned(),
-                vec![outputs, inputs],
-                &without_effect,
-            );
+            add(CONSTANT_WEIGHT.to_owned(), vec![outputs, inputs], &without_effect);
         }
-        add(
-            format!("layers.{number}.weight"),
-            vec![outputs, inputs],
-            &weights,
-        );
+        add(format!("layers.{number}.weight"), vec![outputs, inputs], &weights);
         add(format!("layers.{number}.bias"), vec![outputs], &layer.bias);
     }
     let range = &network.card().training_range;
@@ -139,9 +126,7 @@ pub(super) fn whole(
     fields: HashMap<String, String>,
 ) -> Result<Vec<u8>, ReadError> {
     let constant = entries.iter().find(|entry| entry.path == CONSTANT_WEIGHT);
-    let constant = constant
-        .and_then(values)
-        .map_or(&[][..], |(_, values)| values);
+    let constant = constant.and_then(values).map_or(&[][..], |(_, values)| values);
     let layers = entries.iter().filter_map(|entry| match &entry.value {
         EntryValue::Tensor(tensor) if entry.path.starts_with("layers.") => {
             let left_out = match entry.path.as_str() {
@@ -150,18 +135,10 @@ pub(super) fn whole(
             };
             let left_out = left_out.iter().copied().chain(std::iter::repeat(0.0));
             // Compared by bits, because a weight may be a negative zero.
-            let bytes = tensor
-                .values()
-                .iter()
-                .zip(left_out)
-                .flat_map(|(value, left_out)| {
-                    let value = if left_out.to_bits() == 0 {
-                        *value
-                    } else {
-                        left_out
-                    };
-                    (value as f32).to_le_bytes()
-                });
+            let bytes = tensor.values().iter().zip(left_out).flat_map(|(value, left_out)| {
+                let value = if left_out.to_bits() == 0 { *value } else { left_out };
+                (value as f32).to_le_bytes()
+            });
             Some((entry.path.as_str(), tensor.shape(), bytes.collect()))
         }
         _ => None,

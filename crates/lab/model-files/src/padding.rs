@@ -11,17 +11,10 @@ pub(super) fn padded(layers: &[Layer]) -> Option<[Layer; 4]> {
     let (last, hidden) = layers.split_last()?;
     let mut all: Vec<Layer> = Vec::with_capacity(HIDDEN.len() + 1);
     all.extend(hidden.iter().cloned());
-    if let Some(missing) = HIDDEN
-        .len()
-        .checked_sub(hidden.len())
-        .filter(|missing| *missing > 0)
-    {
+    if let Some(missing) = HIDDEN.len().checked_sub(hidden.len()).filter(|missing| *missing > 0) {
         all.push(pair_of(last));
         all.extend(std::iter::repeat_n(pass(), missing - 1));
-        all.push(Layer {
-            weights: vec![1.0, -1.0],
-            bias: vec![0.0],
-        });
+        all.push(Layer { weights: vec![1.0, -1.0], bias: vec![0.0] });
     } else {
         all.push(last.clone());
     }
@@ -47,10 +40,7 @@ fn pair_of(last: &Layer) -> Layer {
 
 /// A pair, passed on.
 fn pass() -> Layer {
-    Layer {
-        weights: vec![1.0, -1.0, -1.0, 1.0],
-        bias: vec![0.0; 2],
-    }
+    Layer { weights: vec![1.0, -1.0, -1.0, 1.0], bias: vec![0.0; 2] }
 }
 
 /// Pads a layer with zeros to this many inputs and outputs. `None` if it has more.

@@ -80,11 +80,7 @@ impl Pickle {
         if let Value::Foreign(foreign) = machine.value(root) {
             return Err(foreign.refused());
         }
-        Ok(Pickle {
-            values: machine.values,
-            root,
-            end: machine.at,
-        })
+        Ok(Pickle { values: machine.values, root, end: machine.at })
     }
 
     pub(super) fn root(&self) -> Id {
@@ -107,10 +103,7 @@ impl Pickle {
 impl Foreign {
     /// The refusal of it.
     pub(super) fn refused(&self) -> PickleError {
-        PickleError::Global {
-            at: self.at,
-            name: self.name.to_string(),
-        }
+        PickleError::Global { at: self.at, name: self.name.to_string() }
     }
 }
 
@@ -241,12 +234,7 @@ impl Machine<'_> {
 
     fn tuple(&mut self, count: usize) -> Result<(), PickleError> {
         let floor = self.floor();
-        let Some(first) = self
-            .stack
-            .len()
-            .checked_sub(count)
-            .filter(|&at| at >= floor)
-        else {
+        let Some(first) = self.stack.len().checked_sub(count).filter(|&at| at >= floor) else {
             return Err(self.stack_empty());
         };
         let items = self.stack.split_off(first);
@@ -254,11 +242,7 @@ impl Machine<'_> {
     }
 
     fn append(&mut self, many: bool) -> Result<(), PickleError> {
-        let items = if many {
-            self.pop_to_mark("APPENDS")?
-        } else {
-            vec![self.pop()?]
-        };
+        let items = if many { self.pop_to_mark("APPENDS")? } else { vec![self.pop()?] };
         let list = self.top()?;
         match &mut self.values[list.0 as usize] {
             Value::List(all) | Value::Foreign(Foreign { parts: all, .. }) => {
@@ -295,10 +279,7 @@ impl Machine<'_> {
             }
             other => {
                 let found = other.kind();
-                Err(self.refuse(
-                    "SETITEM",
-                    format!("sets an item of {found}, allowed: a dict"),
-                ))
+                Err(self.refuse("SETITEM", format!("sets an item of {found}, allowed: a dict")))
             }
         }
     }
@@ -359,10 +340,7 @@ impl Machine<'_> {
             return Err(if rest.len() < MAX_NAME_BYTES {
                 self.truncated("GLOBAL", needs)
             } else {
-                self.refuse(
-                    "GLOBAL",
-                    format!("has a name longer than {MAX_NAME_BYTES} bytes"),
-                )
+                self.refuse("GLOBAL", format!("has a name longer than {MAX_NAME_BYTES} bytes"))
             });
         };
         let line = self.take(length + 1, "GLOBAL")?;
@@ -432,10 +410,7 @@ impl Machine<'_> {
     /// A length of `size` bytes, checked against the bytes left.
     fn length(&mut self, size: usize, name: &'static str) -> Result<usize, PickleError> {
         let bytes = self.take(size, name)?;
-        let length = bytes
-            .iter()
-            .rev()
-            .fold(0_u64, |length, byte| length << 8 | u64::from(*byte));
+        let length = bytes.iter().rev().fold(0_u64, |length, byte| length << 8 | u64::from(*byte));
         let left = self.bytes.len() - self.at;
         match usize::try_from(length) {
             Ok(length) if length <= left => Ok(length),
@@ -464,24 +439,14 @@ impl Machine<'_> {
 
     fn stack_empty(&self) -> PickleError {
         let code = self.bytes.get(self.opcode_at).copied().unwrap_or_default();
-        self.refuse(
-            opcode::name(code),
-            "needs more values than there are".to_owned(),
-        )
+        self.refuse(opcode::name(code), "needs more values than there are".to_owned())
     }
 
     fn too_many(&self) -> PickleError {
-        PickleError::TooMany {
-            at: self.opcode_at,
-            allowed: MAX_VALUES,
-        }
+        PickleError::TooMany { at: self.opcode_at, allowed: MAX_VALUES }
     }
 
     fn refuse(&self, opcode: &'static str, detail: String) -> PickleError {
-        PickleError::Program {
-            at: self.opcode_at,
-            opcode,
-            detail,
-        }
+        PickleError::Program { at: self.opcode_at, opcode, detail }
     }
 }

@@ -40,11 +40,7 @@ pub fn to_python(network: &Network) -> Result<String, ExportError> {
         let shape = shape.collect::<Vec<_>>().join(" ");
         // Writing to a string never fails.
         let _ = writeln!(shapes, "    \"{path}\": ({shape}),");
-        for byte in tensor
-            .values()
-            .iter()
-            .flat_map(|value| (*value as f32).to_le_bytes())
-        {
+        for byte in tensor.values().iter().flat_map(|value| (*value as f32).to_le_bytes()) {
             if bytes > 0 && bytes.is_multiple_of(LINE_BYTES) {
                 hex.push('\n');
             }
@@ -66,16 +62,11 @@ pub fn to_python(network: &Network) -> Result<String, ExportError> {
         ("@NAME@", name),
         ("@HASH@", format!("{:016x}", network.hash())),
         ("@PERIOD_S@", period_s),
-        (
-            "@ACTIVATION@",
-            network.parameters().activation.name().to_owned(),
-        ),
+        ("@ACTIVATION@", network.parameters().activation.name().to_owned()),
         ("@INPUTS@", set.inputs().to_string()),
         ("@SHAPES@", shapes),
         ("@MODEL@", hex),
     ];
     let text = FILE.to_owned();
-    Ok(filled
-        .into_iter()
-        .fold(text, |text, (place, value)| text.replace(place, &value)))
+    Ok(filled.into_iter().fold(text, |text, (place, value)| text.replace(place, &value)))
 }

@@ -22,10 +22,7 @@ pub(super) fn entries(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     let file = SafeTensors::deserialize(bytes).map_err(|error| bad(header(), error.to_string()))?;
     let mut entries = Vec::new();
     for (path, text) in read.1.metadata().iter().flatten() {
-        entries.push(Entry {
-            path: path.clone(),
-            value: stated(text),
-        });
+        entries.push(Entry { path: path.clone(), value: stated(text) });
     }
     for (path, view) in file.iter() {
         let value = match element(view.dtype()) {
@@ -38,10 +35,7 @@ pub(super) fn entries(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
             )),
             None => EntryValue::Other("a tensor of an element type that is not read"),
         };
-        entries.push(Entry {
-            path: path.to_owned(),
-            value,
-        });
+        entries.push(Entry { path: path.to_owned(), value });
     }
     if entries.len() > MAX_ENTRIES {
         let found = entries.len();

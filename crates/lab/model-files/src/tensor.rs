@@ -58,11 +58,7 @@ impl Tensor {
 
     /// Creates a tensor from Python numbers.
     pub(super) fn from_numbers(shape: Vec<usize>, values: Vec<f64>) -> Tensor {
-        Tensor {
-            shape,
-            element: "numbers",
-            values,
-        }
+        Tensor { shape, element: "numbers", values }
     }
 
     /// Creates a tensor from our own numbers.

@@ -32,9 +32,7 @@ pub(super) fn read_zip(members: &[Member]) -> Result<Vec<Entry>, ReadError> {
         part: format!("member {part:?}"),
         detail: detail.to_owned(),
     };
-    let mut programs = members
-        .iter()
-        .filter(|member| member.name.ends_with(PROGRAM));
+    let mut programs = members.iter().filter(|member| member.name.ends_with(PROGRAM));
     let (Some(program), None) = (programs.next(), programs.next()) else {
         return Err(bad("data.pkl", "found several, allowed: one"));
     };
@@ -56,9 +54,7 @@ pub(super) fn read_zip(members: &[Member]) -> Result<Vec<Entry>, ReadError> {
         let name = format!("data/{}", storage.key);
         match member(&name) {
             Some(member) => sized(storage, &member.bytes),
-            None => Err(format!(
-                "its numbers should be in member {name:?}, which is missing"
-            )),
+            None => Err(format!("its numbers should be in member {name:?}, which is missing")),
         }
     };
     of_pickle(container, &pickle, &fetch)
@@ -99,30 +95,21 @@ fn check_origin(version: &Pickle, system: &Pickle) -> Result<(), ReadError> {
     match version.value(version.root()) {
         Value::Int(LEGACY_VERSION) => {}
         other => {
-            return bad(
-                "version",
-                format!("found {other:?}, allowed: {LEGACY_VERSION}"),
-            );
+            return bad("version", format!("found {other:?}, allowed: {LEGACY_VERSION}"));
         }
     }
-    let little =
-        match system.value(system.root()) {
-            Value::Dict(pairs) => pairs.iter().find_map(|&(key, value)| {
-                match (system.value(key), system.value(value)) {
-                    (Value::Text(key), &Value::Bool(value)) if &**key == "little_endian" => {
-                        Some(value)
-                    }
-                    _ => None,
-                }
-            }),
-            _ => None,
-        };
+    let little = match system.value(system.root()) {
+        Value::Dict(pairs) => {
+            pairs.iter().find_map(|&(key, value)| match (system.value(key), system.value(value)) {
+                (Value::Text(key), &Value::Bool(value)) if &**key == "little_endian" => Some(value),
+                _ => None,
+            })
+        }
+        _ => None,
+    };
     match little {
         Some(true) => Ok(()),
-        _ => bad(
-            "system",
-            "little_endian is not true; allowed: true".to_owned(),
-        ),
+        _ => bad("system", "little_endian is not true; allowed: true".to_owned()),
     }
 }
 
@@ -141,15 +128,10 @@ fn storages<'a>(
         })
     };
     let Value::List(list) = keys.value(keys.root()) else {
-        return bad(
-            at,
-            "found no list of storages before the storages".to_owned(),
-        );
+        return bad(at, "found no list of storages before the storages".to_owned());
     };
-    let used: HashMap<&str, &Storage> = object
-        .storages()
-        .map(|storage| (&*storage.key, storage))
-        .collect();
+    let used: HashMap<&str, &Storage> =
+        object.storages().map(|storage| (&*storage.key, storage)).collect();
     let mut storages = HashMap::new();
     for &key in list {
         let Value::Text(key) = keys.value(key) else {
@@ -160,27 +142,18 @@ fn storages<'a>(
         };
         let needed = storage.count.saturating_mul(storage.element.size());
         let count = bytes.get(at..at + 8);
-        let count = count.map(|count| {
-            count
-                .iter()
-                .rev()
-                .fold(0_u64, |n, b| n << 8 | u64::from(*b))
-        });
+        let count =
+            count.map(|count| count.iter().rev().fold(0_u64, |n, b| n << 8 | u64::from(*b)));
         if count != Some(storage.count as u64) {
             let found = count.map_or("the end".to_owned(), |count| format!("{count} elements"));
-            let detail = format!(
-                "storage {key:?}: found {found}, allowed: {} elements",
-                storage.count
-            );
+            let detail =
+                format!("storage {key:?}: found {found}, allowed: {} elements", storage.count);
             return bad(at, detail);
         }
         let left = &bytes[at + 8..];
         let Some(numbers) = left.get(..needed) else {
             let left = left.len();
-            return bad(
-                at,
-                format!("storage {key:?} needs {needed} bytes, {left} are left"),
-            );
+            return bad(at, format!("storage {key:?} needs {needed} bytes, {left} are left"));
         };
         at += 8 + needed;
         if storages.insert(key.to_string(), numbers).is_some() {
@@ -188,10 +161,7 @@ fn storages<'a>(
         }
     }
     if at != bytes.len() {
-        return bad(
-            at,
-            format!("{} bytes follow the last storage", bytes.len() - at),
-        );
+        return bad(at, format!("{} bytes follow the last storage", bytes.len() - at));
     }
     Ok(storages)
 }
@@ -202,16 +172,9 @@ fn sized<'a>(storage: &Storage, bytes: &'a [u8]) -> Result<&'a [u8], String> {
         return Ok(bytes);
     }
     let (found, count, element) = (bytes.len(), storage.count, storage.element.name());
-    Err(format!(
-        "storage {:?} has {found} bytes, should hold {count} of {element}",
-        storage.key
-    ))
+    Err(format!("storage {:?} has {found} bytes, should hold {count} of {element}", storage.key))
 }
 
 fn in_part(container: Container, part: &'static str) -> impl Fn(PickleError) -> ReadError {
-    move |source| ReadError::Pickle {
-        container,
-        part: part.to_owned(),
-        source,
-    }
+    move |source| ReadError::Pickle { container, part: part.to_owned(), source }
 }

@@ -88,10 +88,7 @@ pub fn wheels_mps(command: Command) -> [f64; 2] {
 pub fn saturated(command: Command) -> Command {
     let [left_mps, right_mps] =
         wheels_mps(command).map(|speed_mps| speed_mps.clamp(-V_MAX_MPS, V_MAX_MPS));
-    Command {
-        v_mps: (left_mps + right_mps) / 2.0,
-        omega_radps: (right_mps - left_mps) / ROBOT_M,
-    }
+    Command { v_mps: (left_mps + right_mps) / 2.0, omega_radps: (right_mps - left_mps) / ROBOT_M }
 }
 
 /// The unit vector of an angle from the x axis.

@@ -69,9 +69,7 @@ impl Body {
     /// Simulates from `now_ns` to `end_ns` under a command.
     pub fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) {
         self.loads.command(command, &mut self.noise);
-        self.pose = self
-            .pose
-            .driven(command, end_ns.saturating_sub(now_ns) as f64 * 1e-9);
+        self.pose = self.pose.driven(command, end_ns.saturating_sub(now_ns) as f64 * 1e-9);
         let mut now_ns = now_ns;
         while self.next_poll_ns <= end_ns {
             self.turn(now_ns, self.next_poll_ns, command);

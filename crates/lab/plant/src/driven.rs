@@ -21,21 +21,9 @@ impl Driven {
     /// manufacturing variation and its state; `extra_w` is a constant additional load, W.
     pub fn new(parts: Parts, extra_w: f64, pose: Pose, (seed, stream): (u64, u64)) -> Self {
         let mut made = Noise::new(seed, stream);
-        let body = Body::new(
-            parts,
-            extra_w,
-            0,
-            pose,
-            &mut made,
-            Noise::new(seed, stream + 1),
-        );
+        let body = Body::new(parts, extra_w, 0, pose, &mut made, Noise::new(seed, stream + 1));
         let before_j = body.drawn_j();
-        Self {
-            body,
-            now_ns: 0,
-            fresh: true,
-            before_j,
-        }
+        Self { body, now_ns: 0, fresh: true, before_j }
     }
 
     /// Adds a fault from a time on, s since the start.

@@ -98,11 +98,8 @@ impl Loads {
     /// Accelerates the wheels towards the command for `dt_s` seconds, above 0.
     pub(super) fn turn(&mut self, dt_s: f64, command: Command) {
         let reached = 1.0 - libm::exp(-dt_s / self.parts.motor_time_s);
-        for ((speed_mps, wanted_mps), friction) in self
-            .wheels_mps
-            .iter_mut()
-            .zip(wheels_mps(command))
-            .zip(self.friction)
+        for ((speed_mps, wanted_mps), friction) in
+            self.wheels_mps.iter_mut().zip(wheels_mps(command)).zip(self.friction)
         {
             let before_mps = *speed_mps;
             *speed_mps += (wanted_mps - before_mps) * reached;
@@ -119,21 +116,11 @@ impl Loads {
     /// Power at a poll, one poll period after the last one, W. The motors' part is their mean over
     /// that period, as the monitor averages it.
     pub(super) fn poll(&mut self, noise: &mut Noise) -> f64 {
-        let Decay {
-            drift,
-            processor,
-            roughness,
-            thermal,
-            ..
-        } = self.decay;
+        let Decay { drift, processor, roughness, thermal, .. } = self.decay;
         self.drift = drifted(self.drift, drift, noise);
         self.processor = drifted(self.processor, processor, noise);
         self.roughness = drifted(self.roughness, roughness, noise);
-        let smooth_w = if self.motors_s > 0.0 {
-            self.motors_j / self.motors_s
-        } else {
-            0.0
-        };
+        let smooth_w = if self.motors_s > 0.0 { self.motors_j / self.motors_s } else { 0.0 };
         (self.motors_j, self.motors_s) = (0.0, 0.0);
         let motors_w = smooth_w * (1.0 + self.parts.roughness * self.roughness).max(0.0);
         self.warm_w = motors_w + (self.warm_w - motors_w) * thermal;

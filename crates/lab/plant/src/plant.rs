@@ -105,11 +105,7 @@ impl Plant {
         let robots: Vec<Robot> = robots.collect();
         let readings = robots.iter().enumerate();
         let readings = readings.map(|(i, robot)| robot.reading(i, true)).collect();
-        Self {
-            robots,
-            readings,
-            now_ns: 0,
-        }
+        Self { robots, readings, now_ns: 0 }
     }
 
     /// Adds a fault to a robot from a time on, s since the plant's start. A robot can have several.
@@ -181,13 +177,7 @@ impl Robot {
             driver.begin_anywhere();
         }
         let body = Body::new(Parts::default(), 0.0, 0, pose, &mut made, state);
-        Self {
-            body,
-            driver,
-            command: Command::default(),
-            turn,
-            left_s: TRIAL_S,
-        }
+        Self { body, driver, command: Command::default(), turn, left_s: TRIAL_S }
     }
 
     /// The controller's decision at a tick, `dt_s` before the next one.

@@ -119,10 +119,7 @@ impl Args {
     }
 
     fn grid(&self, how: Resampling) -> Resample {
-        Resample {
-            method: how.into(),
-            rate_hz: self.rate,
-        }
+        Resample { method: how.into(), rate_hz: self.rate }
     }
 
     fn models(&self) -> anyhow::Result<Vec<(String, Model)>> {
@@ -138,19 +135,8 @@ fn model(path: &Path) -> anyhow::Result<(String, Model)> {
 
 impl fmt::Display for AnalyzeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Analysis {
-            trials,
-            robots,
-            groups,
-            series,
-            ..
-        } = &self.analysis;
-        writeln!(
-            out,
-            "{trials} trials of {} robots in {} groups",
-            robots.len(),
-            groups.len()
-        )?;
+        let Analysis { trials, robots, groups, series, .. } = &self.analysis;
+        writeln!(out, "{trials} trials of {} robots in {} groups", robots.len(), groups.len())?;
         for series in series {
             write_series(out, series, self.each)?;
         }
@@ -160,10 +146,7 @@ impl fmt::Display for AnalyzeReport {
 
 fn write_series(out: &mut fmt::Formatter<'_>, series: &Series, each: bool) -> fmt::Result {
     let (name, rows, held) = (&series.name, series.rows, 100.0 * series.held_share);
-    writeln!(
-        out,
-        "\n{name}: {rows} rows, {held:.1} % of the readings repeat the one before"
-    )?;
+    writeln!(out, "\n{name}: {rows} rows, {held:.1} % of the readings repeat the one before")?;
     let lags = |values: &[Option<f64>]| -> String {
         let shown = values.iter().map(|value| match value {
             Some(value) => format!("{value:.3}"),
@@ -214,13 +197,7 @@ fn write_ablation(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Res
         "", "R²", "MAE, W", "R² on new", "MAE on new, W", "from held"
     )?;
     for member in members {
-        let Member {
-            name,
-            all,
-            new,
-            held_share_of_gain,
-            ..
-        } = member;
+        let Member { name, all, new, held_share_of_gain, .. } = member;
         let share = match 100.0 * held_share_of_gain {
             share if share.is_finite() => format!("{share:.0} %"),
             _ => "–".to_owned(),
@@ -236,17 +213,8 @@ fn write_ablation(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Res
 
 /// One sentence on the share of the score that comes from held readings.
 fn write_plainly(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Result {
-    let persistence = ablation
-        .members
-        .iter()
-        .find(|member| member.name == "persistence");
-    let Some(Member {
-        all,
-        new,
-        held_share_of_gain,
-        ..
-    }) = persistence
-    else {
+    let persistence = ablation.members.iter().find(|member| member.name == "persistence");
+    let Some(Member { all, new, held_share_of_gain, .. }) = persistence else {
         return Ok(());
     };
     let held = 100.0 * ablation.held_rows as f64 / ablation.rows as f64;

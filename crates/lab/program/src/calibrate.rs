@@ -93,10 +93,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let map = args.recordings.map_of(&config, place)?;
     let (trials, recorded) = args.trials(own, &map)?;
-    let implausible = args
-        .accept
-        .or_configured(&config, [place])?
-        .judge(&trials)?;
+    let implausible = args.accept.or_configured(&config, [place])?.judge(&trials)?;
     let robots = args.robots.unwrap_or(recorded);
     say(&format!(
         "platform {}, model {}: {} recordings, a fleet of {robots} robots",
@@ -251,11 +248,7 @@ fn rate(text: &str) -> Result<f64, String> {
         _ => return Err(refused()),
     };
     let number: f64 = number.parse().map_err(|_| refused())?;
-    if number > 0.0 && number <= 1e6 {
-        Ok(number / hours)
-    } else {
-        Err(refused())
-    }
+    if number > 0.0 && number <= 1e6 { Ok(number / hours) } else { Err(refused()) }
 }
 
 fn confidence(text: &str) -> Result<f64, String> {
@@ -290,9 +283,7 @@ mod tests {
         assert_eq!(rate("2/hour"), Ok(2.0));
         assert_eq!(rate("12/day"), Ok(0.5));
         assert_eq!(rate("168/week"), Ok(1.0));
-        for text in [
-            "1", "0/day", "-1/day", "NaN/day", "inf/day", "1/month", "x/day",
-        ] {
+        for text in ["1", "0/day", "-1/day", "NaN/day", "inf/day", "1/month", "x/day"] {
             assert!(rate(text).is_err(), "{text}");
         }
     }

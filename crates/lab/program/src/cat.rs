@@ -50,20 +50,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let file = joulebus_files::open(&args.file).with_context(named)?;
     let mut out = Out::new(output.asked());
     let passed = values(file, wanted, |line| out.take(&line)).map_err(|error: anyhow::Error| {
-        if error.is::<ScanError>() {
-            error.context(named())
-        } else {
-            error
-        }
+        if error.is::<ScanError>() { error.context(named()) } else { error }
     })?;
     out.out.flush().map_err(closed)?;
     for damage in &passed.damage {
         say(&format!("{}: {damage}", named()));
     }
     for (topic, count) in &passed.undecoded {
-        say(&format!(
-            "{topic}: the values of {count} messages cannot be decoded"
-        ));
+        say(&format!("{topic}: the values of {count} messages cannot be decoded"));
     }
     if out.unlisted > 0 {
         say(&format!("{} values had no column", out.unlisted));
@@ -139,10 +133,7 @@ impl Out {
     }
 
     fn text(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
-        let (s, ns) = (
-            line.log_time_ns / 1_000_000_000,
-            line.log_time_ns % 1_000_000_000,
-        );
+        let (s, ns) = (line.log_time_ns / 1_000_000_000, line.log_time_ns % 1_000_000_000);
         let value = match &line.undecoded {
             None => line.value.to_string(),
             Some(why) => format!("[{} bytes of {}: {why}]", line.bytes, line.schema),
@@ -173,20 +164,14 @@ impl Out {
                 line.sequence.to_string(),
             ];
             let known: BTreeSet<&str> = self.columns.iter().map(String::as_str).collect();
-            self.unlisted += row
-                .iter()
-                .filter(|(name, _)| !known.contains(name.as_str()))
-                .count() as u64;
+            self.unlisted +=
+                row.iter().filter(|(name, _)| !known.contains(name.as_str())).count() as u64;
             let values = self.columns.iter().map(|column| {
                 let found = row.iter().find(|(name, _)| name == column);
                 found.map_or_else(String::new, |(_, value)| cell(value))
             });
-            let cells: Vec<String> = place
-                .iter()
-                .cloned()
-                .chain(values)
-                .map(|text| quoted(&text))
-                .collect();
+            let cells: Vec<String> =
+                place.iter().cloned().chain(values).map(|text| quoted(&text)).collect();
             self.line(&cells.join(","))?;
         }
         Ok(())
@@ -232,25 +217,17 @@ fn rows(value: &Value) -> Vec<Vec<(String, Value)>> {
 }
 
 fn is_list(value: &Value) -> bool {
-    value
-        .as_array()
-        .is_some_and(|list| list.first().is_some_and(Value::is_object))
+    value.as_array().is_some_and(|list| list.first().is_some_and(Value::is_object))
 }
 
 /// Dotted names of nested values.
 fn flatten(before: &str, value: &Value, row: &mut Vec<(String, Value)>, without: Option<&str>) {
     let Some(fields) = value.as_object() else {
         let name = before.trim_end_matches('.');
-        row.push((
-            if name.is_empty() { "value" } else { name }.to_owned(),
-            value.clone(),
-        ));
+        row.push((if name.is_empty() { "value" } else { name }.to_owned(), value.clone()));
         return;
     };
-    for (name, value) in fields
-        .iter()
-        .filter(|(name, _)| Some(name.as_str()) != without)
-    {
+    for (name, value) in fields.iter().filter(|(name, _)| Some(name.as_str()) != without) {
         match value {
             Value::Object(_) => flatten(&format!("{before}{name}."), value, row, None),
             // An empty list yields no rows and no value.

@@ -109,17 +109,9 @@ impl HeldOut {
         let files: Vec<(u32, PathBuf)> = files.into_iter().map(of_robot).collect();
         let recordings = open_with_ids(&files, map)?;
         let design = Design::held_out(&recordings, split)?;
-        let subject = Subject {
-            settings,
-            platform,
-            models,
-            recordings: &recordings,
-            design: &design,
-        };
-        let options = Options {
-            horizons: Vec::new(),
-            ..Options::default()
-        };
+        let subject =
+            Subject { settings, platform, models, recordings: &recordings, design: &design };
+        let options = Options { horizons: Vec::new(), ..Options::default() };
         let report = match score_reported(subject, &options) {
             Ok(scored) => scored.report,
             Err(error @ ScoreError::NoRows { .. }) => {
@@ -146,16 +138,9 @@ impl fmt::Display for HeldOut {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Estimate { value, lo, hi } = self.skill;
         let (rows, trials, design) = (self.rows, self.trials, &self.design);
-        write!(
-            out,
-            "held out, {rows} rows of {trials} recordings ({design}): skill {value:.3}"
-        )?;
+        write!(out, "held out, {rows} rows of {trials} recordings ({design}): skill {value:.3}")?;
         match lo.is_finite() && hi.is_finite() {
-            true => write!(
-                out,
-                " [{lo:.3}, {hi:.3}] at {:.0} %",
-                100.0 * self.confidence
-            )?,
+            true => write!(out, " [{lo:.3}, {hi:.3}] at {:.0} %", 100.0 * self.confidence)?,
             false => out.write_str(" (too few for an interval)")?,
         }
         out.write_str(" against the last reading")
@@ -190,11 +175,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
-    check(
-        &name,
-        &platform(&name, &recorded, given.as_deref(), args),
-        &fleet,
-    )?;
+    check(&name, &platform(&name, &recorded, given.as_deref(), args), &fleet)?;
     let mut split = None;
     if args.train {
         places.make(&places.models)?;
@@ -221,11 +202,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => None,
     };
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
-    warnings.extend(
-        model_range::warnings(&config, &models)
-            .iter()
-            .map(ToString::to_string),
-    );
+    warnings.extend(model_range::warnings(&config, &models).iter().map(ToString::to_string));
     for warning in &warnings {
         say(&format!("warning: {warning}"));
     }
@@ -233,10 +210,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
     if model.is_none() {
-        next.push(format!(
-            "joulebus train trials {from} --out {}{reading}",
-            word(&places.model)
-        ));
+        next.push(format!("joulebus train trials {from} --out {}{reading}", word(&places.model)));
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
@@ -296,9 +270,7 @@ impl Places {
         match existing {
             Some(path) => {
                 let what = format!("{} exists", path.display());
-                Err(UsageError(format!(
-                    "{what}; name another directory with --out"
-                )))
+                Err(UsageError(format!("{what}; name another directory with --out")))
             }
             None => Ok(()),
         }
@@ -342,11 +314,7 @@ impl Args {
                 let plain = name.unwrap_or_default();
                 let plain = plain.chars().map(|c| if is_allowed(c) { c } else { '_' });
                 let plain: String = plain.take(32).collect();
-                if plain.is_empty() {
-                    "robot".to_owned()
-                } else {
-                    plain
-                }
+                if plain.is_empty() { "robot".to_owned() } else { plain }
             }
         };
         match (1..=32).contains(&name.len()) && name.chars().all(is_allowed) {
@@ -362,9 +330,8 @@ impl Args {
         let Some(path) = &self.model else {
             return Ok(None);
         };
-        let path = path
-            .canonicalize()
-            .with_context(|| format!("cannot read {}", path.display()))?;
+        let path =
+            path.canonicalize().with_context(|| format!("cannot read {}", path.display()))?;
         Ok(Some(path.to_string_lossy().into_owned()))
     }
 }
@@ -405,9 +372,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
     let span_w = greatest_w - least_w;
     let rate_hz = nearest(recorded.rate_hz);
     let stale_s = above(6.5 / rate_hz).max(0.5);
-    let hold_s = above(3.0 * recorded.usual_hold_s)
-        .max(0.5)
-        .max(above(1.5 / rate_hz));
+    let hold_s = above(3.0 * recorded.usual_hold_s).max(0.5).max(above(1.5 / rate_hz));
     let stuck_s = above(1.5 * recorded.longest_hold_s).max(10.0).max(hold_s);
     // A robot that never feeds energy back has no negative power.
     let min_w = match least_w < 0.0 {
@@ -415,10 +380,9 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
         false => 0.0,
     };
     let resolution = match recorded.resolution_w {
-        Some(step_w) => (
-            nearest(step_w),
-            "Measured: all readings are whole steps apart.".to_owned(),
-        ),
+        Some(step_w) => {
+            (nearest(step_w), "Measured: all readings are whole steps apart.".to_owned())
+        }
         None => (
             nearest(recorded.difference_w * 1e-2),
             "The readings have no step: a hundredth of their usual difference.".to_owned(),
@@ -448,29 +412,17 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
         number(
             "hold_max_s",
             hold_s,
-            format!(
-                "Recorded: a reading is usually held for {:.3} s.",
-                recorded.usual_hold_s
-            ),
+            format!("Recorded: a reading is usually held for {:.3} s.", recorded.usual_hold_s),
         ),
         number(
             "stuck_after_s",
             stuck_s,
-            format!(
-                "Recorded: equal readings for up to {:.1} s.",
-                recorded.longest_hold_s
-            ),
+            format!("Recorded: equal readings for up to {:.1} s.", recorded.longest_hold_s),
         ),
-        number(
-            "power_min_w",
-            min_w,
-            format!("Recorded: {least_w:.3} W and more."),
-        ),
+        number("power_min_w", min_w, format!("Recorded: {least_w:.3} W and more.")),
         number(
             "power_max_w",
-            above(1.5 * greatest_w.max(0.0))
-                .max(min_w.abs() * 1e-3)
-                .max(1e-3),
+            above(1.5 * greatest_w.max(0.0)).max(min_w.abs() * 1e-3).max(1e-3),
             format!("Recorded: up to {greatest_w:.3} W; half as much again."),
         ),
         number("power_resolution_w", resolution.0, resolution.1),
@@ -520,12 +472,7 @@ struct RecordedRobots {
 impl RecordedRobots {
     fn take(&mut self, trial: &Trial) {
         self.names.extend(trial.robot_name().map(str::to_owned));
-        let of = || {
-            (
-                trial.path().to_owned(),
-                trial.robot_name().map(str::to_owned),
-            )
-        };
+        let of = || (trial.path().to_owned(), trial.robot_name().map(str::to_owned));
         let is_new = !trial.is_part() || self.in_parts.insert(of());
         self.trials = self.trials.saturating_add(u32::from(is_new));
     }
@@ -567,11 +514,7 @@ fn fleet(name: &str, recorded: &Profile, robots: &str, files: &[PathBuf]) -> Str
     let leave_s = above(4.0 * stale_s).max(30.0);
     let assignments = [
         Assignment::text("fleet.name", name, ""),
-        Assignment::number(
-            "tick.rate_hz",
-            rate_hz.max(30.0),
-            "At least the robots' rate.",
-        ),
+        Assignment::number("tick.rate_hz", rate_hz.max(30.0), "At least the robots' rate."),
         Assignment::number(
             "tick.deadline_ms",
             // Below the period.
@@ -587,10 +530,8 @@ fn fleet(name: &str, recorded: &Profile, robots: &str, files: &[PathBuf]) -> Str
             note: "Of the recordings.".to_owned(),
         },
     ];
-    let title = format!(
-        "Fleet {name}, made by `joulebus config init` from {} recordings.",
-        files.len()
-    );
+    let title =
+        format!("Fleet {name}, made by `joulebus config init` from {} recordings.", files.len());
     fleet_file(&title, &assignments)
 }
 

@@ -128,11 +128,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             read_trials(file, &args.columns.map(), &mut recordings)?
         });
     }
-    let mut report = ImportReport {
-        sources,
-        implausible: Vec::new(),
-        written: Vec::new(),
-    };
+    let mut report = ImportReport { sources, implausible: Vec::new(), written: Vec::new() };
     if recordings.is_empty() {
         bail!("nothing could be used\n{}", report.to_string().trim_end());
     }
@@ -164,10 +160,8 @@ fn read_bag(
     recordings: &mut Vec<Recording>,
 ) -> anyhow::Result<Source> {
     let named = || path.display().to_string();
-    let BagRead {
-        imported,
-        mut left_out,
-    } = bag::read(path, &stem(path), mapping).with_context(named)?;
+    let BagRead { imported, mut left_out } =
+        bag::read(path, &stem(path), mapping).with_context(named)?;
     for robot in &imported.robots {
         for found in runs(path, robot) {
             match found {
@@ -176,12 +170,7 @@ fn read_bag(
             }
         }
     }
-    Ok(Source {
-        file: named(),
-        imported: Some(imported),
-        trial: None,
-        left_out,
-    })
+    Ok(Source { file: named(), imported: Some(imported), trial: None, left_out })
 }
 
 /// The recordings of a robot: one for each run of the recorder's clock.
@@ -245,10 +234,7 @@ fn read_trials(
         true => Trial::read_mapped(path, map)?,
         false => vec![crate::trials::read_one(path, map)?],
     };
-    let notes: Vec<String> = trials
-        .iter()
-        .map(|trial| trial.notes().to_string())
-        .collect();
+    let notes: Vec<String> = trials.iter().map(|trial| trial.notes().to_string()).collect();
     let source = Source {
         file: path.display().to_string(),
         imported: None,
@@ -291,10 +277,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     }
     let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
     if is_dataset && recordings.len() > 1 {
-        let what = format!(
-            "{} robots cannot be written to one dataset",
-            recordings.len()
-        );
+        let what = format!("{} robots cannot be written to one dataset", recordings.len());
         return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
     }
     let places = match is_dataset {
@@ -327,9 +310,8 @@ fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<Path
         // A robot's name may have any characters; a file's name may not.
         let allowed = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
         let letters = recording.name.chars();
-        let file: String = letters
-            .map(|letter| if allowed(letter) { letter } else { '_' })
-            .collect();
+        let file: String =
+            letters.map(|letter| if allowed(letter) { letter } else { '_' }).collect();
         let place = directory.join(format!("{file}.csv.gz"));
         let at = place.display();
         if places.contains(&place) {

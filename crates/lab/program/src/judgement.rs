@@ -59,10 +59,7 @@ impl Judged {
 impl AcceptArguments {
     /// For recordings that were judged before: nothing is said again.
     pub(crate) const fn settled() -> Self {
-        Self {
-            accept: Vec::new(),
-            settled: true,
-        }
+        Self { accept: Vec::new(), settled: true }
     }
 
     /// The same with what the config accepts in recordings of some platforms.
@@ -191,21 +188,14 @@ impl AcceptArguments {
         let judged = self.gather(found);
         let (errors, others): (Vec<_>, Vec<_>) = judged.into_iter().partition(Judged::is_error);
         for finding in &others {
-            let word = if finding.accepted {
-                "accepted"
-            } else {
-                "warning"
-            };
+            let word = if finding.accepted { "accepted" } else { "warning" };
             say(&format!("{word}: {}", finding.line()));
         }
         if errors.is_empty() {
             return Ok(others);
         }
         let lines: Vec<String> = errors.iter().map(Judged::line).collect();
-        bail!(
-            "implausible readings: nothing was done\n  {}",
-            lines.join("\n  ")
-        )
+        bail!("implausible readings: nothing was done\n  {}", lines.join("\n  "))
     }
 
     /// One line of each kind and quantity, errors first.
@@ -216,11 +206,7 @@ impl AcceptArguments {
             let finding = &first.finding;
             let accepted = self.accept.contains(&finding.kind);
             let key = (finding.severity, finding.kind, finding.quantity);
-            let entry = judged.entry(key).or_insert(Judged {
-                recordings: 0,
-                accepted,
-                first,
-            });
+            let entry = judged.entry(key).or_insert(Judged { recordings: 0, accepted, first });
             entry.recordings += 1;
         }
         judged.into_values().collect()
@@ -274,9 +260,6 @@ pub(crate) fn report<R: Serialize + fmt::Display>(
 ) -> anyhow::Result<()> {
     match implausible.is_empty() {
         true => output.report(report),
-        false => output.report(&WithJudged {
-            report,
-            implausible,
-        }),
+        false => output.report(&WithJudged { report, implausible }),
     }
 }

@@ -24,9 +24,7 @@ pub(crate) fn recordings(paths: &[PathBuf]) -> anyhow::Result<String> {
         };
         let files = |paths: &[PathBuf]| -> anyhow::Result<BTreeSet<PathBuf>> {
             let files = find(paths)?.files.into_iter();
-            Ok(files
-                .map(|file| file.canonicalize().unwrap_or(file))
-                .collect())
+            Ok(files.map(|file| file.canonicalize().unwrap_or(file)).collect())
         };
         if files(&[directory.to_owned()])? == files(paths)? {
             return Ok(word(directory));

@@ -126,10 +126,7 @@ impl Args {
             None => return Ok(None),
         };
         let most_samples = config.settings().intake.max_samples_per_tick;
-        let window = Window::new(
-            frames.min(config.buffer_frames()),
-            usize::from(most_samples),
-        );
+        let window = Window::new(frames.min(config.buffer_frames()), usize::from(most_samples));
         Flow::open(link.domain(), &config.limits(), window, link.epoch()).map(Some)
     }
 }
@@ -170,15 +167,10 @@ impl Player {
                 .collect(),
         };
         let report = report(args, config, &trials);
-        let frame_period_ns = args
-            .frame_rate
-            .map_or(config.tick_period_ns(), Hertz::period_ns);
+        let frame_period_ns = args.frame_rate.map_or(config.tick_period_ns(), Hertz::period_ns);
         let started_ns = clock::monotonic_ns();
-        let playback = Playback {
-            base_ns: started_ns,
-            frame_period_ns,
-            repeat: passes != Passes::Count(1),
-        };
+        let playback =
+            Playback { base_ns: started_ns, frame_period_ns, repeat: passes != Passes::Count(1) };
         Ok(Self {
             link,
             flow,
@@ -249,10 +241,8 @@ impl Player {
     /// With a number of passes the fleet continues until the longest trial has ended.
     fn drop_what_is_past_the_end(&mut self) {
         let most = &self.most_samples;
-        let is_wanted = |sample: &Sample| {
-            most.get(&sample.robot)
-                .is_none_or(|most| sample.seq < *most)
-        };
+        let is_wanted =
+            |sample: &Sample| most.get(&sample.robot).is_none_or(|most| sample.seq < *most);
         self.frame.retain(is_wanted);
     }
 
@@ -327,10 +317,8 @@ impl Player {
 
 /// The initial report.
 fn report(args: &Args, config: &Config, trials: &[(u32, Trial)]) -> PublishReport {
-    let mut shown: Vec<PlayedTrial> = trials
-        .iter()
-        .map(|(robot, trial)| played(*robot, trial))
-        .collect();
+    let mut shown: Vec<PlayedTrial> =
+        trials.iter().map(|(robot, trial)| played(*robot, trial)).collect();
     shown.sort_by_key(|trial| trial.robot);
     PublishReport {
         fleet: config.fleet().to_owned(),

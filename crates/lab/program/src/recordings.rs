@@ -81,9 +81,7 @@ impl ColumnArguments {
         let stated = config.recordings(platform);
         let refused = |key, error| {
             let name = &config.settings().platforms[platform].name;
-            anyhow::Error::from(UsageError(format!(
-                "platform {name}: `recordings.{key}`: {error}"
-            )))
+            anyhow::Error::from(UsageError(format!("platform {name}: `recordings.{key}`: {error}")))
         };
         let mut own = self.map();
         if let Some(map) = stated.map.filter(|_| self.map.is_empty()) {
@@ -107,11 +105,7 @@ impl ColumnArguments {
             stated.push(map);
         }
         if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
-            stated.push(Assignment::text(
-                "recordings.current",
-                sign.get_name(),
-                GIVEN,
-            ));
+            stated.push(Assignment::text("recordings.current", sign.get_name(), GIVEN));
         }
         stated
     }

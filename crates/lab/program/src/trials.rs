@@ -216,11 +216,7 @@ fn assign(
     ids: &mut Ids,
 ) -> anyhow::Result<Vec<(u32, PathBuf)>> {
     let is_directory = path.is_dir();
-    let files = if is_directory {
-        recordings(path)?
-    } else {
-        vec![path.to_owned()]
-    };
+    let files = if is_directory { recordings(path)? } else { vec![path.to_owned()] };
     let found = files.len();
     let mut assigned = Vec::with_capacity(found);
     for file in files {
@@ -287,10 +283,7 @@ struct Ids {
 
 impl Ids {
     const fn new(first: Option<u32>) -> Self {
-        Self {
-            next: first,
-            taken: Vec::new(),
-        }
+        Self { next: first, taken: Vec::new() }
     }
 
     /// The next id; none if all are assigned.

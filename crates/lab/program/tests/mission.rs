@@ -9,17 +9,8 @@ fn the_program_reports_as_json_and_draws_a_picture() {
     let file = folder.path().join("run.svg");
     let picture = file.to_str().unwrap();
     let program = env!("CARGO_BIN_EXE_joulebus-lab");
-    let arguments = [
-        "mission",
-        "--seeds",
-        "2",
-        "--hours",
-        "0.05",
-        "--format",
-        "json",
-        "--picture",
-        picture,
-    ];
+    let arguments =
+        ["mission", "--seeds", "2", "--hours", "0.05", "--format", "json", "--picture", picture];
     let made = run(program, arguments).exits(0);
     let report = made.json();
     let policies = report["policies"].as_array().unwrap();

@@ -45,19 +45,11 @@ fn a_split_reports_on_what_was_held_out() {
     assert!(text.contains("split by trial"), "{text}");
     says(&text, ["seed 3", "30 % held out"]);
     assert!(text.contains(", on 2 recordings"), "{text}");
-    let text = report(&[
-        "--split",
-        "trial",
-        "--leave-out",
-        data.join("t_4.csv").to_str().unwrap(),
-    ]);
+    let text = report(&["--split", "trial", "--leave-out", data.join("t_4.csv").to_str().unwrap()]);
     says(&text, [", on 1 recordings", "t_4.csv held out"]);
     output(
-        format!(
-            "{} --model builtin:gternal-sim --split row -o x",
-            data.to_str().unwrap()
-        )
-        .split(' '),
+        format!("{} --model builtin:gternal-sim --split row -o x", data.to_str().unwrap())
+            .split(' '),
     )
     .exits(2);
 }
@@ -86,11 +78,7 @@ fn one_command_runs_the_simulated_experiments() {
     let written = fs::read_to_string(out.join("report.json")).unwrap();
     let written: serde_json::Value = serde_json::from_str(&written).unwrap();
     assert_eq!(made.json(), written, "stdout and the file say the same");
-    for file in [
-        "report.txt",
-        "figures/figure-1-power.png",
-        "figures/figure-5-robots.svg",
-    ] {
+    for file in ["report.txt", "figures/figure-1-power.png", "figures/figure-5-robots.svg"] {
         assert!(fs::metadata(out.join(file)).unwrap().len() > 0, "{file}");
     }
 
@@ -119,29 +107,12 @@ fn invalid_requests_are_refused_before_the_evaluation() {
         (vec!["-o", out], "PATH", 2),
         (vec![recording, "-o", out], "--model", 2),
         (vec!["--simulated", recording, "-o", out], "--simulated", 2),
-        (
-            vec![recording, "--model", "none.safetensors", "-o", out],
-            "none.safetensors",
-            1,
-        ),
-        (
-            vec!["--simulated", "--samples", "9", "-o", out],
-            "100 or more",
-            1,
-        ),
+        (vec![recording, "--model", "none.safetensors", "-o", out], "none.safetensors", 1),
+        (vec!["--simulated", "--samples", "9", "-o", out], "100 or more", 1),
     ] {
         let refused = output(&arguments);
-        assert_eq!(
-            refused.exit_code(),
-            expected,
-            "{arguments:?}: {}",
-            refused.errors()
-        );
-        assert!(
-            refused.errors().contains(message),
-            "{message}: {}",
-            refused.errors()
-        );
+        assert_eq!(refused.exit_code(), expected, "{arguments:?}: {}", refused.errors());
+        assert!(refused.errors().contains(message), "{message}: {}", refused.errors());
         assert!(refused.text().is_empty());
     }
 }

@@ -33,12 +33,7 @@ fn steps<'a>(material: &Material<'a>) -> Vec<&'a ForecasterScore> {
     let mut lines: Vec<&ForecasterScore> = others.iter().skip(1).collect();
     // The model of velocities alone uses no readings.
     let first = lines.drain(..1.min(lines.len())).collect::<Vec<_>>();
-    first
-        .into_iter()
-        .chain(persistence)
-        .chain(lines)
-        .chain(networks)
-        .collect()
+    first.into_iter().chain(persistence).chain(lines).chain(networks).collect()
 }
 
 fn papers(score: &ForecasterScore) -> f64 {
@@ -51,31 +46,15 @@ fn papers(score: &ForecasterScore) -> f64 {
 
 fn figure(material: &Material<'_>, steps: &[&ForecasterScore]) -> Figure {
     let names: Vec<String> = steps.iter().map(|score| score.name.clone()).collect();
-    let bars = |values: Vec<Interval>| Mark::Bars {
-        values,
-        slot: [0, 1],
-        direction: Direction::Across,
-    };
+    let bars =
+        |values: Vec<Interval>| Mark::Bars { values, slot: [0, 1], direction: Direction::Across };
     let r2 = steps.iter().map(|score| interval(score.r2)).collect();
     let unit = material.unit;
-    let mae = steps
-        .iter()
-        .map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
-    let mut layers = vec![Layer::named(
-        "here, with 95 % interval",
-        Colour::Blue,
-        bars(r2),
-    )];
+    let mae = steps.iter().map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
+    let mut layers = vec![Layer::named("here, with 95 % interval", Colour::Blue, bars(r2))];
     if material.beside_paper {
-        let values = steps
-            .iter()
-            .map(|score| Interval::exact(papers(score)))
-            .collect();
-        let dots = Mark::Dots {
-            values,
-            slot: [0, 1],
-            direction: Direction::Across,
-        };
+        let values = steps.iter().map(|score| Interval::exact(papers(score))).collect();
+        let dots = Mark::Dots { values, slot: [0, 1], direction: Direction::Across };
         layers.push(Layer::named("paper", Colour::Vermilion, dots));
     }
     let panel = |title: &str, x: Axis, layers: Vec<Layer>| Panel {
@@ -112,11 +91,7 @@ fn table(material: &Material<'_>, steps: &[&ForecasterScore]) -> Table {
         ];
         if material.beside_paper {
             let papers = papers(score);
-            row.push(if papers.is_nan() {
-                Cell::Nothing
-            } else {
-                Cell::Number(papers, 2)
-            });
+            row.push(if papers.is_nan() { Cell::Nothing } else { Cell::Number(papers, 2) });
         }
         row
     };

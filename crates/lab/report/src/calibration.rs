@@ -66,11 +66,7 @@ pub(super) fn levels(
             sums.0.merge(&live);
             sums.1.merge(&fixed);
         }
-        Ok(Level {
-            nominal: coverage.into(),
-            live: sums.0,
-            fixed: sums.1,
-        })
+        Ok(Level { nominal: coverage.into(), live: sums.0, fixed: sums.1 })
     };
     LEVELS.into_iter().map(level).collect()
 }
@@ -144,10 +140,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
             Layer::named(
                 format!("inside, by {STRETCH_S:.0} s"),
                 Colour::Blue,
-                Mark::Line {
-                    points: over_time(&series),
-                    dashed: false,
-                },
+                Mark::Line { points: over_time(&series), dashed: false },
             ),
         ],
     });
@@ -155,11 +148,8 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
     if shown.len() > 1 {
         panels.push(each(material, shown, nominal));
     }
-    let last = if shown.len() > 1 {
-        " (d) Share inside, individually, with 95 % intervals."
-    } else {
-        ""
-    };
+    let last =
+        if shown.len() > 1 { " (d) Share inside, individually, with 95 % intervals." } else { "" };
     let mut figure = Figure::new(
         "figure-7-calibration",
         "Figure 7. Calibration.",
@@ -182,18 +172,13 @@ fn levels_asked(material: &Material<'_>) -> f64 {
 }
 
 const fn across(at: f64) -> Mark {
-    Mark::Rule {
-        at,
-        direction: Direction::Across,
-    }
+    Mark::Rule { at, direction: Direction::Across }
 }
 
 fn promise(levels: &[Level]) -> Panel {
     let curve = |of: fn(&Level) -> &CoverageTally| -> Vec<[f64; 2]> {
         let points = levels.iter();
-        points
-            .map(|level| [100.0 * level.nominal, 100.0 * of(level).coverage()])
-            .collect()
+        points.map(|level| [100.0 * level.nominal, 100.0 * of(level).coverage()]).collect()
     };
     let live = curve(|level| &level.live);
     let fixed = curve(|level| &level.fixed);
@@ -207,20 +192,10 @@ fn promise(levels: &[Level]) -> Panel {
             Layer::named(
                 "fixed width",
                 Colour::Vermilion,
-                Mark::Line {
-                    points: fixed,
-                    dashed: true,
-                },
+                Mark::Line { points: fixed, dashed: true },
             ),
             Layer::plain(Colour::Blue, Mark::Points(live.clone())),
-            Layer::named(
-                "live",
-                Colour::Blue,
-                Mark::Line {
-                    points: live,
-                    dashed: false,
-                },
-            ),
+            Layer::named("live", Colour::Blue, Mark::Line { points: live, dashed: false }),
         ],
     }
 }
@@ -231,11 +206,7 @@ fn means(material: &Material<'_>) -> Panel {
     let pairs = material.live().iter().flat_map(|robot| {
         let series = Series::of(robot);
         let residuals_w: Vec<f64> = series.residuals_w().collect();
-        series
-            .forecast_w
-            .into_iter()
-            .zip(residuals_w)
-            .collect::<Vec<_>>()
+        series.forecast_w.into_iter().zip(residuals_w).collect::<Vec<_>>()
     });
     let mut pairs: Vec<(f64, f64)> = pairs.collect();
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -247,10 +218,7 @@ fn means(material: &Material<'_>) -> Panel {
         .chunks(count)
         .map(|part| {
             let forecast = mean(&mut part.iter().map(|pair| pair.0), part.len());
-            [
-                forecast,
-                mean(&mut part.iter().map(|pair| pair.1), part.len()),
-            ]
+            [forecast, mean(&mut part.iter().map(|pair| pair.1), part.len())]
         })
         .collect();
     Panel {
@@ -260,13 +228,7 @@ fn means(material: &Material<'_>) -> Panel {
         layers: vec![
             Layer::plain(Colour::Grey, across(0.0)),
             Layer::plain(Colour::Blue, Mark::Points(points.clone())),
-            Layer::plain(
-                Colour::Blue,
-                Mark::Line {
-                    points,
-                    dashed: false,
-                },
-            ),
+            Layer::plain(Colour::Blue, Mark::Line { points, dashed: false }),
         ],
     }
 }
@@ -277,18 +239,12 @@ fn over_time(series: &Series) -> Vec<[f64; 2]> {
     let mut from = 0;
     while from < series.len() {
         let end_s = series.time_s[from] + STRETCH_S;
-        let to = series
-            .time_s
-            .partition_point(|time_s| *time_s < end_s)
-            .max(from + 1);
+        let to = series.time_s.partition_point(|time_s| *time_s < end_s).max(from + 1);
         let mut inside = CoverageTally::default();
         for at in from..to {
             inside.add(series.reading_w[at], series.lo_w[at], series.hi_w[at]);
         }
-        points.push([
-            series.time_s[from] + STRETCH_S / 2.0,
-            100.0 * inside.coverage(),
-        ]);
+        points.push([series.time_s[from] + STRETCH_S / 2.0, 100.0 * inside.coverage()]);
         from = to;
     }
     points
@@ -301,10 +257,7 @@ fn each(material: &Material<'_>, sets: &[Scores], nominal: f64) -> Panel {
         Layer::named(
             "asked for",
             Colour::Grey,
-            Mark::Rule {
-                at: nominal,
-                direction: Direction::Up,
-            },
+            Mark::Rule { at: nominal, direction: Direction::Up },
         ),
     ];
     layers.extend(models.map(|model| {
@@ -374,9 +327,7 @@ mod tests {
         let count = 600;
         let series = Series {
             time_s: (0..count).map(|at| f64::from(at) / 30.0).collect(),
-            reading_w: (0..count)
-                .map(|at| if at < 300 { 1.0 } else { 5.0 })
-                .collect(),
+            reading_w: (0..count).map(|at| if at < 300 { 1.0 } else { 5.0 }).collect(),
             forecast_w: vec![1.0; 600],
             lo_w: vec![0.0; 600],
             hi_w: vec![2.0; 600],

@@ -47,26 +47,16 @@ impl Numbers {
         network_numbers(&mut paper, draw);
         robot_numbers(&mut paper, draw);
         let mut product = lines("trial 6", &draw.alone, &draw.plain_alone, 5);
-        product.extend(lines(
-            "seven robots",
-            &draw.together,
-            &draw.plain_together,
-            0,
-        ));
-        Self {
-            seed: draw.recordings.seed,
-            paper,
-            product,
-        }
+        product.extend(lines("seven robots", &draw.together, &draw.plain_together, 0));
+        Self { seed: draw.recordings.seed, paper, product }
     }
 }
 
 /// Position of the draw whose numbers are nearest to their means, in deviations.
 pub(super) fn most_typical(draws: &[Numbers]) -> usize {
     let count = draws.first().map_or(0, |draw| draw.paper.len());
-    let spreads: Vec<[f64; 2]> = (0..count)
-        .map(|at| spread(draws.iter().map(|draw| draw.paper[at].value)))
-        .collect();
+    let spreads: Vec<[f64; 2]> =
+        (0..count).map(|at| spread(draws.iter().map(|draw| draw.paper[at].value))).collect();
     let distance = |draw: &Numbers| -> f64 {
         let numbers = draw.paper.iter().zip(&spreads);
         let off = numbers.map(|(number, [mean, std])| (number.value - mean) / std);
@@ -141,10 +131,8 @@ fn lines(set: &'static str, scored: &Scored, plain: &[Plain], from: usize) -> Ve
         let scores = sets.iter().flat_map(|cell| &cell.forecasters);
         scores.filter(|score| score.name == name).collect()
     };
-    let first: Vec<&ForecasterScore> = sets
-        .iter()
-        .filter_map(|cell| cell.forecasters.first())
-        .collect();
+    let first: Vec<&ForecasterScore> =
+        sets.iter().filter_map(|cell| cell.forecasters.first()).collect();
     let last = at(PERSISTENCE);
     let rmse = |scores: &[&ForecasterScore]| -> Vec<f64> {
         scores.iter().map(|score| score.rmse_w.value).collect()
@@ -174,10 +162,7 @@ fn lines(set: &'static str, scored: &Scored, plain: &[Plain], from: usize) -> Ve
             mae_w: plain.iter().map(|one| one.tally.mae_w()).sum::<f64>() / count,
             better: better(&plain_rmse),
         },
-        Line {
-            better: None,
-            ..line(PERSISTENCE, &last)
-        },
+        Line { better: None, ..line(PERSISTENCE, &last) },
         line(&linear, &at(&linear)),
     ]
 }
@@ -276,12 +261,7 @@ pub(super) fn section(draws: &[Numbers]) -> Section {
 }
 
 fn number(quantity: impl Into<String>, paper: Cell, value: f64, decimals: usize) -> Number {
-    Number {
-        quantity: quantity.into(),
-        paper,
-        value,
-        decimals,
-    }
+    Number { quantity: quantity.into(), paper, value, decimals }
 }
 
 /// A power in mW; a difference of powers gets one more decimal than a power.
@@ -295,12 +275,7 @@ fn power_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     let [lowest_w, highest_w] = paper::POWER_RANGE_W;
     numbers.extend([
         power_mw("mean power (mW)", paper::POWER_MEAN_W, found.mean_w, false),
-        power_mw(
-            "standard deviation of power (mW)",
-            paper::POWER_STD_W,
-            found.std_w,
-            false,
-        ),
+        power_mw("standard deviation of power (mW)", paper::POWER_STD_W, found.std_w, false),
         power_mw("lowest power (mW)", lowest_w, found.ends_w[0], false),
         power_mw("highest power (mW)", highest_w, found.ends_w[1], false),
         number(
@@ -326,11 +301,7 @@ fn network_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     };
     for (quantity, papers, name) in [
         ("velocities alone", paper::R2_VELOCITIES, "velocities"),
-        (
-            "velocities and one past reading",
-            paper::R2_ONE_LAG,
-            "velocities + 1 lag",
-        ),
+        ("velocities and one past reading", paper::R2_ONE_LAG, "velocities + 1 lag"),
     ] {
         let quantity = format!("R² of {quantity}");
         numbers.push(number(quantity, Cell::Number(papers, 2), line(name), 3));
@@ -340,11 +311,7 @@ fn network_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     let [least, greatest] = power::ends(r2());
     for (quantity, papers, value) in [
         ("least", paper::R2_TRIALS[0], least),
-        (
-            "mean",
-            paper::R2_TRIALS_MEAN,
-            r2().sum::<f64>() / trials.len() as f64,
-        ),
+        ("mean", paper::R2_TRIALS_MEAN, r2().sum::<f64>() / trials.len() as f64),
         ("greatest", paper::R2_TRIALS[1], greatest),
     ] {
         let quantity = format!("R² of the network, {quantity} of the six trials");
@@ -354,17 +321,8 @@ fn network_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     let (r2, mae_w) = sixth.map_or((f64::NAN, f64::NAN), |tally| (tally.r2(), tally.mae_w()));
     let papers = Cell::Number(paper::R2_TRIAL_6, 2);
     numbers.push(number("R² on trial 6", papers, r2, 3));
-    numbers.push(power_mw(
-        "MAE on trial 6 (mW)",
-        paper::MAE_TRIAL_6_W,
-        mae_w,
-        true,
-    ));
-    let residuals_w = sorted(
-        trials
-            .iter()
-            .flat_map(|trial| trial.residuals_w.iter().copied()),
-    );
+    numbers.push(power_mw("MAE on trial 6 (mW)", paper::MAE_TRIAL_6_W, mae_w, true));
+    let residuals_w = sorted(trials.iter().flat_map(|trial| trial.residuals_w.iter().copied()));
     let mean_w = residuals_w.iter().sum::<f64>() / residuals_w.len() as f64;
     let [low_w, high_w] = paper::RESIDUAL_90_W;
     numbers.extend([
@@ -402,32 +360,12 @@ fn robot_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     };
     let lead_w = power_w(true).fold(f64::INFINITY, f64::min)
         - power_w(false).fold(f64::NEG_INFINITY, f64::max);
-    let errors: Vec<f64> = robots
-        .iter()
-        .map(|robot| robot.tally.energy_error().abs())
-        .collect();
-    let exact = errors
-        .iter()
-        .filter(|error| **error < paper::ENERGY_ERROR_FOUR);
+    let errors: Vec<f64> = robots.iter().map(|robot| robot.tally.energy_error().abs()).collect();
+    let exact = errors.iter().filter(|error| **error < paper::ENERGY_ERROR_FOUR);
     numbers.extend([
-        number(
-            "R² over seven robots, mean",
-            Cell::Number(papers_mean, 2),
-            mean,
-            3,
-        ),
-        number(
-            "R² over seven robots, standard deviation",
-            Cell::Number(papers_std, 3),
-            std,
-            3,
-        ),
-        power_mw(
-            "MAE over seven robots (mW)",
-            paper::MAE_ROBOTS_W,
-            mae_w,
-            true,
-        ),
+        number("R² over seven robots, mean", Cell::Number(papers_mean, 2), mean, 3),
+        number("R² over seven robots, standard deviation", Cell::Number(papers_std, 3), std, 3),
+        power_mw("MAE over seven robots (mW)", paper::MAE_ROBOTS_W, mae_w, true),
         number(
             "least of robots 1, 2, 3, 6 above the most of 4, 5, 7 (mW)",
             Cell::words("above 0"),
@@ -440,11 +378,6 @@ fn robot_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
             100.0 * errors.iter().copied().fold(f64::NAN, f64::max),
             2,
         ),
-        number(
-            "robots with an energy error below 0.1 %",
-            Cell::Count(4),
-            exact.count() as f64,
-            1,
-        ),
+        number("robots with an energy error below 0.1 %", Cell::Count(4), exact.count() as f64, 1),
     ]);
 }

@@ -70,10 +70,7 @@ pub struct Column {
 impl Column {
     /// A column of this key and title.
     pub fn new(key: impl Into<String>, title: impl Into<String>) -> Self {
-        Self {
-            key: key.into(),
-            title: title.into(),
-        }
+        Self { key: key.into(), title: title.into() }
     }
 }
 
@@ -111,11 +108,7 @@ impl Cell {
             Self::Number(value, decimals) => number(*value, *decimals),
             Self::Range([low, high], _) if low.is_nan() && high.is_nan() => UNKNOWN.to_owned(),
             Self::Range([low, high], decimals) => {
-                format!(
-                    "{} to {}",
-                    number(*low, *decimals),
-                    number(*high, *decimals)
-                )
+                format!("{} to {}", number(*low, *decimals), number(*high, *decimals))
             }
             Self::Spread([mean, std], decimals) => {
                 format!("{} ± {}", number(*mean, *decimals), number(*std, *decimals))
@@ -177,10 +170,7 @@ impl Serialize for Rows<'_> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let mut seq = to.serialize_seq(Some(self.0.rows.len()))?;
         for cells in &self.0.rows {
-            seq.serialize_element(&Row {
-                columns: &self.0.columns,
-                cells,
-            })?;
+            seq.serialize_element(&Row { columns: &self.0.columns, cells })?;
         }
         seq.end()
     }

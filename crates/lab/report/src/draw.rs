@@ -64,10 +64,7 @@ impl Recordings {
             ),
             period_s: 1.0 / 30.0,
         };
-        let recipe = TrainSettings {
-            seed,
-            ..experiment.recipe.clone()
-        };
+        let recipe = TrainSettings { seed, ..experiment.recipe.clone() };
         let mut training = Training::new(&dataset, &recipe, experiment.threads)?;
         while !training.is_done() {
             if progress(training.epoch()?).is_break() {
@@ -149,11 +146,8 @@ impl Plain {
 
 /// Options of a draw of which only the scores are shown: no open loop, no intervals.
 pub(super) fn scores_only() -> Options {
-    let mut options = Options {
-        horizons: Vec::new(),
-        baselines: BASELINES.to_vec(),
-        ..Options::default()
-    };
+    let mut options =
+        Options { horizons: Vec::new(), baselines: BASELINES.to_vec(), ..Options::default() };
     options.bootstrap.resamples = 0;
     options
 }

@@ -24,10 +24,7 @@ pub struct File {
 /// # Errors
 /// A figure cannot be drawn.
 pub fn files(document: &Document) -> Result<Vec<File>, ReportError> {
-    let file = |path: &str, bytes: Vec<u8>| File {
-        path: path.to_owned(),
-        bytes,
-    };
+    let file = |path: &str, bytes: Vec<u8>| File { path: path.to_owned(), bytes };
     let mut files = vec![
         file("report.html", html(document)?.into_bytes()),
         file("report.json", serde_json::to_vec_pretty(document)?),

@@ -68,11 +68,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
 
 fn residual_panel(material: &Material<'_>, series: &Series) -> Panel {
     let unit = material.unit;
-    let residuals = sorted(
-        series
-            .residuals_w()
-            .map(|residual_w| unit.scaled_w(residual_w)),
-    );
+    let residuals = sorted(series.residuals_w().map(|residual_w| unit.scaled_w(residual_w)));
     let middle = [quantile(&residuals, 0.05), quantile(&residuals, 0.95)];
     let ends = [quantile(&residuals, 0.005), quantile(&residuals, 0.995)];
     let counted = bins(residuals.iter().copied(), ends, BINS);
@@ -82,16 +78,9 @@ fn residual_panel(material: &Material<'_>, series: &Series) -> Panel {
     ];
     if material.beside_paper {
         for (at, end_w) in paper::RESIDUAL_90_W.into_iter().enumerate() {
-            let mark = Mark::Rule {
-                at: unit.scaled_w(end_w),
-                direction: Direction::Up,
-            };
+            let mark = Mark::Rule { at: unit.scaled_w(end_w), direction: Direction::Up };
             let label = (at == 0).then(|| "the paper's 90 %".to_owned());
-            layers.push(Layer {
-                label,
-                colour: Colour::Vermilion,
-                mark,
-            });
+            layers.push(Layer { label, colour: Colour::Vermilion, mark });
         }
     }
     Panel {
@@ -114,20 +103,10 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
     let energy_j = series.energy_j(1.5 * quantile(&steps, 0.5));
     let curve = |of: fn(&[f64; 2]) -> f64| -> Vec<[f64; 2]> {
         let pairs = series.time_s.iter().zip(&energy_j);
-        pairs
-            .map(|(time_s, energy_j)| [*time_s, of(energy_j)])
-            .collect()
+        pairs.map(|(time_s, energy_j)| [*time_s, of(energy_j)]).collect()
     };
     let line = |points, dashed| Mark::Line { points, dashed };
-    let zero = || {
-        Layer::plain(
-            Colour::Grey,
-            Mark::Rule {
-                at: 0.0,
-                direction: Direction::Across,
-            },
-        )
-    };
+    let zero = || Layer::plain(Colour::Grey, Mark::Rule { at: 0.0, direction: Direction::Across });
     let panel = |title: &str, y: String, layers| Panel {
         title: title.to_owned(),
         x: Axis::new("time (s)"),
@@ -157,11 +136,7 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
                 "energy (J)".to_owned(),
                 vec![
                     Layer::named("measured", Colour::Ink, line(curve(|sums| sums[0]), false)),
-                    Layer::named(
-                        "forecast",
-                        Colour::Orange,
-                        line(curve(|sums| sums[1]), true),
-                    ),
+                    Layer::named("forecast", Colour::Orange, line(curve(|sums| sums[1]), true)),
                 ],
             ),
             panel(
@@ -178,24 +153,14 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
 fn window(material: &Material<'_>, series: &Series) -> Panel {
     let unit = material.unit;
     let middle_s = series.time_s[series.len() / 2];
-    let from = series
-        .time_s
-        .partition_point(|time_s| *time_s < middle_s - WINDOW_S / 2.0);
-    let to = series
-        .time_s
-        .partition_point(|time_s| *time_s <= middle_s + WINDOW_S / 2.0);
+    let from = series.time_s.partition_point(|time_s| *time_s < middle_s - WINDOW_S / 2.0);
+    let to = series.time_s.partition_point(|time_s| *time_s <= middle_s + WINDOW_S / 2.0);
     let curve = |values_w: &[f64]| Mark::Line {
-        points: (from..to)
-            .map(|at| [series.time_s[at], unit.scaled_w(values_w[at])])
-            .collect(),
+        points: (from..to).map(|at| [series.time_s[at], unit.scaled_w(values_w[at])]).collect(),
         dashed: false,
     };
     let band = (from..to).map(|at| {
-        [
-            series.time_s[at],
-            unit.scaled_w(series.lo_w[at]),
-            unit.scaled_w(series.hi_w[at]),
-        ]
+        [series.time_s[at], unit.scaled_w(series.lo_w[at]), unit.scaled_w(series.hi_w[at])]
     });
     Panel {
         title: "forecast and reading".to_owned(),
@@ -223,17 +188,9 @@ fn residuals(material: &Material<'_>, series: &Series, name: &str) -> Table {
         }
         rows.push(cells);
     };
-    row(
-        "R²",
-        Cell::Number(found.r2(), 3),
-        Some(Cell::Number(paper::R2_TRIAL_6, 2)),
-    );
+    row("R²", Cell::Number(found.r2(), 3), Some(Cell::Number(paper::R2_TRIAL_6, 2)));
     let power = |name: &str| format!("{name} ({})", unit.name());
-    row(
-        &power("MAE"),
-        unit.cell(found.mae_w(), true),
-        Some(unit.cell(paper::MAE_TRIAL_6_W, true)),
-    );
+    row(&power("MAE"), unit.cell(found.mae_w(), true), Some(unit.cell(paper::MAE_TRIAL_6_W, true)));
     row(&power("RMSE"), unit.cell(found.rmse_w(), true), None);
     row(
         &power("mean of reading − forecast"),
@@ -250,10 +207,7 @@ fn residuals(material: &Material<'_>, series: &Series, name: &str) -> Table {
         unit.range([quantiles.min_w, quantiles.max_w], true),
         None,
     );
-    let mut columns = vec![
-        Column::new("quantity", "quantity"),
-        Column::new("here", "here"),
-    ];
+    let mut columns = vec![Column::new("quantity", "quantity"), Column::new("here", "here")];
     if with {
         columns.push(Column::new("paper", "paper, trial 6"));
     }

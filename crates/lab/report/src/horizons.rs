@@ -37,19 +37,8 @@ fn figure(material: &Material<'_>, horizons: &[Horizon]) -> Figure {
         layers,
     };
     let mut r2 = curves(material, horizons, |score| score.r2, |value| value);
-    r2.push(Layer::plain(
-        Colour::Grey,
-        Mark::Rule {
-            at: 0.0,
-            direction: Direction::Across,
-        },
-    ));
-    let mae = curves(
-        material,
-        horizons,
-        |score| score.mae_w,
-        |value_w| unit.scaled_w(value_w),
-    );
+    r2.push(Layer::plain(Colour::Grey, Mark::Rule { at: 0.0, direction: Direction::Across }));
+    let mae = curves(material, horizons, |score| score.mae_w, |value_w| unit.scaled_w(value_w));
     let energy = curves(
         material,
         horizons,
@@ -65,21 +54,9 @@ fn figure(material: &Material<'_>, horizons: &[Horizon]) -> Figure {
          error over that of persistence; above 0 is better than repeating the last reading.",
         vec![
             panel("coefficient of determination", Axis::new("R²"), r2),
-            panel(
-                "error",
-                Axis::new(format!("MAE ({})", unit.name())).including(0.0),
-                mae,
-            ),
-            panel(
-                "error of the energy",
-                Axis::new("mean |error| (%)").including(0.0),
-                energy,
-            ),
-            panel(
-                "skill against persistence",
-                Axis::new("skill").including(0.0),
-                skill,
-            ),
+            panel("error", Axis::new(format!("MAE ({})", unit.name())).including(0.0), mae),
+            panel("error of the energy", Axis::new("mean |error| (%)").including(0.0), energy),
+            panel("skill against persistence", Axis::new("skill").including(0.0), skill),
         ],
     );
     figure.panel_height_px = 240;
@@ -87,10 +64,7 @@ fn figure(material: &Material<'_>, horizons: &[Horizon]) -> Figure {
 }
 
 fn against_persistence(score: &HorizonScore) -> Estimate {
-    let against = score
-        .skill
-        .iter()
-        .find(|skill| skill.against == "persistence");
+    let against = score.skill.iter().find(|skill| skill.against == "persistence");
     against.map_or(Estimate::alone(f64::NAN), |skill| skill.skill)
 }
 
@@ -111,12 +85,8 @@ fn curves(
         if values.iter().all(|(_, interval)| interval.value.is_nan()) {
             continue;
         }
-        let band = values
-            .iter()
-            .map(|(ticks, interval)| [*ticks, interval.low, interval.high]);
-        let points = values
-            .iter()
-            .map(|(ticks, interval)| [*ticks, interval.value]);
+        let band = values.iter().map(|(ticks, interval)| [*ticks, interval.low, interval.high]);
+        let points = values.iter().map(|(ticks, interval)| [*ticks, interval.value]);
         let points: Vec<[f64; 2]> = points.collect();
         let colour = material.colour(at);
         layers.push(Layer::plain(colour, Mark::Band(band.collect())));
@@ -146,11 +116,7 @@ fn table(material: &Material<'_>, horizons: &[Horizon]) -> Table {
                 unit.cell(score.mae_w.value, true),
                 Cell::Number(100.0 * score.energy_mape, 2),
                 Cell::Number(100.0 * score.energy_error.value, 2),
-                if skill.value.is_nan() {
-                    Cell::Nothing
-                } else {
-                    Cell::Number(skill.value, 3)
-                },
+                if skill.value.is_nan() { Cell::Nothing } else { Cell::Number(skill.value, 3) },
             ]);
         }
     }

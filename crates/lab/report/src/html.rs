@@ -12,11 +12,7 @@ const STYLE: &str = include_str!("report.css");
 /// # Errors
 /// A figure cannot be drawn.
 pub fn html(document: &Document) -> Result<String, FigureError> {
-    let sections = document
-        .sections
-        .iter()
-        .map(section)
-        .collect::<Result<Vec<_>, _>>()?;
+    let sections = document.sections.iter().map(section).collect::<Result<Vec<_>, _>>()?;
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -48,11 +44,7 @@ pub fn html(document: &Document) -> Result<String, FigureError> {
 }
 
 fn section(section: &Section) -> Result<Markup, FigureError> {
-    let parts = section
-        .parts
-        .iter()
-        .map(part)
-        .collect::<Result<Vec<_>, _>>()?;
+    let parts = section.parts.iter().map(part).collect::<Result<Vec<_>, _>>()?;
     Ok(html! {
         section id=(section.id) {
             h2 { (section.title) }

@@ -21,12 +21,8 @@ pub(super) struct Material<'a> {
 }
 
 /// The baselines of a report: the steps of the ablation.
-pub(super) const BASELINES: [Terms; 4] = [
-    Terms::VELOCITIES,
-    Terms::velocities_and_lags(1),
-    Terms::AR5,
-    Terms::AR5_AND_VELOCITIES,
-];
+pub(super) const BASELINES: [Terms; 4] =
+    [Terms::VELOCITIES, Terms::velocities_and_lags(1), Terms::AR5, Terms::AR5_AND_VELOCITIES];
 
 impl<'a> Material<'a> {
     /// Number of models; they are the first forecasters.
@@ -75,10 +71,7 @@ impl<'a> Material<'a> {
 
     /// Results of the first model's live path.
     pub(super) fn live(&self) -> &'a [RobotEvaluation] {
-        self.scored
-            .live
-            .first()
-            .map_or(&[], |live| live.robots.as_slice())
+        self.scored.live.first().map_or(&[], |live| live.robots.as_slice())
     }
 
     /// The time series of the trial of this name.
@@ -114,26 +107,15 @@ pub(super) fn label(name: &str) -> String {
 }
 
 pub(super) fn interval(estimate: Estimate) -> Interval {
-    Interval {
-        value: estimate.value,
-        low: estimate.lo,
-        high: estimate.hi,
-    }
+    Interval { value: estimate.value, low: estimate.lo, high: estimate.hi }
 }
 
 pub(super) fn scaled(estimate: Estimate, scale: impl Fn(f64) -> f64) -> Interval {
-    Interval {
-        value: scale(estimate.value),
-        low: scale(estimate.lo),
-        high: scale(estimate.hi),
-    }
+    Interval { value: scale(estimate.value), low: scale(estimate.lo), high: scale(estimate.hi) }
 }
 
 /// Skill against persistence; NaN for persistence itself.
 pub(super) fn skill_against_persistence(score: &ForecasterScore) -> Estimate {
-    let against = score
-        .skill
-        .iter()
-        .find(|skill| skill.against == "persistence");
+    let against = score.skill.iter().find(|skill| skill.against == "persistence");
     against.map_or(Estimate::alone(f64::NAN), |skill| skill.skill)
 }

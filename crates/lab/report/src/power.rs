@@ -137,20 +137,13 @@ fn distribution(material: &Material<'_>) -> Panel {
         BINS,
     );
     let mean_w = power_w.iter().sum::<f64>() / power_w.len() as f64;
-    let rule = |at_w: f64| Mark::Rule {
-        at: unit.scaled_w(at_w),
-        direction: Direction::Up,
-    };
+    let rule = |at_w: f64| Mark::Rule { at: unit.scaled_w(at_w), direction: Direction::Up };
     let mut layers = vec![
         Layer::named("readings", Colour::Blue, Mark::density(&counted)),
         Layer::named("their mean", Colour::Ink, rule(mean_w)),
     ];
     if material.beside_paper {
-        layers.push(Layer::named(
-            "the paper's mean",
-            Colour::Vermilion,
-            rule(paper::POWER_MEAN_W),
-        ));
+        layers.push(Layer::named("the paper's mean", Colour::Vermilion, rule(paper::POWER_MEAN_W)));
     }
     Panel {
         title: "distribution".to_owned(),
@@ -180,14 +173,7 @@ fn memory(material: &Material<'_>, found: &[Readings]) -> Panel {
         pairs
             .map(|(readings, colour)| {
                 let points = curve(readings);
-                Layer::named(
-                    label(&readings.name),
-                    colour,
-                    Mark::Line {
-                        points,
-                        dashed: false,
-                    },
-                )
+                Layer::named(label(&readings.name), colour, Mark::Line { points, dashed: false })
             })
             .collect()
     } else {
@@ -197,10 +183,7 @@ fn memory(material: &Material<'_>, found: &[Readings]) -> Panel {
             Layer::named(
                 "median trial",
                 Colour::Blue,
-                Mark::Line {
-                    points: middle,
-                    dashed: false,
-                },
+                Mark::Line { points: middle, dashed: false },
             ),
         ]
     };
@@ -221,14 +204,9 @@ fn memory(material: &Material<'_>, found: &[Readings]) -> Panel {
 fn middle_and_band(found: &[Readings]) -> (Vec<[f64; 2]>, Vec<[f64; 3]>) {
     let by_lag = (0..=LAGS).map(|lag| {
         let values = sorted(found.iter().map(|readings| readings.at(lag)));
-        (
-            lag as f64,
-            [0.1, 0.5, 0.9].map(|share| quantile(&values, share)),
-        )
+        (lag as f64, [0.1, 0.5, 0.9].map(|share| quantile(&values, share)))
     });
-    by_lag
-        .map(|(lag, [low, middle, high])| ([lag, middle], [lag, low, high]))
-        .unzip()
+    by_lag.map(|(lag, [low, middle, high])| ([lag, middle], [lag, low, high])).unzip()
 }
 
 fn table(material: &Material<'_>, found: &[Readings]) -> Table {
@@ -265,7 +243,5 @@ fn table(material: &Material<'_>, found: &[Readings]) -> Table {
 }
 
 pub(super) fn ends(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::NAN; 2], |[low, high], value| {
-        [low.min(value), high.max(value)]
-    })
+    values.fold([f64::NAN; 2], |[low, high], value| [low.min(value), high.max(value)])
 }

@@ -36,27 +36,14 @@ pub struct Recorded<'a> {
 /// # Errors
 /// [`ReportError`]: nothing to evaluate, or settings that are refused.
 pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
-    let Recorded {
-        settings,
-        platform,
-        models,
-        recordings,
-        published,
-        ..
-    } = *what;
+    let Recorded { settings, platform, models, recordings, published, .. } = *what;
     // Every section needs them.
     let loaded: Result<Vec<Recording>, TrialError> =
         recordings.iter().map(Recording::loaded).collect();
     let recordings = loaded.map_err(ScoreError::from)?;
     let recordings = recordings.as_slice();
     let design = what.design.clone().hold_apart(recordings, models)?;
-    let subject = Subject {
-        settings,
-        platform,
-        models,
-        recordings,
-        design: &design,
-    };
+    let subject = Subject { settings, platform, models, recordings, design: &design };
     let scored = score(subject, &options())?;
     let levels = match models.first() {
         Some(model) => calibration::levels(settings, platform, model, recordings, Some(&design))?,
@@ -83,11 +70,8 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         beside_paper: published,
     };
     let trial = shown_trial(recordings, published);
-    let mut sections = vec![
-        inputs(&material),
-        power::section(&material),
-        ablation::section(&material),
-    ];
+    let mut sections =
+        vec![inputs(&material), power::section(&material), ablation::section(&material)];
     sections.extend(forecast::section(&material, &trial));
     let chosen = robots::chosen(&material);
     sections.extend(chosen.map(|(kind, sets)| robots::section(&material, kind, sets)));
@@ -97,10 +81,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     sections.push(all_scores(&material, chosen.map(|(kind, _)| kind)));
     let trials = recordings.len();
     Ok(Document {
-        title: format!(
-            "Power forecasts of {}, on {trials} recordings",
-            material.model()
-        ),
+        title: format!("Power forecasts of {}, on {trials} recordings", material.model()),
         warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
         summary: vec![verdict(&scored)],
         sections,
@@ -109,10 +90,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
 
 /// Options of the evaluations in reports.
 pub(super) fn options() -> Options {
-    Options {
-        baselines: BASELINES.to_vec(),
-        ..Options::default()
-    }
+    Options { baselines: BASELINES.to_vec(), ..Options::default() }
 }
 
 /// The warning for models trained on simulated robots only.
@@ -130,17 +108,13 @@ fn simulation(models: &[Model]) -> Option<String> {
 
 /// The paper's trial 6 if present, else the longest.
 fn shown_trial(recordings: &[Recording], published: bool) -> String {
-    let sixth = recordings
-        .iter()
-        .find(|recording| recording.name.contains("trial6"));
+    let sixth = recordings.iter().find(|recording| recording.name.contains("trial6"));
     let longest = || {
         let longest = |recording: &&Recording| recording.rows();
         recordings.iter().rev().max_by_key(longest)
     };
     let shown = sixth.filter(|_| published).or_else(longest);
-    shown
-        .map(|recording| recording.name.clone())
-        .unwrap_or_default()
+    shown.map(|recording| recording.name.clone()).unwrap_or_default()
 }
 
 /// One sentence that compares the first model with the baselines.
@@ -165,10 +139,7 @@ pub(super) fn verdict(scored: &Scored) -> String {
             };
             let [value, lo, hi] =
                 [found.value, found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());
-            format!(
-                "{word} {} (skill {value}, 95 % interval {lo} to {hi})",
-                skill.against
-            )
+            format!("{word} {} (skill {value}, 95 % interval {lo} to {hi})", skill.against)
         })
         .collect();
     let whose = match scored.report.scored_rows {
@@ -195,10 +166,7 @@ fn inputs(material: &Material<'_>) -> Section {
         |what: &str, value: String| rows.push(vec![Cell::words(what), Cell::Words(value)]);
     for model in &report.models {
         let data = model.training_data.as_deref().unwrap_or("nothing");
-        row(
-            "model",
-            format!("{} ({}), trained on: {data}", model.name, model.hash),
-        );
+        row("model", format!("{} ({}), trained on: {data}", model.name, model.hash));
         let members = match model.members.as_slice() {
             [] => String::new(),
             members => format!(
@@ -207,12 +175,9 @@ fn inputs(material: &Material<'_>) -> Section {
             ),
         };
         let trained_on = match &model.trained_on {
-            Some(found) => format!(
-                "{} of {} rows here ({:.1} %)",
-                found.rows,
-                found.of,
-                100.0 * found.share
-            ),
+            Some(found) => {
+                format!("{} of {} rows here ({:.1} %)", found.rows, found.of, 100.0 * found.share)
+            }
             None => "unknown: its file does not state its rows".to_owned(),
         };
         row("of which trained on", trained_on);
@@ -221,10 +186,7 @@ fn inputs(material: &Material<'_>) -> Section {
     row("platform", report.platform.clone());
     row("recordings", report.design.trials.to_string());
     row("rows evaluated", report.design.rows.to_string());
-    row(
-        "rows scored apart",
-        report.design.trained_on_rows.to_string(),
-    );
+    row("rows scored apart", report.design.trained_on_rows.to_string());
     row("baselines", report.design.description.clone());
     row("period", format!("{:.1} ms", 1e3 * report.period_s));
     let bootstrap = report.bootstrap;
@@ -280,11 +242,7 @@ pub(super) fn all_scores(material: &Material<'_>, shown: Option<Grouping>) -> Se
         table.folded = true;
         parts.push(Part::Table(table));
     }
-    Section {
-        id: "scores".to_owned(),
-        title: "All scores".to_owned(),
-        parts,
-    }
+    Section { id: "scores".to_owned(), title: "All scores".to_owned(), parts }
 }
 
 #[cfg(test)]
@@ -294,10 +252,7 @@ mod tests {
     #[test]
     fn trials_are_labelled_by_what_distinguishes_them() {
         for (name, called) in [
-            (
-                "simulated/energy_data_trial6_steady_state.npy",
-                "trial6 steady state",
-            ),
+            ("simulated/energy_data_trial6_steady_state.npy", "trial6 steady state"),
             ("recordings/ICE_03.csv.gz", "ICE 03"),
             ("all", "all"),
             ("7", "robot 7"),

@@ -36,9 +36,7 @@ pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scor
         (Grouping::Robots, &report.robots),
         (Grouping::Trials, &report.trials),
     ];
-    let readable = sets
-        .iter()
-        .find(|(_, sets)| (2..=MAX_SETS).contains(&sets.len()));
+    let readable = sets.iter().find(|(_, sets)| (2..=MAX_SETS).contains(&sets.len()));
     let any = readable.or_else(|| sets.iter().find(|(_, sets)| sets.len() > 1));
     any.map(|(kind, sets)| (*kind, sets.as_slice()))
 }
@@ -48,10 +46,7 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
     let shown = &sets[..sets.len().min(MAX_SETS)];
     let what = kind.plural();
     let left_out = if shown.len() < sets.len() {
-        format!(
-            " The figure shows the first {MAX_SETS} of {}; the table has all.",
-            sets.len()
-        )
+        format!(" The figure shows the first {MAX_SETS} of {}; the table has all.", sets.len())
     } else {
         String::new()
     };
@@ -67,9 +62,7 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
         id: what.to_owned(),
         title: format!("Generalisation across {what}"),
         parts: vec![
-            Part::Words(format!(
-                "Forecasts one tick ahead by {what}, on the same rows.{left_out}"
-            )),
+            Part::Words(format!("Forecasts one tick ahead by {what}, on the same rows.{left_out}")),
             Part::Figure(figure(material, kind, shown)),
             Part::Table(table),
         ],
@@ -93,9 +86,7 @@ fn figure(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Figure {
         let name = material.scored.report.all.forecasters[model].name.clone();
         Layer::named(name, material.colour(model), bars)
     });
-    let mae = dots(material, sets, |score| {
-        scaled(score.mae_w, |value_w| unit.scaled_w(value_w))
-    });
+    let mae = dots(material, sets, |score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
     let panel = |title: &str, x: String, layers: Vec<Layer>| Panel {
         title: title.to_owned(),
         x: Axis::new(x),
@@ -106,23 +97,12 @@ fn figure(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Figure {
     if material.beside_paper && kind == Grouping::Robots {
         let [mean, std] = paper::R2_ROBOTS;
         let stripe = Mark::Stripe([mean - std, mean + std]);
-        r2.insert(
-            0,
-            Layer::named(
-                "the paper's mean ± one deviation",
-                Colour::Vermilion,
-                stripe,
-            ),
-        );
+        r2.insert(0, Layer::named("the paper's mean ± one deviation", Colour::Vermilion, stripe));
     }
     let mut panels = vec![
         panel("coefficient of determination", "R²".to_owned(), r2),
         panel("error", format!("MAE ({})", unit.name()), mae),
-        panel(
-            "error of the energy",
-            "forecast − measured (%)".to_owned(),
-            energy.collect(),
-        ),
+        panel("error of the energy", "forecast − measured (%)".to_owned(), energy.collect()),
     ];
     panels.push(draw_panel(material, sets, axis()));
     let mut figure = Figure::new(
@@ -139,8 +119,7 @@ fn figure(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Figure {
 }
 
 fn scores_of(sets: &[Scores], forecaster: usize) -> impl Iterator<Item = &ForecasterScore> {
-    sets.iter()
-        .filter_map(move |set| set.forecasters.get(forecaster))
+    sets.iter().filter_map(move |set| set.forecasters.get(forecaster))
 }
 
 fn dots(
@@ -170,19 +149,11 @@ fn draw_panel(material: &Material<'_>, sets: &[Scores], names: Axis) -> Panel {
             .map(|deviations| unit.scaled_w(set.reading_mean_w + deviations * set.reading_std_w));
         joulebus_figure::Interval { value, low, high }
     });
-    let mark = Mark::Dots {
-        values: values.collect(),
-        slot: [0, 1],
-        direction: Direction::Across,
-    };
+    let mark = Mark::Dots { values: values.collect(), slot: [0, 1], direction: Direction::Across };
     Panel {
         title: "power drawn".to_owned(),
         x: Axis::new(format!("power ({})", unit.name())),
         y: names,
-        layers: vec![Layer::named(
-            "mean ± one standard deviation",
-            Colour::Ink,
-            mark,
-        )],
+        layers: vec![Layer::named("mean ± one standard deviation", Colour::Ink, mark)],
     }
 }

@@ -46,13 +46,10 @@ fn row(material: &Material<'_>, set: &Scores, score: &ForecasterScore) -> Vec<Ce
         unit.cell(score.rmse_w.value, true),
         unit.cell(score.bias_w.value, true),
         Cell::Number(100.0 * score.energy_error.value, 3),
-        if skill.value.is_nan() {
-            Cell::Nothing
-        } else {
-            Cell::Number(skill.value, 3)
-        },
-        score.interval.as_ref().map_or(Cell::Nothing, |interval| {
-            Cell::Number(100.0 * interval.scores.coverage, 1)
-        }),
+        if skill.value.is_nan() { Cell::Nothing } else { Cell::Number(skill.value, 3) },
+        score
+            .interval
+            .as_ref()
+            .map_or(Cell::Nothing, |interval| Cell::Number(100.0 * interval.scores.coverage, 1)),
     ]
 }

@@ -84,11 +84,7 @@ fn document(
     trained: &Trained,
     levels: &[calibration::Level],
 ) -> Document {
-    let Recordings {
-        seed,
-        trials,
-        robots,
-    } = &shown.recordings;
+    let Recordings { seed, trials, robots } = &shown.recordings;
     let note = format!("{NOTE}, seed {seed}");
     let single = Material {
         recordings: trials,
@@ -97,11 +93,7 @@ fn document(
         note: Some(&note),
         beside_paper: true,
     };
-    let fleet = Material {
-        recordings: robots,
-        scored: &shown.together,
-        ..single
-    };
+    let fleet = Material { recordings: robots, scored: &shown.together, ..single };
     let name =
         |trial: Option<&Recording>| trial.map(|trial| trial.name.clone()).unwrap_or_default();
     let (sixth, first) = (name(trials.last()), name(robots.first()));
@@ -143,11 +135,7 @@ fn document(
 /// The training history.
 fn training(trained: &Trained, note: &str) -> Section {
     let curve = |of: fn(&Epoch) -> f64| Mark::Line {
-        points: trained
-            .epochs
-            .iter()
-            .map(|epoch| [f64::from(epoch.number), of(epoch)])
-            .collect(),
+        points: trained.epochs.iter().map(|epoch| [f64::from(epoch.number), of(epoch)]).collect(),
         dashed: false,
     };
     let best = trained.epochs.iter().rev().find(|epoch| epoch.best);
@@ -162,18 +150,11 @@ fn training(trained: &Trained, note: &str) -> Section {
                 Colour::Grey,
                 curve(|epoch| epoch.training_loss),
             ),
-            Layer::named(
-                "validation, trial 5",
-                Colour::Blue,
-                curve(|epoch| epoch.validation_loss),
-            ),
+            Layer::named("validation, trial 5", Colour::Blue, curve(|epoch| epoch.validation_loss)),
             Layer::named(
                 "selected epoch",
                 Colour::Vermilion,
-                Mark::Rule {
-                    at: number.into(),
-                    direction: Direction::Up,
-                },
+                Mark::Rule { at: number.into(), direction: Direction::Up },
             ),
         ],
     };
@@ -206,11 +187,6 @@ fn per_trial(material: &Material<'_>) -> Section {
     Section {
         id: "trials".to_owned(),
         title: "The six trials".to_owned(),
-        parts: vec![Part::Table(scores::table(
-            material,
-            "table-trials",
-            caption,
-            &sets,
-        ))],
+        parts: vec![Part::Table(scores::table(material, "table-trials", caption, &sets))],
     }
 }

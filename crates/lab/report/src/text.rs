@@ -14,12 +14,7 @@ impl fmt::Display for Document {
             writeln!(out, "\n{words}")?;
         }
         for section in &self.sections {
-            writeln!(
-                out,
-                "\n{}\n{}",
-                section.title,
-                "-".repeat(width(&section.title))
-            )?;
+            writeln!(out, "\n{}\n{}", section.title, "-".repeat(width(&section.title)))?;
             for part in &section.parts {
                 match part {
                     Part::Words(words) => writeln!(out, "\n{words}")?,
@@ -37,25 +32,10 @@ impl fmt::Display for Document {
 impl fmt::Display for Table {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "{}", self.caption)?;
-        let mut lines = vec![
-            self.columns
-                .iter()
-                .map(|column| column.title.clone())
-                .collect(),
-        ];
-        lines.extend(
-            self.rows
-                .iter()
-                .map(|row| row.iter().map(Cell::shown).collect::<Vec<_>>()),
-        );
+        let mut lines = vec![self.columns.iter().map(|column| column.title.clone()).collect()];
+        lines.extend(self.rows.iter().map(|row| row.iter().map(Cell::shown).collect::<Vec<_>>()));
         let widths: Vec<usize> = (0..self.columns.len())
-            .map(|at| {
-                lines
-                    .iter()
-                    .filter_map(|line| line.get(at))
-                    .map(|cell| width(cell))
-                    .max()
-            })
+            .map(|at| lines.iter().filter_map(|line| line.get(at)).map(|cell| width(cell)).max())
             .map(Option::unwrap_or_default)
             .collect();
         for line in &lines {

@@ -12,11 +12,7 @@ pub(super) enum Unit {
 impl Unit {
     /// Milliwatt if the mean is below 20 W.
     pub(super) fn of(mean_power_w: f64) -> Self {
-        if mean_power_w.abs() < 20.0 {
-            Self::Milliwatt
-        } else {
-            Self::Watt
-        }
+        if mean_power_w.abs() < 20.0 { Self::Milliwatt } else { Self::Watt }
     }
 
     pub(super) const fn name(self) -> &'static str {
@@ -43,10 +39,7 @@ impl Unit {
 
     /// A column of power: `column("mae", "MAE")` has the key `mae_mw`.
     pub(super) fn column(self, key: &str, title: &str) -> Column {
-        Column::new(
-            format!("{key}_{}", self.suffix()),
-            format!("{title} ({})", self.name()),
-        )
+        Column::new(format!("{key}_{}", self.suffix()), format!("{title} ({})", self.name()))
     }
 
     /// A cell for a power; a difference of powers gets one more decimal than a power.

@@ -125,11 +125,7 @@ pub(crate) struct Rows<T> {
 #[derive(Debug)]
 pub(crate) enum Row<'a> {
     /// A message.
-    Message {
-        topic: i64,
-        time_ns: u64,
-        data: &'a [u8],
-    },
+    Message { topic: i64, time_ns: u64, data: &'a [u8] },
     /// An unusable row, with the reason.
     Odd(&'static str),
     /// The file cannot be read any further.
@@ -171,11 +167,7 @@ impl Bag {
         const MESSAGES: &[&str] = &["topic_id", "timestamp", "data"];
         for (table, columns) in [("topics", TOPICS), ("messages", MESSAGES)] {
             if !bag.has_table(table, columns)? {
-                return Err(BagError::Table {
-                    path: bag.path,
-                    table,
-                    columns,
-                });
+                return Err(BagError::Table { path: bag.path, table, columns });
             }
         }
         Ok(bag)
@@ -303,11 +295,7 @@ impl Bag {
             take(match (value(0), value(1), value(2)) {
                 (ValueRef::Integer(topic), ValueRef::Integer(time_ns), ValueRef::Blob(data)) => {
                     match u64::try_from(time_ns) {
-                        Ok(time_ns) => Row::Message {
-                            topic,
-                            time_ns,
-                            data,
-                        },
+                        Ok(time_ns) => Row::Message { topic, time_ns, data },
                         Err(_) => Row::Odd("its time is before 1970"),
                     }
                 }
@@ -319,15 +307,10 @@ impl Bag {
 
 /// Whether it begins as an SQLite file does.
 fn check_head(path: &Path) -> Result<(), BagError> {
-    let io = |source| BagError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let io = |source| BagError::Io { path: path.to_owned(), source };
     let mut found = Vec::new();
     let file = joulebus_files::open(path).map_err(io)?;
-    file.take(MAGIC.len() as u64)
-        .read_to_end(&mut found)
-        .map_err(io)?;
+    file.take(MAGIC.len() as u64).read_to_end(&mut found).map_err(io)?;
     if found == MAGIC {
         return Ok(());
     }
@@ -344,10 +327,7 @@ fn check_journal(path: &Path) -> Result<(), BagError> {
     let mut head = Vec::new();
     let read = joulebus_files::open(&journal)
         .and_then(|file| file.take(JOURNAL_HEAD as u64).read_to_end(&mut head));
-    read.map_err(|source| BagError::Io {
-        path: journal.clone(),
-        source,
-    })?;
+    read.map_err(|source| BagError::Io { path: journal.clone(), source })?;
     // A writer that keeps its journal overwrites the head when it has ended a change. The count of
     // pages is 0 until the journal is on the disk, which comes before the first change of the file.
     let (magic, pages) = head.split_at(JOURNAL_MAGIC.len().min(head.len()));
@@ -422,8 +402,5 @@ fn percent_encoded(path: &Path) -> String {
 }
 
 fn refused(path: &Path, error: &rusqlite::Error) -> BagError {
-    BagError::Sqlite {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    }
+    BagError::Sqlite { path: path.to_owned(), reason: error.to_string() }
 }

@@ -76,11 +76,7 @@ pub(crate) fn convert(
     };
     bag.each_row(|row| -> Result<(), ConvertError> {
         let (topic, time_ns, data) = match row {
-            Row::Message {
-                topic,
-                time_ns,
-                data,
-            } => (topic, time_ns, data),
+            Row::Message { topic, time_ns, data } => (topic, time_ns, data),
             Row::Odd(why) => {
                 leave_out(why.to_owned());
                 return Ok(());

@@ -38,10 +38,7 @@ fn run(args: &RosbagArguments) -> anyhow::Result<Outcome> {
         convert::convert(&bag, RosFile::in_file(standard_output()?)?)?
     } else {
         let written = joulebus_files::create(&args.out, |file| -> anyhow::Result<_> {
-            Ok(convert::convert(
-                &bag,
-                RosFile::in_file(file.try_clone()?)?,
-            )?)
+            Ok(convert::convert(&bag, RosFile::in_file(file.try_clone()?)?)?)
         });
         written.with_context(|| args.out.display().to_string())?
     };

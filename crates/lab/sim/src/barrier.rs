@@ -43,12 +43,7 @@ impl Default for Barrier {
     /// The distance of two robots of 0.11 m whose points lie 0.05 m ahead of them, and the
     /// Robotarium's gain.
     fn default() -> Self {
-        Self {
-            distance_m: 0.23,
-            wall_m: 0.11,
-            gain: 100.0,
-            wall_gain: 40.0,
-        }
+        Self { distance_m: 0.23, wall_m: 0.11, gain: 100.0, wall_gain: 40.0 }
     }
 }
 
@@ -122,10 +117,7 @@ impl Barrier {
         let conditions = self.conditions(points, wanted)?;
         let mut active = Vec::new();
         if !add_violated(&conditions, wanted, 0.0, &mut active) {
-            return Ok(Allowed {
-                velocities: wanted.to_vec(),
-                answer: Answer::AsWanted,
-            });
+            return Ok(Allowed { velocities: wanted.to_vec(), answer: Answer::AsWanted });
         }
         let mut velocities = within_walls(&conditions, wanted);
         let mut still = Vec::new();
@@ -165,10 +157,7 @@ impl Barrier {
         wanted: &[Vector],
     ) -> Result<Vec<Condition>, BarrierError> {
         if points.len() != wanted.len() {
-            return Err(BarrierError::Lengths {
-                points: points.len(),
-                wanted: wanted.len(),
-            });
+            return Err(BarrierError::Lengths { points: points.len(), wanted: wanted.len() });
         }
         let mut conditions = Vec::with_capacity(points.len() * (points.len() + 7) / 2);
         for (robot, point) in points.iter().enumerate() {
@@ -187,11 +176,7 @@ impl Barrier {
     fn pair(&self, robots: [usize; 2], [a, b]: [Vector; 2]) -> Condition {
         let apart = a - b;
         let h = apart.norm_squared() - self.distance_m * self.distance_m;
-        Condition {
-            robots,
-            slopes: [apart * -2.0, apart * 2.0],
-            bound: self.gain * h * h * h,
-        }
+        Condition { robots, slopes: [apart * -2.0, apart * 2.0], bound: self.gain * h * h * h }
     }
 
     fn wall(&self, robot: usize, axis: usize, side: f64, away_m: f64) -> Condition {
@@ -249,10 +234,8 @@ fn nearest(
     active: &[usize],
     wanted: &[Vector],
 ) -> Result<Vec<Vector>, BarrierError> {
-    let mut robots: Vec<usize> = active
-        .iter()
-        .flat_map(|number| conditions[*number].robots)
-        .collect();
+    let mut robots: Vec<usize> =
+        active.iter().flat_map(|number| conditions[*number].robots).collect();
     robots.sort_unstable();
     robots.dedup();
     let place = |robot: usize| robots.partition_point(|other| *other < robot);
@@ -283,10 +266,7 @@ fn nearest(
         barriers: active.len(),
         status,
     };
-    let settings = DefaultSettings {
-        verbose: false,
-        ..DefaultSettings::default()
-    };
+    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
     let mut solver = DefaultSolver::new(
         &CscMatrix::identity(variables),
         &linear,

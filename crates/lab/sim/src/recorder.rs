@@ -16,9 +16,7 @@ pub(super) struct Recorder {
 
 impl Recorder {
     pub(super) fn with_capacity(rows: usize) -> Self {
-        Self {
-            rows: Vec::with_capacity(rows),
-        }
+        Self { rows: Vec::with_capacity(rows) }
     }
 
     /// Advances the body through step `step` (from 0) under a command, and records the result.
@@ -40,10 +38,7 @@ impl Recorder {
         ] {
             values[column as usize] = value;
         }
-        self.rows.push(Row {
-            timestamp_s: (step + 1) as f64 * STEP_S,
-            values,
-        });
+        self.rows.push(Row { timestamp_s: (step + 1) as f64 * STEP_S, values });
     }
 
     /// The trial of the rows, at least two.

@@ -62,9 +62,8 @@ pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
 /// Same as [`seven_robots`], with given parameters, and with statistics of the barriers.
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     let mut fleet = Fleet::new(parts, seed);
-    let mut recorders: Vec<Recorder> = (0..ROBOTS)
-        .map(|_| Recorder::with_capacity(steps))
-        .collect();
+    let mut recorders: Vec<Recorder> =
+        (0..ROBOTS).map(|_| Recorder::with_capacity(steps)).collect();
     for step in 0..steps.max(2) {
         let commands = fleet.commands();
         for ((body, recorder), (phase, command)) in
@@ -184,10 +183,7 @@ fn vector(of: arena::Vector) -> Vector {
 /// The command that moves the projected point at a velocity.
 fn command(pose: Pose, velocity: Vector) -> Command {
     let ahead = direction(pose.theta_rad);
-    Command {
-        v_mps: ahead.dot(&velocity),
-        omega_radps: ahead.perp(&velocity) / PROJECTION_M,
-    }
+    Command { v_mps: ahead.dot(&velocity), omega_radps: ahead.perp(&velocity) / PROJECTION_M }
 }
 
 /// The desired motion of a robot.
@@ -204,11 +200,7 @@ impl Walk {
     const MARGIN_M: f64 = 0.25;
 
     fn new(noise: Noise) -> Self {
-        Self {
-            noise,
-            wanted: Vector::zeros(),
-            left_s: 0.0,
-        }
+        Self { noise, wanted: Vector::zeros(), left_s: 0.0 }
     }
 
     fn next(&mut self, point: Vector) -> Vector {
@@ -225,16 +217,10 @@ impl Walk {
         let rests = noise.uniform() < Self::REST_SHARE;
         let ahead = direction(noise.between(-PI, PI));
         let speed_mps = noise.between(0.05, V_MAX_MPS);
-        self.wanted = if rests {
-            Vector::zeros()
-        } else {
-            ahead * speed_mps
-        };
+        self.wanted = if rests { Vector::zeros() } else { ahead * speed_mps };
         // Near a wall the desired velocity points to the centre.
-        for (wanted_mps, (at_m, half_m)) in self
-            .wanted
-            .iter_mut()
-            .zip(point.iter().zip([HALF_ARENA_M.0, HALF_ARENA_M.1]))
+        for (wanted_mps, (at_m, half_m)) in
+            self.wanted.iter_mut().zip(point.iter().zip([HALF_ARENA_M.0, HALF_ARENA_M.1]))
         {
             if at_m.abs() > half_m - Self::MARGIN_M && at_m * *wanted_mps > 0.0 {
                 *wanted_mps = -*wanted_mps;

@@ -52,14 +52,8 @@ impl SimulatedData {
         let full_speed = training.clone().take(self.full_speed_robots);
         training
             .take(self.training_robots)
-            .chain(std::iter::repeat_n(
-                Protocol::RandomWalk,
-                self.validation_robots,
-            ))
-            .chain(std::iter::repeat_n(
-                Protocol::SteadyState,
-                self.held_out_robots,
-            ))
+            .chain(std::iter::repeat_n(Protocol::RandomWalk, self.validation_robots))
+            .chain(std::iter::repeat_n(Protocol::SteadyState, self.held_out_robots))
             .chain(full_speed)
     }
 }
@@ -110,11 +104,8 @@ struct Recorder {
 }
 
 impl Recorder {
-    const EMPTY: Self = Self {
-        readings: VecDeque::new(),
-        reading_age: ReadingAge::UNKNOWN,
-        rows: Vec::new(),
-    };
+    const EMPTY: Self =
+        Self { readings: VecDeque::new(), reading_age: ReadingAge::UNKNOWN, rows: Vec::new() };
 }
 
 impl Recorder {
@@ -125,10 +116,7 @@ impl Recorder {
             let previous = Some((before.v_mps, before.omega_radps, TICK_S as f32));
             let mut features = features(now.v_mps, now.omega_radps, previous, &lag_w);
             self.reading_age.fill(&mut features);
-            self.rows.push(Row {
-                features,
-                target_w: reading.power_w,
-            });
+            self.rows.push(Row { features, target_w: reading.power_w });
         }
         self.reading_age.read(!reading.held);
         self.readings.push_front(reading);

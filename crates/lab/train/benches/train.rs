@@ -30,10 +30,7 @@ fn main() {
     for threads in [1, 2] {
         let (seconds, hash) = run(&dataset, threads);
         let rows_s = dataset.training.len() as f64 * f64::from(EPOCHS) / seconds;
-        println!(
-            "{threads} thread(s): {seconds:.2} s, {:.2} million rows a second",
-            rows_s / 1e6
-        );
+        println!("{threads} thread(s): {seconds:.2} s, {:.2} million rows a second", rows_s / 1e6);
         hashes.push(hash);
     }
     assert_eq!(hashes[0], hashes[1], "the number of threads changes no bit");

@@ -20,11 +20,7 @@ pub(super) struct Hyperparameters {
 
 impl Adam {
     pub(super) fn new(parameters: usize) -> Self {
-        Self {
-            first: vec![0.0; parameters],
-            second: vec![0.0; parameters],
-            steps: 0,
-        }
+        Self { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
     }
 
     /// Takes one step against the mean gradient: the sum of `gradients` times `share`.
@@ -40,10 +36,8 @@ impl Adam {
         let rate = (hyperparameters.learning_rate / left(hyperparameters.first_moment)) as f32;
         let scale = (1.0 / libm::sqrt(left(hyperparameters.second_moment))) as f32;
         let epsilon = hyperparameters.epsilon as f32;
-        let (keep_first, keep_second) = (
-            hyperparameters.first_moment as f32,
-            hyperparameters.second_moment as f32,
-        );
+        let (keep_first, keep_second) =
+            (hyperparameters.first_moment as f32, hyperparameters.second_moment as f32);
         let (new_first, new_second) = (1.0 - keep_first, 1.0 - keep_second);
         let moments = self.first.iter_mut().zip(&mut self.second);
         for ((value, gradient), (first, second)) in values.iter_mut().zip(gradients).zip(moments) {

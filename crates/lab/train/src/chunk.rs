@@ -32,11 +32,8 @@ pub(super) struct Prepared {
 
 impl Prepared {
     pub(super) fn new(weights: &Weights) -> Self {
-        let mut prepared = Self {
-            turned: weights
-                .shapes
-                .map(|shape| vec![0.0; shape.inputs * shape.outputs]),
-        };
+        let mut prepared =
+            Self { turned: weights.shapes.map(|shape| vec![0.0; shape.inputs * shape.outputs]) };
         prepared.update(weights);
         prepared
     }
@@ -130,11 +127,7 @@ impl Chunk {
         rows: impl ExactSizeIterator<Item = &'e Example> + Clone,
     ) -> f64 {
         let count = rows.len();
-        for (place, row) in self
-            .inputs
-            .chunks_exact_mut(PADDED_INPUTS)
-            .zip(rows.clone())
-        {
+        for (place, row) in self.inputs.chunks_exact_mut(PADDED_INPUTS).zip(rows.clone()) {
             place.copy_from_slice(&row.inputs);
         }
         for layer in 0..HIDDEN.len() {
@@ -164,11 +157,7 @@ impl Chunk {
         for line in values.chunks_exact_mut(shape.outputs) {
             line.copy_from_slice(bias);
         }
-        let left = Left {
-            values: input,
-            row_step: step,
-            inner_step: 1,
-        };
+        let left = Left { values: input, row_step: step, inner_step: 1 };
         add_product(simd, left, matrix, shape.outputs, values);
         let slopes = self.slopes[layer].chunks_exact_mut(LANES);
         let kept = self.kept[layer].chunks_exact(LANES);
@@ -187,10 +176,7 @@ impl Chunk {
         let shape = weights.shapes[HIDDEN.len()];
         let (last, _) = shape.split(&weights.values);
         let (matrix, bias) = shape.split_mut(&mut self.gradients);
-        let (values, slopes) = (
-            &self.values[HIDDEN.len() - 1],
-            &self.slopes[HIDDEN.len() - 1],
-        );
+        let (values, slopes) = (&self.values[HIDDEN.len() - 1], &self.slopes[HIDDEN.len() - 1]);
         for (row, forecast) in self.forecasts[..count].iter().enumerate() {
             bias[0] += forecast;
             let by_forecast = f32x16::splat(simd, *forecast);
@@ -223,36 +209,23 @@ impl Chunk {
         let shape = weights.shapes[layer];
         let back = &self.back[..count * shape.outputs];
         let (matrix, bias) = shape.split_mut(&mut self.gradients);
-        let ones = Left {
-            values: &[1.0],
-            row_step: 0,
-            inner_step: 0,
-        };
+        let ones = Left { values: &[1.0], row_step: 0, inner_step: 0 };
         add_product(simd, ones, back, shape.outputs, bias);
         let (input, step) = match layer {
             0 => (&self.inputs, PADDED_INPUTS),
             _ => (&self.values[layer - 1], shape.inputs),
         };
-        let turned_input = Left {
-            values: input,
-            row_step: 1,
-            inner_step: step,
-        };
+        let turned_input = Left { values: input, row_step: 1, inner_step: step };
         add_product(simd, turned_input, back, shape.outputs, matrix);
         if layer == 0 {
             return;
         }
         let before = &mut self.before[..count * shape.inputs];
         before.fill(0.0);
-        let left = Left {
-            values: back,
-            row_step: shape.outputs,
-            inner_step: 1,
-        };
+        let left = Left { values: back, row_step: shape.outputs, inner_step: 1 };
         add_product(simd, left, &prepared.turned[layer], shape.inputs, before);
-        for (before, slope) in before
-            .chunks_exact_mut(LANES)
-            .zip(self.slopes[layer - 1].chunks_exact(LANES))
+        for (before, slope) in
+            before.chunks_exact_mut(LANES).zip(self.slopes[layer - 1].chunks_exact(LANES))
         {
             let product = f32x16::from_slice(simd, before) * f32x16::from_slice(simd, slope);
             product.store_slice(before);
@@ -295,18 +268,15 @@ mod tests {
     ) -> ((f64, Vec<f32>), (f64, Vec<f64>)) {
         let mut noise = Noise::new(count as u64, 3);
         let weights = Weights::initial(inputs, &mut noise);
-        let rows: Vec<Example> = (0..count)
-            .map(|_| Example {
-                inputs: std::array::from_fn(|i| {
-                    if i < inputs {
-                        noise.normal() as f32
-                    } else {
-                        0.0
-                    }
-                }),
-                target: noise.normal() as f32,
-            })
-            .collect();
+        let rows: Vec<Example> =
+            (0..count)
+                .map(|_| Example {
+                    inputs: std::array::from_fn(|i| {
+                        if i < inputs { noise.normal() as f32 } else { 0.0 }
+                    }),
+                    target: noise.normal() as f32,
+                })
+                .collect();
         let (mut chunk, prepared) = (Chunk::new(&weights), Prepared::new(&weights));
         chunk.draw_dropout(dropped, count, &mut noise);
         let loss = dispatch!(level, simd => chunk.learn(simd, &weights, &prepared, rows.iter()));
@@ -316,10 +286,7 @@ mod tests {
         let mut expected = 0.0;
         for (row, example) in rows.iter().enumerate() {
             workspace.keep(|layer, j| f64::from(chunk.kept[layer][row * HIDDEN[layer] + j]));
-            let inputs: Vec<f64> = example.inputs[..inputs]
-                .iter()
-                .map(|x| f64::from(*x))
-                .collect();
+            let inputs: Vec<f64> = example.inputs[..inputs].iter().map(|x| f64::from(*x)).collect();
             expected += workspace.accumulate(&slow, &inputs, f64::from(example.target));
         }
         ((loss, chunk.gradients), (expected, workspace.gradients))
@@ -332,10 +299,7 @@ mod tests {
                 for dropped in [0, 6_554] {
                     let ((loss, found), (expected_loss, expected)) =
                         both(count, inputs, dropped, Level::new());
-                    assert!(
-                        (loss - expected_loss).abs() < 1e-5 * expected_loss,
-                        "{loss}"
-                    );
+                    assert!((loss - expected_loss).abs() < 1e-5 * expected_loss, "{loss}");
                     let largest = expected.iter().fold(0.0, |most: f64, g| most.max(g.abs()));
                     for (place, (found, expected)) in found.iter().zip(&expected).enumerate() {
                         let difference = (f64::from(*found) - expected).abs();

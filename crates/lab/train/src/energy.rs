@@ -51,17 +51,11 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         motions.for_each(|motion| *motion = [f32::NAN; 4]);
     }
     let halves: [Vec<&Run>; 2] = std::array::from_fn(|half| {
-        let own = runs
-            .iter()
-            .enumerate()
-            .filter(|(place, _)| place % 2 == half);
+        let own = runs.iter().enumerate().filter(|(place, _)| place % 2 == half);
         own.map(|(_, run)| run).collect()
     });
     let all: Vec<&Run> = runs.iter().collect();
-    let commands = [
-        CommandFit::of(&halves[0], period_s)?,
-        CommandFit::of(&halves[1], period_s)?,
-    ];
+    let commands = [CommandFit::of(&halves[0], period_s)?, CommandFit::of(&halves[1], period_s)?];
     let (prior_s, crossed) = crossed(&halves, &commands, period_s)?;
     let known: Vec<&Crossed> = crossed.iter().map_while(Option::as_ref).collect();
     let longest = known.len().checked_sub(1)?;
@@ -122,11 +116,7 @@ fn crossed(
             all.min_by(|a, b| a.loss().total_cmp(&b.loss()))
         };
         let found: Vec<Option<Crossed>> = HORIZONS_S.into_iter().map(at).collect();
-        let loss: f64 = found
-            .iter()
-            .flatten()
-            .map(|one| one.loss() / one.measured_j())
-            .sum();
+        let loss: f64 = found.iter().flatten().map(|one| one.loss() / one.measured_j()).sum();
         (loss, prior_s, found)
     };
     let all = LONGEST_PRIORS_S.map(of_prior).into_iter();
@@ -144,19 +134,12 @@ struct Known {
 /// Lowest and highest velocities.
 fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
     std::array::from_fn(|column| {
-        let values = runs
-            .iter()
-            .flat_map(|run| &run.motion)
-            .map(|motion| motion[column]);
+        let values = runs.iter().flat_map(|run| &run.motion).map(|motion| motion[column]);
         let known = values.filter(|value| value.is_finite());
         let range = known.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], value| {
             [lo.min(value), hi.max(value)]
         });
-        if range[0] <= range[1] {
-            range
-        } else {
-            [f32::MIN, f32::MAX]
-        }
+        if range[0] <= range[1] { range } else { [f32::MIN, f32::MAX] }
     })
 }
 
@@ -196,11 +179,7 @@ fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
     let shortest = (f64::from(HORIZONS_S[1]) / period_s).ceil() as usize + 1;
     let longest = (rows / 8).max(shortest).max(1);
     let cut = found.into_iter().flat_map(|rows| {
-        let pieces = if rows.len() > 4 * longest {
-            rows.len() / longest
-        } else {
-            1
-        };
+        let pieces = if rows.len() > 4 * longest { rows.len() / longest } else { 1 };
         rows.chunks(rows.len().div_ceil(pieces).max(1))
     });
     let usable = |row: &&Row| row.target_w.is_finite();
@@ -211,11 +190,7 @@ fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
                 .filter(usable)
                 .map(|row| std::array::from_fn(|column| row.features[column]))
                 .collect(),
-            power_w: rows
-                .iter()
-                .filter(usable)
-                .map(|row| row.target_w.into())
-                .collect(),
+            power_w: rows.iter().filter(usable).map(|row| row.target_w.into()).collect(),
             before_w: std::array::from_fn(|at| rows[0].features[LAG1 + LAGS - 1 - at].into()),
         })
         .collect()
@@ -275,18 +250,13 @@ impl CommandFit {
         }
         let terms = self.model.terms(*motion);
         let weighted = self.model.weights.iter().zip(terms);
-        weighted
-            .map(|(weight, term)| f64::from(*weight) * f64::from(term))
-            .sum()
+        weighted.map(|(weight, term)| f64::from(*weight) * f64::from(term)).sum()
     }
 }
 
 /// A quarter of the 95 % quantile of a velocity.
 fn half(runs: &[&Run], column: usize) -> f32 {
-    let values = runs
-        .iter()
-        .flat_map(|run| &run.motion)
-        .map(|motion| motion[column].abs());
+    let values = runs.iter().flat_map(|run| &run.motion).map(|motion| motion[column].abs());
     let mut values: Vec<f32> = values.collect();
     values.sort_by(f32::total_cmp);
     let high = values.get(values.len() * 95 / 100).copied().unwrap_or(0.0);
@@ -301,16 +271,11 @@ struct Block {
 fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
     let of_run = |run: &&Run| {
         let rows = run.motion.iter().zip(&run.power_w);
-        let rows: Vec<([f64; TERMS], f64)> = rows
-            .map(|(motion, power_w)| (model.terms(*motion).map(f64::from), *power_w))
-            .collect();
+        let rows: Vec<([f64; TERMS], f64)> =
+            rows.map(|(motion, power_w)| (model.terms(*motion).map(f64::from), *power_w)).collect();
         let count = (rows.len() as f64 * period_s / BLOCK_S).round().max(1.0) as usize;
         let length = rows.len().div_ceil(count).max(1);
-        rows.chunks(length)
-            .map(|rows| Block {
-                rows: rows.to_vec(),
-            })
-            .collect::<Vec<_>>()
+        rows.chunks(length).map(|rows| Block { rows: rows.to_vec() }).collect::<Vec<_>>()
     };
     runs.iter().flat_map(of_run).collect()
 }
@@ -318,19 +283,14 @@ fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
 /// Root mean square of each term, 1 for one that is always 0: fits do not depend on units.
 fn scales(blocks: &[Block], rows: usize) -> [f64; TERMS] {
     std::array::from_fn(|term| {
-        let values = blocks
-            .iter()
-            .flat_map(|block| &block.rows)
-            .map(|(terms, _)| terms[term]);
+        let values = blocks.iter().flat_map(|block| &block.rows).map(|(terms, _)| terms[term]);
         let mean = values.map(|value| value * value).sum::<f64>() / rows as f64;
         if mean > 1e-18 { libm::sqrt(mean) } else { 1.0 }
     })
 }
 
 fn dot(weights: &[f64; TERMS], terms: &[f64; TERMS], scales: &[f64; TERMS]) -> f64 {
-    (0..TERMS)
-        .map(|term| weights[term] * terms[term] / scales[term])
-        .sum()
+    (0..TERMS).map(|term| weights[term] * terms[term] / scales[term]).sum()
 }
 
 /// Normal equations of the weights.
@@ -344,18 +304,12 @@ impl Normal {
     fn of(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
         /// Against terms that vary together, in shares of the mean square.
         const RIDGE: f64 = 1e-3;
-        let mut normal = Self {
-            left: [[0.0; TERMS]; TERMS],
-            right: [0.0; TERMS],
-        };
+        let mut normal = Self { left: [[0.0; TERMS]; TERMS], right: [0.0; TERMS] };
         let (mut rows, mut squares) = (0.0, 0.0);
         for block in blocks {
             let count = block.rows.len() as f64;
             let read_w = block.rows.iter().map(|(_, power_w)| power_w).sum::<f64>() / count;
-            let said = block
-                .rows
-                .iter()
-                .map(|(terms, _)| dot(weights, terms, scales));
+            let said = block.rows.iter().map(|(terms, _)| dot(weights, terms, scales));
             let said_w = said.sum::<f64>() / count;
             let level = ((read_w + 0.02 * mean_w) / (said_w + 0.02 * mean_w)).max(0.0);
             for (terms, power_w) in &block.rows {
@@ -386,9 +340,8 @@ impl Normal {
             for term in 0..TERMS {
                 let own = self.left[term][term];
                 if own > 1e-12 {
-                    let sum: f64 = (0..TERMS)
-                        .map(|other| self.left[term][other] * weights[other])
-                        .sum();
+                    let sum: f64 =
+                        (0..TERMS).map(|other| self.left[term][other] * weights[other]).sum();
                     weights[term] = (weights[term] - (sum - self.right[term]) / own).max(0.0);
                 }
             }
@@ -432,11 +385,8 @@ impl Origins {
         let (mut origins, mut used, mut number) = (Vec::new(), 0, 0);
         for run in runs {
             let before = origins.len();
-            let commands: Vec<f64> = run
-                .motion
-                .iter()
-                .map(|motion| command.power_w(motion))
-                .collect();
+            let commands: Vec<f64> =
+                run.motion.iter().map(|motion| command.power_w(motion)).collect();
             let sums = |values: &[f64]| {
                 let mut sum = 0.0;
                 let sums = values.iter().map(|value| {
@@ -449,12 +399,7 @@ impl Origins {
             let mut levels = [[0.0; 3]; LEVELS];
             let first_w = commands.first().copied().unwrap_or(1.0);
             // The first of a recording's readings has no time before it.
-            for power_w in run
-                .before_w
-                .iter()
-                .skip(1)
-                .filter(|power_w| power_w.is_finite())
-            {
+            for power_w in run.before_w.iter().skip(1).filter(|power_w| power_w.is_finite()) {
                 advance(&mut levels, *power_w, first_w, period_s);
             }
             for at in 0..run.power_w.len() {
@@ -472,11 +417,7 @@ impl Origins {
             }
             used += usize::from(origins.len() > before);
         }
-        Self {
-            origins,
-            runs: used,
-            duration_s: steps as f64 * period_s,
-        }
+        Self { origins, runs: used, duration_s: steps as f64 * period_s }
     }
 
     /// The energy by each level, J.
@@ -498,11 +439,8 @@ impl Origins {
     /// with decreasing steps.
     fn weights(&self, with: &With) -> [f64; LEVELS] {
         const ROUNDS: usize = 200;
-        let experts: Vec<[f64; LEVELS]> = self
-            .origins
-            .iter()
-            .map(|origin| self.experts(origin, with))
-            .collect();
+        let experts: Vec<[f64; LEVELS]> =
+            self.origins.iter().map(|origin| self.experts(origin, with)).collect();
         let mut weights = [1.0 / (LEVELS) as f64; LEVELS];
         let mut best = (f64::INFINITY, weights);
         for round in 0..ROUNDS {
@@ -517,9 +455,7 @@ impl Origins {
             if loss < best.0 {
                 best = (loss, weights);
             }
-            let largest = slope
-                .iter()
-                .fold(0.0f64, |largest, slope| largest.max(slope.abs()));
+            let largest = slope.iter().fold(0.0f64, |largest, slope| largest.max(slope.abs()));
             if largest.is_nan() || largest <= 0.0 {
                 break;
             }
@@ -535,11 +471,7 @@ impl Origins {
 }
 
 fn weighted(weights: &[f64; LEVELS], experts: &[f64; LEVELS]) -> f64 {
-    weights
-        .iter()
-        .zip(experts)
-        .map(|(weight, expert)| weight * expert)
-        .sum()
+    weights.iter().zip(experts).map(|(weight, expert)| weight * expert).sum()
 }
 
 /// The quantile `p` of at least one ascending value, with linear interpolation.
@@ -571,12 +503,7 @@ impl Crossed {
         (horizon_s, period_s): (f64, f64),
         with: &With,
     ) -> Self {
-        let mut found = Self {
-            with: *with,
-            pairs: Vec::new(),
-            runs: 0,
-            duration_s: 0.0,
-        };
+        let mut found = Self { with: *with, pairs: Vec::new(), runs: 0, duration_s: 0.0 };
         for (own, other) in [(0, 1), (1, 0)] {
             let command = &commands[own];
             let weights = Origins::of(&halves[own], command, horizon_s, period_s).weights(with);
@@ -596,10 +523,7 @@ impl Crossed {
     }
 
     fn loss(&self) -> f64 {
-        self.pairs
-            .iter()
-            .map(|pair| (pair.forecast - pair.measured).abs())
-            .sum()
+        self.pairs.iter().map(|pair| (pair.forecast - pair.measured).abs()).sum()
     }
 
     fn measured_j(&self) -> f64 {
@@ -640,7 +564,5 @@ impl Crossed {
 fn mean_share(known: &[&Crossed], mean_w: f64) -> f64 {
     let width = |share: f64| -> f64 { known.iter().map(|one| one.width(share, mean_w)).sum() };
     let shares = MEAN_SHARES.into_iter();
-    shares
-        .min_by(|a, b| width(*a).total_cmp(&width(*b)))
-        .unwrap_or(0.0)
+    shares.min_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(0.0)
 }

@@ -43,12 +43,7 @@ pub(super) fn add_product<S: Simd>(
         };
         while column < columns {
             let vectors = (columns - column) / LANES;
-            let at = Place {
-                row,
-                column,
-                columns,
-                inner,
-            };
+            let at = Place { row, column, columns, inner };
             column += LANES
                 * match (step, vectors) {
                     (4, 4..) => tile::<S, 4, 4>(simd, left, right, out, at),
@@ -79,12 +74,7 @@ fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
     out: &mut [f32],
     at: Place,
 ) -> usize {
-    let Place {
-        row,
-        column,
-        columns,
-        inner,
-    } = at;
+    let Place { row, column, columns, inner } = at;
     let mut sums = [[f32x16::splat(simd, 0.0); VECTORS]; ROWS];
     for (r, sums) in sums.iter_mut().enumerate() {
         let start = (row + r) * columns + column;
@@ -99,10 +89,8 @@ fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
             *line = f32x16::from_slice(simd, &right[start + v * LANES..][..LANES]);
         }
         for (r, sums) in sums.iter_mut().enumerate() {
-            let factor = f32x16::splat(
-                simd,
-                left.values[(row + r) * left.row_step + k * left.inner_step],
-            );
+            let factor =
+                f32x16::splat(simd, left.values[(row + r) * left.row_step + k * left.inner_step]);
             for (sum, line) in sums.iter_mut().zip(line) {
                 *sum = factor.mul_add_precise(line, *sum);
             }
@@ -122,13 +110,7 @@ fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
 #[inline(always)]
 pub(super) fn gelu_and_slope<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     const P: f32 = 0.231_641_9;
-    const B: [f32; 5] = [
-        0.319_381_54,
-        -0.356_563_78,
-        1.781_477_9,
-        -1.821_255_9,
-        1.330_274_4,
-    ];
+    const B: [f32; 5] = [0.319_381_54, -0.356_563_78, 1.781_477_9, -1.821_255_9, 1.330_274_4];
     const DENSITY: f32 = 0.398_942_3;
     let one = f32x16::splat(simd, 1.0);
     let size = x.abs();
@@ -145,15 +127,8 @@ fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     const ROUND: f32 = 12_582_912.0;
     const LN_2_HIGH: f32 = 0.693_359_4;
     const LN_2_LOW: f32 = -2.121_944_4e-4;
-    const SERIES: [f32; 7] = [
-        1.0,
-        1.0,
-        0.5,
-        0.166_666_67,
-        0.041_666_67,
-        0.008_333_334,
-        0.001_388_889,
-    ];
+    const SERIES: [f32; 7] =
+        [1.0, 1.0, 0.5, 0.166_666_67, 0.041_666_67, 0.008_333_334, 0.001_388_889];
     let most = f32x16::splat(simd, 87.0);
     let zero = f32x16::splat(simd, 0.0);
     let y = zero - x.min(most);
@@ -164,8 +139,7 @@ fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let rest = whole.mul_add_precise(f32x16::splat(simd, -LN_2_LOW), rest);
     let bits: u32x16<S> = shifted.to_bits();
     let power = f32x16::from_bits((bits << 23) + u32x16::splat(simd, 127 << 23));
-    x.simd_gt(most)
-        .select(zero, series(simd, rest, SERIES) * power)
+    x.simd_gt(most).select(zero, series(simd, rest, SERIES) * power)
 }
 
 /// A polynomial by Horner's rule, constant first. A loop instead of an iterator, because closures

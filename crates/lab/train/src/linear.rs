@@ -215,10 +215,7 @@ impl Moments {
     /// [`LinearError::NotTaken`].
     pub fn merge(&mut self, other: &Moments) -> Result<(), LinearError> {
         if self.terms != other.terms {
-            return Err(LinearError::NotTaken {
-                taken: other.terms,
-                asked: self.terms,
-            });
+            return Err(LinearError::NotTaken { taken: other.terms, asked: self.terms });
         }
         self.rows += other.rows;
         if other.count == 0 {
@@ -252,10 +249,7 @@ impl Moments {
     /// [`LinearError`]: fewer usable rows than coefficients, or features that the moments lack.
     pub fn fit(&self, terms: Terms) -> Result<Linear, LinearError> {
         if terms.features().any(|feature| !self.terms.has(feature)) {
-            return Err(LinearError::NotTaken {
-                taken: self.terms,
-                asked: terms,
-            });
+            return Err(LinearError::NotTaken { taken: self.terms, asked: terms });
         }
         let allowed = terms.count() + 1;
         if self.count < allowed {
@@ -444,11 +438,7 @@ impl Linear {
             terms: self.terms.to_string(),
             intercept_w: self.intercept_w,
             coefficients: coefficients.map(|(i, value)| (name(*i), *value)).collect(),
-            dropped: self
-                .dropped
-                .iter()
-                .map(|(i, why)| (name(*i), *why))
-                .collect(),
+            dropped: self.dropped.iter().map(|(i, why)| (name(*i), *why)).collect(),
             rows: self.rows,
             unusable_rows: self.unusable_rows,
         }

@@ -57,12 +57,7 @@ pub(super) fn constant_features(
 
 impl Example {
     pub(super) fn new(row: &Row, normalisation: &Normalisation, feature_set: FeatureSet) -> Self {
-        let Normalisation {
-            feature_mean,
-            feature_std,
-            power_mean_w,
-            power_std_w,
-        } = normalisation;
+        let Normalisation { feature_mean, feature_std, power_mean_w, power_std_w } = normalisation;
         let scaled = |value: f32, mean: f32, std: f32| {
             if std > 0.0 {
                 ((f64::from(value) - f64::from(mean)) / f64::from(std)) as f32
@@ -74,10 +69,7 @@ impl Example {
         for (input, i) in inputs.iter_mut().zip(feature_set.range()) {
             *input = scaled(row.features[i], feature_mean[i], feature_std[i]);
         }
-        Self {
-            inputs,
-            target: scaled(row.target_w, *power_mean_w, *power_std_w),
-        }
+        Self { inputs, target: scaled(row.target_w, *power_mean_w, *power_std_w) }
     }
 }
 
@@ -92,17 +84,9 @@ pub(super) fn normalisation(
     }
     let (power_mean_w, power_std_w) = mean_and_std(rows.iter().map(|row| row.target_w));
     if power_std_w > 0.0 {
-        Ok(Normalisation {
-            feature_mean,
-            feature_std,
-            power_mean_w,
-            power_std_w,
-        })
+        Ok(Normalisation { feature_mean, feature_std, power_mean_w, power_std_w })
     } else {
-        Err(TrainError::ConstantPower {
-            rows: rows.len(),
-            power_w: power_mean_w,
-        })
+        Err(TrainError::ConstantPower { rows: rows.len(), power_w: power_mean_w })
     }
 }
 

@@ -39,22 +39,13 @@ impl Weights {
     pub(super) fn initial(inputs: usize, noise: &mut Noise) -> Weights {
         let [first, second, third] = HIDDEN;
         let mut values = Vec::new();
-        let sizes = [
-            (inputs, first),
-            (first, second),
-            (second, third),
-            (third, 1),
-        ];
+        let sizes = [(inputs, first), (first, second), (second, third), (third, 1)];
         let shapes = sizes.map(|(inputs, outputs)| {
             let start = values.len();
             let bound = 1.0 / libm::sqrt(inputs as f64);
             let count = (inputs + 1) * outputs;
             values.extend((0..count).map(|_| noise.between(-bound, bound)));
-            Shape {
-                inputs,
-                outputs,
-                start,
-            }
+            Shape { inputs, outputs, start }
         });
         Weights { values, shapes }
     }
@@ -142,9 +133,8 @@ impl Workspace {
             for (gradient, from) in bias_gradients.iter_mut().zip(from) {
                 *gradient += from;
             }
-            for (x, gradients) in before
-                .iter()
-                .zip(matrix_gradients.chunks_exact_mut(shape.outputs))
+            for (x, gradients) in
+                before.iter().zip(matrix_gradients.chunks_exact_mut(shape.outputs))
             {
                 for (gradient, from) in gradients.iter_mut().zip(from) {
                     *gradient += x * from;
@@ -202,10 +192,7 @@ mod tests {
             workspace.accumulate(&weights, &inputs, target);
             let gradients = workspace.gradients.clone();
             let mut not_zero = 0;
-            for position in (0..gradients.len())
-                .step_by(13)
-                .chain([gradients.len() - 1])
-            {
+            for position in (0..gradients.len()).step_by(13).chain([gradients.len() - 1]) {
                 let step = 1e-5;
                 let mut loss = |shift: f64| {
                     let before = weights.values[position];
@@ -216,10 +203,7 @@ mod tests {
                 };
                 let slope = (loss(step) - loss(-step)) / (2.0 * step);
                 let difference = (slope - gradients[position]).abs();
-                assert!(
-                    difference < 1e-7 + 1e-6 * slope.abs(),
-                    "{position}: {difference:e}"
-                );
+                assert!(difference < 1e-7 + 1e-6 * slope.abs(), "{position}: {difference:e}");
                 not_zero += usize::from(slope.abs() > 1e-6);
             }
             assert!(not_zero > 100, "{not_zero} gradients are not zero");

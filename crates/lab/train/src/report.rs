@@ -81,15 +81,7 @@ impl TrainReport {
 impl fmt::Display for TrainReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
-            file,
-            model,
-            model_hash,
-            source,
-            training_data,
-            epochs,
-            duration_s,
-            scores,
-            ..
+            file, model, model_hash, source, training_data, epochs, duration_s, scores, ..
         } = self;
         if let Some(file) = file {
             write!(out, "{file}: ")?;
@@ -101,10 +93,7 @@ impl fmt::Display for TrainReport {
         }
         write_findings(out, &self.findings)?;
         let best = self.best_epoch.unwrap_or(0);
-        writeln!(
-            out,
-            "{epochs} epochs in {duration_s:.1} s, the best was {best}"
-        )?;
+        writeln!(out, "{epochs} epochs in {duration_s:.1} s, the best was {best}")?;
         writeln!(
             out,
             "held out, {} rows: MAE {:.4} W, R² {:.4}; persistence: MAE {:.4} W, R² {:.4}",
@@ -135,11 +124,7 @@ fn write_split(out: &mut fmt::Formatter<'_>, split: &SplitSummary) -> fmt::Resul
         }
     }
     if split.pause_rows > 0 {
-        writeln!(
-            out,
-            "  in no part, next to the cuts: {} rows",
-            split.pause_rows
-        )?;
+        writeln!(out, "  in no part, next to the cuts: {} rows", split.pause_rows)?;
     }
     Ok(())
 }
@@ -155,17 +140,11 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
     }
     if !findings.constant_features.is_empty() {
         let names = findings.constant_features.join(", ");
-        writeln!(
-            out,
-            "constant in training, so nothing is learned from it: {names}"
-        )?;
+        writeln!(out, "constant in training, so nothing is learned from it: {names}")?;
     }
     if findings.few_rows {
         let rows = findings.training_rows;
-        writeln!(
-            out,
-            "only {rows} training rows: the model may be overfitted"
-        )?;
+        writeln!(out, "only {rows} training rows: the model may be overfitted")?;
     }
     Ok(())
 }

@@ -53,10 +53,7 @@ impl Training {
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("settings".to_owned(), json(&self.settings)),
-            (
-                "data_sha256".to_owned(),
-                self.dataset.sha256(self.settings.feature_set),
-            ),
+            ("data_sha256".to_owned(), self.dataset.sha256(self.settings.feature_set)),
             ("epochs".to_owned(), json(&self.epochs)),
             ("steps".to_owned(), self.adam.steps.to_string()),
         ]);
@@ -91,11 +88,7 @@ impl Training {
             ..before
         };
         same("recipe", json(&comparable), json(settings))?;
-        same(
-            "data hash",
-            field("data_sha256")?,
-            training.dataset.sha256(settings.feature_set),
-        )?;
+        same("data hash", field("data_sha256")?, training.dataset.sha256(settings.feature_set))?;
         let epochs: Vec<Epoch> =
             serde_json::from_str(&field("epochs")?).map_err(|error| format(&error))?;
         let tensors = SafeTensors::deserialize(saved).map_err(|error| format(&error))?;
@@ -130,11 +123,7 @@ fn same(what: &'static str, found: String, expected: String) -> Result<(), Resum
     if found == expected {
         return Ok(());
     }
-    Err(ResumeError::Differs {
-        what,
-        found,
-        expected,
-    })
+    Err(ResumeError::Differs { what, found, expected })
 }
 
 /// Numbers and names always serialise.
@@ -143,10 +132,7 @@ fn json(value: &impl serde::Serialize) -> String {
 }
 
 fn bytes(values: &[f32]) -> Vec<u8> {
-    values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect()
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
 fn numbers(bytes: &[u8]) -> Vec<f32> {

@@ -64,11 +64,7 @@ fn linear(dataset: &Dataset) -> Option<Linear> {
     };
     let mut scores = Tally::default();
     for row in &dataset.held_out {
-        scores.add(
-            row.target_w.into(),
-            linear.predict(&row.features).into(),
-            0.0,
-        );
+        scores.add(row.target_w.into(), linear.predict(&row.features).into(), 0.0);
     }
     linear.r2 = scores.r2() as f32;
     linear.check().is_ok().then_some(linear)
@@ -79,10 +75,8 @@ pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
     let mut forecasts_w = vec![0.0; rows.len()];
     network.predict(&inputs, &mut forecasts_w);
-    let last_w: Vec<f32> = inputs
-        .iter()
-        .map(|features| features[FeatureSet::PowerOnly.first()])
-        .collect();
+    let last_w: Vec<f32> =
+        inputs.iter().map(|features| features[FeatureSet::PowerOnly.first()]).collect();
 
     let count = rows.len() as f64;
     let mean_w = rows.iter().map(|row| f64::from(row.target_w)).sum::<f64>() / count;
@@ -91,9 +85,7 @@ pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     let total: f64 = rows.iter().map(spread).sum();
     let errors = |forecasts_w: &[f32]| -> Vec<f64> {
         let pairs = rows.iter().zip(forecasts_w);
-        pairs
-            .map(|(row, &forecast_w)| f64::from(row.target_w) - f64::from(forecast_w))
-            .collect()
+        pairs.map(|(row, &forecast_w)| f64::from(row.target_w) - f64::from(forecast_w)).collect()
     };
     let r2 = |errors: &[f64]| (1.0 - errors.iter().map(|e| e * e).sum::<f64>() / total) as f32;
     let mae_w = |errors: &[f64]| (errors.iter().map(|e| e.abs()).sum::<f64>() / count) as f32;
@@ -110,16 +102,7 @@ pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     network_errors.sort_by(f64::total_cmp);
     let quantile = |share: f64| {
         let position = (share * (count - 1.0)).max(0.0) as usize;
-        network_errors
-            .get(position)
-            .map_or(f32::NAN, |&error| error as f32)
+        network_errors.get(position).map_or(f32::NAN, |&error| error as f32)
     };
-    (
-        scores,
-        ResidualStats {
-            std_w,
-            q05_w: quantile(0.05),
-            q95_w: quantile(0.95),
-        },
-    )
+    (scores, ResidualStats { std_w, q05_w: quantile(0.05), q95_w: quantile(0.95) })
 }

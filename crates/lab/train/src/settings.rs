@@ -105,11 +105,9 @@ impl TrainSettings {
         ];
         match checks.into_iter().find(|(_, _, sound, _)| !sound) {
             None => Ok(()),
-            Some((setting, found, _, allowed)) => Err(TrainError::Setting {
-                setting,
-                found,
-                allowed,
-            }),
+            Some((setting, found, _, allowed)) => {
+                Err(TrainError::Setting { setting, found, allowed })
+            }
         }
     }
 

@@ -106,9 +106,7 @@ impl Training {
         check_rows(&dataset, unusable_rows)?;
         let normalisation = normalisation(&dataset.training, settings.feature_set)?;
         let examples = |rows: &[Row]| -> Vec<Example> {
-            rows.iter()
-                .map(|row| Example::new(row, &normalisation, settings.feature_set))
-                .collect()
+            rows.iter().map(|row| Example::new(row, &normalisation, settings.feature_set)).collect()
         };
         let (training, validation) = (examples(&dataset.training), examples(&dataset.validation));
         let mut noise = Noise::new(settings.seed, INITIAL);
@@ -116,10 +114,7 @@ impl Training {
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
-            .map_err(|error| TrainError::Threads {
-                threads,
-                reason: error.to_string(),
-            })?;
+            .map_err(|error| TrainError::Threads { threads, reason: error.to_string() })?;
         let parts = settings.batch.min(training.len()).div_ceil(ROWS);
         Ok(Self {
             findings: Findings {
@@ -177,17 +172,12 @@ impl Training {
         shuffle(&mut order, &mut noise);
         let mut summed_loss = 0.0;
         for (place, rows) in order.chunks(self.settings.batch).enumerate() {
-            summed_loss += self.step(
-                rows,
-                DROPOUT + (u64::from(number) << 32) + ((place as u64) << 12),
-            );
+            summed_loss +=
+                self.step(rows, DROPOUT + (u64::from(number) << 32) + ((place as u64) << 12));
         }
         let validation_loss = self.validate();
         if !validation_loss.is_finite() {
-            return Err(TrainError::Diverged {
-                epoch: number,
-                loss: validation_loss,
-            });
+            return Err(TrainError::Diverged { epoch: number, loss: validation_loss });
         }
         let before = self.epochs.iter().map(|epoch| epoch.validation_loss);
         let best = before.fold(f64::INFINITY, f64::min);
@@ -216,26 +206,13 @@ impl Training {
             self.normalisation,
             &self.best,
         )?;
-        Ok(Trained {
-            network,
-            epochs: self.epochs,
-            findings: self.findings,
-        })
+        Ok(Trained { network, epochs: self.epochs, findings: self.findings })
     }
 
     /// Trains one batch. Its parts are computed in parallel and their gradients added in order.
     /// Returns the summed loss.
     fn step(&mut self, rows: &[u32], stream: u64) -> f64 {
-        let Self {
-            training,
-            weights,
-            prepared,
-            chunks,
-            losses,
-            settings,
-            level,
-            ..
-        } = self;
+        let Self { training, weights, prepared, chunks, losses, settings, level, .. } = self;
         let (weights, prepared, training, level) = (&*weights, &*prepared, &*training, *level);
         let dropped = (settings.dropout * 65_536.0).round().min(65_535.0) as u16;
         let seed = settings.seed;
@@ -262,24 +239,13 @@ impl Training {
         }
         let share = 1.0 / rows.len() as f32;
         let hyperparameters = self.settings.hyperparameters();
-        self.adam.step(
-            &mut self.weights.values,
-            &self.gradients,
-            share,
-            hyperparameters,
-        );
+        self.adam.step(&mut self.weights.values, &self.gradients, share, hyperparameters);
         self.prepared.update(&self.weights);
         self.losses[..parts].iter().sum()
     }
 
     fn validate(&mut self) -> f64 {
-        let Self {
-            validation,
-            weights,
-            chunks,
-            level,
-            ..
-        } = self;
+        let Self { validation, weights, chunks, level, .. } = self;
         let chunk = &mut chunks[0];
         chunk.keep_everything();
         let losses = validation.chunks(ROWS).map(|rows| {

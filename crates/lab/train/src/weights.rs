@@ -31,19 +31,10 @@ impl Shape {
 /// The layers of a network that reads `inputs` features.
 pub(super) fn shapes(inputs: usize) -> [Shape; LAYERS] {
     let [first, second, third] = HIDDEN;
-    let sizes = [
-        (inputs, first),
-        (first, second),
-        (second, third),
-        (third, 1),
-    ];
+    let sizes = [(inputs, first), (first, second), (second, third), (third, 1)];
     let mut start = 0;
     sizes.map(|(inputs, outputs)| {
-        let shape = Shape {
-            inputs,
-            outputs,
-            start,
-        };
+        let shape = Shape { inputs, outputs, start };
         start += (inputs + 1) * outputs;
         shape
     })
@@ -75,10 +66,7 @@ impl Weights {
             let (matrix, bias) = shape.split(&self.values);
             let mut weights = vec![0.0; matrix.len()];
             transpose(matrix, shape.outputs, &mut weights);
-            Layer {
-                weights,
-                bias: bias.to_vec(),
-            }
+            Layer { weights, bias: bias.to_vec() }
         })
     }
 }

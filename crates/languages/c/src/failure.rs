@@ -17,10 +17,7 @@ pub(crate) struct Failure {
 }
 
 impl Failure {
-    #[allow(
-        clippy::needless_pass_by_value,
-        reason = "texts and errors, as they come"
-    )]
+    #[allow(clippy::needless_pass_by_value, reason = "texts and errors, as they come")]
     pub(crate) fn new(code: joulebus_error, text: impl ToString) -> Self {
         let text = text.to_string();
         Self { code, text }

@@ -84,12 +84,7 @@ struct Token {
 
 impl Token {
     fn encode(self) -> u64 {
-        let Self {
-            kind,
-            thread,
-            uses,
-            place,
-        } = self;
+        let Self { kind, thread, uses, place } = self;
         (((kind << THREAD_BITS) | thread) << (USE_BITS + PLACE_BITS))
             | (uses << PLACE_BITS)
             | place as u64
@@ -152,12 +147,7 @@ pub(crate) fn open<T: Kind>(value: T) -> Result<*mut T::Handle, Failure> {
         at.pid = process_id();
         at.state = State::Open(Box::new(value));
         let (kind, uses) = (T::CODE, at.uses);
-        Ok(Token {
-            kind,
-            thread,
-            uses,
-            place,
-        })
+        Ok(Token { kind, thread, uses, place })
     })?;
     // Linux on 64 bits: asserted above.
     Ok(ptr::without_provenance_mut(number.encode() as usize))
@@ -298,11 +288,7 @@ mod tests {
         assert_eq!(other(ptr::null_mut()), joulebus_error::Argument);
         for garbage in [1, 0xdead_beef, usize::MAX, number.addr() ^ 0x7] {
             let handle = ptr::without_provenance_mut(garbage);
-            assert_eq!(
-                code(close::<Number>(handle)),
-                joulebus_error::Handle,
-                "{garbage:#x}"
-            );
+            assert_eq!(code(close::<Number>(handle)), joulebus_error::Handle, "{garbage:#x}");
         }
         let address = number.addr();
         let elsewhere = std::thread::spawn(move || {
@@ -319,20 +305,14 @@ mod tests {
     fn a_call_within_a_call_is_refused_and_a_panic_closes() {
         let number = open(Number(1)).unwrap();
         with::<Number, _>(number, |_| {
-            assert_eq!(
-                code(with::<Number, _>(number, |_| Ok(()))),
-                joulebus_error::Handle
-            );
+            assert_eq!(code(with::<Number, _>(number, |_| Ok(()))), joulebus_error::Handle);
             Ok(())
         })
         .unwrap();
         let failed = with::<Number, ()>(number, |_| panic!("seven"));
         assert!(failed.as_ref().unwrap_err().text.contains("seven"));
         assert_eq!(code(failed), joulebus_error::Defect);
-        assert_eq!(
-            code(with::<Number, _>(number, |_| Ok(()))),
-            joulebus_error::Handle
-        );
+        assert_eq!(code(with::<Number, _>(number, |_| Ok(()))), joulebus_error::Handle);
     }
 
     #[test]

@@ -125,17 +125,13 @@ pub(crate) fn product(name: &str, counts: &[usize]) -> Result<usize, Failure> {
     counts.iter().try_fold(1, product).ok_or_else(|| {
         let counts: Vec<String> = counts.iter().map(ToString::to_string).collect();
         let counts = counts.join(" × ");
-        Failure::argument(format!(
-            "{name} of {counts} elements: no memory holds so many"
-        ))
+        Failure::argument(format!("{name} of {counts} elements: no memory holds so many"))
     })
 }
 
 fn check<T>(name: &str, first: *const T, count: usize) -> Result<(), Failure> {
     if first.is_null() {
-        return Err(Failure::argument(format!(
-            "{name} is NULL: give it a pointer"
-        )));
+        return Err(Failure::argument(format!("{name} is NULL: give it a pointer")));
     }
     if !first.is_aligned() {
         return Err(Failure::argument(format!(

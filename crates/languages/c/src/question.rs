@@ -29,14 +29,13 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
     let plan = match QueryKind::decode(from.kind) {
         // SAFETY: as above.
         Some(QueryKind::WhatIf) => unsafe { what_if(from, robots) }?,
-        Some(QueryKind::Idle) => Plan::Idle {
-            robots: robots.to_vec(),
-            duration_s: from.duration_s,
-        },
+        Some(QueryKind::Idle) => {
+            Plan::Idle { robots: robots.to_vec(), duration_s: from.duration_s }
+        }
         // SAFETY: as above.
-        Some(QueryKind::Follow) => follow(from, robots, unsafe {
-            array("path", from.path, from.points)
-        }?),
+        Some(QueryKind::Follow) => {
+            follow(from, robots, unsafe { array("path", from.path, from.points) }?)
+        }
         Some(QueryKind::Acknowledge) | None => {
             return Err(Failure::argument(format!(
                 "kind of a question is {}, allowed are JOULEBUS_QUERY_KIND_WHAT_IF, _IDLE and _FOLLOW",
@@ -44,11 +43,7 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
             )));
         }
     };
-    Ok(Question {
-        plan,
-        coverage: from.coverage,
-        power,
-    })
+    Ok(Question { plan, coverage: from.coverage, power })
 }
 
 #[allow(unsafe_code, reason = "memory of the caller")]
@@ -62,10 +57,7 @@ unsafe fn what_if(from: &joulebus_question, robots: &[u32]) -> Result<Plan, Fail
     let commands = product("commands", &[from.candidates, from.steps])?;
     // SAFETY: the caller's promise.
     let (v_mps, omega_radps) = unsafe {
-        (
-            array("v_mps", from.v_mps, commands)?,
-            array("omega_radps", from.omega_radps, commands)?,
-        )
+        (array("v_mps", from.v_mps, commands)?, array("omega_radps", from.omega_radps, commands)?)
     };
     Ok(Plan::WhatIf {
         robot,
@@ -114,11 +106,7 @@ impl<'a> Places<'a> {
                 of.row_capacity
             )));
         }
-        let powers = if of.power_w.is_null() {
-            0
-        } else {
-            of.power_capacity
-        };
+        let powers = if of.power_w.is_null() { 0 } else { of.power_capacity };
         let rows = ("rows", of.rows.cast_const(), of.row_capacity);
         check_apart(rows, ("power_w", of.power_w.cast_const(), powers))?;
         // SAFETY: the caller's promise; both are apart.

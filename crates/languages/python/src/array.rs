@@ -79,10 +79,8 @@ impl Ids {
             return Err(shape_error(name, &shape, "(robots,)"));
         };
         if count > 0 && !["i", "u"].contains(&kind.as_str()) {
-            let message = format!(
-                "{name} has dtype {found}, allowed are integers from 0 to {}",
-                u32::MAX
-            );
+            let message =
+                format!("{name} has dtype {found}, allowed are integers from 0 to {}", u32::MAX);
             // Integers that fit no type of NumPy are objects.
             return Err(match kind.as_str() {
                 "O" => PyValueError::new_err(message),
@@ -126,10 +124,7 @@ fn copy<T: Element + Copy, U>(
     }
     let array = array.try_readonly().ok()?;
     let values = array.as_slice().ok()?;
-    Some((
-        values.iter().map(|value| each(*value)).collect(),
-        array.shape().to_vec(),
-    ))
+    Some((values.iter().map(|value| each(*value)).collect(), array.shape().to_vec()))
 }
 
 /// The array-like as an array of `dtype` in row-major order. Only real numbers are converted: text,
@@ -155,9 +150,7 @@ fn converted<'py>(
 
 fn unreadable(name: &str, given: &Bound<'_, PyAny>) -> PyErr {
     let kind = given.get_type();
-    PyTypeError::new_err(format!(
-        "{name} is {kind}, allowed are arrays of real numbers"
-    ))
+    PyTypeError::new_err(format!("{name} is {kind}, allowed are arrays of real numbers"))
 }
 
 /// A new array of these values.
@@ -190,8 +183,5 @@ pub(crate) fn shape_text(shape: &[usize]) -> String {
 }
 
 pub(crate) fn shape_error(name: &str, found: &[usize], allowed: &str) -> PyErr {
-    PyValueError::new_err(format!(
-        "{name} has shape {}, allowed: {allowed}",
-        shape_text(found)
-    ))
+    PyValueError::new_err(format!("{name} has shape {}, allowed: {allowed}", shape_text(found)))
 }

@@ -83,26 +83,17 @@ impl Batteries {
         poses: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<bool> {
         let robots = self.left_j.len();
-        for (name, found, rows) in [
-            ("velocities", velocities.shape(), 2),
-            ("poses", poses.shape(), 3),
-        ] {
+        for (name, found, rows) in
+            [("velocities", velocities.shape(), 2), ("poses", poses.shape(), 3)]
+        {
             if *found != [rows, robots] {
                 return Err(shape_error(name, found, &format!("({rows}, {robots})")));
             }
         }
         let (velocities, poses) = (velocities.as_array(), poses.as_array());
-        let row = |at: usize| Doubles {
-            values: velocities.row(at).to_vec(),
-            shape: vec![robots],
-        };
+        let row = |at: usize| Doubles { values: velocities.row(at).to_vec(), shape: vec![robots] };
         let (v_mps, omega_radps) = (row(0), row(1));
-        if !v_mps
-            .values
-            .iter()
-            .chain(&omega_radps.values)
-            .all(|value| value.is_finite())
-        {
+        if !v_mps.values.iter().chain(&omega_radps.values).all(|value| value.is_finite()) {
             return Err(PyValueError::new_err(
                 "a velocity is not finite: the robots cannot be simulated",
             ));
@@ -155,9 +146,7 @@ impl Batteries {
     /// State of charge, 0 to 1.
     fn soc<'py>(&self, py: Python<'py>) -> Array<'py, f64> {
         let each = self.left_j.iter().zip(&self.capacity_j);
-        let soc: Vec<f64> = each
-            .map(|(left_j, capacity_j)| left_j / capacity_j)
-            .collect();
+        let soc: Vec<f64> = each.map(|(left_j, capacity_j)| left_j / capacity_j).collect();
         array(py, soc, &[self.left_j.len()])
     }
 

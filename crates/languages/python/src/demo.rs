@@ -21,12 +21,8 @@ fn refused(error: &dyn std::fmt::Display) -> PyErr {
 /// The config of a fleet of `robots` simulated robots whose shared memory is in `root`.
 #[pyfunction]
 pub(crate) fn demo_config(root: PathBuf, robots: u32) -> String {
-    let demo = joulebus_config::Demo {
-        fleet: "demo".to_owned(),
-        root,
-        prefix: "jbd_".to_owned(),
-        robots,
-    };
+    let demo =
+        joulebus_config::Demo { fleet: "demo".to_owned(), root, prefix: "jbd_".to_owned(), robots };
     demo.toml()
 }
 
@@ -68,9 +64,7 @@ impl DemoWorker {
             })
         };
         let (thread, ()) = py.detach(start)?;
-        Ok(Self {
-            thread: Mutex::new(Some(thread)),
-        })
+        Ok(Self { thread: Mutex::new(Some(thread)) })
     }
 
     /// Stops it: planners hear of its end.
@@ -98,19 +92,10 @@ impl DemoRobots {
     fn step<'py>(&mut self, py: Python<'py>, step_s: f64) -> PyResult<Bound<'py, PyDict>> {
         let (readings, columns) = (self.0.step(step_s), PyDict::new(py));
         columns.set_item("v", column(py, readings, |reading| reading.v_mps)?)?;
-        columns.set_item(
-            "omega",
-            column(py, readings, |reading| reading.omega_radps)?,
-        )?;
+        columns.set_item("omega", column(py, readings, |reading| reading.omega_radps)?)?;
         columns.set_item("power", column(py, readings, |reading| reading.power_w)?)?;
-        columns.set_item(
-            "voltage",
-            column(py, readings, |reading| reading.voltage_v)?,
-        )?;
-        columns.set_item(
-            "current",
-            column(py, readings, |reading| reading.current_a)?,
-        )?;
+        columns.set_item("voltage", column(py, readings, |reading| reading.voltage_v)?)?;
+        columns.set_item("current", column(py, readings, |reading| reading.current_a)?)?;
         columns.set_item("held", column(py, readings, |reading| reading.held)?)?;
         Ok(columns)
     }

@@ -37,10 +37,7 @@ struct Robot {
 impl Robot {
     /// With this power as all readings before.
     fn at_rest(power_mw: f64) -> Self {
-        Self {
-            lag_w: [watt(power_mw); LAGS],
-            before: None,
-        }
+        Self { lag_w: [watt(power_mw); LAGS], before: None }
     }
 }
 
@@ -120,12 +117,7 @@ impl EnergyPredictor {
                  train one without: `joulebus train … --features full`",
             ));
         }
-        let mut predictor = Self {
-            network,
-            period_s,
-            robots: Vec::new(),
-            shape: Vec::new(),
-        };
+        let mut predictor = Self { network, period_s, robots: Vec::new(), shape: Vec::new() };
         predictor.begin(&vec![INITIAL_MW; robots], vec![robots]);
         Ok(predictor)
     }
@@ -149,23 +141,14 @@ impl EnergyPredictor {
         measured_power: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let py = v_cmd.py();
-        let (v, omega) = (
-            Doubles::read("v_cmd", v_cmd)?,
-            Doubles::read("w_cmd", w_cmd)?,
-        );
-        if !v
-            .values
-            .iter()
-            .chain(&omega.values)
-            .all(|value| value.is_finite())
-        {
+        let (v, omega) = (Doubles::read("v_cmd", v_cmd)?, Doubles::read("w_cmd", w_cmd)?);
+        if !v.values.iter().chain(&omega.values).all(|value| value.is_finite()) {
             return Err(PyValueError::new_err(format!(
                 "the command is {v_cmd} m/s, {w_cmd} rad/s: allowed are finite numbers"
             )));
         }
-        let measured = measured_power
-            .map(|given| Doubles::read("measured_power", given))
-            .transpose()?;
+        let measured =
+            measured_power.map(|given| Doubles::read("measured_power", given)).transpose()?;
         if let Some(measured) = &measured
             && measured.values.iter().any(|power| power.is_infinite())
         {
@@ -233,11 +216,8 @@ impl EnergyPredictor {
         for (at, (robot, forecast_w)) in self.robots.iter_mut().zip(&forecasts_w).enumerate() {
             // Its own forecast is fed back only within the range of the training data.
             let measured_w = measured.map_or(f32::NAN, |measured| watt(of(measured, at)));
-            let newest_w = if measured_w.is_nan() {
-                range.fed_back_w(*forecast_w)
-            } else {
-                measured_w
-            };
+            let newest_w =
+                if measured_w.is_nan() { range.fed_back_w(*forecast_w) } else { measured_w };
             robot.lag_w.copy_within(..LAGS - 1, 1);
             robot.lag_w[0] = newest_w;
             robot.before = Some(command(at));

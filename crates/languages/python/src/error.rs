@@ -30,19 +30,9 @@ create_exception!(
     Error,
     "Frames could not be read; the next call may succeed."
 );
-create_exception!(
-    joulebus,
-    PublishError,
-    Error,
-    "A frame was refused, and not sent."
-);
+create_exception!(joulebus, PublishError, Error, "A frame was refused, and not sent.");
 
-create_exception!(
-    joulebus,
-    RecordingError,
-    Error,
-    "A capture or a trial is refused."
-);
+create_exception!(joulebus, RecordingError, Error, "A capture or a trial is refused.");
 
 /// An error of the system on a file, as Python's own exception: `FileNotFoundError` and so on.
 pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {

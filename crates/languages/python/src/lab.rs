@@ -74,12 +74,7 @@ struct Choice {
 
 impl Choice {
     fn split(&self, by: By) -> Split {
-        Split {
-            by,
-            held_out: self.held_out,
-            seed: self.seed,
-            ..Split::default()
-        }
+        Split { by, held_out: self.held_out, seed: self.seed, ..Split::default() }
     }
 
     /// `fit`: recordings that the baselines are fitted on, if any.

@@ -6,10 +6,7 @@
 //! writes into them changes no computation. No `unsafe` is written here: NumPy itself makes arrays
 //! over shared memory, from `__array_interface__` (`planner.rs`).
 #![forbid(unsafe_code)]
-#![allow(
-    clippy::needless_pass_by_value,
-    reason = "what Python passes arrives as owned values"
-)]
+#![allow(clippy::needless_pass_by_value, reason = "what Python passes arrives as owned values")]
 
 mod array;
 mod batteries;

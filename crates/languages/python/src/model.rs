@@ -65,10 +65,7 @@ pub(crate) fn of_bytes(bytes: &[u8]) -> PyResult<Network> {
 
 /// The time between two steps at which a network forecasts, s; `argument` is what can state it.
 pub(crate) fn period_s(network: &Network, argument: &str) -> PyResult<f32> {
-    network
-        .card()
-        .period_s()
-        .ok_or_else(|| without_period(argument))
+    network.card().period_s().ok_or_else(|| without_period(argument))
 }
 
 /// Refuses a model that does not state its period.

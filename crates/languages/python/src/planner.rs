@@ -75,16 +75,8 @@ impl PlannerPorts {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let planner = Ports::with_config(&config, &name).map_err(|error| error.to_string())?;
             let (diagnostics, budgets) = (None, None);
-            let open = Open {
-                planner,
-                diagnostics,
-                budgets,
-            };
-            Ok(State {
-                ports: Some(open),
-                frames: HashMap::new(),
-                next: 0,
-            })
+            let open = Open { planner, diagnostics, budgets };
+            Ok(State { ports: Some(open), frames: HashMap::new(), next: 0 })
         };
         let thread = py.detach(|| PortThread::start(open))?;
         Ok(Self { thread })
@@ -99,9 +91,8 @@ impl PlannerPorts {
     ) -> PyResult<Option<Bound<'py, PyAny>>> {
         let deadline = deadline(timeout_s)?;
         loop {
-            let left = deadline.map_or(SLICE, |deadline| {
-                deadline.saturating_duration_since(Instant::now())
-            });
+            let left = deadline
+                .map_or(SLICE, |deadline| deadline.saturating_duration_since(Instant::now()));
             let slice = left.min(SLICE);
             let told = py.detach(|| self.thread.ask(move |state| state.wait(slice)))??;
             match told {
@@ -195,10 +186,7 @@ impl PlannerPorts {
 impl State {
     fn open(&mut self) -> PyResult<(&mut Open, usize)> {
         let kept = self.frames.len();
-        self.ports
-            .as_mut()
-            .map(|open| (open, kept))
-            .ok_or_else(closed)
+        self.ports.as_mut().map(|open| (open, kept)).ok_or_else(closed)
     }
 
     fn wait(&mut self, slice: Duration) -> PyResult<Told> {
@@ -279,10 +267,7 @@ impl FrameMemory {
         dict.set_item(intern!(py, "shape"), (self.memory.robots,))?;
         dict.set_item(intern!(py, "typestr"), format!("|V{size}"))?;
         // Without gaps: the payloads have no padding.
-        let descr: Vec<_> = fields
-            .iter()
-            .map(|(name, code, _)| (*name, code.as_str()))
-            .collect();
+        let descr: Vec<_> = fields.iter().map(|(name, code, _)| (*name, code.as_str())).collect();
         dict.set_item(intern!(py, "descr"), descr)?;
         dict.set_item(intern!(py, "data"), (self.memory.address, true))?;
         Ok(dict)
@@ -323,8 +308,7 @@ impl FrameMemory {
 impl Drop for FrameMemory {
     fn drop(&mut self) {
         let number = self.memory.number;
-        self.thread
-            .tell(move |state| drop(state.frames.remove(&number)));
+        self.thread.tell(move |state| drop(state.frames.remove(&number)));
     }
 }
 

@@ -37,10 +37,7 @@ impl<S: 'static> PortThread<S> {
         })?;
         // It ends with the last handle.
         thread.detach();
-        Ok(Self {
-            calls: Some(calls),
-            pid: process::id(),
-        })
+        Ok(Self { calls: Some(calls), pid: process::id() })
     }
 
     /// Has the thread run `call`, and waits for its result. Python's interpreter must be released.
@@ -53,9 +50,7 @@ impl<S: 'static> PortThread<S> {
         // The asking thread waits for it.
         let call: Call<S> = Box::new(move |ports| answer.send(call(ports)).unwrap_or(()));
         self.send(call)?;
-        result
-            .recv()
-            .map_err(|_| PyRuntimeError::new_err("the thread of the ports has ended"))
+        result.recv().map_err(|_| PyRuntimeError::new_err("the thread of the ports has ended"))
     }
 
     /// Has the thread run `call` later, without waiting.
@@ -68,10 +63,7 @@ impl<S: 'static> PortThread<S> {
 
     /// Another handle of the same thread.
     pub(crate) fn share(&self) -> Self {
-        Self {
-            calls: self.calls.clone(),
-            pid: self.pid,
-        }
+        Self { calls: self.calls.clone(), pid: self.pid }
     }
 
     pub(crate) fn check_process(&self) -> PyResult<()> {
@@ -86,10 +78,7 @@ impl<S: 'static> PortThread<S> {
     }
 
     fn send(&self, call: Call<S>) -> PyResult<()> {
-        let sent = self
-            .calls
-            .as_ref()
-            .is_some_and(|calls| calls.send(call).is_ok());
+        let sent = self.calls.as_ref().is_some_and(|calls| calls.send(call).is_ok());
         sent.then_some(())
             .ok_or_else(|| PyRuntimeError::new_err("the thread of the ports has ended"))
     }
@@ -98,9 +87,7 @@ impl<S: 'static> PortThread<S> {
 impl<S> fmt::Debug for PortThread<S> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let pid = self.pid;
-        out.debug_struct("PortThread")
-            .field("pid", &pid)
-            .finish_non_exhaustive()
+        out.debug_struct("PortThread").field("pid", &pid).finish_non_exhaustive()
     }
 }
 

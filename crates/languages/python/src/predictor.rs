@@ -36,9 +36,7 @@ impl Predictor {
     #[pyo3(signature = (model = PathBuf::from("builtin:gternal-sim"), **_more))]
     fn new(model: PathBuf, _more: Option<&Bound<'_, pyo3::types::PyDict>>) -> PyResult<Self> {
         let model = Model::Network(model::open(&model)?);
-        Ok(Self {
-            model: RwLock::new(Arc::new(model)),
-        })
+        Ok(Self { model: RwLock::new(Arc::new(model)) })
     }
 
     /// Forecasts in W of rows of features in SI units.
@@ -55,11 +53,7 @@ impl Predictor {
             model.predict(&rows, &mut forecasts_w);
             forecasts_w
         };
-        let forecasts_w = if count < RELEASED_FROM {
-            compute()
-        } else {
-            py.detach(compute)
-        };
+        let forecasts_w = if count < RELEASED_FROM { compute() } else { py.detach(compute) };
         array(py, forecasts_w, &[count])
     }
 
@@ -94,10 +88,7 @@ impl Predictor {
         let (energy_j, power_w) =
             py.detach(|| shape.roll(&model, &starts, &v.values, &omega.values, step_s))?;
         let energies = &v.shape[..v.shape.len() - 1];
-        Ok((
-            array(py, energy_j, energies)?,
-            array(py, power_w, &v.shape)?,
-        ))
+        Ok((array(py, energy_j, energies)?, array(py, power_w, &v.shape)?))
     }
 
     /// The model's name.
@@ -124,9 +115,8 @@ impl Predictor {
         let Model::Network(network) = model.as_ref() else {
             return Err(ModelError::new_err("the model has no file"));
         };
-        let bytes = network
-            .to_safetensors()
-            .map_err(|error| ModelError::new_err(error.to_string()))?;
+        let bytes =
+            network.to_safetensors().map_err(|error| ModelError::new_err(error.to_string()))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
@@ -216,11 +206,7 @@ impl Shape {
                 return Err(shape_error("v", &v.shape, allowed));
             }
         };
-        Ok(Self {
-            robots,
-            candidates,
-            steps,
-        })
+        Ok(Self { robots, candidates, steps })
     }
 
     /// Energy of each lane, and power of each step, in the order of Python's arrays.
@@ -261,11 +247,8 @@ fn starts(
     readings_w: Option<&Bound<'_, PyAny>>,
     before: Option<&(Bound<'_, PyAny>, Bound<'_, PyAny>)>,
 ) -> PyResult<Vec<RolloutStart>> {
-    let start = RolloutStart {
-        command: None,
-        lag_w: [3.5; LAGS],
-        reading_age: ReadingAge::UNKNOWN,
-    };
+    let start =
+        RolloutStart { command: None, lag_w: [3.5; LAGS], reading_age: ReadingAge::UNKNOWN };
     let mut starts = vec![start; robots];
     if let Some(given) = readings_w {
         let found = Numbers::read("readings_w", given)?;

@@ -77,10 +77,7 @@ impl PublisherPort {
         }
         if let Some(first) = &sent.first_refused {
             let what = (first.robot, first.reason.name());
-            let is_new = self
-                .warned
-                .lock()
-                .is_ok_and(|mut warned| warned.insert(what));
+            let is_new = self.warned.lock().is_ok_and(|mut warned| warned.insert(what));
             if is_new {
                 let more = match sent.refused - 1 {
                     0 => String::new(),
@@ -116,9 +113,7 @@ impl PublisherPort {
         else {
             return;
         };
-        let new = robots
-            .iter()
-            .filter(|state| state.power_w.is_some() && !state.held);
+        let new = robots.iter().filter(|state| state.power_w.is_some() && !state.held);
         new.for_each(|state| judgement.take(state, state.soc, now_ns));
         untold.extend(judgement.take_news());
     }
@@ -221,14 +216,9 @@ fn truths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(Vec<bool>, Vec<usiz
     let array = py.import("numpy")?.call_method1("asarray", (given,))?;
     let found = array.getattr("dtype")?;
     if found.getattr("kind")?.extract::<String>()? != "b" {
-        return Err(PyTypeError::new_err(format!(
-            "{name} has dtype {found}, allowed is bool"
-        )));
+        return Err(PyTypeError::new_err(format!("{name} has dtype {found}, allowed is bool")));
     }
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-    let values = array
-        .call_method0("ravel")?
-        .call_method0("tolist")?
-        .extract()?;
+    let values = array.call_method0("ravel")?.call_method0("tolist")?.extract()?;
     Ok((values, shape))
 }

@@ -41,9 +41,7 @@ pub(crate) fn acknowledge(
     let mut all = Alarm::ALL.into_iter();
     let alarm = all.find(|known| known.name() == alarm).ok_or_else(|| {
         let allowed = Alarm::ALL.map(Alarm::name).join(", ");
-        PyValueError::new_err(format!(
-            "{alarm:?} is no alarm of a robot; allowed: {allowed}"
-        ))
+        PyValueError::new_err(format!("{alarm:?} is no alarm of a robot; allowed: {allowed}"))
     })?;
     let timeout = Duration::try_from_secs_f64(timeout_s);
     let timeout = timeout.map_err(|error| PyValueError::new_err(error.to_string()))?;
@@ -52,9 +50,7 @@ pub(crate) fn acknowledge(
         let failed = |error: &dyn std::fmt::Display| ConnectError::new_err(error.to_string());
         let config = Config::load(config).map_err(|error| failed(&error))?;
         let client = PlanClient::with_config(&config, &name);
-        let taken = client
-            .map_err(|error| failed(&error))?
-            .acknowledge(robot, alarm, by, timeout);
+        let taken = client.map_err(|error| failed(&error))?.acknowledge(robot, alarm, by, timeout);
         taken.map_err(|error| PyRuntimeError::new_err(error.to_string()))
     })
 }
@@ -99,21 +95,14 @@ impl QuestionPorts {
     ) -> PyResult<Bound<'py, PyDict>> {
         let robots = Ids::read("robot", robot)?.0;
         let [robot] = *robots else {
-            return Err(PyValueError::new_err(format!(
-                "{} robots, allowed is one",
-                robots.len()
-            )));
+            return Err(PyValueError::new_err(format!("{} robots, allowed is one", robots.len())));
         };
         let (v, omega) = (Numbers::read("v", v)?, Numbers::read("omega", omega)?);
         let candidates = match *v.shape {
             [_] => 1,
             [candidates, _] => candidates,
             _ => {
-                return Err(shape_error(
-                    "v",
-                    &v.shape,
-                    "(steps,) or (candidates, steps)",
-                ));
+                return Err(shape_error("v", &v.shape, "(steps,) or (candidates, steps)"));
             }
         };
         if v.shape != omega.shape {
@@ -127,15 +116,7 @@ impl QuestionPorts {
             v_mps: v.values,
             omega_radps: omega.values,
         };
-        self.answer(
-            py,
-            Question {
-                plan,
-                coverage,
-                power,
-            },
-            timeout_s,
-        )
+        self.answer(py, Question { plan, coverage, power }, timeout_s)
     }
 
     /// Robots that stand still for a time, s.
@@ -149,11 +130,7 @@ impl QuestionPorts {
     ) -> PyResult<Bound<'py, PyDict>> {
         let robots = Ids::read("robots", robots)?.0;
         let plan = Plan::Idle { robots, duration_s };
-        let question = Question {
-            plan,
-            coverage,
-            power: false,
-        };
+        let question = Question { plan, coverage, power: false };
         self.answer(py, question, timeout_s)
     }
 
@@ -177,15 +154,7 @@ impl QuestionPorts {
             path: path(points, speed, heading_rad)?,
             back_to: back_to.map(|(x_m, y_m)| Point::new(x_m, y_m)),
         };
-        self.answer(
-            py,
-            Question {
-                plan,
-                coverage,
-                power,
-            },
-            timeout_s,
-        )
+        self.answer(py, Question { plan, coverage, power }, timeout_s)
     }
 
     /// Leaves the fleet.
@@ -198,16 +167,10 @@ impl QuestionPorts {
     /// The tick period of a robot's platform; that of the first where it is unknown.
     fn period_s(&self, robot: u32) -> f32 {
         let platforms = self.fleet.platforms();
-        let its = platforms.iter().find(|platform| {
-            platform
-                .settings
-                .robots
-                .iter()
-                .any(|ids| ids.contains(&robot))
-        });
-        let period_ns = its
-            .or(platforms.first())
-            .map_or(0, |platform| platform.settings.period_ns);
+        let its = platforms
+            .iter()
+            .find(|platform| platform.settings.robots.iter().any(|ids| ids.contains(&robot)));
+        let period_ns = its.or(platforms.first()).map_or(0, |platform| platform.settings.period_ns);
         period_ns as f32 * 1e-9
     }
 
@@ -291,10 +254,7 @@ fn path(
     speed: &Bound<'_, PyAny>,
     heading_rad: Option<f64>,
 ) -> PyResult<Path> {
-    let (points, speed) = (
-        Doubles::read("path", points)?,
-        Doubles::read("speed", speed)?,
-    );
+    let (points, speed) = (Doubles::read("path", points)?, Doubles::read("speed", speed)?);
     let [count, 2] = *points.shape else {
         return Err(shape_error(
             "path",
@@ -311,11 +271,7 @@ fn path(
         }
     };
     let point = |at: &[f64]| Point::new(at[0], at[1]);
-    Ok(Path {
-        points: points.values.chunks_exact(2).map(point).collect(),
-        speed_mps,
-        heading_rad,
-    })
+    Ok(Path { points: points.values.chunks_exact(2).map(point).collect(), speed_mps, heading_rad })
 }
 
 /// The answers by columns; what is unknown is NaN, and −1 as a leg.
@@ -329,36 +285,22 @@ fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyResult<Bound<'py, PyDict>> {
         dict.set_item(name, array(py, values, &count)?)
     };
     number("duration_s", |row| Some(row.answer.duration_s))?;
-    number("energy_j", |row| {
-        row.answer.energy.map(|energy| energy.mean_j)
-    })?;
-    number("energy_lo_j", |row| {
-        row.answer.energy.map(|energy| energy.lo_j)
-    })?;
-    number("energy_hi_j", |row| {
-        row.answer.energy.map(|energy| energy.hi_j)
-    })?;
+    number("energy_j", |row| row.answer.energy.map(|energy| energy.mean_j))?;
+    number("energy_lo_j", |row| row.answer.energy.map(|energy| energy.lo_j))?;
+    number("energy_hi_j", |row| row.answer.energy.map(|energy| energy.hi_j))?;
     number("left_j", |row| row.answer.left.map(|left| left.mean_j))?;
     number("left_lo_j", |row| row.answer.left.map(|left| left.lo_j))?;
     number("margin_j", |row| row.answer.margin_j)?;
     number("probability", |row| row.answer.probability)?;
     number("turn_back_s", |row| row.turn_back_s)?;
     let leg = |row: &Row| row.answer.limiting_leg.map_or(-1, |leg| leg as i64);
-    dict.set_item(
-        "limiting_leg",
-        array(py, rows.iter().map(leg).collect(), &count)?,
-    )?;
+    dict.set_item("limiting_leg", array(py, rows.iter().map(leg).collect(), &count)?)?;
     let texts: Vec<(&str, Option<String>)> =
         rows.iter().map(|row| verdict(row.answer.verdict)).collect();
     let (verdicts, reasons): (Vec<_>, Vec<_>) = texts.into_iter().unzip();
     dict.set_item("verdict", verdicts)?;
     dict.set_item("reason", reasons)?;
-    let caveats = |row: &Row| {
-        row.answer
-            .caveats
-            .any()
-            .then(|| row.answer.caveats.to_string())
-    };
+    let caveats = |row: &Row| row.answer.caveats.any().then(|| row.answer.caveats.to_string());
     dict.set_item("caveats", rows.iter().map(caveats).collect::<Vec<_>>())?;
     Ok(dict)
 }

@@ -61,9 +61,7 @@ pub(crate) fn read_capture<'py>(
         kinds: BTreeSet::new(),
         damage: None,
     };
-    let mut reader = py
-        .detach(|| Reader::open(&path))
-        .map_err(|error| refused(&path, &error))?;
+    let mut reader = py.detach(|| Reader::open(&path)).map_err(|error| refused(&path, &error))?;
     while !py.detach(|| found.take(&mut reader)) {
         py.check_signals()?;
     }
@@ -81,10 +79,7 @@ struct Readable {
 
 impl Readable {
     const fn of<C: Channel>() -> Self {
-        Self {
-            kind: MessageKind::of::<C>(),
-            add: Found::add::<C>,
-        }
+        Self { kind: MessageKind::of::<C>(), add: Found::add::<C> }
     }
 }
 
@@ -130,11 +125,7 @@ impl Found {
                 continue;
             }
             self.fleets.insert(entry.fleet.to_string());
-            if self
-                .fleet
-                .as_deref()
-                .is_some_and(|wanted| wanted != &*entry.fleet)
-            {
+            if self.fleet.as_deref().is_some_and(|wanted| wanted != &*entry.fleet) {
                 continue;
             }
             let Some((number, rows)) = (self.of.add)(self, &entry.message) else {
@@ -170,11 +161,7 @@ impl Found {
     fn check(&self, path: &Path) -> PyResult<()> {
         let (path, name) = (path.display(), self.of.kind.name());
         let fleets: Vec<&str> = self.fleets.iter().map(String::as_str).collect();
-        if let Some(wanted) = self
-            .fleet
-            .as_deref()
-            .filter(|wanted| !fleets.contains(wanted))
-        {
+        if let Some(wanted) = self.fleet.as_deref().filter(|wanted| !fleets.contains(wanted)) {
             let found = fleets.join(", ");
             return Err(RecordingError::new_err(format!(
                 "{path} has no {name} of fleet {wanted}, but of: {found}"
@@ -187,9 +174,7 @@ impl Found {
                 (true, None) => ", nor any other message of joulebus".to_owned(),
                 (true, Some(damage)) => format!(": {damage}"),
             };
-            return Err(RecordingError::new_err(format!(
-                "{path} has no {name}{found}"
-            )));
+            return Err(RecordingError::new_err(format!("{path} has no {name}{found}")));
         }
         if self.fleet.is_none() && fleets.len() > 1 {
             return Err(RecordingError::new_err(format!(
@@ -245,9 +230,7 @@ pub(crate) fn read_trials<'py>(
     py: Python<'py>,
     path: PathBuf,
 ) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
-    let trials = py
-        .detach(|| Trial::read_robots(&path))
-        .map_err(|error| refused_trial(&error))?;
+    let trials = py.detach(|| Trial::read_robots(&path)).map_err(|error| refused_trial(&error))?;
     let named = |trial: &Trial| Ok((trial.robot_name().map(str::to_owned), columns(py, trial)?));
     trials.iter().map(named).collect()
 }
@@ -255,10 +238,7 @@ pub(crate) fn read_trials<'py>(
 /// The columns of a trial in SI units.
 pub(crate) fn columns<'py>(py: Python<'py>, trial: &Trial) -> PyResult<Bound<'py, PyDict>> {
     let (dict, rows) = (PyDict::new(py), [trial.rows()]);
-    dict.set_item(
-        "timestamp_s",
-        array(py, trial.timestamp_s().to_vec(), &rows)?,
-    )?;
+    dict.set_item("timestamp_s", array(py, trial.timestamp_s().to_vec(), &rows)?)?;
     for column in Column::ALL {
         if let Some(values) = trial.column(column) {
             dict.set_item(name(column), array(py, values.to_vec(), &rows)?)?;
@@ -291,10 +271,7 @@ pub(crate) fn trial_rows<'py>(
     let features: Vec<f32> = found.iter().flat_map(|row| row.features).collect();
     let targets_w: Vec<f32> = found.iter().map(|row| row.target_w).collect();
     let rows = found.len();
-    Ok((
-        array(py, features, &[rows, INPUTS])?,
-        array(py, targets_w, &[rows])?,
-    ))
+    Ok((array(py, features, &[rows, INPUTS])?, array(py, targets_w, &[rows])?))
 }
 
 /// The trial of columns in SI units.
@@ -321,10 +298,7 @@ pub(crate) fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> Py
     let times_s = times_s
         .ok_or_else(|| PyValueError::new_err("timestamp_s is missing: the time of each row, s"))?;
     for (column, values) in Column::ALL.into_iter().zip(&values) {
-        if let Some(values) = values
-            .as_ref()
-            .filter(|values| values.len() != times_s.len())
-        {
+        if let Some(values) = values.as_ref().filter(|values| values.len() != times_s.len()) {
             let allowed = format!("({},), that of timestamp_s", times_s.len());
             return Err(shape_error(name(column), &[values.len()], &allowed));
         }
@@ -332,9 +306,7 @@ pub(crate) fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> Py
     let row = |(at, timestamp_s): (usize, &f64)| Row {
         timestamp_s: *timestamp_s,
         values: std::array::from_fn(|column| {
-            values[column]
-                .as_ref()
-                .map_or(f64::NAN, |values| values[at])
+            values[column].as_ref().map_or(f64::NAN, |values| values[at])
         }),
     };
     let rows = times_s.iter().enumerate().map(row);

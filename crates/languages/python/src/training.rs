@@ -40,9 +40,7 @@ pub(crate) fn train_rows<'py>(
     let mut settings = TrainSettings::new(name, "rows given in Python", set, seed);
     (settings.max_epochs, settings.patience) = (max_epochs, patience);
     let dataset = dataset(features, power_w, parts, set)?;
-    let mut training = py
-        .detach(|| Training::new(&dataset, &settings, 0))
-        .map_err(refused)?;
+    let mut training = py.detach(|| Training::new(&dataset, &settings, 0)).map_err(refused)?;
     while !training.is_done() {
         let epoch = py.detach(|| training.epoch()).map_err(refused)?;
         py.check_signals()?;
@@ -65,10 +63,8 @@ fn dataset(
     (training, validation): (usize, usize),
     set: FeatureSet,
 ) -> PyResult<Dataset> {
-    let (rows, targets) = (
-        Numbers::read("features", features)?,
-        Numbers::read("power_w", power_w)?,
-    );
+    let (rows, targets) =
+        (Numbers::read("features", features)?, Numbers::read("power_w", power_w)?);
     let width = match *rows.shape {
         [_, width] if set.end() <= width && width <= INPUTS => width,
         _ => {
@@ -87,12 +83,8 @@ fn dataset(
         let target_w = *target_w;
         Row { features, target_w }
     };
-    let mut rows: Vec<Row> = rows
-        .values
-        .chunks_exact(width)
-        .zip(&targets.values)
-        .map(row)
-        .collect();
+    let mut rows: Vec<Row> =
+        rows.values.chunks_exact(width).zip(&targets.values).map(row).collect();
     let held_out = rows.split_off((training + validation).min(count));
     let validation = rows.split_off(training.min(rows.len()));
     Ok(Dataset {
@@ -109,10 +101,5 @@ pub(crate) fn refused(error: TrainError) -> PyErr {
 }
 
 pub(crate) fn epoch_row(epoch: Epoch) -> EpochRow {
-    (
-        epoch.number,
-        epoch.training_loss,
-        epoch.validation_loss,
-        epoch.best,
-    )
+    (epoch.number, epoch.training_loss, epoch.validation_loss, epoch.best)
 }

@@ -86,13 +86,7 @@ impl Acknowledged {
         begun_ns: u64,
         table: Table,
     ) -> Result<Self, OpenError> {
-        Ok(Self {
-            table,
-            writer: bus.writer(limits)?,
-            diagnostics: None,
-            begun_ns,
-            due_ns: 0,
-        })
+        Ok(Self { table, writer: bus.writer(limits)?, diagnostics: None, begun_ns, due_ns: 0 })
     }
 
     pub(crate) fn table(&self) -> Table {
@@ -159,11 +153,7 @@ impl Acknowledged {
             };
         }
         let follow_ns = now_ns.saturating_add(FOLLOW_EVERY_NS);
-        Ok(if rows.is_empty() {
-            self.due_ns
-        } else {
-            follow_ns
-        })
+        Ok(if rows.is_empty() { self.due_ns } else { follow_ns })
     }
 }
 
@@ -196,8 +186,7 @@ mod tests {
         let row = |row: &'_ Acknowledgement| (row.robot, row.alarm());
         let by = table.rows.iter().map(Acknowledgement::by);
         let rows = table.rows.iter().map(row).zip(by);
-        rows.map(|((robot, alarm), by)| (robot, alarm, by))
-            .collect()
+        rows.map(|((robot, alarm), by)| (robot, alarm, by)).collect()
     }
 
     #[test]
@@ -205,26 +194,16 @@ mod tests {
         use Alarm::{BiasHigh, NoData, StuckSensor};
         let mut table = Table::default();
         let enter = |table: &mut Table, row, is_raised| {
-            table
-                .enter(row, is_raised)
-                .map_err(|refused| refused.reason)
+            table.enter(row, is_raised).map_err(|refused| refused.reason)
         };
         let refused = enter(&mut table, row(7, BiasHigh, "ann"), false);
         assert_eq!(refused, Err(QueryRefusal::NotRaised));
-        for (id, alarm, by) in [
-            (9, NoData, "ann"),
-            (7, BiasHigh, "ann"),
-            (7, StuckSensor, "bob"),
-        ] {
+        for (id, alarm, by) in [(9, NoData, "ann"), (7, BiasHigh, "ann"), (7, StuckSensor, "bob")] {
             assert_eq!(enter(&mut table, row(id, alarm, by), true), Ok(()));
         }
         // Another person takes it over.
         assert_eq!(enter(&mut table, row(9, NoData, "eve"), true), Ok(()));
-        let all = [
-            (7, StuckSensor, "bob"),
-            (7, BiasHigh, "ann"),
-            (9, NoData, "eve"),
-        ];
+        let all = [(7, StuckSensor, "bob"), (7, BiasHigh, "ann"), (9, NoData, "eve")];
         assert_eq!(held(&table), all);
         let (seven, nine) = (robot(7, &[BiasHigh, StuckSensor]), robot(9, &[NoData]));
         // In the order of slots, among others.
@@ -248,10 +227,7 @@ mod tests {
             assert_eq!(table.enter(row(id, Alarm::NoData, "ann"), true), Ok(()));
         }
         let refused = table.enter(row(999, Alarm::NoData, "ann"), true);
-        assert_eq!(
-            refused.map_err(|refused| refused.reason),
-            Err(QueryRefusal::Busy)
-        );
+        assert_eq!(refused.map_err(|refused| refused.reason), Err(QueryRefusal::Busy));
         assert_eq!(table.enter(row(5, Alarm::NoData, "bob"), true), Ok(()));
         let all: Vec<Diagnostic> = (0..2_000).map(|id| robot(id, &[Alarm::NoData])).collect();
         assert!(!table.follow(&all));

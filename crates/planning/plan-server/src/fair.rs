@@ -27,8 +27,7 @@ impl Fair {
     /// too many.
     pub(crate) fn keep(&mut self, waits: impl Fn(u32) -> bool) {
         let floor_ns = self.floor_ns;
-        self.used
-            .retain(|(process, used_ns)| *used_ns > floor_ns || waits(*process));
+        self.used.retain(|(process, used_ns)| *used_ns > floor_ns || waits(*process));
         let mut surplus = self.used.len().saturating_sub(MAX_REMEMBERED);
         self.used.retain(|(process, _)| {
             let goes = surplus > 0 && !waits(*process);

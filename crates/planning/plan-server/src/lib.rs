@@ -130,10 +130,7 @@ impl PlanServer {
         let counts = *self.shared.counts();
         QueryReport {
             answered: counts.answered,
-            refused: counts
-                .iter()
-                .map(|(reason, count)| (reason.name(), count))
-                .collect(),
+            refused: counts.iter().map(|(reason, count)| (reason.name(), count)).collect(),
         }
     }
 }

@@ -123,11 +123,7 @@ impl Server {
         // A fleet has one such port, which is there while a question is.
         drop(self.jobs);
         drop(self.server);
-        Ok(Self {
-            jobs: Vec::new(),
-            server: self.bus.query_server(&self.limits)?,
-            ..self
-        })
+        Ok(Self { jobs: Vec::new(), server: self.bus.query_server(&self.limits)?, ..self })
     }
 
     /// Refuses all questions, because the worker ends.
@@ -175,10 +171,7 @@ impl Server {
             return Ok(());
         };
         for (row, is_raised) in asked.into_iter().zip(raised) {
-            let place = self
-                .jobs
-                .iter()
-                .position(|job| job.acknowledgement().is_some());
+            let place = self.jobs.iter().position(|job| job.acknowledgement().is_some());
             let Some(place) = place else { break };
             let job = self.jobs.remove(place);
             match self.acknowledged.enter(row, is_raised) {
@@ -197,11 +190,8 @@ impl Server {
         if clients > 0 {
             self.asked_ns = now_ns;
             if self.planner.is_none() && self.jobs.iter().any(is_plan) {
-                self.planner = Some(Planner::with_fleet(
-                    &self.config,
-                    "queries",
-                    self.models.clone(),
-                )?);
+                self.planner =
+                    Some(Planner::with_fleet(&self.config, "queries", self.models.clone())?);
             }
         } else if now_ns.saturating_sub(self.asked_ns) > LINGER_NS {
             self.planner = None;
@@ -223,8 +213,7 @@ impl Server {
             }
         }
         let jobs = &self.jobs;
-        self.fair
-            .keep(|process| jobs.iter().any(|job| job.client == process));
+        self.fair.keep(|process| jobs.iter().any(|job| job.client == process));
         if jobs.is_empty() {
             return Ok((None, false));
         }
@@ -238,11 +227,8 @@ impl Server {
             State::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
             State::Acknowledging(_) => false,
         };
-        let ready: Vec<(usize, &Job)> = jobs
-            .iter()
-            .enumerate()
-            .filter(|job| is_ready(&job))
-            .collect();
+        let ready: Vec<(usize, &Job)> =
+            jobs.iter().enumerate().filter(|job| is_ready(&job)).collect();
         let next = self.fair.next(ready.iter().map(|(_, job)| job.client));
         let next = next.map(|at| ready[at].0);
         Ok((next, next.is_none()))
@@ -286,11 +272,7 @@ impl Server {
             return Ok(None);
         };
         let fleet = planner.fleet();
-        let is_done = if job.renewals == 0 {
-            work.step(fleet)
-        } else {
-            work.rest(fleet)
-        };
+        let is_done = if job.renewals == 0 { work.step(fleet) } else { work.rest(fleet) };
         if !is_done.map_err(refused)? {
             return Ok(None);
         }
@@ -312,9 +294,7 @@ impl Server {
             return Ok(Some(work));
         };
         let refused = |error: QuestionError| Refused::from(&error);
-        let mut work = work
-            .renew(|robot| View::rows(&view, robot))
-            .map_err(refused)?;
+        let mut work = work.renew(|robot| View::rows(&view, robot)).map_err(refused)?;
         view.state_in(&mut job.answer);
         job.renewals += 1;
         if work.rest(planner.fleet()).map_err(refused)? {
@@ -373,8 +353,7 @@ impl Server {
             ..job.answer
         };
         // A client that was not woken finds the answer itself.
-        self.server
-            .answer(&job.query, job.answer, job.listener(), words)?;
+        self.server.answer(&job.query, job.answer, job.listener(), words)?;
         Ok(())
     }
 
@@ -385,8 +364,7 @@ impl Server {
             answer: job.answer,
             ..QueryRecord::default()
         };
-        self.records
-            .add(record, (&job.values, words), self.counts)?;
+        self.records.add(record, (&job.values, words), self.counts)?;
         Ok(())
     }
 }

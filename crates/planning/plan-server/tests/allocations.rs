@@ -36,9 +36,7 @@ fn config(root: &std::path::Path) -> Config {
 
 fn feed(config: &Config, stop: &AtomicBool) {
     let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
-    let mut writer = bus
-        .sample_writer(&config.limits(), ROBOTS as usize)
-        .unwrap();
+    let mut writer = bus.sample_writer(&config.limits(), ROBOTS as usize).unwrap();
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         source_id: 1,
@@ -63,10 +61,7 @@ fn feed(config: &Config, stop: &AtomicBool) {
 fn ask(config: &Config, answered: &AtomicU64, stop: &AtomicBool) {
     let mut client = PlanClient::with_config(config, "client").unwrap();
     let question = Question {
-        plan: Plan::Idle {
-            robots: vec![0, 7, 19],
-            duration_s: 10.0,
-        },
+        plan: Plan::Idle { robots: vec![0, 7, 19], duration_s: 10.0 },
         coverage: 0.9,
         power: false,
     };
@@ -82,10 +77,7 @@ fn ask(config: &Config, answered: &AtomicU64, stop: &AtomicBool) {
 
 #[test]
 fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
-    let root = PathBuf::from(format!(
-        "/dev/shm/joulebus-test-asked-{}",
-        std::process::id()
-    ));
+    let root = PathBuf::from(format!("/dev/shm/joulebus-test-asked-{}", std::process::id()));
     let config = config(&root);
     let server = PlanServer::start(&config).unwrap();
     let mut worker = Worker::open(&config).unwrap();

@@ -162,10 +162,7 @@ impl Asked {
     fn now(timeout: Duration) -> Self {
         let begun_ns = clock::monotonic_ns();
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        Self {
-            begun_ns,
-            deadline_ns: begun_ns.saturating_add(timeout_ns),
-        }
+        Self { begun_ns, deadline_ns: begun_ns.saturating_add(timeout_ns) }
     }
 
     fn answered(self, answer: &AnswerHeader, words: &[u64]) -> Result<Answered, ClientError> {
@@ -182,9 +179,7 @@ impl Asked {
 
 impl fmt::Debug for PlanClient {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("PlanClient")
-            .field("client", &self.client)
-            .finish_non_exhaustive()
+        out.debug_struct("PlanClient").field("client", &self.client).finish_non_exhaustive()
     }
 }
 
@@ -203,10 +198,7 @@ mod tests {
             sent_ns: 9_000,
             ..AnswerHeader::default()
         };
-        let asked = Asked {
-            begun_ns: 1_200,
-            deadline_ns: u64::MAX,
-        };
+        let asked = Asked { begun_ns: 1_200, deadline_ns: u64::MAX };
         let answered = asked.answered(&answer, &[]);
         assert_eq!(answered.map(|answered| answered.age_ns).ok(), Some(8_000));
     }

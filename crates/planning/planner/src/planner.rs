@@ -181,12 +181,7 @@ impl<'a> View<'a> {
             let row = *budgets.robot(robot)?;
             Some((*budgets.header(), row))
         });
-        Some(RobotRows {
-            header: *self.states.header(),
-            state,
-            budget,
-            now_ns: self.now_ns,
-        })
+        Some(RobotRows { header: *self.states.header(), state, budget, now_ns: self.now_ns })
     }
 
     /// States in an answer's header which frames it is computed from, and when.

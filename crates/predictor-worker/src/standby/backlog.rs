@@ -61,11 +61,7 @@ impl Backlog {
     pub(crate) fn pop_due(&mut self, now_ns: u64) -> Option<Held> {
         let oldest = self.frames.front()?;
         let age_ns = now_ns.saturating_sub(oldest.taken_ns);
-        if age_ns > KEEP_NS || self.is_full() {
-            self.pop()
-        } else {
-            None
-        }
+        if age_ns > KEEP_NS || self.is_full() { self.pop() } else { None }
     }
 
     /// The oldest frame.
@@ -93,12 +89,9 @@ mod tests {
 
     #[test]
     fn there_is_room_for_all_samples_of_the_time_at_the_rate_of_the_fastest_robots() {
-        for (period_ns, samples) in [
-            (1_000_000, 12_000),
-            (10_000_000, 1_200),
-            (33_333_333, 360),
-            (1_000_000_000, 360),
-        ] {
+        for (period_ns, samples) in
+            [(1_000_000, 12_000), (10_000_000, 1_200), (33_333_333, 360), (1_000_000_000, 360)]
+        {
             let mut settings = settings(5);
             settings.platforms[0].period_ns = period_ns;
             assert_eq!(Backlog::new(&settings).max_samples, 5 * samples);
@@ -125,10 +118,7 @@ mod tests {
     fn frames_older_than_the_time_and_those_beyond_the_room_are_due_the_oldest_first() {
         let mut backlog = Backlog::new(&settings(2));
         let frame = |seq, count: usize, taken_ns| Held {
-            header: SampleHeader {
-                frame_seq: seq,
-                ..SampleHeader::default()
-            },
+            header: SampleHeader { frame_seq: seq, ..SampleHeader::default() },
             samples: vec![Sample::new(1, 1, 1); count],
             taken_ns,
         };

@@ -74,10 +74,7 @@ impl Following {
             self.look(places);
         }
         while let Some(held) = self.backlog.pop_due(now_ns) {
-            if self
-                .newest
-                .is_some_and(|(_, taken_ns)| !is_contained(&held, taken_ns))
-            {
+            if self.newest.is_some_and(|(_, taken_ns)| !is_contained(&held, taken_ns)) {
                 self.begin(fleet, places);
                 self.take(fleet, &held);
             }
@@ -173,12 +170,7 @@ mod tests {
     fn places(folder: &Path) -> Places {
         let [permit, keyframe, replica, request] =
             ["permit", "keyframe", "replica", "request"].map(|name| folder.join(name));
-        Places {
-            permit,
-            keyframe,
-            replica,
-            request,
-        }
+        Places { permit, keyframe, replica, request }
     }
 
     /// Frame `seq` of the run of a source that has sent all before, taken at `taken_ns`.
@@ -192,11 +184,7 @@ mod tests {
             ..SampleHeader::default()
         };
         let sample = Sample::new(0, seq + 1, taken_ns).command(0.1, 0.5);
-        Held {
-            header,
-            samples: vec![sample.reading(3.5, taken_ns)],
-            taken_ns,
-        }
+        Held { header, samples: vec![sample.reading(3.5, taken_ns)], taken_ns }
     }
 
     /// A fleet that has taken ten frames of the run 9, from `begun_ns` on, in a file.

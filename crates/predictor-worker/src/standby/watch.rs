@@ -33,18 +33,12 @@ pub(crate) struct CurrentPermit {
 impl CurrentPermit {
     /// The permit of a worker that needs none.
     pub(crate) const fn always() -> Self {
-        Self {
-            until_ns: AtomicU64::new(u64::MAX),
-            term: AtomicU64::new(0),
-        }
+        Self { until_ns: AtomicU64::new(u64::MAX), term: AtomicU64::new(0) }
     }
 
     /// The permit of a worker that waits for one.
     pub(crate) const fn not_yet() -> Self {
-        Self {
-            until_ns: AtomicU64::new(0),
-            term: AtomicU64::new(0),
-        }
+        Self { until_ns: AtomicU64::new(0), term: AtomicU64::new(0) }
     }
 
     /// Whether a frame may be sent at `now_ns`, since boot with suspend.
@@ -92,11 +86,7 @@ pub(crate) fn start(
     first: &Permit,
 ) -> std::io::Result<Background> {
     current_permit.begin(first);
-    let mut renewal = Renewal {
-        path,
-        current_permit,
-        is_logged: false,
-    };
+    let mut renewal = Renewal { path, current_permit, is_logged: false };
     renewal.step(false);
     Background::start("joulebus-permit", move || Ok::<_, std::io::Error>(renewal))
 }
@@ -131,11 +121,7 @@ impl Renewal {
 mod tests {
     use super::*;
 
-    const PERMIT: Permit = Permit {
-        term: 4,
-        until_ns: Some(100),
-        lease: 9,
-    };
+    const PERMIT: Permit = Permit { term: 4, until_ns: Some(100), lease: 9 };
 
     #[test]
     fn a_worker_speaks_until_its_permit_ends_and_never_with_that_of_another_term() {
@@ -144,21 +130,12 @@ mod tests {
         assert!(!current_permit.holds(0));
         current_permit.begin(&PERMIT);
         assert!(current_permit.holds(99) && !current_permit.holds(100));
-        current_permit.renew(Some(&Permit {
-            until_ns: Some(200),
-            ..PERMIT
-        }));
+        current_permit.renew(Some(&Permit { until_ns: Some(200), ..PERMIT }));
         assert!(current_permit.holds(199));
-        current_permit.renew(Some(&Permit {
-            until_ns: None,
-            ..PERMIT
-        }));
+        current_permit.renew(Some(&Permit { until_ns: None, ..PERMIT }));
         assert!(current_permit.holds(u64::MAX - 1));
-        for permit in [
-            None,
-            Some(Permit { term: 5, ..PERMIT }),
-            Some(Permit { term: 3, ..PERMIT }),
-        ] {
+        for permit in [None, Some(Permit { term: 5, ..PERMIT }), Some(Permit { term: 3, ..PERMIT })]
+        {
             current_permit.begin(&PERMIT);
             current_permit.renew(permit.as_ref());
             assert!(!current_permit.holds(0), "{permit:?}");
@@ -172,13 +149,7 @@ mod tests {
         let path = folder.path().join("permit-lab");
         for (renewed, until_ns) in [
             (Some(PERMIT), 100),
-            (
-                Some(Permit {
-                    until_ns: Some(300),
-                    ..PERMIT
-                }),
-                300,
-            ),
+            (Some(Permit { until_ns: Some(300), ..PERMIT }), 300),
             (Some(Permit { term: 5, ..PERMIT }), 0),
             (None, 0),
         ] {
@@ -208,10 +179,7 @@ mod tests {
         std::fs::write(&path, "nonsense").unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
         assert!(current_permit.holds(99) && !current_permit.holds(100));
-        let later = Permit {
-            until_ns: Some(300),
-            ..PERMIT
-        };
+        let later = Permit { until_ns: Some(300), ..PERMIT };
         later.write(&path).unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
         assert!(current_permit.holds(299));

@@ -34,11 +34,7 @@ impl Bus {
     pub fn join(domain: &Domain, _name: &str) -> Result<Self, JoinError> {
         host::operation();
         check_left()?;
-        Ok(Self {
-            domain: domain.clone(),
-            pid: host::current(),
-            generation: GENERATION.get(),
-        })
+        Ok(Self { domain: domain.clone(), pid: host::current(), generation: GENERATION.get() })
     }
 
     /// Checks that the files of this process are still there.
@@ -49,9 +45,7 @@ impl Bus {
         if self.generation == GENERATION.get() {
             return Ok(());
         }
-        Err(FilesRemoved {
-            path: self.domain.worker_file(),
-        })
+        Err(FilesRemoved { path: self.domain.worker_file() })
     }
 
     /// The file of `lock` is removed with the others.

@@ -7,17 +7,10 @@ use crate::CapacityError;
 /// Whether another object of shared memory can be made.
 pub(crate) fn check_left() -> Result<(), CapacityError> {
     if host::memory_is_full() {
-        return Err(CapacityError::Memory {
-            needed: 1 << 16,
-            free: 0,
-        });
+        return Err(CapacityError::Memory { needed: 1 << 16, free: 0 });
     }
     if !host::has_descriptors(host::current()) {
-        return Err(CapacityError::Descriptors {
-            needed: 80,
-            used: 64,
-            limit: 64,
-        });
+        return Err(CapacityError::Descriptors { needed: 80, used: 64, limit: 64 });
     }
     Ok(())
 }

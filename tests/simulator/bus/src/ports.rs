@@ -17,10 +17,7 @@ use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Wak
 const MAX_PASSED_OVER: u32 = 4_096;
 
 fn refused(service: Service, reason: &str) -> OpenError {
-    OpenError::Port {
-        service: service.name(),
-        reason: reason.to_owned(),
-    }
+    OpenError::Port { service: service.name(), reason: reason.to_owned() }
 }
 
 /// Sends frames.
@@ -127,10 +124,7 @@ impl<C: Channel> Writer<C> {
         host::operation();
         self.bus.check()?;
         if len > self.max_len {
-            return Err(SendError::TooLong {
-                found: len,
-                allowed: self.max_len,
-            });
+            return Err(SendError::TooLong { found: len, allowed: self.max_len });
         }
         Ok(())
     }
@@ -140,13 +134,7 @@ impl<C: Channel> Writer<C> {
         if host::is_dead() {
             return 0;
         }
-        let frame = outside(|| {
-            Rc::new(Sent {
-                header,
-                payload,
-                port: self.port,
-            })
-        });
+        let frame = outside(|| Rc::new(Sent { header, payload, port: self.port }));
         let mut reached = 0;
         for (pid, queue) in self.queues() {
             // A process of another version would be refused by iceoryx2.
@@ -163,9 +151,7 @@ impl<C: Channel> Writer<C> {
     fn queues(&self) -> Vec<(u32, Rc<dyn Any>)> {
         with(C::SERVICE, |state| {
             let readers = state.readers.iter();
-            readers
-                .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
-                .collect()
+            readers.map(|reader| (reader.pid, Rc::clone(&reader.queue))).collect()
         })
     }
 
@@ -259,11 +245,7 @@ impl<C: Channel> Reader<C> {
             if state.readers.len() == shape.subscribers {
                 return Err(refused(service, "ExceedsMaxSupportedSubscribers"));
             }
-            state.readers.push(Listed {
-                number,
-                pid: bus.pid,
-                queue: Rc::clone(&queue) as _,
-            });
+            state.readers.push(Listed { number, pid: bus.pid, queue: Rc::clone(&queue) as _ });
             Ok(())
         })?;
         Ok(Self {
@@ -302,10 +284,7 @@ impl<C: Channel> Reader<C> {
         while let Some(newer) = self.receive()? {
             latest = Some(newer);
         }
-        Ok(latest.map(|sent| Frame {
-            sent,
-            reader: PhantomData,
-        }))
+        Ok(latest.map(|sent| Frame { sent, reader: PhantomData }))
     }
 
     /// Holds the last frame that is `newer` than the held one.
@@ -384,9 +363,7 @@ impl<C: Channel> Reader<C> {
         }
         with(C::SERVICE, |state| {
             let lives = |port: u128| state.writers.iter().any(|(other, _)| *other == port);
-            queue
-                .connections
-                .retain(|connection| lives(connection.port));
+            queue.connections.retain(|connection| lives(connection.port));
         });
         None
     }

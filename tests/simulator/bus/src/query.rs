@@ -86,10 +86,7 @@ pub(crate) fn remove_process(pid: u32) {
 }
 
 fn refused(reason: &str) -> OpenError {
-    OpenError::Port {
-        service: Service::ASK.name(),
-        reason: reason.to_owned(),
-    }
+    OpenError::Port { service: Service::ASK.name(), reason: reason.to_owned() }
 }
 
 /// The worker's port for questions.
@@ -129,13 +126,7 @@ impl QueryServer {
             }
         })?;
         let _ = answered.wake(WakeEvent::Frame);
-        Ok(Self {
-            server,
-            asked,
-            answered,
-            wear: Wear::default(),
-            bus: bus.clone(),
-        })
+        Ok(Self { server, asked, answered, wear: Wear::default(), bus: bus.clone() })
     }
 
     /// The next waiting question.
@@ -156,10 +147,7 @@ impl QueryServer {
             if !with(|state| state.clients.contains(&transfer.client)) {
                 let kept = self.server.kept.get() + 1;
                 self.server.kept.set(kept);
-                assert!(
-                    kept < MAX_KEPT,
-                    "{kept} connections of clients that left are kept"
-                );
+                assert!(kept < MAX_KEPT, "{kept} connections of clients that left are kept");
             }
         }
     }
@@ -182,10 +170,7 @@ impl QueryServer {
             *query.transfer.answer.borrow_mut() = Some((header, words));
         }
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        Ok(Sent {
-            readers: 1,
-            not_woken: woken.err(),
-        })
+        Ok(Sent { readers: 1, not_woken: woken.err() })
     }
 
     /// Waits for questions.
@@ -292,9 +277,7 @@ impl QueryClient {
         _: QueryHeader,
         _: &[f64],
     ) -> Result<(AnswerHeader, Vec<u64>), QueryError> {
-        Err(QueryError::Send {
-            reason: "programs of the simulator send, and poll".to_owned(),
-        })
+        Err(QueryError::Send { reason: "programs of the simulator send, and poll".to_owned() })
     }
 
     /// As in `joulebus-bus`.
@@ -306,10 +289,7 @@ impl QueryClient {
         self.give_up();
         self.bus.check()?;
         if values.len() > QUERY_VALUES {
-            return Err(QueryError::TooLong {
-                found: values.len(),
-                allowed: QUERY_VALUES,
-            });
+            return Err(QueryError::TooLong { found: values.len(), allowed: QUERY_VALUES });
         }
         let server = self.watch()?;
         self.number += 1;
@@ -364,9 +344,9 @@ impl QueryClient {
                 Err(QueryError::WorkerGone)
             }
             None if is_closed => Err(QueryError::NotServed),
-            None if now_ns >= deadline_ns => Err(QueryError::TimedOut {
-                waited_ns: now_ns.saturating_sub(self.sent_ns),
-            }),
+            None if now_ns >= deadline_ns => {
+                Err(QueryError::TimedOut { waited_ns: now_ns.saturating_sub(self.sent_ns) })
+            }
             received => Ok(received),
         };
         match polled {
@@ -410,9 +390,7 @@ impl QueryClient {
             }
         }
         let server = with(|state| state.server.clone());
-        server
-            .filter(|server| server.pid == owner.port_pid)
-            .ok_or(QueryError::NotServed)
+        server.filter(|server| server.pid == owner.port_pid).ok_or(QueryError::NotServed)
     }
 }
 

@@ -101,11 +101,7 @@ impl Waiter {
             woken: Cell::default(),
         });
         with(service, |state| state.waiting.push(Rc::clone(&waiting)));
-        Ok(Self {
-            waiting,
-            service,
-            bus: bus.clone(),
-        })
+        Ok(Self { waiting, service, bus: bus.clone() })
     }
 
     /// The id by which it can be woken alone.

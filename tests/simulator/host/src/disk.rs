@@ -86,11 +86,7 @@ const MAX_ROOM: usize = 20_000;
 
 /// Sets what fails.
 pub fn fail(fault: Fault) {
-    let room = if fault == Fault::Full {
-        below(MAX_ROOM)
-    } else {
-        0
-    };
+    let room = if fault == Fault::Full { below(MAX_ROOM) } else { 0 };
     with(|disk| (disk.fault, disk.room) = (fault, room));
 }
 
@@ -119,8 +115,7 @@ impl Disk {
         self.next += 1;
         self.contents.insert(self.next, Content::default());
         self.names.insert(path.to_owned(), self.next);
-        self.changes
-            .push(Change::Created(path.to_owned(), self.next));
+        self.changes.push(Change::Created(path.to_owned(), self.next));
         self.next
     }
 
@@ -135,11 +130,7 @@ impl Disk {
                 })
             };
             self.contents.retain(|number, _| {
-                names
-                    .values()
-                    .chain(durable.values())
-                    .any(|of| of == number)
-                    || changed(*number)
+                names.values().chain(durable.values()).any(|of| of == number) || changed(*number)
             });
         }
     }
@@ -176,9 +167,7 @@ impl File {
                 (content.bytes, content.is_synced) = (Vec::new(), false);
                 return Ok(Self { number });
             }
-            Ok(Self {
-                number: disk.create(path.as_ref()),
-            })
+            Ok(Self { number: disk.create(path.as_ref()) })
         })
     }
 
@@ -445,11 +434,7 @@ pub fn lose_power() {
                 }
             }
         }
-        for content in disk
-            .contents
-            .values_mut()
-            .filter(|content| !content.is_synced)
-        {
+        for content in disk.contents.values_mut().filter(|content| !content.is_synced) {
             let written = std::mem::take(&mut content.bytes);
             content.bytes = torn(&content.durable, written);
             content.durable.clone_from(&content.bytes);

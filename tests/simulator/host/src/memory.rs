@@ -44,11 +44,7 @@ thread_local! {
 pub fn allocated(bytes: usize) -> Account {
     // Locals are gone while a thread ends.
     let is_outside = IS_OUTSIDE.try_with(Cell::get).unwrap_or(true);
-    let account = if is_outside {
-        Account(0)
-    } else {
-        Account::of(current())
-    };
+    let account = if is_outside { Account(0) } else { Account::of(current()) };
     add(account, bytes as i64);
     account
 }

@@ -312,9 +312,7 @@ pub fn run_thread(number: u64) {
 /// Removes the threads of a process that was killed. To be called after [`bury`].
 pub fn remove_threads(pid: u32) {
     let (gone, left) = THREADS.with_borrow_mut(|threads| {
-        std::mem::take(threads)
-            .into_iter()
-            .partition::<Vec<_>, _>(|thread| thread.pid == pid)
+        std::mem::take(threads).into_iter().partition::<Vec<_>, _>(|thread| thread.pid == pid)
     });
     THREADS.set(left);
     drop(gone);

@@ -74,9 +74,7 @@ pub fn monotonic_ns() -> u64 {
 /// Simulated time at which the monotonic clock will show `monotonic_ns`, give or take its drift.
 pub fn simulated_ns(monotonic_ns: u64) -> u64 {
     let clocks = CLOCKS.get();
-    clocks
-        .now_ns
-        .saturating_add(monotonic_ns.saturating_sub(clocks.monotonic_ns()))
+    clocks.now_ns.saturating_add(monotonic_ns.saturating_sub(clocks.monotonic_ns()))
 }
 
 /// Time of the wall clock, Unix ns.

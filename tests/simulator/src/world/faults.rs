@@ -22,10 +22,8 @@ impl World<'_> {
 
     pub(super) fn happens(&mut self, fault: Fault) -> Checked {
         let now_ns = time::now_ns();
-        let (period_ns, every_ns) = (
-            self.scenario.setup.period_ns,
-            self.scenario.setup.save_every_ns,
-        );
+        let (period_ns, every_ns) =
+            (self.scenario.setup.period_ns, self.scenario.setup.save_every_ns);
         match fault {
             Fault::Kill(role, operations) => {
                 let pid = self.slots[self.slot(role)].pid;
@@ -130,15 +128,13 @@ impl World<'_> {
                 let robots = self.slots[self.slot(Role::Source(source))].robots.clone();
                 self.names += 1;
                 let name = format!("rival-{}", self.names % 7);
-                self.checker
-                    .is_irregular(now_ns + (periods + 1) * period_ns);
+                self.checker.is_irregular(now_ns + (periods + 1) * period_ns);
                 self.visitor(name, robots, now_ns, now_ns + periods * period_ns);
             }
             Fault::Namesake(source, periods) => {
                 let slot = &self.slots[self.slot(Role::Source(source))];
                 let (name, robots) = (slot.name.clone(), slot.robots.clone());
-                self.checker
-                    .is_irregular(now_ns + (periods + 1) * period_ns);
+                self.checker.is_irregular(now_ns + (periods + 1) * period_ns);
                 self.visitor(name, robots, now_ns, now_ns + periods * period_ns);
             }
             Fault::PowerLoss(for_ns) => return self.power_loss(for_ns),

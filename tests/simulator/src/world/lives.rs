@@ -37,9 +37,7 @@ impl World<'_> {
         let number = self.names;
         host::enter(pid, slot.cost_ns);
         let opened = catch_unwind(AssertUnwindSafe(|| match slot.role {
-            Some(Role::Worker) => process::worker(config)
-                .map_err(|error| slot.last = error)
-                .ok(),
+            Some(Role::Worker) => process::worker(config).map_err(|error| slot.last = error).ok(),
             Some(Role::Planner(number)) => PlannerProgram::open(config, setup, number)
                 .map(|planner| Program::Planner(Box::new(planner))),
             Some(Role::Client(_)) => {
@@ -86,11 +84,7 @@ impl World<'_> {
         }
         loop {
             let pid = self.next_pid;
-            self.next_pid = if pid + 1 == PIDS.end {
-                PIDS.start
-            } else {
-                pid + 1
-            };
+            self.next_pid = if pid + 1 == PIDS.end { PIDS.start } else { pid + 1 };
             if host::life(pid).is_none() {
                 return pid;
             }
@@ -161,10 +155,7 @@ impl World<'_> {
         self.gone(place, ending)?;
         let recorded = match finished {
             Finished::Answered(report) if report.answered < self.answered => {
-                let found = format!(
-                    "{} were answered, {} counted",
-                    self.answered, report.answered
-                );
+                let found = format!("{} were answered, {} counted", self.answered, report.answered);
                 return Err(failure("answers are counted", found));
             }
             Finished::Recorded(summary) => Some(summary),
@@ -189,9 +180,7 @@ impl World<'_> {
         if slot.role.is_none() {
             slot.start_ns = u64::MAX;
         }
-        self.power_loss_ns = self
-            .power_loss_ns
-            .max(std::mem::take(&mut slot.power_loss_ns));
+        self.power_loss_ns = self.power_loss_ns.max(std::mem::take(&mut slot.power_loss_ns));
         if slot.role != Some(Role::Worker) {
             return Ok(());
         }

@@ -27,22 +27,10 @@ impl World<'_> {
         }
         let visitors_ns = self.slots.iter().filter(|slot| slot.role.is_none());
         let last_ns = visitors_ns.map(|slot| slot.until_ns).max().unwrap_or(0);
-        let paused_ns = self
-            .slots
-            .iter()
-            .map(|slot| slot.paused_until_ns.max(slot.slow_until_ns));
-        let quiet_ns = paused_ns
-            .max()
-            .unwrap_or(0)
-            .max(last_ns)
-            .max(self.disk_until_ns);
+        let paused_ns = self.slots.iter().map(|slot| slot.paused_until_ns.max(slot.slow_until_ns));
+        let quiet_ns = paused_ns.max().unwrap_or(0).max(last_ns).max(self.disk_until_ns);
         self.run_until(quiet_ns.max(self.memory_until_ns).max(time::now_ns()) + settle_ns)?;
-        self.visitor(
-            "the last".to_owned(),
-            vec![LAST_ROBOT],
-            time::now_ns(),
-            u64::MAX,
-        );
+        self.visitor("the last".to_owned(), vec![LAST_ROBOT], time::now_ns(), u64::MAX);
         self.run_until(time::now_ns() + 30 * period_ns + 2 * SECOND)?;
         self.all_answered()?;
         self.planners_are_fresh()?;
@@ -63,15 +51,13 @@ impl World<'_> {
 
     /// All robots of sources have forecasts; if not, the error states which processes run.
     fn all_answered(&self) -> Checked {
-        self.checker
-            .all_answered(LAST_ROBOT)
-            .map_err(|mut failure| {
-                for slot in &self.slots {
-                    let (name, is_running) = (&slot.name, slot.program.is_some());
-                    failure.found += &format!("; {name} (runs: {is_running}) {}", slot.last);
-                }
-                failure
-            })
+        self.checker.all_answered(LAST_ROBOT).map_err(|mut failure| {
+            for slot in &self.slots {
+                let (name, is_running) = (&slot.name, slot.program.is_some());
+                failure.found += &format!("; {name} (runs: {is_running}) {}", slot.last);
+            }
+            failure
+        })
     }
 
     fn planners_are_fresh(&self) -> Checked {
@@ -124,10 +110,7 @@ impl World<'_> {
         }
         // The observer has two.
         if bus::size() > 2 {
-            return Err(failure(
-                "nothing is left behind",
-                format!("{} ports", bus::size()),
-            ));
+            return Err(failure("nothing is left behind", format!("{} ports", bus::size())));
         }
         let ours = |path: &PathBuf| {
             let name = path.display().to_string();
@@ -137,10 +120,7 @@ impl World<'_> {
         let is_aside = |path: &&PathBuf| path.display().to_string().contains(".damaged-");
         let kept = names.iter().filter(|path| !is_aside(path)).count();
         match names.iter().find(|path| !ours(path)) {
-            Some(path) => Err(failure(
-                "nothing is left behind",
-                path.display().to_string(),
-            )),
+            Some(path) => Err(failure("nothing is left behind", path.display().to_string())),
             // Two generations and a temporary file, beside those that were set aside.
             None if kept > FOREIGN.len() + 3 => {
                 Err(failure("nothing is left behind", format!("{kept} files")))

@@ -38,20 +38,14 @@ fn compare(answers: &Answers, expected: &Answers) -> Option<Failure> {
         if let Some(expected) = expected.forecasts.get(key)
             && answer != expected
         {
-            return Some(failure(
-                NAME,
-                format!("{key:?}: {answer:?}, expected {expected:?}"),
-            ));
+            return Some(failure(NAME, format!("{key:?}: {answer:?}, expected {expected:?}")));
         }
     }
     for (key, entry) in &answers.ledgers {
         if let Some(expected) = expected.ledgers.get(key)
             && entry != expected
         {
-            return Some(failure(
-                NAME,
-                format!("{key:?}: {entry:?}, expected {expected:?}"),
-            ));
+            return Some(failure(NAME, format!("{key:?}: {entry:?}, expected {expected:?}")));
         }
     }
     let (found, wanted) = (answers.forecasts.len(), expected.forecasts.len());
@@ -69,24 +63,15 @@ fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
     bus::begin();
     let text = scenario.setup.toml(LEDGER);
     let parsed = Config::parse(&text, Path::new("/"));
-    let loaded = parsed
-        .map_err(|error| error.to_string())
-        .and_then(|config| {
-            let models =
-                simulated_models::load_models(&config).map_err(|error| error.to_string())?;
-            Ok((config, models))
-        });
+    let loaded = parsed.map_err(|error| error.to_string()).and_then(|config| {
+        let models = simulated_models::load_models(&config).map_err(|error| error.to_string())?;
+        Ok((config, models))
+    });
     let (config, models) = match loaded {
         Ok(loaded) => loaded,
         Err(error) => {
             let failure = Some(failure("the config is accepted", error));
-            return (
-                Outcome {
-                    failure,
-                    ..Outcome::default()
-                },
-                Answers::default(),
-            );
+            return (Outcome { failure, ..Outcome::default() }, Answers::default());
         }
     };
     for path in FOREIGN {

@@ -13,11 +13,8 @@ use crate::scenario::{Role, Scenario};
 
 pub(super) const SECOND: u64 = 1_000_000_000;
 /// Files of others beside it.
-pub(super) const FOREIGN: [&str; 3] = [
-    "/sim/ledger.json.mine",
-    "/sim/notes.txt",
-    "/sim/captures/other.mcap",
-];
+pub(super) const FOREIGN: [&str; 3] =
+    ["/sim/ledger.json.mine", "/sim/notes.txt", "/sim/captures/other.mcap"];
 /// Pids are reused after so many processes.
 pub(super) const PIDS: std::ops::Range<u32> = host::FIRST_PID..host::FIRST_PID + 40;
 
@@ -76,20 +73,10 @@ impl<'a> World<'a> {
             let robots = (0..setup.robots).map(|robot| (10 * source + robot) as u32);
             // The first answers are the same only if the worker has read the first sample.
             let name = format!("source-{source}");
-            world.place(
-                Some(Role::Source(source)),
-                name,
-                robots.collect(),
-                SECOND / 10,
-            );
+            world.place(Some(Role::Source(source)), name, robots.collect(), SECOND / 10);
         }
         for planner in 0..setup.planners {
-            world.place(
-                Some(Role::Planner(planner)),
-                "planner".to_owned(),
-                Vec::new(),
-                0,
-            );
+            world.place(Some(Role::Planner(planner)), "planner".to_owned(), Vec::new(), 0);
         }
         for client in 0..setup.clients {
             world.place(
@@ -100,12 +87,7 @@ impl<'a> World<'a> {
             );
         }
         if setup.records {
-            world.place(
-                Some(Role::Recorder),
-                "recorder".to_owned(),
-                Vec::new(),
-                SECOND / 20,
-            );
+            world.place(Some(Role::Recorder), "recorder".to_owned(), Vec::new(), SECOND / 20);
         }
         world
     }

@@ -23,9 +23,7 @@ impl World<'_> {
                 let for_ns = std::mem::take(&mut self.power_loss_ns);
                 self.power_loss(for_ns)?;
             }
-            let due = (0..self.slots.len())
-                .map(|slot| (self.due_ns(slot), slot))
-                .min();
+            let due = (0..self.slots.len()).map(|slot| (self.due_ns(slot), slot)).min();
             match due {
                 Some((at_ns, slot)) if at_ns <= until_ns => {
                     time::pass_until(at_ns);
@@ -60,10 +58,7 @@ impl World<'_> {
             return slot.start_ns;
         }
         let thread_ns = host::next_thread(slot.pid).map_or(u64::MAX, |(_, due_ns)| due_ns);
-        slot.wake_ns
-            .min(thread_ns)
-            .min(slot.until_ns)
-            .max(slot.paused_until_ns)
+        slot.wake_ns.min(thread_ns).min(slot.until_ns).max(slot.paused_until_ns)
     }
 
     fn advance(&mut self, place: usize) -> Checked {
@@ -143,10 +138,8 @@ impl World<'_> {
         let bytes = memory::live(slot.pid) - slot.opened_bytes;
         let max_bytes = grown::max_bytes(program, &self.scenario.setup);
         if bytes > max_bytes {
-            let found = format!(
-                "{} has grown by {bytes} bytes, allowed are {max_bytes}",
-                slot.name
-            );
+            let found =
+                format!("{} has grown by {bytes} bytes, allowed are {max_bytes}", slot.name);
             return Err(failure("memory is bounded", found));
         }
         self.outcome.grown.note(program, bytes);

@@ -16,15 +16,8 @@ fn of<T>(pid: u32, work: impl FnOnce() -> T) -> T {
 }
 
 fn send(writer: &mut Writer<Signals>, tick: u64) -> usize {
-    let header = SignalHeader {
-        schema: SCHEMA_VERSION,
-        tick,
-        ..SignalHeader::default()
-    };
-    let row = |robot: usize| Signal {
-        robot: robot as u32,
-        ..Signal::default()
-    };
+    let header = SignalHeader { schema: SCHEMA_VERSION, tick, ..SignalHeader::default() };
+    let row = |robot: usize| Signal { robot: robot as u32, ..Signal::default() };
     writer.send(header, 2, row).unwrap()
 }
 

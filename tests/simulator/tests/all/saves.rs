@@ -67,10 +67,7 @@ fn a_power_failure_at_any_step_of_a_save_leaves_what_was_synced() {
             // The save before is cut off between its renames.
             let cut = Fault::KillAtDisk(Role::Worker, 6, accesses);
             let fails = Fault::PowerLossAtDisk(Role::Worker, 6, SECOND);
-            hold(&scenario(
-                seed,
-                &[(10 * SECOND, cut), (10 * SECOND + MS, fails)],
-            ));
+            hold(&scenario(seed, &[(10 * SECOND, cut), (10 * SECOND + MS, fails)]));
         }
     }
 }

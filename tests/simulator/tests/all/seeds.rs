@@ -110,10 +110,7 @@ fn a_seed_is_played_again_exactly() {
     let scenarios = [1, 4, 11].map(|seed| Scenario::of(seed, Some(2 * MINUTES_NS)));
     let one = scenarios.each_ref().map(whole);
     let again = std::thread::scope(|scope| {
-        scope
-            .spawn(|| scenarios.iter().rev().map(whole).collect::<Vec<_>>())
-            .join()
-            .unwrap()
+        scope.spawn(|| scenarios.iter().rev().map(whole).collect::<Vec<_>>()).join().unwrap()
     });
     for (one, again) in one.iter().zip(again.iter().rev()) {
         assert_eq!(one, again);

@@ -68,11 +68,7 @@ pub(crate) fn flood(config: &Config, heavy: bool) -> Done {
     let (mut answered, mut is_asking) = (0, false);
     while !stop.load(Ordering::Relaxed) {
         let robot = (answered % 4) as u32;
-        let question = if heavy {
-            path(&[0, 1, 2, 3], 4.0)
-        } else {
-            commands(robot, 16, 50)
-        };
+        let question = if heavy { path(&[0, 1, 2, 3], 4.0) } else { commands(robot, 16, 50) };
         let begun = Instant::now();
         match client.ask(&question, PATIENCE) {
             Ok(_) => {
@@ -206,9 +202,7 @@ pub(crate) fn bits(config: &Config, count: u64) -> Done {
             rows.iter().all(|row| {
                 row.header.worker_epoch == answered.worker_epoch
                     && row.header.tick == answered.tick
-                    && row
-                        .budget
-                        .is_some_and(|(of, _)| of.tick == answered.budget_tick)
+                    && row.budget.is_some_and(|(of, _)| of.tick == answered.budget_tick)
             })
         };
         let Some(rows) = seen.iter().find(is_of) else {
@@ -246,23 +240,15 @@ pub(crate) fn hostile(config: &Config) -> Done {
     for (expected, header, values) in refused(fleet) {
         let deadline_ns = joulebus_consumer::clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         let is_late = expected == QueryRefusal::Deadline;
-        let asked = QueryHeader {
-            deadline_ns: if is_late { 1 } else { deadline_ns },
-            ..header
-        };
-        let found = client
-            .send(asked, &values)
-            .and_then(|()| client.wait(deadline_ns));
+        let asked = QueryHeader { deadline_ns: if is_late { 1 } else { deadline_ns }, ..header };
+        let found = client.send(asked, &values).and_then(|()| client.wait(deadline_ns));
         let found = match found {
             Ok((answer, _)) => QueryRefusal::decode(answer.refusal)
                 .map_or_else(|| "answered".to_owned(), |reason| reason.name().to_owned()),
             Err(QueryError::TooLong { .. }) => "TooLarge".to_owned(),
             Err(error) => error.to_string(),
         };
-        print_line(&AskerLine::Refused {
-            expected: expected.name().to_owned(),
-            found,
-        })?;
+        print_line(&AskerLine::Refused { expected: expected.name().to_owned(), found })?;
     }
     print_line(&AskerLine::Done { answered: 0 })
 }

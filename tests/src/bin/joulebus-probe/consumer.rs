@@ -27,10 +27,9 @@ pub(crate) fn run(config: &Config) -> Done {
                 robots: frame.robots().len(),
                 accepted: frame.header().samples_accepted,
             },
-            Event::Gone(end) => ReaderLine::WorkerGone {
-                end: format!("{end:?}"),
-                at_ns: clock::monotonic_ns(),
-            },
+            Event::Gone(end) => {
+                ReaderLine::WorkerGone { end: format!("{end:?}"), at_ns: clock::monotonic_ns() }
+            }
             Event::Stale { age_ns } => ReaderLine::Stale { age_ns },
             _ => continue,
         };

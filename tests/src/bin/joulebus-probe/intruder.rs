@@ -14,11 +14,7 @@ pub(crate) fn run(config: &Config) -> Done {
     let mut worked: Vec<String> = Vec::new();
     let mut tried = 0;
     for entry in fs::read_dir("/dev/shm")?.flatten() {
-        if !entry
-            .file_name()
-            .to_string_lossy()
-            .starts_with(domain.shm_prefix())
-        {
+        if !entry.file_name().to_string_lossy().starts_with(domain.shm_prefix()) {
             continue;
         }
         let path = entry.path();
@@ -29,10 +25,7 @@ pub(crate) fn run(config: &Config) -> Done {
             }
         };
         attempt("read", fs::File::open(&path).is_ok());
-        attempt(
-            "write",
-            fs::OpenOptions::new().write(true).open(&path).is_ok(),
-        );
+        attempt("write", fs::OpenOptions::new().write(true).open(&path).is_ok());
         attempt("remove", fs::remove_file(&path).is_ok());
     }
     for directory in [domain.root().to_owned(), domain.directory()] {
@@ -46,10 +39,7 @@ pub(crate) fn run(config: &Config) -> Done {
     }
     tried += 2;
     let socket = UnixDatagram::unbound()?;
-    if socket
-        .send_to(b"x", Path::new(&domain.directory()).join("members.lock"))
-        .is_ok()
-    {
+    if socket.send_to(b"x", Path::new(&domain.directory()).join("members.lock")).is_ok() {
         worked.push("send".to_owned());
     }
     if Bus::join(&domain, "intruder").is_ok() {

@@ -90,10 +90,7 @@ impl Ports {
             print_line(&ReaderLine::Diagnostics(line))?;
         }
         while let Some(frame) = self.budgets.take_next()? {
-            print_line(&ReaderLine::Budgets(BudgetFrame::new(
-                frame.header(),
-                frame.payload(),
-            )))?;
+            print_line(&ReaderLine::Budgets(BudgetFrame::new(frame.header(), frame.payload())))?;
         }
         Ok(newest)
     }
@@ -119,11 +116,7 @@ pub(crate) fn record(config: &Config) -> Done {
                     break;
                 }
             }
-            let torn = frame
-                .samples()
-                .iter()
-                .filter(|sample| !is_whole(sample))
-                .count();
+            let torn = frame.samples().iter().filter(|sample| !is_whole(sample)).count();
             print_line(&ReaderLine::Samples {
                 pid: frame.header().pid,
                 samples: frame.samples().len(),

@@ -18,9 +18,7 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
         source_epoch: clock::monotonic_ns(),
         ..SampleHeader::default()
     };
-    print_line(&SourceLine::Ready {
-        source_epoch: header.source_epoch,
-    })?;
+    print_line(&SourceLine::Ready { source_epoch: header.source_epoch })?;
     for line in std::io::stdin().lines() {
         let frames: Vec<FrameLine> = serde_json::from_str(&line?)?;
         let mut readers = 0;
@@ -46,10 +44,7 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
             header.frame_seq += 1;
             header.samples_before += samples.len() as u64;
         }
-        print_line(&SourceLine::Sent {
-            readers,
-            samples: header.samples_before,
-        })?;
+        print_line(&SourceLine::Sent { readers, samples: header.samples_before })?;
     }
     Ok(())
 }

@@ -59,10 +59,7 @@ pub fn settings(capacity: u32) -> FleetSettings {
             leave_after_ns: 2_500 * MS,
             max_sources: 4,
         },
-        interval: IntervalSettings {
-            coverage: 0.9,
-            rate: 0.05,
-        },
+        interval: IntervalSettings { coverage: 0.9, rate: 0.05 },
         alarms: AlarmSettings {
             bias_weight: 0.01,
             cusum_slack: 0.5,
@@ -76,10 +73,7 @@ pub fn settings(capacity: u32) -> FleetSettings {
             training_margin: 0.1,
         },
         platforms: vec![
-            Platform {
-                battery: Some(battery()),
-                ..platform("wheeled", 0, PERIOD_NS)
-            },
+            Platform { battery: Some(battery()), ..platform("wheeled", 0, PERIOD_NS) },
             Platform {
                 power_min_w: -10.0,
                 battery: Some(battery()),
@@ -114,11 +108,7 @@ pub fn fresh_models() -> Vec<Model> {
 }
 
 fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
-    let residual = ResidualStats {
-        std_w: 0.1,
-        q05_w: -0.15,
-        q95_w: 0.17,
-    };
+    let residual = ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 };
     vec![
         Model::Network(random::network(1, first)),
         Model::Network(random::network(2, second)),
@@ -200,11 +190,7 @@ pub fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
     let sample = Sample::new(robot, step, stamp_ns)
         .command(0.2 * phase(0.11), 1.5 * phase(0.07))
         .reading(power_w, stamp_ns.saturating_sub(since * period_ns));
-    if since == 0 {
-        sample
-    } else {
-        sample.with(joulebus_wire::sample_flag::HELD)
-    }
+    if since == 0 { sample } else { sample.with(joulebus_wire::sample_flag::HELD) }
 }
 
 /// All outputs of one robot, with floats as their bits.
@@ -225,16 +211,10 @@ pub struct Bits {
 pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     let place = place(fleet, robot)?;
     Some(Bits {
-        forecast: row_bits(&Forecast {
-            generation: 0,
-            ..fleet.forecast(place)
-        }),
+        forecast: row_bits(&Forecast { generation: 0, ..fleet.forecast(place) }),
         diagnostic: row_bits(&fleet.diagnostic(place)),
         budget: row_bits(&fleet.budget(place)),
-        plan_state: row_bits(&PlanState {
-            generation: 0,
-            ..fleet.plan_state(place)
-        }),
+        plan_state: row_bits(&PlanState { generation: 0, ..fleet.plan_state(place) }),
     })
 }
 
@@ -286,7 +266,5 @@ pub fn quality(fleet: &Fleet, robot: u32) -> Quality {
 /// All of a row. Its length is a multiple of eight bytes.
 pub fn row_bits<R: bytemuck::NoUninit>(row: &R) -> Vec<u64> {
     let words = bytemuck::bytes_of(row).chunks_exact(8);
-    words
-        .map(|word| u64::from_ne_bytes(word.try_into().expect("eight bytes")))
-        .collect()
+    words.map(|word| u64::from_ne_bytes(word.try_into().expect("eight bytes"))).collect()
 }

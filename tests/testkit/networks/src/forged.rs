@@ -25,10 +25,7 @@ pub fn forged(
     let mut data = Vec::new();
     for (name, shape, values) in tensors {
         add(name.as_bytes());
-        add(&shape
-            .iter()
-            .flat_map(|&n| (n as u64).to_le_bytes())
-            .collect::<Vec<u8>>());
+        add(&shape.iter().flat_map(|&n| (n as u64).to_le_bytes()).collect::<Vec<u8>>());
         add(values);
         let offsets = [data.len(), data.len() + values.len()];
         data.extend_from_slice(values);
@@ -36,11 +33,7 @@ pub fn forged(
         header.insert(name.clone(), entry);
     }
     let mut metadata = metadata.clone();
-    let sha256 = digest
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let sha256 = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     metadata.insert("sha256".to_owned(), sha256);
     header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
     let header = serde_json::Value::Object(header).to_string().into_bytes();
@@ -56,19 +49,12 @@ pub fn forged(
 /// It is none.
 pub fn contents(bytes: &[u8]) -> Contents {
     let (_, header) = SafeTensors::read_metadata(bytes).expect("own files are safetensors");
-    let metadata = header
-        .metadata()
-        .clone()
-        .expect("own files have metadata")
-        .into_iter();
+    let metadata = header.metadata().clone().expect("own files have metadata").into_iter();
     let file = SafeTensors::deserialize(bytes).expect("own files are safetensors");
     let mut tensors: Vec<_> = file
         .iter()
         .map(|(name, view)| (name.to_owned(), view.shape().to_vec(), view.data().to_vec()))
         .collect();
     tensors.sort();
-    (
-        metadata.filter(|(key, _)| key != "sha256").collect(),
-        tensors,
-    )
+    (metadata.filter(|(key, _)| key != "sha256").collect(), tensors)
 }

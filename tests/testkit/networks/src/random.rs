@@ -31,9 +31,7 @@ pub fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Parameters {
     let mut layer = |inputs: usize, outputs: usize| {
         let scale = (3.0 / inputs as f32).sqrt();
         Layer {
-            weights: (0..inputs * outputs)
-                .map(|_| noise.next_f32() * scale)
-                .collect(),
+            weights: (0..inputs * outputs).map(|_| noise.next_f32() * scale).collect(),
             bias: (0..outputs).map(|_| noise.next_f32() * 0.3).collect(),
         }
     };
@@ -79,29 +77,14 @@ pub fn card(feature_set: FeatureSet) -> ModelCard {
         trained_rows: Some(TrainedRows {
             rows: 1_000,
             blocks: vec![
-                TrainedBlocks {
-                    rows: 64,
-                    hashes: vec![3, u64::MAX],
-                },
-                TrainedBlocks {
-                    rows: 17,
-                    hashes: vec![0],
-                },
+                TrainedBlocks { rows: 64, hashes: vec![3, u64::MAX] },
+                TrainedBlocks { rows: 17, hashes: vec![0] },
             ],
         }),
         seed: u64::MAX,
         step_s: None,
-        training_range: TrainingRange {
-            feature_set,
-            min,
-            max,
-            seen: None,
-        },
-        residual: ResidualStats {
-            std_w: 0.1,
-            q05_w: -0.15,
-            q95_w: 0.17,
-        },
+        training_range: TrainingRange { feature_set, min, max, seen: None },
+        residual: ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 },
         scores: Scores {
             rows: 1_000,
             network_r2: 0.9,
@@ -132,12 +115,7 @@ fn linear(feature_set: FeatureSet) -> Linear {
     let mut weights = [0.0; INPUTS];
     weights[feature_set.range()].fill(0.03);
     weights[6] = 0.8;
-    Linear {
-        feature_set,
-        bias_w: 0.15,
-        weights,
-        r2: 0.88,
-    }
+    Linear { feature_set, bias_w: 0.15, weights, r2: 0.88 }
 }
 
 /// A random network; the same for the same seed.

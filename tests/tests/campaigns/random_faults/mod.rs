@@ -153,12 +153,7 @@ impl<'a> Fleet<'a> {
             return None;
         }
         let mut child = self.members[at].take()?;
-        assert!(
-            child.is_running(),
-            "{:?} has ended: {}",
-            ROLES[at],
-            child.tail()
-        );
+        assert!(child.is_running(), "{:?} has ended: {}", ROLES[at], child.tail());
         Some(child)
     }
 
@@ -246,9 +241,7 @@ impl<'a> Fleet<'a> {
     fn kill_started(&mut self, at: usize, mut child: Child, after: Duration) {
         std::thread::sleep(after);
         let ended = child.kill();
-        let is_refused = ended
-            .code()
-            .is_some_and(|code| SHORT_OF_RESOURCES.contains(&code));
+        let is_refused = ended.code().is_some_and(|code| SHORT_OF_RESOURCES.contains(&code));
         assert!(ended.signal() == Some(9) || is_refused, "{ended:?}");
         self.kills[at] += 1;
         if ROLES[at] == Role::Recorder {
@@ -289,11 +282,9 @@ impl<'a> Fleet<'a> {
         };
         let longest = match ROLES[at] {
             Role::Worker => self.arena.ledger(),
-            Role::Recorder => self
-                .captures
-                .last()
-                .map(|(file, _)| file.clone())
-                .unwrap_or_default(),
+            Role::Recorder => {
+                self.captures.last().map(|(file, _)| file.clone()).unwrap_or_default()
+            }
             Role::Controller(_) | Role::Planner => return,
         };
         let bytes = longest.metadata().map_or(0, |file| file.len()) + dice.below(20_000);
@@ -321,10 +312,7 @@ impl<'a> Fleet<'a> {
         let beside = beside.iter().map(|pid| pid.load(Ordering::Relaxed));
         let pids: Vec<u32> = members.chain(beside).collect();
         let all = |signal| {
-            for pid in pids
-                .iter()
-                .filter_map(|pid| Pid::from_raw(pid.cast_signed()))
-            {
+            for pid in pids.iter().filter_map(|pid| Pid::from_raw(pid.cast_signed())) {
                 // It may have ended, and is waited for later.
                 let _ = kill_process(pid, signal);
             }
@@ -453,14 +441,11 @@ fn undisturbed(arena: &Arena, setup: &Setup, beside: &Beside, stop: &AtomicBool)
     beside[2].store(reader.child.pid(), Ordering::Relaxed);
     let mut frames = 0;
     while !stop.load(Ordering::Relaxed) {
-        let frame: Vec<Sample> = UNDISTURBED
-            .map(|robot| sample(robot, frames, setup.period_ns()))
-            .to_vec();
+        let frame: Vec<Sample> =
+            UNDISTURBED.map(|robot| sample(robot, frames, setup.period_ns())).to_vec();
         source.send(&frame);
         reader.until("the undisturbed source's frame", |line| match line {
-            ReaderLine::Samples {
-                pid: of, samples, ..
-            } if *of == pid => {
+            ReaderLine::Samples { pid: of, samples, .. } if *of == pid => {
                 assert_eq!(*samples, frame.len());
                 Some(())
             }
@@ -481,22 +466,11 @@ fn assert_in_order(planner: &mut Planner) -> u64 {
     let (mut last, mut runs) = (None, 0);
     for line in planner.seen() {
         match line {
-            ReaderLine::Given {
-                worker_epoch,
-                tick,
-                restarted,
-                ..
-            } => {
+            ReaderLine::Given { worker_epoch, tick, restarted, .. } => {
                 let next = (*worker_epoch, *tick);
-                assert!(
-                    last.is_none_or(|last| last < next),
-                    "{last:?} then {next:?}"
-                );
+                assert!(last.is_none_or(|last| last < next), "{last:?} then {next:?}");
                 let is_same = last.is_some_and(|(epoch, _)| epoch == *worker_epoch);
-                assert!(
-                    last.is_none() || *restarted != is_same,
-                    "{last:?} then {line:?}"
-                );
+                assert!(last.is_none() || *restarted != is_same, "{last:?} then {line:?}");
                 runs += u64::from(!is_same);
                 last = Some(next);
             }
@@ -543,11 +517,7 @@ fn is_witnessed() -> bool {
 
 fn script(name: &str) -> Command {
     let mut command = Command::new("python3");
-    command.arg(
-        Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../tools")
-            .join(name),
-    );
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools").join(name));
     command
 }
 
@@ -555,9 +525,7 @@ fn script(name: &str) -> Command {
 fn read_by_iceoryx2(arena: &Arena) -> Child {
     let mut command = script("read_fleet.py");
     let domain = arena.domain();
-    command
-        .arg(domain.directory().join("iceoryx2.toml"))
-        .args(["--fleet", domain.fleet()]);
+    command.arg(domain.directory().join("iceoryx2.toml")).args(["--fleet", domain.fleet()]);
     let mut reader = Child::spawn("read_fleet.py", command);
     reader.wait_for_line("ready");
     reader
@@ -625,9 +593,7 @@ fn run_fleet(dice: &mut Dice) -> ([u64; ROLES.len()], u64) {
 fn assert_forecast(arena: &Arena, robots: &[u32]) {
     let mut planner = arena.planner();
     for robot in robots {
-        planner.quality("it is forecast", *robot, |quality| {
-            quality == Quality::Fresh
-        });
+        planner.quality("it is forecast", *robot, |quality| quality == Quality::Fresh);
     }
     planner.leave();
 }

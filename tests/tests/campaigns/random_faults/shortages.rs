@@ -15,10 +15,7 @@ const DISK_BYTES: u64 = 4 << 20;
 pub(crate) fn limited(pid: u32, resource: Resource, most: u64, time: Duration) {
     let pid = Pid::from_raw(pid.cast_signed());
     let before = rustix::process::getrlimit(resource);
-    let limit = Rlimit {
-        current: Some(most),
-        ..before
-    };
+    let limit = Rlimit { current: Some(most), ..before };
     // It may have ended.
     let _ = prlimit(pid, resource, limit);
     std::thread::sleep(time);
@@ -36,16 +33,12 @@ impl SmallDisk {
         fs::create_dir_all(folder).expect("a folder of the test");
         let mut command = Command::new("mount");
         let size = format!("size={DISK_BYTES},mode=755");
-        command
-            .args(["-t", "tmpfs", "-o", &size, "tmpfs"])
-            .arg(folder);
+        command.args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(folder);
         let is_mounted = Child::spawn("mount", command).wait().code() == Some(0);
         if !is_mounted {
             println!("skipped: a small disk, because nothing can be mounted");
         }
-        is_mounted.then(|| Self {
-            folder: folder.to_owned(),
-        })
+        is_mounted.then(|| Self { folder: folder.to_owned() })
     }
 
     pub(crate) fn folder(&self) -> &Path {
@@ -81,10 +74,8 @@ impl LittleMemory {
         let number = GROUPS.fetch_add(1, Ordering::Relaxed);
         let name = format!("joulebus-test-{}-{number}", std::process::id());
         // Version 1 has one hierarchy for memory, version 2 one for everything.
-        let places = [
-            ("/sys/fs/cgroup/memory", "memory.limit_in_bytes"),
-            ("/sys/fs/cgroup", "memory.max"),
-        ];
+        let places =
+            [("/sys/fs/cgroup/memory", "memory.limit_in_bytes"), ("/sys/fs/cgroup", "memory.max")];
         for (root, limit) in places {
             if !Path::new(root).join("cgroup.procs").exists() {
                 continue;

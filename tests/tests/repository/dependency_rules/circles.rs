@@ -17,10 +17,7 @@ fn files_have_no_import_cycles() {
     let others = ["benches", "tests/simulator"].map(|folder| members_below(&root().join(folder)));
     for member in members().into_iter().chain(others.into_iter().flatten()) {
         let name = member.name;
-        let (src, lenient) = (
-            member.directory.join("src"),
-            LENIENT.contains(&name.as_str()),
-        );
+        let (src, lenient) = (member.directory.join("src"), LENIENT.contains(&name.as_str()));
         assert!(
             !lenient || !circles(&imports(&src, true)).is_empty(),
             "{name} has no such import: remove it from the list"
@@ -40,9 +37,8 @@ fn files_have_no_import_cycles() {
 }
 
 /// The layers of `fleet`, from the lowest.
-const LAYERS: [&str; 8] = [
-    "layout", "ingest", "ledger", "estimate", "alarms", "state", "tick", "fleet",
-];
+const LAYERS: [&str; 8] =
+    ["layout", "ingest", "ledger", "estimate", "alarms", "state", "tick", "fleet"];
 
 #[test]
 fn the_layers_of_the_fleet_import_only_downward() {
@@ -68,10 +64,7 @@ fn the_layers_of_the_fleet_import_only_downward() {
             downward += usize::from(below < above);
         }
     }
-    assert!(
-        downward > 50,
-        "found only {downward} imports: imports are not detected"
-    );
+    assert!(downward > 50, "found only {downward} imports: imports are not detected");
 }
 
 /// Checks that cycles are found: two files in a temporary directory, for each form of path.
@@ -99,10 +92,6 @@ fn an_import_cycle_is_found_in_every_notation() {
         write("one.rs", one);
         write("two.rs", two);
         let found = circles(&imports(directory.path(), false));
-        assert_eq!(
-            (!found.is_empty()).to_string(),
-            *circle,
-            "{one}\n{two}\n{found:?}"
-        );
+        assert_eq!((!found.is_empty()).to_string(), *circle, "{one}\n{two}\n{found:?}");
     }
 }

@@ -39,10 +39,8 @@ pub(crate) fn imports(src: &Path, submodules: bool) -> Imports {
 
 /// Cycles of imports, each in ascending order.
 pub(crate) fn circles(imports: &Imports) -> Vec<Vec<PathBuf>> {
-    let reached: BTreeMap<&PathBuf, BTreeSet<&PathBuf>> = imports
-        .keys()
-        .map(|file| (file, reachable(imports, file)))
-        .collect();
+    let reached: BTreeMap<&PathBuf, BTreeSet<&PathBuf>> =
+        imports.keys().map(|file| (file, reachable(imports, file))).collect();
     let together = |a: &PathBuf, b: &PathBuf| reached[a].contains(b) && reached[b].contains(a);
     let mut circles: Vec<Vec<PathBuf>> = Vec::new();
     for file in imports.keys().filter(|file| reached[file].contains(file)) {
@@ -69,10 +67,8 @@ fn reachable<'a>(imports: &'a Imports, start: &PathBuf) -> BTreeSet<&'a PathBuf>
 /// file is the crate itself, or the binary beside its library.
 fn module_of(path: &Path) -> Vec<String> {
     let parts = path.with_extension("");
-    let mut parts: Vec<String> = parts
-        .iter()
-        .map(|part| part.to_str().unwrap().to_owned())
-        .collect();
+    let mut parts: Vec<String> =
+        parts.iter().map(|part| part.to_str().unwrap().to_owned()).collect();
     if ["mod", "lib"].contains(&parts.last().unwrap().as_str()) {
         parts.pop();
     }
@@ -93,11 +89,7 @@ impl Crate {
     /// The crate root as seen by a module: that of the binary if there is no library.
     fn root(&self) -> Vec<String> {
         let library = self.files.contains_key(&Vec::new());
-        if library {
-            Vec::new()
-        } else {
-            vec!["main".to_owned()]
-        }
+        if library { Vec::new() } else { vec!["main".to_owned()] }
     }
 
     /// The file that defines what a path used in `module` refers to, and the name there; `None` for
@@ -110,11 +102,7 @@ impl Crate {
     ) -> Option<(PathBuf, String)> {
         let main = self.root();
         let home = |module: &[String]| {
-            if module.is_empty() {
-                main.clone()
-            } else {
-                module.to_vec()
-            }
+            if module.is_empty() { main.clone() } else { module.to_vec() }
         };
         let mut at = module.to_vec();
         let mut rest = path;
@@ -251,9 +239,7 @@ impl File {
             }
             at += 1;
         }
-        let used = handed_on
-            .into_iter()
-            .filter(|(name, _)| mentioned.contains(name));
+        let used = handed_on.into_iter().filter(|(name, _)| mentioned.contains(name));
         file.paths.extend(used.map(|(_, path)| path));
         file
     }
@@ -287,11 +273,8 @@ fn tree(tokens: &[String]) -> Vec<(Vec<String>, String)> {
                     .flat_map(tree)
                     .map(|(path, name)| {
                         let own = path.first().is_some_and(|part| part == "self");
-                        let whole: Vec<String> = prefix
-                            .iter()
-                            .chain(&path[usize::from(own)..])
-                            .cloned()
-                            .collect();
+                        let whole: Vec<String> =
+                            prefix.iter().chain(&path[usize::from(own)..]).cloned().collect();
                         let name = if own && name == "self" {
                             prefix.last().unwrap().clone()
                         } else {
@@ -338,9 +321,7 @@ fn tokens(text: &str) -> Vec<String> {
     let chars: Vec<char> = text.chars().collect();
     let (mut tokens, mut at) = (Vec::new(), 0);
     let text_at = |at: usize, text: &str| {
-        text.chars()
-            .enumerate()
-            .all(|(i, c)| chars.get(at + i) == Some(&c))
+        text.chars().enumerate().all(|(i, c)| chars.get(at + i) == Some(&c))
     };
     while at < chars.len() {
         let char = chars[at];
@@ -401,11 +382,7 @@ fn without_tests(tokens: &[String]) -> Vec<String> {
     let mark = ["#", "[", "cfg", "(", "test", ")", "]"];
     let (mut kept, mut at) = (Vec::new(), 0);
     while at < tokens.len() {
-        let marked = tokens[at..]
-            .iter()
-            .map(String::as_str)
-            .take(mark.len())
-            .eq(mark);
+        let marked = tokens[at..].iter().map(String::as_str).take(mark.len()).eq(mark);
         if !marked {
             kept.push(tokens[at].clone());
             at += 1;

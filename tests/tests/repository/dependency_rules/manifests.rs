@@ -66,9 +66,7 @@ fn graph() -> Graph {
         graph.entry(outside(quoted[0])).or_default().extend(names);
     }
     for Member { name, manifest, .. } in described() {
-        let (_, after) = manifest
-            .split_once("\n[dependencies]\n")
-            .unwrap_or_default();
+        let (_, after) = manifest.split_once("\n[dependencies]\n").unwrap_or_default();
         let table = after.split("\n[").next().unwrap();
         let dependencies = table.lines().filter_map(|line| {
             let end = line.find(['.', ' ', '='])?;
@@ -97,9 +95,7 @@ fn reached(graph: &Graph, package: &str) -> BTreeSet<String> {
 fn a_crate_reaches_only_lower_lines_of_the_diagram() {
     let (drawing, graph) = (drawing(), graph());
     let line = |name: &str| {
-        let found = drawing
-            .iter()
-            .position(|line| line.iter().any(|other| other == name));
+        let found = drawing.iter().position(|line| line.iter().any(|other| other == name));
         found.unwrap_or_else(|| panic!("the diagram in ARCHITECTURE.md lacks {name}"))
     };
     let members = described();
@@ -145,11 +141,7 @@ fn a_crate_does_not_reach_what_it_must_not_know() {
             }
         }
     }
-    assert_eq!(
-        used.len(),
-        words.len(),
-        "of {words:?} only {used:?} are used"
-    );
+    assert_eq!(used.len(), words.len(), "of {words:?} only {used:?} are used");
     // Allowed edges are found: the closures are not empty.
     for (name, target) in [("publisher", "iceoryx2"), ("plan", "energy")] {
         assert!(reached(&graph, name).contains(target), "{name}");
@@ -161,10 +153,7 @@ fn the_program_crate_has_few_dependencies() {
     let members: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
     for name in &graph()["program"] {
         let light = ["config", "files", "predictor", "settings"].contains(&name.as_str());
-        assert!(
-            light || !members.contains(name),
-            "program depends on {name}"
-        );
+        assert!(light || !members.contains(name), "program depends on {name}");
     }
 }
 

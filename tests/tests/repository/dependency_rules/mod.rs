@@ -26,19 +26,12 @@ fn sources(directory: &Path) -> Vec<(PathBuf, String)> {
             }
         }
     }
-    assert!(
-        !found.is_empty(),
-        "no sources below {}",
-        directory.display()
-    );
+    assert!(!found.is_empty(), "no sources below {}", directory.display());
     found
 }
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .unwrap()
-        .to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
 }
 
 fn crates() -> PathBuf {
@@ -76,9 +69,7 @@ fn members_below(directory: &Path) -> Vec<Member> {
         }
         for entry in fs::read_dir(&directory).unwrap() {
             let path = entry.unwrap().path();
-            let is_source = ["src", "tests", "target"]
-                .iter()
-                .any(|name| path.ends_with(name));
+            let is_source = ["src", "tests", "target"].iter().any(|name| path.ends_with(name));
             if path.is_dir() && !is_source {
                 open.push(path);
             }

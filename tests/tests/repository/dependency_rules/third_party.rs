@@ -9,21 +9,14 @@ use serde_json::Value;
 use super::crates;
 
 /// Libraries that a controller or a planner links.
-const SDK: [&str; 4] = [
-    "joulebus-consumer",
-    "joulebus-plan",
-    "joulebus-planner",
-    "joulebus-publisher",
-];
+const SDK: [&str; 4] =
+    ["joulebus-consumer", "joulebus-plan", "joulebus-planner", "joulebus-publisher"];
 
 /// Cargo's output for these arguments, in the root of the workspace.
 fn cargo(arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO"));
     let command = command.args(arguments).arg("--locked");
-    let output = command
-        .current_dir(crates().parent().unwrap())
-        .output()
-        .unwrap();
+    let output = command.current_dir(crates().parent().unwrap()).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "cargo {arguments:?}: {said}");
     String::from_utf8(output.stdout).unwrap()
@@ -41,9 +34,7 @@ fn programs() -> Vec<String> {
         package["publish"].is_null() && targets.iter().any(is_program)
     };
     let programs = packages.iter().filter(has_program);
-    programs
-        .map(|package| package["name"].as_str().unwrap().to_owned())
-        .collect()
+    programs.map(|package| package["name"].as_str().unwrap().to_owned()).collect()
 }
 
 /// Packages of others that are compiled for this one alone on x86-64: two versions are two.
@@ -71,10 +62,8 @@ fn no_program_and_no_library_of_the_sdk_gets_more_crates_of_others() {
     let mut names = programs();
     names.extend(SDK.map(str::to_owned));
     names.sort();
-    let found: Vec<String> = names
-        .iter()
-        .map(|name| format!("{name} {}\n", third_party(name)))
-        .collect();
+    let found: Vec<String> =
+        names.iter().map(|name| format!("{name} {}\n", third_party(name))).collect();
     if std::env::var_os("JOULEBUS_WRITE").is_some() {
         fs::write(&path, found.concat()).unwrap();
         return;

@@ -26,39 +26,21 @@ fn unsafe_code_is_only_in_the_listed_files() {
         "c/src/abi/questions.rs",
         "c/src/abi/subscriber.rs",
     ];
-    for Member {
-        name, directory, ..
-    } in members().iter().filter(|it| it.name != "bus")
-    {
+    for Member { name, directory, .. } in members().iter().filter(|it| it.name != "bus") {
         let src = directory.join("src");
         let found = places(
             &src,
-            &[
-                "unsafe {",
-                "unsafe impl",
-                "unsafe fn",
-                "unsafe extern",
-                "unsafe trait",
-            ],
+            &["unsafe {", "unsafe impl", "unsafe fn", "unsafe extern", "unsafe trait"],
             &allowed,
         );
         assert_eq!(found, Vec::<String>::new());
         // A crate has a library, a binary, or both.
         let root = fs::read_to_string(src.join("lib.rs"));
-        let root = root
-            .or_else(|_| fs::read_to_string(src.join("main.rs")))
-            .unwrap();
-        let level = if ["predictor", "c"].contains(&name.as_str()) {
-            "deny"
-        } else {
-            "forbid"
-        };
+        let root = root.or_else(|_| fs::read_to_string(src.join("main.rs"))).unwrap();
+        let level = if ["predictor", "c"].contains(&name.as_str()) { "deny" } else { "forbid" };
         let lint = format!("#![{level}(unsafe_code)]");
         // The workspace denies it; `predictor` and `c` allow it in the files above.
-        assert!(
-            level == "deny" || root.contains(&lint),
-            "{name} lacks {lint}"
-        );
+        assert!(level == "deny" || root.contains(&lint), "{name} lacks {lint}");
     }
 }
 
@@ -73,12 +55,7 @@ fn every_unsafe_block_has_a_safety_comment() {
             }
             let above = &lines[number.saturating_sub(8)..number];
             let said = above.iter().any(|line| line.contains("SAFETY:"));
-            assert!(
-                said,
-                "{}:{} has no SAFETY: above it",
-                path.display(),
-                number + 1
-            );
+            assert!(said, "{}:{} has no SAFETY: above it", path.display(), number + 1);
         }
     }
 }

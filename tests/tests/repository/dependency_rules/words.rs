@@ -47,14 +47,7 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
         "tracing",
         "joulebus_bus",
     ];
-    let pure = [
-        "settings",
-        "fleet",
-        "energy",
-        "plan",
-        "predictor",
-        "plausibility",
-    ];
+    let pure = ["settings", "fleet", "energy", "plan", "predictor", "plausibility"];
     for name in pure {
         assert_eq!(places(&src(name), &words, &[]), Vec::<String>::new());
     }
@@ -66,11 +59,7 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
 #[test]
 fn only_one_file_of_the_link_uses_zenoh() {
     for member in members() {
-        let found = places(
-            &member.directory.join("src"),
-            &["zenoh::"],
-            &["link/src/network.rs"],
-        );
+        let found = places(&member.directory.join("src"), &["zenoh::"], &["link/src/network.rs"]);
         assert_eq!(found, Vec::<String>::new());
     }
     let words = [
@@ -126,11 +115,7 @@ fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for member in members().iter().filter(|it| it.name != "model-files") {
         // It says what a file is that nobody reads.
-        let found = places(
-            &member.directory.join("src"),
-            &words,
-            &["files/src/foreign.rs"],
-        );
+        let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
         assert_eq!(found, Vec::<String>::new());
     }
 }
@@ -171,16 +156,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         // Platform files contain the date of their calibration.
         "lab/program/src/calibrate.rs",
     ];
-    for Member {
-        name, directory, ..
-    } in members()
-    {
-        let words = [
-            "unix_ns()",
-            "SystemTime",
-            "ClockId::Realtime",
-            "realtime_minus",
-        ];
+    for Member { name, directory, .. } in members() {
+        let words = ["unix_ns()", "SystemTime", "ClockId::Realtime", "realtime_minus"];
         let found = places(&directory.join("src"), &words, &labels);
         assert_eq!(found, Vec::<String>::new(), "{name}");
     }

@@ -79,14 +79,9 @@ fn a_workaround_is_where_the_table_says_with_its_numbers_and_its_test() {
         let text = fs::read_to_string(root().join(&row.file)).expect(&row.file);
         let is_there = |prefix: &str| text.contains(&format!("{prefix}{}", row.symbol));
         let symbol = format!("{}: {}", row.file, row.symbol);
-        assert!(
-            ["fn ", "struct ", "const "].map(is_there).contains(&true),
-            "{symbol}"
-        );
-        let missing: Vec<u32> = numbers(&row.upstream)
-            .difference(&numbers(&text))
-            .copied()
-            .collect();
+        assert!(["fn ", "struct ", "const "].map(is_there).contains(&true), "{symbol}");
+        let missing: Vec<u32> =
+            numbers(&row.upstream).difference(&numbers(&text)).copied().collect();
         assert!(missing.is_empty(), "{symbol} does not name {missing:?}");
         assert!(
             !numbers(&row.upstream).is_empty() || row.upstream.contains("searched"),
@@ -117,10 +112,7 @@ fn a_workaround_that_the_pinned_release_does_not_need_is_gone() {
 
 #[test]
 fn every_number_of_iceoryx2_that_the_bus_names_is_in_the_table() {
-    let known: BTreeSet<u32> = table()
-        .iter()
-        .flat_map(|row| numbers(&row.upstream))
-        .collect();
+    let known: BTreeSet<u32> = table().iter().flat_map(|row| numbers(&row.upstream)).collect();
     for (path, text) in sources(&crates().join("host/bus/src")) {
         let unknown: Vec<u32> = numbers(&text).difference(&known).copied().collect();
         let path = path.strip_prefix(root()).unwrap_or(Path::new(""));

@@ -16,15 +16,11 @@ impl Candle {
         let cpu = &Device::Cpu;
         let layers = layers.iter().map(|layer| {
             let shape = (layer.outputs, layer.inputs);
-            let weights = Tensor::from_slice(&layer.weights, shape, cpu)?
-                .t()?
-                .contiguous()?;
+            let weights = Tensor::from_slice(&layer.weights, shape, cpu)?.t()?.contiguous()?;
             let bias = Tensor::from_slice(&layer.bias, layer.outputs, cpu)?;
             Ok((weights, bias))
         });
-        Ok(Self {
-            layers: layers.collect::<anyhow::Result<_>>()?,
-        })
+        Ok(Self { layers: layers.collect::<anyhow::Result<_>>()? })
     }
 
     fn run(&self, input: &Tensor) -> candle_core::Result<Tensor> {

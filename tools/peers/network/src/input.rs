@@ -19,21 +19,14 @@ pub(crate) fn rows(path: &Path) -> anyhow::Result<Vec<[f32; FEATURES]>> {
     let (words, rest) = bytes.as_chunks::<4>();
     let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
     let (rows, left) = values.as_chunks::<FEATURES>();
-    ensure!(
-        rest.is_empty() && left.is_empty(),
-        "{} is truncated",
-        path.display()
-    );
+    ensure!(rest.is_empty() && left.is_empty(), "{} is truncated", path.display());
     Ok(rows.to_vec())
 }
 
 pub(crate) fn network(path: &Path) -> anyhow::Result<Network> {
     let bytes = fs::read(path).with_context(|| path.display().to_string())?;
     let network = Network::from_safetensors(&bytes)?;
-    ensure!(
-        network.feature_set() == FeatureSet::Full,
-        "a network of all features"
-    );
+    ensure!(network.feature_set() == FeatureSet::Full, "a network of all features");
     Ok(network)
 }
 
@@ -58,11 +51,7 @@ pub(crate) fn layers(path: &Path) -> anyhow::Result<Vec<Dense>> {
         let mut shift = 0.0_f64;
         for (feature, weight) in weights.iter_mut().enumerate() {
             let std = f64::from(scale.feature_std[feature]);
-            let folded = if std > 0.0 {
-                f64::from(*weight) / std
-            } else {
-                0.0
-            };
+            let folded = if std > 0.0 { f64::from(*weight) / std } else { 0.0 };
             shift += folded * f64::from(scale.feature_mean[feature]);
             *weight = folded as f32;
         }

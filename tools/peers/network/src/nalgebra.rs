@@ -16,17 +16,13 @@ impl Nalgebra {
             let weights = DMatrix::from_row_slice(layer.outputs, layer.inputs, &layer.weights);
             (weights, DVector::from_column_slice(&layer.bias))
         });
-        Self {
-            layers: layers.collect(),
-        }
+        Self { layers: layers.collect() }
     }
 
     /// Memory for the values of each layer.
     fn scratch(&self, batch: usize) -> Vec<DMatrix<f32>> {
         let layers = self.layers.iter();
-        layers
-            .map(|(_, bias)| DMatrix::zeros(bias.len(), batch))
-            .collect()
+        layers.map(|(_, bias)| DMatrix::zeros(bias.len(), batch)).collect()
     }
 
     fn run(&self, input: &DMatrix<f32>, scratch: &mut [DMatrix<f32>]) {

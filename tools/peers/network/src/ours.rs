@@ -32,9 +32,8 @@ impl Forecaster for Ours {
     fn call(&mut self, rows: &[[f32; FEATURES]]) -> anyhow::Result<Call> {
         let mut parts = rows.chunks(rows.len().div_ceil(self.threads));
         let mut own = Part::new(&self.network, parts.next().unwrap_or_default());
-        let pool: Vec<Hand> = parts
-            .map(|rows| Hand::hire(Part::new(&self.network, rows)))
-            .collect();
+        let pool: Vec<Hand> =
+            parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
         Ok(Box::new(move || {
             pool.iter().for_each(Hand::begin);
             own.call();
@@ -63,8 +62,7 @@ impl Part {
     }
 
     fn call(&mut self) {
-        self.network
-            .predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+        self.network.predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
     }
 }
 
@@ -77,10 +75,7 @@ struct Hand {
 impl Hand {
     fn hire(mut part: Part) -> Self {
         let (asked, done) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
-        let hand = Self {
-            asked: Arc::clone(&asked),
-            done: Arc::clone(&done),
-        };
+        let hand = Self { asked: Arc::clone(&asked), done: Arc::clone(&done) };
         thread::spawn(move || {
             for turn in 1.. {
                 while asked.load(Ordering::Acquire) < turn {

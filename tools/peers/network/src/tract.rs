@@ -14,9 +14,7 @@ pub(crate) struct Tract {
 
 impl Tract {
     pub(crate) fn load(onnx: &Path) -> Self {
-        Self {
-            onnx: onnx.to_owned(),
-        }
+        Self { onnx: onnx.to_owned() }
     }
 
     fn plan(&self, batch: usize) -> anyhow::Result<Arc<TypedRunnableModel>> {

@@ -55,10 +55,7 @@ pub fn stamps(frame: &[u8]) -> Stamps {
         bytes.copy_from_slice(&frame[place..place + 8]);
         u64::from_ne_bytes(bytes)
     };
-    Stamps {
-        due_ns: word(0),
-        sent_ns: word(8),
-    }
+    Stamps { due_ns: word(0), sent_ns: word(8) }
 }
 
 fn write_stamps(header: &mut [u8], stamps: Stamps) {
@@ -73,10 +70,7 @@ mod tests {
 
     #[test]
     fn a_frame_of_forecasts_answers_each_robot_of_its_samples() {
-        let stamps_then = Stamps {
-            due_ns: 7,
-            sent_ns: 9,
-        };
+        let stamps_then = Stamps { due_ns: 7, sent_ns: 9 };
         let mut samples = vec![0; sample_bytes(3)];
         write_samples(&mut samples, stamps_then);
         let mut forecasts = vec![0; forecast_bytes(3)];

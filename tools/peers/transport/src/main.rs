@@ -160,10 +160,7 @@ fn pace(
 ) -> anyhow::Result<()> {
     let period_ns = 1_000_000_000 / arguments.rate_hz;
     let broker = broker::Broker::open(launcher, robots, period_ns, &Scheduling::default())?;
-    let joulebus = Joulebus {
-        way: broker,
-        frames: 0,
-    };
+    let joulebus = Joulebus { way: broker, frames: 0 };
     let mut ways: Vec<(&str, Box<dyn Way>)> = vec![("joulebus_us", Box::new(joulebus))];
     for (name, open) in others() {
         ways.push((name, open(launcher, robots, period_ns, false)?));
@@ -213,35 +210,14 @@ type Open = fn(&Launcher, usize, u64, bool) -> anyhow::Result<Box<dyn Way>>;
 fn others() -> [(&'static str, Open); 3] {
     [
         ("iceoryx2_us", |launcher, robots, period_ns, acknowledge| {
-            Ok(Box::new(raw::RawHops::open(
-                launcher,
-                robots,
-                period_ns,
-                acknowledge,
-            )?))
+            Ok(Box::new(raw::RawHops::open(launcher, robots, period_ns, acknowledge)?))
         }),
-        (
-            "unix_stream_us",
-            |launcher, robots, period_ns, acknowledge| {
-                Ok(Box::new(Unix::open(
-                    launcher,
-                    robots,
-                    period_ns,
-                    acknowledge,
-                )?))
-            },
-        ),
-        (
-            "zenoh_shm_us",
-            |launcher, robots, period_ns, acknowledge| {
-                Ok(Box::new(Zenoh::open(
-                    launcher,
-                    robots,
-                    period_ns,
-                    acknowledge,
-                )?))
-            },
-        ),
+        ("unix_stream_us", |launcher, robots, period_ns, acknowledge| {
+            Ok(Box::new(Unix::open(launcher, robots, period_ns, acknowledge)?))
+        }),
+        ("zenoh_shm_us", |launcher, robots, period_ns, acknowledge| {
+            Ok(Box::new(Zenoh::open(launcher, robots, period_ns, acknowledge)?))
+        }),
     ]
 }
 

@@ -22,13 +22,7 @@ pub struct Sink {
 impl Sink {
     /// For frames of `robots` robots each `period_ns`; `acknowledge`: print a byte for each.
     pub fn new(robots: usize, period_ns: u64, acknowledge: bool) -> Self {
-        Self {
-            robots,
-            period_ns,
-            acknowledge,
-            seen: 0,
-            times: histogram(),
-        }
+        Self { robots, period_ns, acknowledge, seen: 0, times: histogram() }
     }
 
     /// Takes a frame; returns whether it was the last, in which case the latencies have been
@@ -36,18 +30,11 @@ impl Sink {
     pub fn take(&mut self, frame: &[u8]) -> anyhow::Result<bool> {
         let now_ns = clock::monotonic_ns();
         let (found, expected) = (frame.len(), forecast_bytes(self.robots));
-        ensure!(
-            found == expected,
-            "a frame of {found} bytes, not {expected}"
-        );
+        ensure!(found == expected, "a frame of {found} bytes, not {expected}");
         let stamps = stamps(frame);
         let mut stdout = io::stdout();
         if stamps.due_ns == 0 {
-            writeln!(
-                stdout,
-                "\n{}",
-                serde_json::to_string(&Spread::of(&self.times))?
-            )?;
+            writeln!(stdout, "\n{}", serde_json::to_string(&Spread::of(&self.times))?)?;
             return Ok(true);
         }
         self.seen += 1;

@@ -41,22 +41,12 @@ impl Sender {
         let provider = ShmProviderBuilder::default_backend((bytes + 4096) * FRAMES)
             .wait()
             .map_err(|error| anyhow!("{error:?}"))?;
-        Ok(Self {
-            publisher,
-            provider,
-            bytes,
-        })
+        Ok(Self { publisher, provider, bytes })
     }
 
     /// Waits for a subscriber.
     fn await_listener(&self) -> anyhow::Result<()> {
-        while !self
-            .publisher
-            .matching_status()
-            .wait()
-            .map_err(told)?
-            .matching()
-        {
+        while !self.publisher.matching_status().wait().map_err(told)?.matching() {
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
@@ -101,21 +91,14 @@ impl Zenoh {
         let session = session("connect", &directory)?;
         let sender = Sender::open(&session, "samples", sample_bytes(robots))?;
         sender.await_listener()?;
-        Ok(Self {
-            sender,
-            session,
-            relay,
-            sink,
-            directory,
-        })
+        Ok(Self { sender, session, relay, sink, directory })
     }
 }
 
 impl Way for Zenoh {
     fn send(&mut self, due_ns: u64) -> anyhow::Result<()> {
         let sent_ns = clock::monotonic_ns();
-        self.sender
-            .send(|frame| write_samples(frame, Stamps { due_ns, sent_ns }))
+        self.sender.send(|frame| write_samples(frame, Stamps { due_ns, sent_ns }))
     }
 
     fn acknowledged(&mut self) -> anyhow::Result<()> {
@@ -199,14 +182,9 @@ fn session(does: &str, directory: &Path) -> anyhow::Result<Session> {
         ("scouting/gossip/enabled", "false".to_owned()),
         ("listen/endpoints", "[]".to_owned()),
         ("transport/shared_memory/enabled", "true".to_owned()),
-        (
-            &format!("{does}/endpoints"),
-            format!("[\"unixsock-stream/{}\"]", socket.display()),
-        ),
+        (&format!("{does}/endpoints"), format!("[\"unixsock-stream/{}\"]", socket.display())),
     ] {
-        config
-            .insert_json5(key, &value)
-            .map_err(|error| anyhow!("{key}: {error}"))?;
+        config.insert_json5(key, &value).map_err(|error| anyhow!("{key}: {error}"))?;
     }
     zenoh::open(config).wait().map_err(told)
 }

@@ -92,11 +92,7 @@ pub(super) struct Lane<T> {
 
 impl<T> Default for Lane<T> {
     fn default() -> Self {
-        Self {
-            items: Vec::new(),
-            messages: 0,
-            refused: BTreeMap::new(),
-        }
+        Self { items: Vec::new(), messages: 0, refused: BTreeMap::new() }
     }
 }
 
@@ -283,9 +279,7 @@ impl Track {
         let voltage_v = f64::from(state.voltage) * self.robot.voltage_unit_v;
         let current_a = sign * f64::from(state.current) * self.robot.current_unit_a;
         if !voltage_v.is_finite() || !current_a.is_finite() {
-            return self
-                .battery
-                .refuse("its voltage or current is not a number");
+            return self.battery.refuse("its voltage or current is not a number");
         }
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
@@ -296,11 +290,7 @@ impl Track {
         self.percent_soc += u64::from(!known && SOC.contains(&(soc / 100.0)));
         self.battery.push(
             times,
-            Reading {
-                voltage_v,
-                current_a,
-                soc: if soc.is_finite() { soc } else { f64::NAN },
-            },
+            Reading { voltage_v, current_a, soc: if soc.is_finite() { soc } else { f64::NAN } },
         );
     }
 
@@ -323,8 +313,7 @@ impl Track {
             omega_radps: known(twist.angular.z),
         };
         if motion.x_m.is_nan() || motion.y_m.is_nan() {
-            self.odometry
-                .refuse("its position is not a number; the rest is used");
+            self.odometry.refuse("its position is not a number; the rest is used");
         }
         self.odometry.push(times, motion);
     }
@@ -357,10 +346,7 @@ impl Track {
                 let given = command.at(*time_ns, self.command_ns);
                 let is_expired = given.is_none() && command.has_begun();
                 expired += u64::from(is_expired);
-                let stopped = Command {
-                    v_mps: 0.0,
-                    omega_radps: 0.0,
-                };
+                let stopped = Command { v_mps: 0.0, omega_radps: 0.0 };
                 let stops = is_expired && self.expired == Expired::Stops;
                 let command = given.or(stops.then_some(stopped));
                 let motion = motion.at(*time_ns, self.odometry_age_ns);
@@ -386,24 +372,14 @@ impl Track {
                 runs_from.len()
             ));
         }
-        Joined {
-            rows,
-            runs_from,
-            clock,
-            merged,
-            notes,
-        }
+        Joined { rows, runs_from, clock, merged, notes }
     }
 
     /// The clock of all topics: two that differ are not mixed.
     fn clock(&self, notes: &mut Vec<String>) -> TimeSource {
         let all = [
             ("commands", self.command.stamps(), self.command.items.len()),
-            (
-                "odometry",
-                self.odometry.stamps(),
-                self.odometry.items.len(),
-            ),
+            ("odometry", self.odometry.stamps(), self.odometry.items.len()),
         ];
         let others = all.iter().filter(|(_, _, count)| *count > 0);
         let unstamped: Vec<&str> = others
@@ -439,10 +415,7 @@ impl Track {
             StampState::Good { offset_s, drift_s } => {
                 let fits = |(_, stamps, _): &&(&str, Stamps, usize)| match stamps.state() {
                     StampState::Missing => readings.fits_log(),
-                    StampState::Good {
-                        offset_s: other_s,
-                        drift_s: other_drift_s,
-                    } => {
+                    StampState::Good { offset_s: other_s, drift_s: other_drift_s } => {
                         let away_s = (offset_s - other_s).abs();
                         let end_s = (offset_s + drift_s - other_s - other_drift_s).abs();
                         away_s.max(end_s) <= MAX_OFFSET_S
@@ -514,16 +487,8 @@ impl Track {
 
 /// The share that a percentage is, if it is one.
 fn share(percentage: f64, is_percent: bool) -> f64 {
-    let share = if is_percent {
-        percentage / 100.0
-    } else {
-        percentage
-    };
-    if SOC.contains(&share) {
-        share
-    } else {
-        f64::NAN
-    }
+    let share = if is_percent { percentage / 100.0 } else { percentage };
+    if SOC.contains(&share) { share } else { f64::NAN }
 }
 
 /// How the clock of readings, and that of another topic, differ.
@@ -582,11 +547,7 @@ impl<'a, T: Copy> Follow<'a, T> {
 
     /// The last item up to `time_ns`, unless it is older than `most_age_ns`.
     fn at(&mut self, time_ns: u64, most_age_ns: u64) -> Option<T> {
-        while self
-            .items
-            .get(self.next)
-            .is_some_and(|item| item.0 <= time_ns)
-        {
+        while self.items.get(self.next).is_some_and(|item| item.0 <= time_ns) {
             self.next += 1;
         }
         let (since_ns, item) = self.items.get(self.next.checked_sub(1)?)?;
@@ -606,11 +567,7 @@ fn row(time_ns: u64, reading: Reading, command: Option<Command>, motion: Option<
         voltage_v: reading.voltage_v,
         current_a: reading.current_a,
         power_w: reading.voltage_v * reading.current_a,
-        soc: if reading.soc.is_finite() {
-            reading.soc
-        } else {
-            unknown
-        },
+        soc: if reading.soc.is_finite() { reading.soc } else { unknown },
         v_measured_mps: motion.map_or(unknown, |motion| motion.v_mps),
         omega_measured_radps: motion.map_or(unknown, |motion| motion.omega_radps),
     }

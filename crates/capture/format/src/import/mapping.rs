@@ -166,11 +166,7 @@ impl Mapping {
     /// [`MappingError::Range`].
     pub fn check(&self) -> Result<(), MappingError> {
         let refuse = |key: String, found: f64, allowed: &'static str| {
-            Err(MappingError::Range {
-                key,
-                found,
-                allowed,
-            })
+            Err(MappingError::Range { key, found, allowed })
         };
         for (key, found) in [
             ("burst_s", self.burst_s),
@@ -182,10 +178,9 @@ impl Mapping {
             }
         }
         for robot in &self.robots {
-            for (key, found) in [
-                ("voltage_unit_v", robot.voltage_unit_v),
-                ("current_unit_a", robot.current_unit_a),
-            ] {
+            for (key, found) in
+                [("voltage_unit_v", robot.voltage_unit_v), ("current_unit_a", robot.current_unit_a)]
+            {
                 if !(1e-9..=1e9).contains(&found) {
                     let key = format!("robot {:?}: {key}", robot.name);
                     return refuse(key, found, "1e-9 to 1e9");
@@ -219,10 +214,7 @@ pub(super) fn choose(
     let mut robots = Vec::new();
     for battery in &search.batteries {
         robots.push(RobotMapping {
-            name: folders(battery)
-                .first()
-                .map_or(name, |first| *first)
-                .to_owned(),
+            name: folders(battery).first().map_or(name, |first| *first).to_owned(),
             id: None,
             battery: (*battery).to_owned(),
             is_searched: true,
@@ -233,10 +225,8 @@ pub(super) fn choose(
             current_unit_a: 1.0,
         });
     }
-    let names: BTreeSet<String> = robots
-        .iter()
-        .map(|robot: &RobotMapping| robot.name.clone())
-        .collect();
+    let names: BTreeSet<String> =
+        robots.iter().map(|robot: &RobotMapping| robot.name.clone()).collect();
     for name in names {
         let same = robots.iter_mut().filter(|robot| robot.name == name);
         let mut same: Vec<&mut RobotMapping> = same.collect();
@@ -253,15 +243,11 @@ fn rename(robots: &mut [&mut RobotMapping]) {
         let battery = folders(&robot.battery);
         let command = robot.command.as_deref().or(robot.odometry.as_deref());
         let length = command.map_or(battery.len(), |command| shared(&robot.battery, command));
-        battery[..length]
-            .iter()
-            .map(|part| (*part).to_owned())
-            .collect()
+        battery[..length].iter().map(|part| (*part).to_owned()).collect()
     };
     let all: Vec<Vec<String>> = robots.iter().map(|robot| own(robot)).collect();
     let is_same = |at: &usize| {
-        all.iter()
-            .all(|one| one.get(*at).is_some() && one.get(*at) == all[0].get(*at))
+        all.iter().all(|one| one.get(*at).is_some() && one.get(*at) == all[0].get(*at))
     };
     let common = (0..).take_while(is_same).count();
     for (robot, own) in robots.iter_mut().zip(&all) {
@@ -350,9 +336,7 @@ impl<'a> Search<'a> {
         };
         let ours: Vec<&str> = topics.iter().copied().filter(is_ours).collect();
         let deepest = ours.iter().map(|topic| shared(battery, topic)).max();
-        let nearest = ours
-            .into_iter()
-            .filter(|topic| Some(shared(battery, topic)) == deepest);
+        let nearest = ours.into_iter().filter(|topic| Some(shared(battery, topic)) == deepest);
         only(&nearest.collect::<Vec<_>>(), usual, battery)
     }
 }
@@ -381,19 +365,15 @@ fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), Import
     let check = |topic: &str, allowed: &[RosType]| {
         let why = match channels.iter().find(|channel| channel.topic == topic) {
             None => {
-                let topics: Vec<&str> = channels
-                    .iter()
-                    .map(|channel| channel.topic.as_str())
-                    .collect();
+                let topics: Vec<&str> =
+                    channels.iter().map(|channel| channel.topic.as_str()).collect();
                 format!("the file does not have it; it has {}", topics.join(", "))
             }
             Some(Channel { kind: Ok(kind), .. }) if allowed.contains(kind) => return Ok(()),
             Some(Channel { kind: Ok(kind), .. }) => {
                 format!("found {kind:?}, allowed are {allowed:?}")
             }
-            Some(Channel {
-                kind: Err(error), ..
-            }) => error.to_string(),
+            Some(Channel { kind: Err(error), .. }) => error.to_string(),
         };
         let topic = topic.to_owned();
         Err(ImportError::Topic { topic, why })

@@ -57,15 +57,10 @@ pub fn import_files(
         let name = pair[0].to_owned();
         let batteries = robots.iter().filter(|robot| robot.name == name);
         let batteries: Vec<&str> = batteries.map(|robot| robot.battery.as_str()).collect();
-        return Err(ImportError::TwoOfAName {
-            batteries: batteries.join(", "),
-            name,
-        });
+        return Err(ImportError::TwoOfAName { batteries: batteries.join(", "), name });
     }
-    let mut tracks: Vec<join::Track> = robots
-        .into_iter()
-        .map(|robot| join::Track::new(robot, mapping))
-        .collect();
+    let mut tracks: Vec<join::Track> =
+        robots.into_iter().map(|robot| join::Track::new(robot, mapping)).collect();
     let mut damage = Vec::new();
     let several = inputs.len() > 1;
     for (file, input) in inputs.iter_mut() {
@@ -94,10 +89,7 @@ pub fn unpacked(data: &[u8]) -> io::Result<Cow<'_, [u8]>> {
     if !data.starts_with(ZSTD_MAGIC) {
         return Ok(Cow::Borrowed(data));
     }
-    let allowed = data
-        .len()
-        .saturating_mul(MAX_EXPANSION)
-        .min(MAX_MESSAGE_BYTES);
+    let allowed = data.len().saturating_mul(MAX_EXPANSION).min(MAX_MESSAGE_BYTES);
     zstd::bulk::decompress(data, allowed).map(Cow::Owned)
 }
 

@@ -99,11 +99,7 @@ pub(super) fn imported(tracks: Vec<Track>, channels: &[Channel], damage: Vec<Str
         .iter()
         .flat_map(|track| {
             let robot = &track.robot;
-            [
-                Some(robot.battery.clone()),
-                robot.command.clone(),
-                robot.odometry.clone(),
-            ]
+            [Some(robot.battery.clone()), robot.command.clone(), robot.odometry.clone()]
         })
         .flatten()
         .collect();
@@ -126,44 +122,25 @@ pub(super) fn imported(tracks: Vec<Track>, channels: &[Channel], damage: Vec<Str
             why,
         });
     }
-    Imported {
-        robots: tracks.into_iter().map(robot).collect(),
-        unusable,
-        others,
-        damage,
-    }
+    Imported { robots: tracks.into_iter().map(robot).collect(), unusable, others, damage }
 }
 
 fn robot(mut track: Track) -> RobotReport {
     let joined = track.join();
-    let Track {
-        robot,
-        battery,
-        command,
-        odometry,
-        ..
-    } = track;
+    let Track { robot, battery, command, odometry, .. } = track;
     let time = match joined.clock {
         TimeSource::Header => "header",
         TimeSource::Auto | TimeSource::Log => "log",
         TimeSource::Publish => "publish",
     };
-    let topic = |topic: String, messages, refused| TopicReport {
-        topic,
-        messages,
-        refused,
-    };
+    let topic = |topic: String, messages, refused| TopicReport { topic, messages, refused };
     RobotReport {
         name: robot.name,
         id: robot.id,
         time,
         battery: topic(robot.battery, battery.messages, battery.refused),
-        command: robot
-            .command
-            .map(|name| topic(name, command.messages, command.refused)),
-        odometry: robot
-            .odometry
-            .map(|name| topic(name, odometry.messages, odometry.refused)),
+        command: robot.command.map(|name| topic(name, command.messages, command.refused)),
+        odometry: robot.odometry.map(|name| topic(name, odometry.messages, odometry.refused)),
         merged_in_bursts: joined.merged,
         row_count: joined.rows.len() as u64,
         notes: joined.notes,
@@ -181,19 +158,10 @@ impl fmt::Display for Imported {
             write!(out, "{robot}")?;
         }
         if self.robots.is_empty() {
-            writeln!(
-                out,
-                "no robot: no channel has battery readings that can be used"
-            )?;
+            writeln!(out, "no robot: no channel has battery readings that can be used")?;
         }
         for channel in &self.unusable {
-            let Unusable {
-                topic,
-                type_name,
-                messages,
-                why,
-                ..
-            } = channel;
+            let Unusable { topic, type_name, messages, why, .. } = channel;
             writeln!(
                 out,
                 "not used   {} ({}), {messages} messages: {why}",
@@ -245,12 +213,7 @@ fn write_topic(
     let Some(topic) = topic else {
         return writeln!(out, "  {what:<9}none: missing in every row");
     };
-    writeln!(
-        out,
-        "  {what:<9}{}, {} messages",
-        one_line(&topic.topic),
-        topic.messages
-    )?;
+    writeln!(out, "  {what:<9}{}, {} messages", one_line(&topic.topic), topic.messages)?;
     for (why, count) in &topic.refused {
         writeln!(out, "             {count} of them: {why}")?;
     }

@@ -171,18 +171,13 @@ impl Tally {
         let span_s = seconds(self.end_ns.saturating_sub(self.start_ns));
         let median_ns = self.steps.median_ns();
         let sequence = if self.numbers_differ {
-            Sequence::Counted {
-                missing: self.missing,
-                restarts: self.restarts,
-            }
+            Sequence::Counted { missing: self.missing, restarts: self.restarts }
         } else {
             Sequence::Unused
         };
         ChannelReport {
             id: self.channel.id,
-            schema: schemas
-                .get(&self.channel.schema_id)
-                .map(|schema| schema.name.clone()),
+            schema: schemas.get(&self.channel.schema_id).map(|schema| schema.name.clone()),
             topic: self.channel.topic,
             message_encoding: self.channel.message_encoding,
             metadata: self.channel.metadata,
@@ -227,11 +222,7 @@ impl Steps {
 
     fn longer_than(&self, step_ns: f64) -> u64 {
         let longer = |class: u16| middle_ns(class) > step_ns;
-        self.counts
-            .iter()
-            .filter(|(class, _)| longer(**class))
-            .map(|(_, count)| count)
-            .sum()
+        self.counts.iter().filter(|(class, _)| longer(**class)).map(|(_, count)| count).sum()
     }
 }
 

@@ -106,10 +106,7 @@ pub(super) struct Chunks {
 
 impl Chunks {
     pub(super) fn count(&self) -> u64 {
-        self.by_compression
-            .values()
-            .map(|report| report.chunks)
-            .sum()
+        self.by_compression.values().map(|report| report.chunks).sum()
     }
 
     pub(super) fn report(&self) -> Vec<CompressionReport> {
@@ -118,16 +115,15 @@ impl Chunks {
 
     pub(super) fn add(&mut self, frame: &ChunkFrame, open: Open, unchecked: bool) {
         let header = &frame.header;
-        let report = self
-            .by_compression
-            .entry(header.compression.clone())
-            .or_insert_with(|| CompressionReport {
+        let report = self.by_compression.entry(header.compression.clone()).or_insert_with(|| {
+            CompressionReport {
                 compression: header.compression.clone(),
                 chunks: 0,
                 compressed_bytes: 0,
                 uncompressed_bytes: 0,
                 unchecked: 0,
-            });
+            }
+        });
         report.chunks += 1;
         report.compressed_bytes += header.compressed_size;
         report.uncompressed_bytes += header.uncompressed_size;
@@ -158,9 +154,7 @@ impl Chunks {
         self.indexes_seen = true;
         let channel = index.channel_id;
         let Some(open) = &mut self.last else {
-            return Some(format!(
-                "message index of channel {channel} behind no chunk"
-            ));
+            return Some(format!("message index of channel {channel} behind no chunk"));
         };
         if let Some(known) = self.known.get_mut(&open.offset) {
             known.indexes.insert(channel, place.offset);
@@ -184,10 +178,7 @@ impl Chunks {
         let Some(open) = self.last.take() else {
             return Vec::new();
         };
-        let place = Place {
-            offset: open.offset,
-            in_chunk: None,
-        };
+        let place = Place { offset: open.offset, in_chunk: None };
         let known = self.known.get(&open.offset);
         if known.is_some_and(|known| known.indexes.is_empty()) {
             if !open.listed.is_empty() {
@@ -214,9 +205,7 @@ impl Chunks {
     pub(super) fn chunk_index(&mut self, index: &ChunkIndex) -> Option<String> {
         let offset = index.chunk_start_offset;
         let Some(known) = self.known.get_mut(&offset) else {
-            return Some(format!(
-                "chunk index: there is no valid chunk at byte {offset}"
-            ));
+            return Some(format!("chunk index: there is no valid chunk at byte {offset}"));
         };
         known.indexed = true;
         let span = (index.message_start_time, index.message_end_time);
@@ -235,9 +224,7 @@ impl Chunks {
         } else {
             return None;
         };
-        Some(format!(
-            "chunk index: the {wrong} of the chunk at byte {offset} differ"
-        ))
+        Some(format!("chunk index: the {wrong} of the chunk at byte {offset} differ"))
     }
 
     /// Chunks without a chunk index.

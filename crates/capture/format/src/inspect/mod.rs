@@ -129,11 +129,7 @@ impl Inspector {
             Severity::Note => self.notes += 1,
         }
         if self.findings.len() < LISTED_FINDINGS {
-            self.findings.push(Finding {
-                severity,
-                place,
-                what,
-            });
+            self.findings.push(Finding { severity, place, what });
         }
     }
 
@@ -146,10 +142,7 @@ impl Inspector {
     }
 
     fn note_skipped(&mut self, from: u64, to: u64) {
-        let place = Place {
-            offset: from,
-            in_chunk: None,
-        };
+        let place = Place { offset: from, in_chunk: None };
         let what = format!("skipped {} bytes, up to byte {to}", to - from);
         self.note(Some(place), what);
     }
@@ -163,11 +156,7 @@ impl Inspector {
                 self.chunk = Some(chunks::Open::new(&frame));
             }
             Event::ChunkEnds { frame, crc } => self.chunk_ends(&frame, crc),
-            Event::TooLong {
-                place,
-                opcode,
-                bytes,
-            } => {
+            Event::TooLong { place, opcode, bytes } => {
                 let kind = crate::scan::kind_name(opcode);
                 let most = crate::scan::MAX_RECORD_BYTES;
                 let what = format!("{kind} of {bytes} bytes was not read; at most {most} are");
@@ -177,10 +166,7 @@ impl Inspector {
     }
 
     fn chunk_ends(&mut self, frame: &ChunkFrame, crc: Crc) {
-        let place = Place {
-            offset: frame.offset,
-            in_chunk: None,
-        };
+        let place = Place { offset: frame.offset, in_chunk: None };
         if crc.is_wrong() {
             let Crc { saved, found } = crc;
             let what = format!("chunk: checksum {found:08x}, stored was {saved:08x}");
@@ -235,8 +221,7 @@ impl Inspector {
                 }
             }
             Record::Attachment { header, data, .. } => {
-                self.summary
-                    .attachment(raw.place.offset, bytes, &header, data.len() as u64);
+                self.summary.attachment(raw.place.offset, bytes, &header, data.len() as u64);
                 if self.attachments.len() < LISTED_RECORDS {
                     self.attachments.push(AttachmentReport {
                         name: header.name,
@@ -248,13 +233,10 @@ impl Inspector {
                 }
             }
             Record::Metadata(metadata) => {
-                self.summary
-                    .metadata(raw.place.offset, bytes, &metadata.name);
+                self.summary.metadata(raw.place.offset, bytes, &metadata.name);
                 if self.metadata.len() < LISTED_RECORDS {
-                    self.metadata.push(MetadataReport {
-                        name: metadata.name,
-                        entries: metadata.metadata,
-                    });
+                    self.metadata
+                        .push(MetadataReport { name: metadata.name, entries: metadata.metadata });
                 }
             }
             Record::DataEnd(_) => {
@@ -266,9 +248,7 @@ impl Inspector {
                 self.check_crc(raw, "summary");
                 self.section = Section::Ended;
                 let wrong = self.summary.footer(raw.place.offset, footer);
-                wrong
-                    .into_iter()
-                    .for_each(|what| self.error(Some(raw.place), what));
+                wrong.into_iter().for_each(|what| self.error(Some(raw.place), what));
             }
             Record::Unknown { opcode, .. } => {
                 let what =
@@ -373,17 +353,13 @@ impl Inspector {
         }
         let counted = self.counted();
         let used = self.used();
-        let (statistics, wrong) = self
-            .summary
-            .finish(&counted, used, &self.chunks, self.complete);
+        let (statistics, wrong) = self.summary.finish(&counted, used, &self.chunks, self.complete);
         for (severity, what) in wrong {
             self.find(severity, None, what);
         }
         if self.out_of_order > 0 {
-            let what = format!(
-                "{} messages are earlier than a message before them",
-                self.out_of_order
-            );
+            let what =
+                format!("{} messages are earlier than a message before them", self.out_of_order);
             self.note(None, what);
         }
         let channels: Vec<ChannelReport> = std::mem::take(&mut self.channels)
@@ -424,10 +400,8 @@ impl Inspector {
     /// Schemas and channels used by messages.
     fn used(&self) -> (u16, u32) {
         let used = || self.channels.values().filter(|tally| tally.messages() > 0);
-        let schemas: BTreeSet<u16> = used()
-            .map(|tally| tally.channel.schema_id)
-            .filter(|id| *id != 0)
-            .collect();
+        let schemas: BTreeSet<u16> =
+            used().map(|tally| tally.channel.schema_id).filter(|id| *id != 0).collect();
         let schemas = u16::try_from(schemas.len()).unwrap_or(u16::MAX);
         (schemas, u32::try_from(used().count()).unwrap_or(u32::MAX))
     }

@@ -91,36 +91,19 @@ impl fmt::Display for Inspection {
             }
         };
         writeln!(out, "statistics   {statistics}")?;
-        writeln!(
-            out,
-            "findings     {} errors, {} notes",
-            self.errors, self.notes
-        )
+        writeln!(out, "findings     {} errors, {} notes", self.errors, self.notes)
     }
 }
 
 impl Inspection {
     fn write_head(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let state = if self.complete {
-            "complete"
-        } else {
-            "INCOMPLETE or damaged"
-        };
+        let state = if self.complete { "complete" } else { "INCOMPLETE or damaged" };
         writeln!(out, "size         {} bytes, {state}", self.bytes)?;
-        writeln!(
-            out,
-            "written by   {} (profile {:?})",
-            self.library, self.profile
-        )?;
+        writeln!(out, "written by   {} (profile {:?})", self.library, self.profile)?;
         if let (Some(start), Some(end), Some(duration)) =
             (self.start_ns, self.end_ns, self.duration_s)
         {
-            writeln!(
-                out,
-                "log time     {} to {} s, {duration:.3} s",
-                stamp(start),
-                stamp(end)
-            )?;
+            writeln!(out, "log time     {} to {} s, {duration:.3} s", stamp(start), stamp(end))?;
         }
         write!(out, "messages     {}", self.messages)?;
         if self.messages_outside_chunks > 0 {
@@ -149,12 +132,7 @@ impl Inspection {
     }
 
     fn write_channels(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "channels     {}, schemas {}",
-            self.channels.len(),
-            self.schemas.len()
-        )?;
+        writeln!(out, "channels     {}, schemas {}", self.channels.len(), self.schemas.len())?;
         for channel in &self.channels {
             writeln!(out, "  {channel}")?;
         }
@@ -183,11 +161,7 @@ impl Inspection {
 impl fmt::Display for ChannelReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let schema = self.schema.as_deref().unwrap_or("no schema");
-        write!(
-            out,
-            "{:<3} {:<36} {:>8} messages",
-            self.id, self.topic, self.messages
-        )?;
+        write!(out, "{:<3} {:<36} {:>8} messages", self.id, self.topic, self.messages)?;
         if let Some(rate) = self.rate_hz {
             write!(out, " {rate:>8.2} Hz")?;
         }
@@ -199,12 +173,7 @@ impl fmt::Display for ChannelReport {
         if let (Some(least), Some(longest)) = (self.least_delay_s, self.longest_delay_s)
             && (least != 0.0 || longest != 0.0)
         {
-            write!(
-                out,
-                "; logged {:.1} to {:.1} ms after publishing",
-                1e3 * least,
-                1e3 * longest
-            )?;
+            write!(out, "; logged {:.1} to {:.1} ms after publishing", 1e3 * least, 1e3 * longest)?;
         }
         if let Sequence::Counted { missing, restarts } = self.sequence
             && missing + restarts > 0

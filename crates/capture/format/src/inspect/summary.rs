@@ -74,13 +74,8 @@ impl Summary {
     }
 
     pub(super) fn metadata(&mut self, offset: u64, bytes: u64, name: &str) {
-        let entry = Entry {
-            bytes,
-            name: name.to_owned(),
-            data_bytes: 0,
-            times: (0, 0),
-            indexed: false,
-        };
+        let entry =
+            Entry { bytes, name: name.to_owned(), data_bytes: 0, times: (0, 0), indexed: false };
         self.metadata.insert(offset, entry);
     }
 
@@ -130,10 +125,7 @@ impl Summary {
                     && entry.data_bytes == index.data_size
                     && entry.times == (index.log_time, index.create_time);
                 (!agrees).then(|| {
-                    format!(
-                        "attachment index: {:?} at byte {at} has other fields",
-                        entry.name
-                    )
+                    format!("attachment index: {:?} at byte {at} has other fields", entry.name)
                 })
             }
             Record::MetadataIndex(index) => {
@@ -147,20 +139,16 @@ impl Summary {
                 entry.indexed = true;
                 let agrees = entry.bytes == index.length && entry.name == index.name;
                 (!agrees).then(|| {
-                    format!(
-                        "metadata index: {:?} at byte {at} has other fields",
-                        entry.name
-                    )
+                    format!("metadata index: {:?} at byte {at} has other fields", entry.name)
                 })
             }
             Record::SummaryOffset(summary_offset) => {
                 self.summary_offsets.push(summary_offset);
                 None
             }
-            other => Some(format!(
-                "opcode {:#04x} is not allowed at byte {offset}",
-                other.opcode()
-            )),
+            other => {
+                Some(format!("opcode {:#04x} is not allowed at byte {offset}", other.opcode()))
+            }
         }
     }
 
@@ -168,10 +156,7 @@ impl Summary {
     pub(super) fn footer(&mut self, offset: u64, footer: Footer) -> Vec<String> {
         let mut wrong = Vec::new();
         let start = self.starts_at.filter(|start| *start != offset).unwrap_or(0);
-        let offsets = self
-            .groups
-            .get(&op::SUMMARY_OFFSET)
-            .map_or(0, |(start, _)| *start);
+        let offsets = self.groups.get(&op::SUMMARY_OFFSET).map_or(0, |(start, _)| *start);
         // If there are only summary offsets, there is no summary start.
         let start = if start == offsets { 0 } else { start };
         if self.starts_at.is_none() {
@@ -186,16 +171,10 @@ impl Summary {
         }
         if footer.summary_offset_start != offsets {
             let said = footer.summary_offset_start;
-            wrong.push(format!(
-                "footer: the summary offsets begin at byte {offsets}, not {said}"
-            ));
+            wrong.push(format!("footer: the summary offsets begin at byte {offsets}, not {said}"));
         }
         for said in &self.summary_offsets {
-            let found = self
-                .groups
-                .get(&said.group_opcode)
-                .copied()
-                .unwrap_or_default();
+            let found = self.groups.get(&said.group_opcode).copied().unwrap_or_default();
             // Python's writer lists groups without records, too, at any byte.
             let is_empty = found.1 == 0 && said.group_length == 0;
             if !is_empty && found != (said.group_start, said.group_length) {
@@ -236,10 +215,8 @@ impl Summary {
                 if differences.is_empty() {
                     StatisticsCheck::Agree
                 } else {
-                    wrong.push((
-                        Severity::Error,
-                        format!("statistics: {}", differences.join(", ")),
-                    ));
+                    wrong
+                        .push((Severity::Error, format!("statistics: {}", differences.join(", "))));
                     StatisticsCheck::Differ { differences }
                 }
             }
@@ -252,23 +229,11 @@ impl Summary {
         };
         for (kind, indexes, unindexed) in [
             ("chunks", self.chunk_indexes, chunks.unindexed()),
-            (
-                "attachments",
-                self.attachment_indexes,
-                unindexed(&self.attachments),
-            ),
-            (
-                "metadata records",
-                self.metadata_indexes,
-                unindexed(&self.metadata),
-            ),
+            ("attachments", self.attachment_indexes, unindexed(&self.attachments)),
+            ("metadata records", self.metadata_indexes, unindexed(&self.metadata)),
         ] {
             if unindexed > 0 {
-                let severity = if indexes > 0 {
-                    Severity::Error
-                } else {
-                    Severity::Note
-                };
+                let severity = if indexes > 0 { Severity::Error } else { Severity::Note };
                 wrong.push((severity, format!("{unindexed} {kind} are not indexed")));
             }
         }
@@ -307,10 +272,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
         .filter(|(said, counted)| said != counted)
         .map(|((what, said), (_, counted))| format!("{what}: {said} stated, {counted} found"))
         .collect();
-    let channels = said
-        .channel_message_counts
-        .keys()
-        .chain(counted.channel_message_counts.keys());
+    let channels = said.channel_message_counts.keys().chain(counted.channel_message_counts.keys());
     let mut channels: Vec<u16> = channels.copied().collect();
     channels.sort_unstable();
     channels.dedup();
@@ -321,9 +283,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
         };
         let (said, counted) = (of(said), of(counted));
         if said != counted {
-            differences.push(format!(
-                "channel {channel}: {said} messages stated, {counted} found"
-            ));
+            differences.push(format!("channel {channel}: {said} messages stated, {counted} found"));
         }
     }
     differences

@@ -129,9 +129,8 @@ pub fn values<E: From<ScanError>>(
                 });
             }
             Record::Message { header, data } => {
-                if let Some(channel) = channels
-                    .get(&header.channel_id)
-                    .filter(|channel| channel.wanted)
+                if let Some(channel) =
+                    channels.get(&header.channel_id).filter(|channel| channel.wanted)
                 {
                     let line = channel.line(&header, &data);
                     passed.messages += 1;
@@ -225,9 +224,7 @@ impl Channel {
 /// The file's descriptor of a message.
 fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescriptor, String> {
     if encoding != "protobuf" {
-        return Err(format!(
-            "schema encoding {encoding:?}; read is \"protobuf\""
-        ));
+        return Err(format!("schema encoding {encoding:?}; read is \"protobuf\""));
     }
     let pool = DescriptorPool::decode(data).map_err(|error| error.to_string())?;
     pool.get_message_by_name(name)
@@ -237,12 +234,7 @@ fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescript
 impl Schema {
     /// Its message by the descriptors, decoded once.
     fn described(&mut self) -> Result<Described, String> {
-        let Self {
-            name,
-            encoding,
-            data,
-            message,
-        } = self;
+        let Self { name, encoding, data, message } = self;
         let described = message.get_or_insert_with(|| {
             let message = descriptor(name, encoding, data)?;
             let (mut columns, mut left) = (Vec::new(), MAX_COLUMN_BYTES);
@@ -320,8 +312,5 @@ fn list(
 
 /// Messages that JSON represents as a string.
 fn is_text(message: &MessageDescriptor) -> bool {
-    matches!(
-        message.full_name(),
-        "google.protobuf.Timestamp" | "google.protobuf.Duration"
-    )
+    matches!(message.full_name(), "google.protobuf.Timestamp" | "google.protobuf.Duration")
 }

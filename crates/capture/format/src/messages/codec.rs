@@ -66,10 +66,7 @@ impl fmt::Display for Fault {
 
 impl Fault {
     fn within(self, field: &Field) -> Self {
-        Self {
-            field: self.field.or(Some(field.name)),
-            ..self
-        }
+        Self { field: self.field.or(Some(field.name)), ..self }
     }
 }
 
@@ -407,11 +404,8 @@ impl Encoder {
                 }),
                 Form::Numbers { of, elements, .. } => {
                     let size = of.size();
-                    let used = if of.is_float() {
-                        elements * size
-                    } else {
-                        used(from, *elements, size)
-                    };
+                    let used =
+                        if of.is_float() { elements * size } else { used(from, *elements, size) };
                     if used > 0 {
                         self.inner(field.key, &mut 1, |this| {
                             for element in from[..used].chunks_exact(size) {
@@ -459,11 +453,7 @@ pub(super) type Part<'a> = &'a mut dyn FnMut(u32, Wire, &mut Bytes<'_>, u32) -> 
 
 impl<'a> Decoded<'a> {
     pub(super) fn new(table: &'a Table) -> Self {
-        Self {
-            table,
-            slots: vec![0; table.slots],
-            wide: Vec::new(),
-        }
+        Self { table, slots: vec![0; table.slots], wide: Vec::new() }
     }
 
     /// Decodes a whole message; afterwards another can be decoded. A number that exceeds its field
@@ -580,9 +570,7 @@ impl<'a> Decoded<'a> {
             Form::Struct(table) => {
                 let data = data.bytes(wire)?;
                 let place = (&mut into[..table.empty.len()], base);
-                self.fields(table, data, place, inner(depth)?, &mut |_, _, _, _| {
-                    Ok(false)
-                })?;
+                self.fields(table, data, place, inner(depth)?, &mut |_, _, _, _| Ok(false))?;
             }
             Form::Structs { of, elements, slot } => {
                 let mut element = of.empty.clone();
@@ -627,11 +615,7 @@ impl<'a> Decoded<'a> {
     }
 
     fn exceeds(&mut self, field: &Field, base: usize, found: i128, allowed: u64) {
-        let wide = OutOfRange {
-            field: field.name,
-            found,
-            allowed,
-        };
+        let wide = OutOfRange { field: field.name, found, allowed };
         self.wide.push((base, wide));
     }
 

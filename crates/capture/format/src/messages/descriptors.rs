@@ -25,9 +25,7 @@ pub(super) fn set_of<C: Channel>() -> FileDescriptorSet {
     let all = all();
     match message(&all, C::MESSAGE) {
         Some(_) => all,
-        None => FileDescriptorSet {
-            file: vec![derived::<C>()],
-        },
+        None => FileDescriptorSet { file: vec![derived::<C>()] },
     }
 }
 
@@ -43,10 +41,7 @@ pub(super) fn files_of_ours(message: &str) -> Vec<u8> {
 
 fn files(all: &FileDescriptorSet, message: &str) -> Vec<u8> {
     let mut file = Vec::new();
-    let declaring = all
-        .file
-        .iter()
-        .find(|file| declared(file, message).is_some());
+    let declaring = all.file.iter().find(|file| declared(file, message).is_some());
     if let Some(declaring) = declaring {
         gather(all, declaring.name(), &mut file);
     }
@@ -56,10 +51,7 @@ fn files(all: &FileDescriptorSet, message: &str) -> Vec<u8> {
 /// The message of a name, with or without its package.
 pub(super) fn message(set: &FileDescriptorSet, name: &str) -> Option<DescriptorProto> {
     let name = name.strip_prefix(".joulebus.").unwrap_or(name);
-    set.file
-        .iter()
-        .find_map(|file| declared(file, name))
-        .cloned()
+    set.file.iter().find_map(|file| declared(file, name)).cloned()
 }
 
 fn declared<'a>(file: &'a FileDescriptorProto, name: &str) -> Option<&'a DescriptorProto> {
@@ -89,11 +81,7 @@ fn derived<C: Channel>() -> FileDescriptorProto {
     let number = ROWS.max(frame.field.len() as i32 + 1);
     let is_bytes = row.fields.is_empty();
     let kind = if is_bytes { Type::Bytes } else { Type::Message };
-    let label = if is_bytes {
-        Label::Optional
-    } else {
-        Label::Repeated
-    };
+    let label = if is_bytes { Label::Optional } else { Label::Repeated };
     frame.field.push(FieldDescriptorProto {
         type_name: (!is_bytes).then(|| format!(".joulebus.{}", row.name)),
         ..plain("rows", number, kind, label)
@@ -128,10 +116,7 @@ fn describe(
     name: &str,
     messages: &mut Vec<DescriptorProto>,
 ) -> DescriptorProto {
-    let mut message = DescriptorProto {
-        name: Some(name.to_owned()),
-        ..DescriptorProto::default()
-    };
+    let mut message = DescriptorProto { name: Some(name.to_owned()), ..DescriptorProto::default() };
     for (field, number) in layout.fields.iter().zip(1..) {
         let label = match field.elements {
             // An array of bytes is text.
@@ -143,9 +128,7 @@ fn describe(
         if let FieldType::Struct(name) = field.of {
             described.type_name = Some(format!(".joulebus.{name}"));
             let known = messages.iter().any(|message| message.name() == name);
-            let inner = layouts()
-                .into_iter()
-                .find(|layout| layout.name == name && !known);
+            let inner = layouts().into_iter().find(|layout| layout.name == name && !known);
             if let Some(inner) = inner {
                 let inner = describe(&inner, name, messages);
                 messages.push(inner);

@@ -22,10 +22,7 @@ pub struct Frame<C: Channel> {
 
 impl<C: Channel> Default for Frame<C> {
     fn default() -> Self {
-        Self {
-            header: C::Header::default(),
-            rows: Vec::new(),
-        }
+        Self { header: C::Header::default(), rows: Vec::new() }
     }
 }
 
@@ -131,12 +128,7 @@ impl<C: Channel> Frame<C> {
             }
             rows.push(*empty);
             if let Some(into) = rows.last_mut() {
-                row.row(
-                    found,
-                    bytemuck::bytes_of_mut(into),
-                    inner(depth)?,
-                    &mut exceeds,
-                )?;
+                row.row(found, bytemuck::bytes_of_mut(into), inner(depth)?, &mut exceeds)?;
             }
             Ok(true)
         })?;
@@ -168,11 +160,7 @@ impl<C: Channel> Content for Frame<C> {
     }
 
     fn encode(&self, out: &mut Vec<u8>) {
-        let FrameTable {
-            header,
-            number,
-            row,
-        } = table::<C>();
+        let FrameTable { header, number, row } = table::<C>();
         let mut encoder = Encoder::after(std::mem::take(out));
         encoder.fields(header, bytemuck::bytes_of(&self.header));
         match row {
@@ -184,9 +172,7 @@ impl<C: Channel> Content for Frame<C> {
 
     fn each_robot(&self, take: &mut dyn FnMut(Message)) {
         if C::ROWS == FrameRows::Robots {
-            self.rows
-                .iter()
-                .for_each(|row| take(RobotRow::<C>(*row).into()));
+            self.rows.iter().for_each(|row| take(RobotRow::<C>(*row).into()));
         }
     }
 

@@ -211,9 +211,7 @@ pub enum DecodeError {
 
 impl From<Fault> for DecodeError {
     fn from(fault: Fault) -> Self {
-        Self::Protobuf {
-            reason: fault.to_string(),
-        }
+        Self::Protobuf { reason: fault.to_string() }
     }
 }
 

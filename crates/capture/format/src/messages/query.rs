@@ -101,28 +101,23 @@ impl Query {
             } else if number == tables.answer_number {
                 let into = bytemuck::bytes_of_mut(&mut answered);
                 let part = data.bytes(wire)?;
-                answer.take(
-                    part,
-                    into,
-                    inner(depth)?,
-                    &mut |number, wire, data, depth| {
-                        if number == tables.text_number {
-                            let bytes = data.bytes(wire)?;
-                            text = String::from_utf8(bytes.to_vec()).map_err(|_| Wrong::Text)?;
-                        } else if number == tables.rows_number {
-                            let mut found: AnswerRow = read(&tables.row.empty);
-                            let into = bytemuck::bytes_of_mut(&mut found);
-                            row.row(data.bytes(wire)?, into, inner(depth)?, &mut exceeds)?;
-                            rows.push(found);
-                        } else if number == tables.power_number {
-                            let mut push = |bits| power_w.push(f32::from_bits(bits as u32));
-                            data.numbers(Number::F32, wire, &mut push)?;
-                        } else {
-                            return Ok(false);
-                        }
-                        Ok(true)
-                    },
-                )?;
+                answer.take(part, into, inner(depth)?, &mut |number, wire, data, depth| {
+                    if number == tables.text_number {
+                        let bytes = data.bytes(wire)?;
+                        text = String::from_utf8(bytes.to_vec()).map_err(|_| Wrong::Text)?;
+                    } else if number == tables.rows_number {
+                        let mut found: AnswerRow = read(&tables.row.empty);
+                        let into = bytemuck::bytes_of_mut(&mut found);
+                        row.row(data.bytes(wire)?, into, inner(depth)?, &mut exceeds)?;
+                        rows.push(found);
+                    } else if number == tables.power_number {
+                        let mut push = |bits| power_w.push(f32::from_bits(bits as u32));
+                        data.numbers(Number::F32, wire, &mut push)?;
+                    } else {
+                        return Ok(false);
+                    }
+                    Ok(true)
+                })?;
             } else {
                 return Ok(false);
             }
@@ -132,13 +127,7 @@ impl Query {
             return Err(exceeds.into());
         }
         (record.query, record.answer) = (asked, answered);
-        let query = Self {
-            record,
-            values,
-            rows,
-            power_w,
-            text,
-        };
+        let query = Self { record, values, rows, power_w, text };
         Ok(query.counted().into())
     }
 }
@@ -149,10 +138,7 @@ impl Content for Query {
     }
 
     fn place(&self) -> Option<Place> {
-        Some(Place {
-            run: self.record.begun_ns,
-            number: self.record.number,
-        })
+        Some(Place { run: self.record.begun_ns, number: self.record.number })
     }
 
     fn sent_ns(&self) -> Option<u64> {
@@ -177,10 +163,7 @@ impl Content for Query {
             to.fields(&tables.answer, bytemuck::bytes_of(answer));
             to.bytes(tables.text_number, self.text.as_bytes());
             to.rows(tables.rows_number, &tables.row, &self.rows);
-            let power_w = self
-                .power_w
-                .iter()
-                .flat_map(|power_w| power_w.to_le_bytes());
+            let power_w = self.power_w.iter().flat_map(|power_w| power_w.to_le_bytes());
             to.bytes(tables.power_number, &power_w.collect::<Vec<u8>>());
         });
         *out = encoder.finish();
@@ -234,12 +217,7 @@ static TABLES: LazyLock<Tables> = LazyLock::new(|| {
     };
     let in_parts = ["values", "words", "reserved", "query", "answer"];
     Tables {
-        record: table(
-            QueryRecord::LAYOUT,
-            &query,
-            &["question", "answer"],
-            &in_parts,
-        ),
+        record: table(QueryRecord::LAYOUT, &query, &["question", "answer"], &in_parts),
         question: table(QueryHeader::LAYOUT, &question, &["values"], &[]),
         answer: table(
             AnswerHeader::LAYOUT,

@@ -75,21 +75,13 @@ pub(super) enum Form {
     /// A timestamp of ns, always written; seconds and ns are in two slots from this one.
     Time(usize),
     /// Numbers one after the other; how many were read is in the slot.
-    Numbers {
-        of: Number,
-        elements: usize,
-        slot: usize,
-    },
+    Numbers { of: Number, elements: usize, slot: usize },
     /// Text of at most so many bytes.
     Text(usize),
     /// A struct, always written.
     Struct(Box<Table>),
     /// An array of structs; how many were read is in the slot.
-    Structs {
-        of: Box<Table>,
-        elements: usize,
-        slot: usize,
-    },
+    Structs { of: Box<Table>, elements: usize, slot: usize },
 }
 
 /// A number in shared memory and how it is encoded.
@@ -197,10 +189,7 @@ impl Table {
             None => layout.fields.to_vec(),
         };
         left.retain(|field| !lengths.contains(&field.name));
-        let mut table = Self {
-            empty: vec![0; layout.size],
-            ..Self::default()
-        };
+        let mut table = Self { empty: vec![0; layout.size], ..Self::default() };
         for field in described {
             let counterpart = |of: &FieldLayout| {
                 of.name == field.name()
@@ -224,18 +213,14 @@ impl Table {
             });
         }
         match left.first() {
-            Some(field) => Err(format!(
-                "{}.{} is not in the message",
-                layout.name, field.name
-            )),
+            Some(field) => Err(format!("{}.{} is not in the message", layout.name, field.name)),
             None => Ok(table),
         }
     }
 
     fn add(&mut self, field: Field) {
         let number = field.number as usize;
-        self.by_number
-            .resize(self.by_number.len().max(number + 1), NONE);
+        self.by_number.resize(self.by_number.len().max(number + 1), NONE);
         self.by_number[number] = self.fields.len() as u8;
         if let Form::Number(of) | Form::Float(of) = field.form {
             let key = key(field.number, of.wire()) as usize;
@@ -249,8 +234,7 @@ impl Table {
             Form::Float(of) => of.write_nan(into),
             Form::Numbers { of, elements, .. } => {
                 let all = &mut into[..elements * of.size()];
-                all.chunks_mut(of.size())
-                    .for_each(|place| of.write_nan(place));
+                all.chunks_mut(of.size()).for_each(|place| of.write_nan(place));
             }
             Form::Struct(table) => into[..table.empty.len()].copy_from_slice(&table.empty),
             // Unwritten ones are zeros.
@@ -261,8 +245,7 @@ impl Table {
 
     /// The field of this number.
     pub(super) fn by_number(&self, number: u32) -> Option<&Field> {
-        self.fields
-            .get(usize::from(*self.by_number.get(number as usize)?))
+        self.fields.get(usize::from(*self.by_number.get(number as usize)?))
     }
 
     /// The field that is written with this key, if it is one number.
@@ -366,9 +349,8 @@ impl Elements {
             return None;
         }
         let size = array.size / all;
-        let (others, named): (Vec<_>, Vec<_>) = described
-            .iter()
-            .partition(|field| field.label() == Label::Repeated);
+        let (others, named): (Vec<_>, Vec<_>) =
+            described.iter().partition(|field| field.label() == Label::Repeated);
         let count = named.len();
         let leak =
             |field: &FieldDescriptorProto| &*Box::leak(field.name().to_owned().into_boxed_str());

@@ -137,17 +137,9 @@ impl fmt::Display for Recovery {
             writeln!(out, "{}: {}", trouble.place, trouble.what)?;
         }
         if self.trouble_count > self.troubles.len() as u64 {
-            writeln!(
-                out,
-                "… and {} more",
-                self.trouble_count - self.troubles.len() as u64
-            )?;
+            writeln!(out, "… and {} more", self.trouble_count - self.troubles.len() as u64)?;
         }
-        writeln!(
-            out,
-            "{:<12} {:>10} {:>10} {:>10}",
-            "", "recovered", "lost", "suspect"
-        )?;
+        writeln!(out, "{:<12} {:>10} {:>10} {:>10}", "", "recovered", "lost", "suspect")?;
         for (kind, counts) in self.kinds() {
             writeln!(
                 out,
@@ -162,11 +154,7 @@ impl fmt::Display for Recovery {
             writeln!(out, "the data section has another checksum than was saved")?;
         }
         if self.passed_over_bytes > 0 {
-            writeln!(
-                out,
-                "bytes without anything readable: {}",
-                self.passed_over_bytes
-            )?;
+            writeln!(out, "bytes without anything readable: {}", self.passed_over_bytes)?;
         }
         if self.lost_unknown {
             writeln!(
@@ -236,13 +224,7 @@ impl Ledger {
         self.settle_chunk();
         if std::mem::take(&mut self.data_ended) {
             let what = "chunk: behind what looked like the end of the data".to_owned();
-            self.troubles.add(
-                Place {
-                    offset: frame.offset,
-                    in_chunk: None,
-                },
-                what,
-            );
+            self.troubles.add(Place { offset: frame.offset, in_chunk: None }, what);
         }
         self.chunk = Some(OpenChunk::default());
     }
@@ -255,27 +237,18 @@ impl Ledger {
         let suspect = self.chunk.map_or(0, |chunk| chunk.recovered);
         self.chunks.suspect += 1;
         self.messages.suspect += suspect;
-        let (start, end) = (
-            frame.header.message_start_time,
-            frame.header.message_end_time,
-        );
+        let (start, end) = (frame.header.message_start_time, frame.header.message_end_time);
         let what = format!(
             "chunk: its checksum is wrong; its {suspect} messages, log time {start} to {end} ns, are suspect"
         );
-        let place = Place {
-            offset: frame.offset,
-            in_chunk: None,
-        };
+        let place = Place { offset: frame.offset, in_chunk: None };
         self.troubles.add(place, what);
     }
 
     /// Before a record is processed.
     pub(super) fn before(&mut self, raw: &Raw<'_>) {
         let is_of_chunk = raw.place.in_chunk.is_some()
-            || matches!(
-                raw.opcode,
-                op::MESSAGE_INDEX | op::MESSAGE | op::SCHEMA | op::CHANNEL
-            );
+            || matches!(raw.opcode, op::MESSAGE_INDEX | op::MESSAGE | op::SCHEMA | op::CHANNEL);
         if !is_of_chunk {
             self.settle_chunk();
         }
@@ -287,9 +260,7 @@ impl Ledger {
             return;
         };
         if chunk.has_index {
-            self.messages.lost += chunk
-                .indexed
-                .saturating_sub(chunk.recovered + chunk.orphans);
+            self.messages.lost += chunk.indexed.saturating_sub(chunk.recovered + chunk.orphans);
         } else if chunk.broken {
             self.uncounted = true;
         }
@@ -315,10 +286,7 @@ impl Ledger {
     }
 
     pub(super) fn too_long(&mut self, place: Place, opcode: u8, bytes: u64) {
-        let what = format!(
-            "{} of {bytes} bytes is too long to be copied",
-            kind_name(opcode)
-        );
+        let what = format!("{} of {bytes} bytes is too long to be copied", kind_name(opcode));
         match self.kind(opcode) {
             Some(counts) => counts.lost += 1,
             None => self.others_lost += 1,
@@ -390,10 +358,7 @@ impl Ledger {
             self.doubt = true;
             let Crc { saved, found } = crc;
             let what = format!("data section: checksum {found:08x}, stored was {saved:08x}");
-            let place = Place {
-                offset: 0,
-                in_chunk: None,
-            };
+            let place = Place { offset: 0, in_chunk: None };
             self.troubles.add(place, what);
         }
     }
@@ -418,10 +383,7 @@ impl Ledger {
         if let Some(said) = statistics {
             if let Some(more) = self.messages.recovered.checked_sub(said.message_count + 1) {
                 let what = format!("{} messages more than the statistics state", more + 1);
-                let place = Place {
-                    offset: 0,
-                    in_chunk: None,
-                };
+                let place = Place { offset: 0, in_chunk: None };
                 self.troubles.add(place, what);
             }
             let exact = |counts: &mut Counts, said: u64| {

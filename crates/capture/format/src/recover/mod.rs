@@ -42,9 +42,7 @@ pub enum RecoverError {
 impl From<io::Error> for RecoverError {
     /// An error of the result.
     fn from(error: io::Error) -> Self {
-        Self::Write {
-            reason: error.to_string(),
-        }
+        Self::Write { reason: error.to_string() }
     }
 }
 
@@ -116,13 +114,7 @@ fn read_summary(input: &mut (impl Read + Seek)) -> Saved {
 }
 
 fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool, ScanError> {
-    let io = |source| ScanError::Io {
-        place: Place {
-            offset: 0,
-            in_chunk: None,
-        },
-        source,
-    };
+    let io = |source| ScanError::Io { place: Place { offset: 0, in_chunk: None }, source };
     let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
     let Some(at) = file_bytes.checked_sub(TAIL_BYTES) else {
         return Ok(false);
@@ -189,11 +181,7 @@ impl<W: Write + Seek> Rescue<W> {
                 self.writer(compression)?;
             }
             Event::ChunkEnds { frame, crc } => self.ledger.chunk_ends(&frame, crc),
-            Event::TooLong {
-                place,
-                opcode,
-                bytes,
-            } => self.ledger.too_long(place, opcode, bytes),
+            Event::TooLong { place, opcode, bytes } => self.ledger.too_long(place, opcode, bytes),
             Event::Record(raw) => self.record(&raw)?,
         }
         Ok(())
@@ -266,9 +254,7 @@ impl<W: Write + Seek> Rescue<W> {
                 self.ledger.attachments.recovered += 1;
             }
             Record::Metadata(metadata) => {
-                self.writer(None)?
-                    .write_metadata(&metadata)
-                    .map_err(failed)?;
+                self.writer(None)?.write_metadata(&metadata).map_err(failed)?;
                 self.ledger.metadata.recovered += 1;
             }
             Record::MessageIndex(index) => self.ledger.message_index(index.records.len() as u64),
@@ -290,9 +276,7 @@ impl<W: Write + Seek> Rescue<W> {
         id: u16,
         (name, encoding, data): &(String, String, Vec<u8>),
     ) -> Result<(), RecoverError> {
-        let added = self
-            .writer(None)?
-            .add_schema_with_id(id, name, encoding, data);
+        let added = self.writer(None)?.add_schema_with_id(id, name, encoding, data);
         match refused(added)? {
             None => self.ledger.schema(id),
             Some(why) => self.ledger.schemas.lose(
@@ -326,9 +310,7 @@ impl<W: Write + Seek> Rescue<W> {
             }
             Some(why) => {
                 let what = format!("channel {} ({}): {why}", channel.id, channel.topic);
-                self.ledger
-                    .channels
-                    .lose(place, what, &mut self.ledger.troubles);
+                self.ledger.channels.lose(place, what, &mut self.ledger.troubles);
             }
         }
         Ok(())
@@ -351,19 +333,14 @@ impl<W: Write + Seek> Rescue<W> {
             return Ok(());
         };
         self.ledger.message(topic);
-        self.writer(None)?
-            .write_to_known_channel(header, data)
-            .map_err(failed)
+        self.writer(None)?.write_to_known_channel(header, data).map_err(failed)
     }
 
     fn finish(mut self) -> Result<(Recovery, W), RecoverError> {
         let statistics = self.summary.statistics.take();
         let recovery = self.ledger.clone().settle(statistics.as_ref());
         if !recovery.is_clean() {
-            let note = Metadata {
-                name: RECOVERED.to_owned(),
-                metadata: recovery.notes(),
-            };
+            let note = Metadata { name: RECOVERED.to_owned(), metadata: recovery.notes() };
             self.writer(None)?.write_metadata(&note).map_err(failed)?;
         }
         self.writer(None)?;
@@ -388,7 +365,5 @@ fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError
 
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 fn failed(error: McapError) -> RecoverError {
-    RecoverError::Write {
-        reason: reason(&error),
-    }
+    RecoverError::Write { reason: reason(&error) }
 }

@@ -98,13 +98,7 @@ impl<R: Read + Seek> Chunk<R> {
                 return Err((Some(source), error));
             }
         };
-        Ok(Box::new(Self {
-            frame,
-            body,
-            crc: crc32fast::Hasher::new(),
-            read: 0,
-            record: 0,
-        }))
+        Ok(Box::new(Self { frame, body, crc: crc32fast::Hasher::new(), read: 0, record: 0 }))
     }
 
     pub(super) fn frame(&self) -> &ChunkFrame {
@@ -116,12 +110,7 @@ impl<R: Read + Seek> Chunk<R> {
         let size = self.frame.header.uncompressed_size;
         if self.read == size {
             let (saved, crc) = (self.frame.header.uncompressed_crc, self.crc.clone());
-            return Ok(Step::End {
-                crc: Crc {
-                    saved,
-                    found: crc.finalize(),
-                },
-            });
+            return Ok(Step::End { crc: Crc { saved, found: crc.finalize() } });
         }
         let place = self.place();
         // Limit by decompressed bytes: the header's size may be corrupt.
@@ -144,25 +133,14 @@ impl<R: Read + Seek> Chunk<R> {
         };
         let left = size.saturating_sub(self.read);
         if !is_opcode(opcode) {
-            return Err(ScanError::Opcode {
-                place,
-                found: opcode,
-            });
+            return Err(ScanError::Opcode { place, found: opcode });
         }
         if bytes > left {
-            return Err(ScanError::PastChunk {
-                place,
-                found: bytes,
-                left,
-            });
+            return Err(ScanError::PastChunk { place, found: bytes, left });
         }
         if bytes > MAX_RECORD_BYTES {
             self.pass_over(bytes, buffer, place)?;
-            return Ok(Step::TooLong {
-                place,
-                opcode,
-                bytes,
-            });
+            return Ok(Step::TooLong { place, opcode, bytes });
         }
         self.take(bytes, buffer)?;
         if buffer.len() as u64 != bytes {
@@ -204,10 +182,7 @@ impl<R: Read + Seek> Chunk<R> {
     }
 
     fn place(&self) -> Place {
-        Place {
-            offset: self.frame.offset,
-            in_chunk: Some(self.read),
-        }
+        Place { offset: self.frame.offset, in_chunk: Some(self.read) }
     }
 
     /// Whether the file ends within the chunk.
@@ -223,11 +198,7 @@ impl<R: Read + Seek> Chunk<R> {
     /// The decompressed records end before the length in the head.
     fn ends_early(&self, place: Place) -> ScanError {
         if self.is_cut() {
-            return ScanError::EndsEarly {
-                place,
-                what: "chunk",
-                missing: None,
-            };
+            return ScanError::EndsEarly { place, what: "chunk", missing: None };
         }
         let size = self.frame.header.uncompressed_size;
         let detail = format!("found {} bytes of records, its head says {size}", self.read);
@@ -254,11 +225,7 @@ impl<R: Read + Seek> Chunk<R> {
 
     fn after(source: &Source<R>, end: u64) -> Failure {
         let from = source.offset();
-        Failure {
-            from,
-            search_from: from,
-            next: (end < source.file_bytes()).then_some(end),
-        }
+        Failure { from, search_from: from, next: (end < source.file_bytes()).then_some(end) }
     }
 
     /// Bytes of the chunk's record before its records.
@@ -285,11 +252,7 @@ impl<R: Read + Seek> Chunk<R> {
         if end > source.file_bytes() {
             let missing = Some(end - source.file_bytes());
             let what = "chunk";
-            let error = ScanError::EndsEarly {
-                place,
-                what,
-                missing,
-            };
+            let error = ScanError::EndsEarly { place, what, missing };
             return Err((source, error));
         }
         match source.skip(rest) {
@@ -324,10 +287,7 @@ pub(crate) fn zstd_decoder<R: BufRead>(input: R) -> io::Result<zstd::Decoder<'st
 
 fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
     ScanError::Decompress {
-        place: Place {
-            offset: frame.offset,
-            in_chunk: Some(read),
-        },
+        place: Place { offset: frame.offset, in_chunk: Some(read) },
         detail: error.to_string(),
     }
 }
@@ -339,17 +299,11 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
     let header = chunk_header::parse(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
         .map_err(|detail| match detail {
             Some(detail) => refuse(detail),
-            None => ScanError::EndsEarly {
-                place,
-                what: "chunk",
-                missing: None,
-            },
+            None => ScanError::EndsEarly { place, what: "chunk", missing: None },
         })?;
     let header_bytes = FIXED_BYTES + header.compression.len() as u64;
-    let fits = header
-        .compressed_size
-        .checked_add(header_bytes)
-        .is_some_and(|bytes| bytes <= head.bytes);
+    let fits =
+        header.compressed_size.checked_add(header_bytes).is_some_and(|bytes| bytes <= head.bytes);
     if !fits || head.end().is_none() {
         return Err(refuse(format!(
             "{header_bytes} bytes of head and {} of records do not fit its {} bytes",
@@ -357,9 +311,5 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
         )));
     }
     source.skip(HEAD_BYTES + header_bytes)?;
-    Ok(ChunkFrame {
-        offset: head.offset,
-        bytes: HEAD_BYTES + head.bytes,
-        header,
-    })
+    Ok(ChunkFrame { offset: head.offset, bytes: HEAD_BYTES + head.bytes, header })
 }

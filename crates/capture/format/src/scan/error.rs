@@ -83,10 +83,7 @@ pub enum ScanError {
         left: u64,
     },
     /// The file has wrong magic bytes at its end.
-    #[error(
-        "{place}: found {found:02x?}, an MCAP file ends with {:02x?}",
-        mcap::MAGIC
-    )]
+    #[error("{place}: found {found:02x?}, an MCAP file ends with {:02x?}", mcap::MAGIC)]
     EndMagic {
         /// The location.
         place: Place,

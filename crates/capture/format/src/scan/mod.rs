@@ -165,18 +165,9 @@ impl<R: Read + Seek> Scan<R> {
                 None => format!("{magic:02x?}"),
             };
             not_mcap = Some(ScanError::NotMcap { found });
-            failed = Some(resume::Failure {
-                from: 0,
-                search_from: 0,
-                next: Some(MAGIC_BYTES),
-            });
+            failed = Some(resume::Failure { from: 0, search_from: 0, next: Some(MAGIC_BYTES) });
         }
-        let scan = Self {
-            state: State::Top(source),
-            buffer: Vec::new(),
-            failed,
-            file_bytes,
-        };
+        let scan = Self { state: State::Top(source), buffer: Vec::new(), failed, file_bytes };
         Ok((scan, not_mcap))
     }
 
@@ -267,9 +258,7 @@ impl<R: Read + Seek> Scan<R> {
         let read = if head.bytes > MAX_RECORD_BYTES {
             source.skip(HEAD_BYTES + head.bytes)
         } else {
-            source
-                .skip(HEAD_BYTES)
-                .and_then(|()| source.read_up_to(head.bytes, &mut self.buffer))
+            source.skip(HEAD_BYTES).and_then(|()| source.read_up_to(head.bytes, &mut self.buffer))
         };
         if let Err(error) = read {
             return Err(self.fail(source, error));
@@ -277,11 +266,7 @@ impl<R: Read + Seek> Scan<R> {
         if head.bytes > MAX_RECORD_BYTES {
             self.state = State::Top(source);
             let (opcode, bytes) = (head.opcode, head.bytes);
-            return Ok(Some(Event::TooLong {
-                place,
-                opcode,
-                bytes,
-            }));
+            return Ok(Some(Event::TooLong { place, opcode, bytes }));
         }
         let mut found = None;
         if head.opcode == op::DATA_END {
@@ -289,12 +274,7 @@ impl<R: Read + Seek> Scan<R> {
             found = checked(&self.buffer, 0, crc);
         }
         self.state = State::Top(source);
-        Ok(Some(Event::Record(Raw {
-            place,
-            opcode: head.opcode,
-            body: &self.buffer,
-            crc: found,
-        })))
+        Ok(Some(Event::Record(Raw { place, opcode: head.opcode, body: &self.buffer, crc: found })))
     }
 
     /// The footer's checksum covers the summary and the footer up to the checksum.
@@ -308,14 +288,7 @@ impl<R: Read + Seek> Scan<R> {
         if head.bytes != FOOTER_BYTES {
             let detail = format!("it is {} bytes long, not {FOOTER_BYTES}", head.bytes);
             let what = kind_name(op::FOOTER);
-            return Err(self.fail(
-                source,
-                ScanError::Record {
-                    place,
-                    what,
-                    detail,
-                },
-            ));
+            return Err(self.fail(source, ScanError::Record { place, what, detail }));
         }
         let mut covered = Vec::new();
         let read = source
@@ -344,24 +317,11 @@ impl<R: Read + Seek> Scan<R> {
         match chunk.next(&mut self.buffer) {
             Ok(chunk::Step::Record { place, opcode }) => {
                 self.state = State::Chunk(chunk);
-                Ok(Some(Event::Record(Raw {
-                    place,
-                    opcode,
-                    body: &self.buffer,
-                    crc: None,
-                })))
+                Ok(Some(Event::Record(Raw { place, opcode, body: &self.buffer, crc: None })))
             }
-            Ok(chunk::Step::TooLong {
-                place,
-                opcode,
-                bytes,
-            }) => {
+            Ok(chunk::Step::TooLong { place, opcode, bytes }) => {
                 self.state = State::Chunk(chunk);
-                Ok(Some(Event::TooLong {
-                    place,
-                    opcode,
-                    bytes,
-                }))
+                Ok(Some(Event::TooLong { place, opcode, bytes }))
             }
             Ok(chunk::Step::End { crc }) => {
                 let frame = chunk.frame().clone();
@@ -373,11 +333,8 @@ impl<R: Read + Seek> Scan<R> {
                     Err((source, error)) => {
                         let after = source.offset();
                         let error = self.fail(source, error);
-                        self.failed = Some(resume::Failure {
-                            from: after,
-                            search_from: after,
-                            next: None,
-                        });
+                        self.failed =
+                            Some(resume::Failure { from: after, search_from: after, next: None });
                         Err(error)
                     }
                 }
@@ -419,10 +376,7 @@ pub(crate) fn each_record<E: From<ScanError>>(
                 Err(error) => damage.push(error.to_string()),
             },
             Ok(Some(Event::ChunkEnds { frame, crc })) if crc.is_wrong() => {
-                damage.push(format!(
-                    "byte {}: chunk: its checksum is wrong",
-                    frame.offset
-                ));
+                damage.push(format!("byte {}: chunk: its checksum is wrong", frame.offset));
             }
             Ok(Some(_)) => {}
             Ok(None) => return Ok(damage),
@@ -445,42 +399,23 @@ fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     let bytes = source.peek(HEAD_BYTES)?;
     let Some((&opcode, length)) = bytes.split_first() else {
         let what = "file, without its footer";
-        return Err(ScanError::EndsEarly {
-            place,
-            what,
-            missing: None,
-        });
+        return Err(ScanError::EndsEarly { place, what, missing: None });
     };
     let Ok(length) = <[u8; 8]>::try_from(length) else {
         let what = "head of a record";
         let missing = Some(HEAD_BYTES - rest);
-        return Err(ScanError::EndsEarly {
-            place,
-            what,
-            missing,
-        });
+        return Err(ScanError::EndsEarly { place, what, missing });
     };
     if !is_opcode(opcode) {
-        return Err(ScanError::Opcode {
-            place,
-            found: opcode,
-        });
+        return Err(ScanError::Opcode { place, found: opcode });
     }
-    let head = Head {
-        offset,
-        opcode,
-        bytes: u64::from_le_bytes(length),
-    };
+    let head = Head { offset, opcode, bytes: u64::from_le_bytes(length) };
     match head.end() {
         Some(end) if end <= source.file_bytes() || opcode == op::CHUNK => Ok(head),
         end => {
             let missing = end.map(|end| end - source.file_bytes());
             let what = kind_name(opcode);
-            Err(ScanError::EndsEarly {
-                place,
-                what,
-                missing,
-            })
+            Err(ScanError::EndsEarly { place, what, missing })
         }
     }
 }
@@ -492,24 +427,14 @@ fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
     if magic.len() < mcap::MAGIC.len() && mcap::MAGIC.starts_with(&magic) {
         let what = "bytes that end an MCAP file";
         let missing = Some(MAGIC_BYTES - magic.len() as u64);
-        return Err(ScanError::EndsEarly {
-            place,
-            what,
-            missing,
-        });
+        return Err(ScanError::EndsEarly { place, what, missing });
     }
     if magic != mcap::MAGIC {
-        return Err(ScanError::EndMagic {
-            place,
-            found: magic,
-        });
+        return Err(ScanError::EndMagic { place, found: magic });
     }
     match source.file_bytes() - source.offset() {
         0 => Ok(()),
-        bytes => Err(ScanError::Trailing {
-            place: Place::top(source.offset()),
-            bytes,
-        }),
+        bytes => Err(ScanError::Trailing { place: Place::top(source.offset()), bytes }),
     }
 }
 

@@ -12,11 +12,7 @@ use super::source::Source;
 /// The head at `offset`, if its kind exists in the format and the record fits into the file.
 pub(super) fn fits(offset: u64, bytes: &[u8], file_bytes: u64) -> Option<Head> {
     let (&opcode, length) = bytes.split_first()?;
-    let head = Head {
-        offset,
-        opcode,
-        bytes: u64::from_le_bytes(*length.first_chunk::<8>()?),
-    };
+    let head = Head { offset, opcode, bytes: u64::from_le_bytes(*length.first_chunk::<8>()?) };
     let least = least_bytes(opcode)?;
     let fits = head.bytes >= least && head.end()? <= file_bytes;
     fits.then_some(head)
@@ -51,18 +47,15 @@ pub(super) fn is_record<R: Read + Seek>(
     source.go_to(offset)?;
     let file_bytes = source.file_bytes();
     let bytes = source.peek(HEAD_BYTES + 104)?;
-    let Some(head) = bytes
-        .get(..HEAD_BYTES as usize)
-        .and_then(|bytes| fits(offset, bytes, file_bytes))
+    let Some(head) =
+        bytes.get(..HEAD_BYTES as usize).and_then(|bytes| fits(offset, bytes, file_bytes))
     else {
         return Ok(false);
     };
     let is_sound = match head.opcode {
         op::CHUNK => chunk_header::parse(bytes).is_ok_and(|header| {
             let known = matches!(header.compression.as_str(), "" | "zstd" | "lz4");
-            let size = header
-                .compressed_size
-                .checked_add(40 + header.compression.len() as u64);
+            let size = header.compressed_size.checked_add(40 + header.compression.len() as u64);
             known && size.is_some_and(|size| size <= head.bytes)
         }),
         op::FOOTER => head.bytes == 20,

@@ -37,10 +37,7 @@ pub struct Place {
 
 impl Place {
     pub(crate) const fn top(offset: u64) -> Self {
-        Self {
-            offset,
-            in_chunk: None,
-        }
+        Self { offset, in_chunk: None }
     }
 }
 

@@ -23,10 +23,7 @@ pub(super) struct Source<R> {
 
 impl<R: Read + Seek> Source<R> {
     pub(super) fn new(mut input: R) -> Result<Self, ScanError> {
-        let io = |source| ScanError::Io {
-            place: Place::top(0),
-            source,
-        };
+        let io = |source| ScanError::Io { place: Place::top(0), source };
         let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
         input.seek(SeekFrom::Start(0)).map_err(io)?;
         Ok(Self {
@@ -60,10 +57,7 @@ impl<R: Read + Seek> Source<R> {
     }
 
     fn io(&self, source: io::Error) -> ScanError {
-        ScanError::Io {
-            place: Place::top(self.offset),
-            source,
-        }
+        ScanError::Io { place: Place::top(self.offset), source }
     }
 
     /// Reads `bytes`, or as many as there are, replacing the contents of `into`.
@@ -91,9 +85,7 @@ impl<R: Read + Seek> Source<R> {
 
     /// The next `bytes`, or as many as there are, without consuming them; at most [`BUFFER_BYTES`].
     pub(super) fn peek(&mut self, bytes: u64) -> Result<&[u8], ScanError> {
-        let wanted = usize::try_from(bytes)
-            .unwrap_or(usize::MAX)
-            .min(BUFFER_BYTES);
+        let wanted = usize::try_from(bytes).unwrap_or(usize::MAX).min(BUFFER_BYTES);
         if self.end - self.start < wanted {
             self.buffer.copy_within(self.start..self.end, 0);
             self.end -= self.start;
@@ -113,10 +105,7 @@ impl<R: Read + Seek> Source<R> {
 
     /// The offset, and the checksum so far.
     pub(super) fn mark(&self) -> Mark {
-        Mark {
-            offset: self.offset,
-            crc: self.crc.clone(),
-        }
+        Mark { offset: self.offset, crc: self.crc.clone() }
     }
 
     /// Returns to a mark, as if nothing had been read since.

@@ -131,16 +131,12 @@ impl<W: Write> Writer<W> {
     ) -> Result<Self, WriteError> {
         let bytes = Arc::default();
         let output = Output::new(out, Arc::clone(&bytes));
-        let mut mcap = settings
-            .options()
-            .create(NoSeek::new(output))
-            .map_err(failed)?;
+        let mut mcap = settings.options().create(NoSeek::new(output)).map_err(failed)?;
         for record in attachments.metadata_records() {
             mcap.write_metadata(&record).map_err(failed)?;
         }
         for file in &attachments.files {
-            mcap.attach(&file.record(attachments.created_unix_ns))
-                .map_err(failed)?;
+            mcap.attach(&file.record(attachments.created_unix_ns)).map_err(failed)?;
         }
         mcap.flush().map_err(failed)?;
         Ok(Self {
@@ -215,9 +211,7 @@ impl<W: Write> Writer<W> {
             log_time: log_ns,
             publish_time: times.publish_ns,
         };
-        self.mcap
-            .write_to_known_channel(&header, &self.scratch)
-            .map_err(failed)?;
+        self.mcap.write_to_known_channel(&header, &self.scratch).map_err(failed)?;
         self.open.messages += 1;
         self.open.encoded += self.scratch.len() as u64;
         *self.open.by_channel.entry(channel_id).or_default() += 1;
@@ -312,17 +306,13 @@ impl<W: Write> Writer<W> {
         let channels = self.channels.iter();
         channels.flat_map(|((kind, robot), channels)| {
             let topic = |channel: &Channel| kind.topic(&channel.fleet, *robot);
-            channels
-                .iter()
-                .map(move |channel| (topic(channel), channel))
+            channels.iter().map(move |channel| (topic(channel), channel))
         })
     }
 
     fn sequences(&self) -> Sequences {
         let mut sequences = self.sequences.clone();
-        let next = self
-            .topics()
-            .map(|(topic, channel)| (topic, channel.sequence));
+        let next = self.topics().map(|(topic, channel)| (topic, channel.sequence));
         sequences.0.extend(next);
         sequences
     }
@@ -353,28 +343,21 @@ impl<W: Write> Writer<W> {
         robot: u32,
     ) -> Result<usize, WriteError> {
         if self.opened == MAX_CHANNELS {
-            return Err(WriteError::TooManyChannels {
-                allowed: MAX_CHANNELS,
-            });
+            return Err(WriteError::TooManyChannels { allowed: MAX_CHANNELS });
         }
         let schema = match self.schemas.get(&kind) {
             Some(schema) => *schema,
             None => {
                 let data = kind.descriptors();
-                let schema = self
-                    .mcap
-                    .add_schema(&kind.schema(), "protobuf", &data)
-                    .map_err(failed)?;
+                let schema =
+                    self.mcap.add_schema(&kind.schema(), "protobuf", &data).map_err(failed)?;
                 self.schemas.insert(kind, schema);
                 schema
             }
         };
         let topic = kind.topic(fleet, robot);
         let metadata = BTreeMap::from([("fleet".to_owned(), fleet.to_owned())]);
-        let id = self
-            .mcap
-            .add_channel(schema, &topic, "protobuf", &metadata)
-            .map_err(failed)?;
+        let id = self.mcap.add_channel(schema, &topic, "protobuf", &metadata).map_err(failed)?;
         self.opened += 1;
         let channels = self.channels.entry((kind, robot)).or_default();
         channels.push(Channel {
@@ -388,7 +371,5 @@ impl<W: Write> Writer<W> {
 
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 fn failed(error: mcap::McapError) -> WriteError {
-    WriteError::Failed {
-        reason: reason(&error),
-    }
+    WriteError::Failed { reason: reason(&error) }
 }

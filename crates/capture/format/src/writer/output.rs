@@ -22,13 +22,7 @@ pub(crate) struct Output<W> {
 impl<W: Write> Output<W> {
     /// `bytes` counts the bytes passed on and flushed.
     pub(crate) const fn new(inner: W, bytes: Arc<AtomicU64>) -> Self {
-        Self {
-            inner,
-            gathered: Vec::new(),
-            taken: 0,
-            bytes,
-            failed: false,
-        }
+        Self { inner, gathered: Vec::new(), taken: 0, bytes, failed: false }
     }
 
     pub(crate) fn into_inner(self) -> W {

@@ -62,10 +62,7 @@ impl CaptureSettings {
     /// The settings of a preset.
     #[must_use]
     pub const fn of(preset: Preset) -> Self {
-        Self {
-            preset,
-            chunk_ns: preset.chunk().as_nanos() as u64,
-        }
+        Self { preset, chunk_ns: preset.chunk().as_nanos() as u64 }
     }
 
     /// Chunks grow in memory and are written as a whole, without seeking or rewriting: a full disk

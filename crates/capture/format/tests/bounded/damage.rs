@@ -66,10 +66,7 @@ fn truncated_anywhere_every_message_before_the_end_is_recovered() {
             }
             let found = found.unwrap();
             assert!(!found.complete && !found.is_sound(), "{what}");
-            let place = found
-                .findings
-                .iter()
-                .find(|finding| finding.severity == Severity::Error);
+            let place = found.findings.iter().find(|finding| finding.severity == Severity::Error);
             let place = place.unwrap().place.unwrap();
             assert!(place.offset <= cut as u64, "{what}: {place}");
             assert!(read(&whole[..cut]) <= MESSAGES, "{what}");
@@ -183,14 +180,8 @@ fn messages_lost_within_a_chunk_do_not_affect_other_chunks() {
     bytes[records_at..records_at + 4].fill(0xee);
     let recovery = recovered(&bytes, "a chunk").unwrap();
     assert_eq!(recovery.chunks.lost, 1);
-    assert!(
-        recovery.messages.lost > 0 && recovery.messages.lost < 12,
-        "{recovery}"
-    );
-    assert_eq!(
-        recovery.messages.recovered + recovery.messages.lost,
-        MESSAGES
-    );
+    assert!(recovery.messages.lost > 0 && recovery.messages.lost < 12, "{recovery}");
+    assert_eq!(recovery.messages.recovered + recovery.messages.lost, MESSAGES);
 }
 
 #[test]
@@ -246,11 +237,7 @@ fn a_message_without_a_channel_is_lost_and_not_also_suspect() {
     let recovery = recovered(&bytes, "a channel of another number").unwrap();
     let messages = recovery.messages;
     assert_eq!((messages.recovered, messages.lost), (0, 1), "{recovery}");
-    assert_eq!(
-        (messages.suspect, recovery.chunks.suspect),
-        (0, 1),
-        "{recovery}"
-    );
+    assert_eq!((messages.suspect, recovery.chunks.suspect), (0, 1), "{recovery}");
 }
 
 /// The decompressed size claimed in the chunk's head is within a reader's limit, but not within the
@@ -339,11 +326,7 @@ fn the_work_of_reading_a_small_file_is_bounded() {
             Ok(mut reader) => reader.find_map(Result::err),
             Err(error) => Some(error),
         };
-        assert_eq!(
-            matches!(end, Some(ReadError::Damaged { .. })),
-            wrong,
-            "{records}: {end:?}"
-        );
+        assert_eq!(matches!(end, Some(ReadError::Damaged { .. })), wrong, "{records}: {end:?}");
         let mut scan = Scan::new(Cursor::new(&file)).unwrap();
         let mut events = 0;
         let end = loop {

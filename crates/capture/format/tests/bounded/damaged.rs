@@ -22,36 +22,11 @@ pub(crate) struct FileKind {
 }
 
 pub(crate) const KINDS: [FileKind; 5] = [
-    FileKind {
-        name: "plain chunks",
-        chunks: true,
-        compression: None,
-        summary: true,
-    },
-    FileKind {
-        name: "zstd",
-        chunks: true,
-        compression: Some(Compression::Zstd),
-        summary: true,
-    },
-    FileKind {
-        name: "lz4",
-        chunks: true,
-        compression: Some(Compression::Lz4),
-        summary: true,
-    },
-    FileKind {
-        name: "no chunks",
-        chunks: false,
-        compression: None,
-        summary: true,
-    },
-    FileKind {
-        name: "no summary",
-        chunks: true,
-        compression: None,
-        summary: false,
-    },
+    FileKind { name: "plain chunks", chunks: true, compression: None, summary: true },
+    FileKind { name: "zstd", chunks: true, compression: Some(Compression::Zstd), summary: true },
+    FileKind { name: "lz4", chunks: true, compression: Some(Compression::Lz4), summary: true },
+    FileKind { name: "no chunks", chunks: false, compression: None, summary: true },
+    FileKind { name: "no summary", chunks: true, compression: None, summary: false },
 ];
 
 pub(crate) fn file(kind: FileKind) -> Vec<u8> {
@@ -71,16 +46,10 @@ pub(crate) fn file(kind: FileKind) -> Vec<u8> {
         data: b"[fleet]\nname = \"small\"\n".into(),
     };
     writer.attach(&config).unwrap();
-    let schema = writer
-        .add_schema("a.B", "protobuf", b"not really one")
-        .unwrap();
+    let schema = writer.add_schema("a.B", "protobuf", b"not really one").unwrap();
     let channels: Vec<u16> = ["a", "b"]
         .iter()
-        .map(|topic| {
-            writer
-                .add_channel(schema, topic, "protobuf", &BTreeMap::new())
-                .unwrap()
-        })
+        .map(|topic| writer.add_channel(schema, topic, "protobuf", &BTreeMap::new()).unwrap())
         .collect();
     for number in 0..MESSAGES {
         let header = MessageHeader {
@@ -123,30 +92,14 @@ pub(crate) fn recovered(bytes: &[u8], what: &str) -> Option<Recovery> {
         }
     };
     let result = inspect(Cursor::new(result.into_inner())).unwrap();
-    assert!(
-        result.is_sound() && result.complete,
-        "{what}: {:?}",
-        result.findings
-    );
+    assert!(result.is_sound() && result.complete, "{what}: {:?}", result.findings);
     assert_eq!(result.statistics, StatisticsCheck::Agree, "{what}");
     assert_eq!(result.messages, recovery.messages.recovered, "{what}");
-    assert_eq!(
-        result.attachment_count, recovery.attachments.recovered,
-        "{what}"
-    );
+    assert_eq!(result.attachment_count, recovery.attachments.recovered, "{what}");
     let note = u64::from(!recovery.is_clean());
-    assert_eq!(
-        result.metadata_count,
-        recovery.metadata.recovered + note,
-        "{what}"
-    );
+    assert_eq!(result.metadata_count, recovery.metadata.recovered + note, "{what}");
     if note == 1 {
-        assert!(
-            result
-                .metadata
-                .iter()
-                .any(|metadata| metadata.name == RECOVERED)
-        );
+        assert!(result.metadata.iter().any(|metadata| metadata.name == RECOVERED));
     }
     Some(recovery)
 }

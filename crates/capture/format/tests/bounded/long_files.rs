@@ -36,9 +36,7 @@ fn write(file: File, megabytes: u64) -> u64 {
         .compression(Some(mcap::Compression::Lz4))
         .create(BufWriter::new(file))
         .unwrap();
-    let channel = writer
-        .add_channel(0, "noise", "bytes", &BTreeMap::new())
-        .unwrap();
+    let channel = writer.add_channel(0, "noise", "bytes", &BTreeMap::new()).unwrap();
     let mut data = vec![0; MESSAGE_BYTES];
     let messages = megabytes * 1_000_000 / MESSAGE_BYTES as u64;
     let mut state = 0x9e37_79b9_7f4a_7c15;
@@ -90,10 +88,7 @@ fn a_long_file_is_read_in_bounded_memory() {
     let start = Instant::now();
     let ((recovery, _), used) =
         counting::peak(|| recover(open(), File::create(&whole).unwrap()).unwrap());
-    assert!(
-        recovery.is_clean() && recovery.messages.recovered == messages,
-        "{recovery}"
-    );
+    assert!(recovery.is_clean() && recovery.messages.recovered == messages, "{recovery}");
     assert!(used < MAX_BYTES, "recover: {used} bytes");
     println!(
         "figure: recover {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",

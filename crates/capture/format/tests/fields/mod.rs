@@ -38,9 +38,7 @@ impl Bits {
         let bytes = bytemuck::bytes_of_mut(&mut row);
         match T::LAYOUT.fields {
             [] => self.number(bytes),
-            fields => fields
-                .iter()
-                .for_each(|field| self.fill(field, &mut bytes[field.offset..])),
+            fields => fields.iter().for_each(|field| self.fill(field, &mut bytes[field.offset..])),
         }
         row
     }

@@ -33,14 +33,8 @@ impl Bag {
     }
 
     pub(crate) fn with(options: WriteOptions) -> Self {
-        let writer = options
-            .profile("ros2")
-            .create(Cursor::new(Vec::new()))
-            .unwrap();
-        Self {
-            writer,
-            channels: BTreeMap::new(),
-        }
+        let writer = options.profile("ros2").create(Cursor::new(Vec::new())).unwrap();
+        Self { writer, channels: BTreeMap::new() }
     }
 
     pub(crate) fn channel(
@@ -62,14 +56,8 @@ impl Bag {
         definition: &str,
         metadata: &BTreeMap<String, String>,
     ) {
-        let schema = self
-            .writer
-            .add_schema(type_name, "ros2msg", definition.as_bytes())
-            .unwrap();
-        let id = self
-            .writer
-            .add_channel(schema, topic, encoding, metadata)
-            .unwrap();
+        let schema = self.writer.add_schema(type_name, "ros2msg", definition.as_bytes()).unwrap();
+        let id = self.writer.add_channel(schema, topic, encoding, metadata).unwrap();
         self.channels.insert(topic.to_owned(), id);
     }
 
@@ -136,32 +124,19 @@ fn vector(x: f64, y: f64, z: f64) -> Vector3 {
 }
 
 pub(crate) fn twist(v_mps: f64, omega_radps: f64) -> Twist {
-    Twist {
-        linear: vector(v_mps, 0.0, 0.0),
-        angular: vector(0.0, 0.0, omega_radps),
-    }
+    Twist { linear: vector(v_mps, 0.0, 0.0), angular: vector(0.0, 0.0, omega_radps) }
 }
 
 pub(crate) fn odometry(time_ns: u64, x: f64, yaw_rad: f64, v_mps: f64) -> Odometry {
-    let orientation = Quaternion {
-        x: 0.0,
-        y: 0.0,
-        z: (yaw_rad / 2.0).sin(),
-        w: (yaw_rad / 2.0).cos(),
-    };
+    let orientation =
+        Quaternion { x: 0.0, y: 0.0, z: (yaw_rad / 2.0).sin(), w: (yaw_rad / 2.0).cos() };
     Odometry {
         header: header(time_ns),
         child_frame_id: "base_link".to_owned(),
         pose: PoseWithCovariance {
-            pose: Pose {
-                position: vector(x, 2.0 * x, 0.0),
-                orientation,
-            },
+            pose: Pose { position: vector(x, 2.0 * x, 0.0), orientation },
             covariance: [[0.1; 6]; 6],
         },
-        twist: TwistWithCovariance {
-            twist: twist(v_mps, 0.25),
-            covariance: [[0.2; 6]; 6],
-        },
+        twist: TwistWithCovariance { twist: twist(v_mps, 0.25), covariance: [[0.2; 6]; 6] },
     }
 }

@@ -117,10 +117,7 @@ pub(crate) fn assert_described<C: Channel>(message: &Message, read: &DynamicMess
     let described = read.descriptor().fields().count();
     // In addition, only the rows.
     assert_eq!(described, assert_fields(&frame.header, read, &[]) + 1);
-    let rows = read
-        .descriptor()
-        .fields()
-        .max_by_key(|field| field.number());
+    let rows = read.descriptor().fields().max_by_key(|field| field.number());
     match &*read.get_field(&rows.unwrap()) {
         Value::Bytes(bytes) => assert_eq!(**bytes, *bytemuck::cast_slice::<_, u8>(&frame.rows)),
         rows => assert_rows(&frame.rows, rows),
@@ -140,10 +137,7 @@ fn assert_rows<T: Row>(rows: &[T], read: &Value) {
 /// Compares the fields of a struct, except `others`; returns their number.
 fn assert_fields<T: Row>(row: &T, read: &DynamicMessage, others: &[&str]) -> usize {
     let bytes = bytemuck::bytes_of(row);
-    let fields = T::LAYOUT
-        .fields
-        .iter()
-        .filter(|field| !others.contains(&field.name));
+    let fields = T::LAYOUT.fields.iter().filter(|field| !others.contains(&field.name));
     let each = fields.map(|field| {
         let bytes = &bytes[field.offset..][..field.size];
         let of = read.get_field_by_name(field.name);
@@ -172,12 +166,7 @@ fn assert_fields<T: Row>(row: &T, read: &DynamicMessage, others: &[&str]) -> usi
         };
         let mut expected = numbers(field.of, bytes);
         // Zeros at the end are not written.
-        assert!(
-            expected
-                .split_off(found.len())
-                .iter()
-                .all(|bits| *bits == 0)
-        );
+        assert!(expected.split_off(found.len()).iter().all(|bits| *bits == 0));
         assert_eq!(found, expected, "{}.{}", T::LAYOUT.name, field.name);
     });
     each.count()
@@ -221,10 +210,7 @@ pub(crate) fn assert_query(query: &joulebus_capture_format::Query, read: &Dynami
     assert_eq!(assert_fields(&query.record.query, question, &[]), fields);
     let lengths = ["rows", "powers", "text_bytes"];
     let fields = AnswerHeader::LAYOUT.fields.len();
-    assert_eq!(
-        assert_fields(&query.record.answer, answer, &lengths),
-        fields - 3
-    );
+    assert_eq!(assert_fields(&query.record.answer, answer, &lengths), fields - 3);
     let list = |of: &DynamicMessage, name: &str| -> Vec<u64> {
         let list = of.get_field_by_name(name).unwrap();
         list.as_list().unwrap().iter().map(number).collect()
@@ -234,10 +220,7 @@ pub(crate) fn assert_query(query: &joulebus_capture_format::Query, read: &Dynami
     let power_w = query.power_w.iter().map(|power_w| power_w.to_bits().into());
     assert_eq!(list(answer, "power_w"), power_w.collect::<Vec<u64>>());
     assert_rows::<AnswerRow>(&query.rows, &answer.get_field_by_name("rows").unwrap());
-    assert_eq!(
-        answer.get_field_by_name("text").unwrap().as_str(),
-        Some(&*query.text)
-    );
+    assert_eq!(answer.get_field_by_name("text").unwrap().as_str(), Some(&*query.text));
 }
 
 fn number(value: &Value) -> u64 {
@@ -281,9 +264,7 @@ fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_field
         ),
     ] {
         let row = [&[0xf2, 0x01, qualities.len() as u8], qualities].concat();
-        let told_now = Message::decode(kind, &row)
-            .err()
-            .map(|error| error.to_string());
+        let told_now = Message::decode(kind, &row).err().map(|error| error.to_string());
         assert_eq!(told_now.as_deref(), told);
     }
     // Before 1970.
@@ -292,20 +273,9 @@ fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_field
         0xff, 0x01,
     ];
     let told = Message::decode(kind, &time).unwrap_err().to_string();
-    assert_eq!(
-        told,
-        format!(
-            "Forecasts.sent_at = -1000000000: allowed are 0 to {}",
-            u64::MAX
-        )
-    );
-    let told = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2])
-        .unwrap_err()
-        .to_string();
-    assert_eq!(
-        told,
-        "failed to decode Protobuf message: Forecast.reading_w: buffer underflow"
-    );
+    assert_eq!(told, format!("Forecasts.sent_at = -1000000000: allowed are 0 to {}", u64::MAX));
+    let told = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2]).unwrap_err().to_string();
+    assert_eq!(told, "failed to decode Protobuf message: Forecast.reading_w: buffer underflow");
 }
 
 #[test]
@@ -333,11 +303,7 @@ fn a_file_round_trips_in_every_preset() {
         let mut bits = Bits(preset as u64);
         let written: Vec<Message> = (0..40).flat_map(|_| messages(&mut bits)).collect();
         let mut attachments = Attachments::default();
-        attachments.add(
-            "lab/config.toml".to_owned(),
-            "application/toml",
-            b"x = 1".to_vec(),
-        );
+        attachments.add("lab/config.toml".to_owned(), "application/toml", b"x = 1".to_vec());
         let mut writer =
             Writer::new(Vec::new(), CaptureSettings::of(preset), &attachments).unwrap();
         for (number, message) in written.iter().enumerate() {

@@ -21,10 +21,7 @@ fn the_416_conformance_files_are_read_as_they_are_described() {
         }
         for file in fs::read_dir(variant).unwrap() {
             let file = file.unwrap().path();
-            if file
-                .extension()
-                .is_some_and(|extension| extension == "mcap")
-            {
+            if file.extension().is_some_and(|extension| extension == "mcap") {
                 check(&file);
                 files += 1;
             }
@@ -42,11 +39,7 @@ fn check(file: &Path) {
     loop {
         match scan.next_event() {
             Ok(Some(Event::Record(raw))) => {
-                assert!(
-                    raw.crc.is_none_or(|crc| !crc.is_wrong()),
-                    "{}",
-                    file.display()
-                );
+                assert!(raw.crc.is_none_or(|crc| !crc.is_wrong()), "{}", file.display());
                 found.extend(in_json(raw.parse().unwrap()));
             }
             Ok(Some(Event::ChunkEnds { crc, .. })) => assert!(!crc.is_wrong()),
@@ -56,12 +49,7 @@ fn check(file: &Path) {
             Err(error) => panic!("{}: {error}", file.display()),
         }
     }
-    assert_eq!(
-        Value::Array(found),
-        described["records"],
-        "{}",
-        file.display()
-    );
+    assert_eq!(Value::Array(found), described["records"], "{}", file.display());
 }
 
 fn number<N: Copy + ToString>(value: N) -> Value {
@@ -80,10 +68,9 @@ fn counts(map: &std::collections::BTreeMap<u16, u64>) -> Value {
 /// A record in the format of the descriptions, which omit message indexes.
 fn in_json(record: Record<'_>) -> Option<Value> {
     let (kind, fields) = match record {
-        Record::Header(header) => (
-            "Header",
-            json!([["library", header.library], ["profile", header.profile]]),
-        ),
+        Record::Header(header) => {
+            ("Header", json!([["library", header.library], ["profile", header.profile]]))
+        }
         Record::Footer(footer) => (
             "Footer",
             json!([
@@ -131,10 +118,9 @@ fn in_json(record: Record<'_>) -> Option<Value> {
                 ["name", header.name],
             ]),
         ),
-        Record::Metadata(metadata) => (
-            "Metadata",
-            json!([["metadata", metadata.metadata], ["name", metadata.name]]),
-        ),
+        Record::Metadata(metadata) => {
+            ("Metadata", json!([["metadata", metadata.metadata], ["name", metadata.name]]))
+        }
         other => return indexes_in_json(&other),
     };
     Some(json!({ "type": kind, "fields": fields }))
@@ -152,10 +138,7 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
                 ["compression", index.compression],
                 ["message_end_time", number(index.message_end_time)],
                 ["message_index_length", number(index.message_index_length)],
-                [
-                    "message_index_offsets",
-                    counts(&index.message_index_offsets)
-                ],
+                ["message_index_offsets", counts(&index.message_index_offsets)],
                 ["message_start_time", number(index.message_start_time)],
                 ["uncompressed_size", number(index.uncompressed_size)],
             ]),
@@ -177,10 +160,7 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
             json!([
                 ["attachment_count", number(statistics.attachment_count)],
                 ["channel_count", number(statistics.channel_count)],
-                [
-                    "channel_message_counts",
-                    counts(&statistics.channel_message_counts)
-                ],
+                ["channel_message_counts", counts(&statistics.channel_message_counts)],
                 ["chunk_count", number(statistics.chunk_count)],
                 ["message_count", number(statistics.message_count)],
                 ["message_end_time", number(statistics.message_end_time)],
@@ -205,10 +185,9 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
                 ["group_start", number(offset.group_start)],
             ]),
         ),
-        Record::DataEnd(end) => (
-            "DataEnd",
-            json!([["data_section_crc", number(end.data_section_crc)]]),
-        ),
+        Record::DataEnd(end) => {
+            ("DataEnd", json!([["data_section_crc", number(end.data_section_crc)]]))
+        }
         other => panic!("no description has opcode {}", other.opcode()),
     };
     Some(json!({ "type": kind, "fields": fields }))

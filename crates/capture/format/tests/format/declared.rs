@@ -18,10 +18,7 @@ struct Motors;
 impl Channel for Motors {
     const SERVICE: Service = Service::named("motors");
     const MESSAGE: &'static str = "Motors";
-    const FLOW: Flow = Flow::Planners {
-        kept: 0,
-        history: 0,
-    };
+    const FLOW: Flow = Flow::Planners { kept: 0, history: 0 };
     const ROWS: FrameRows = FrameRows::Robots;
     type Header = MotorHeader;
     type Row = MotorPair;
@@ -81,9 +78,8 @@ rows! {
 #[test]
 fn a_channel_that_is_declared_elsewhere_is_described_written_and_read() {
     let mut bits = Bits(5);
-    let frame: Vec<Message> = (0..200)
-        .map(|_| Message::of::<Motors>(bits.row(), bits.rows(Bits::row)))
-        .collect();
+    let frame: Vec<Message> =
+        (0..200).map(|_| Message::of::<Motors>(bits.row(), bits.rows(Bits::row))).collect();
     let kind = MessageKind::of::<Motors>();
     let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
     let descriptor = pool.get_message_by_name("joulebus.Motors").unwrap();

@@ -56,9 +56,7 @@ fn check(path: &str) -> Vec<String> {
     let mut variables = Vec::new();
     for part in rest.split('.').filter(|part| !part.is_empty()) {
         let name = part.split(['[', '{']).next().unwrap();
-        let of = message
-            .take()
-            .unwrap_or_else(|| panic!("{path}: {name} is in no message"));
+        let of = message.take().unwrap_or_else(|| panic!("{path}: {name} is in no message"));
         let field = field(&of, name, path);
         message = field.kind().as_message().cloned();
         assert_eq!(part.contains("[:]"), field.is_list(), "{path}: {name}");
@@ -79,25 +77,10 @@ fn every_path_names_a_topic_and_a_field_of_the_schemas() {
     assert!(found.len() > 15, "{found:?}");
     let used: BTreeSet<String> = found.iter().flat_map(|path| check(path)).collect();
     for variable in used {
-        assert!(
-            layout["globalVariables"].get(&variable).is_some(),
-            "${variable}"
-        );
+        assert!(layout["globalVariables"].get(&variable).is_some(), "${variable}");
     }
-    for wanted in [
-        "power_w",
-        "lo_w",
-        "hi_w",
-        "reading_w",
-        "residual_w",
-        "alarm",
-    ] {
-        assert!(
-            found
-                .iter()
-                .any(|path| path.ends_with(&format!(".{wanted}"))),
-            "{wanted}"
-        );
+    for wanted in ["power_w", "lo_w", "hi_w", "reading_w", "residual_w", "alarm"] {
+        assert!(found.iter().any(|path| path.ends_with(&format!(".{wanted}"))), "{wanted}");
     }
 }
 
@@ -120,11 +103,7 @@ fn every_panel_is_placed_once() {
     let layout = layout();
     let mut found = BTreeSet::new();
     placed(&layout["layout"], &mut found);
-    let panels: BTreeSet<String> = layout["configById"]
-        .as_object()
-        .unwrap()
-        .keys()
-        .cloned()
-        .collect();
+    let panels: BTreeSet<String> =
+        layout["configById"].as_object().unwrap().keys().cloned().collect();
     assert_eq!(found, panels);
 }

@@ -113,10 +113,8 @@ fn readings_commands_and_odometry_are_joined_in_time() {
         let reading = battery(now_ns, 12.0, -0.5 - step as f32);
         bag.message("/r/battery", late_ns, &reading);
         if step >= 5 {
-            let stamped = TwistStamped {
-                header: header(now_ns - 1),
-                twist: twist(step as f64, -1.0),
-            };
+            let stamped =
+                TwistStamped { header: header(now_ns - 1), twist: twist(step as f64, -1.0) };
             bag.message("/r/cmd_vel", late_ns, &stamped);
         }
         if step == 3 {
@@ -243,9 +241,7 @@ fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
     };
     let imported = bag().import("").unwrap();
     let robots = imported.robots.iter();
-    let found: Vec<_> = robots
-        .map(|it| (it.name.as_str(), it.rows[2].v_mps))
-        .collect();
+    let found: Vec<_> = robots.map(|it| (it.name.as_str(), it.rows[2].v_mps)).collect();
     assert_eq!(found, [("a", 1.0), ("b", 2.0)]);
     let mapping = "time = \"log\"\n[[robot]]\nname = \"second\"\nid = 9\nbattery = \"/b/battery\"\n\
         command = \"/a/cmd_vel\"\ncurrent = \"discharge-positive\"\nvoltage_unit_v = 0.001\ncurrent_unit_a = 0.001";
@@ -282,43 +278,23 @@ fn bag_of(batteries: &[&str], commands: &[&str]) -> Bag {
 
 #[test]
 fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
-    let deep = [
-        "/fleet/r1/battery_state",
-        "/fleet/r2/battery_state",
-        "/fleet/r3/battery_state",
-    ];
-    let imported = bag_of(&deep, &["/fleet/r1/cmd_vel", "/fleet/r2/cmd_vel"])
-        .import("")
-        .unwrap();
+    let deep = ["/fleet/r1/battery_state", "/fleet/r2/battery_state", "/fleet/r3/battery_state"];
+    let imported = bag_of(&deep, &["/fleet/r1/cmd_vel", "/fleet/r2/cmd_vel"]).import("").unwrap();
     let of = |robot: &RobotReport| (robot.name.clone(), robot.rows[2].v_mps);
     let found: Vec<_> = imported.robots.iter().map(of).collect();
     assert_eq!(found[..2], [("r1".to_owned(), 1.0), ("r2".to_owned(), 2.0)]);
     assert_eq!(found[2].0, "r3");
-    assert!(
-        found[2].1.is_nan(),
-        "the command of another robot: {found:?}"
-    );
+    assert!(found[2].1.is_nan(), "the command of another robot: {found:?}");
 
     // Several batteries of one robot: one is chosen, with the robot's command.
-    let several = [
-        "/p/battery/status",
-        "/p/battery/left/status",
-        "/p/battery/right/status",
-    ];
+    let several = ["/p/battery/status", "/p/battery/left/status", "/p/battery/right/status"];
     let bag = || bag_of(&several, &["/p/cmd_vel", "/q/cmd_vel"]);
     let refused = bag().import("").unwrap_err().to_string();
-    says(
-        &refused,
-        several.iter().chain(&["--battery", "mapping file"]),
-    );
-    let mut mapping: Mapping = "[[robot]]\nname = \"p\"\nbattery = \"/p/battery/left/status\""
-        .parse()
-        .unwrap();
+    says(&refused, several.iter().chain(&["--battery", "mapping file"]));
+    let mut mapping: Mapping =
+        "[[robot]]\nname = \"p\"\nbattery = \"/p/battery/left/status\"".parse().unwrap();
     let chosen = |mapping: &Mapping| import(Cursor::new(bag().bytes()), "bag", mapping).unwrap();
-    assert!(
-        chosen(&mapping).robots[0].rows[2].v_mps.is_nan(),
-        "a mapping says all"
-    );
+    assert!(chosen(&mapping).robots[0].rows[2].v_mps.is_nan(), "a mapping says all");
     mapping.robots[0].is_searched = true;
     assert_eq!(chosen(&mapping).robots[0].rows[2].v_mps, 1.0);
 }
@@ -327,11 +303,7 @@ fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
 fn a_battery_alone_goes_with_its_own_robot() {
     let velocity = |commands: &[&str]| {
         let imported = bag_of(&["/r1/battery"], commands).import("").unwrap();
-        let unusable: Vec<_> = imported
-            .unusable
-            .iter()
-            .map(|one| one.topic.clone())
-            .collect();
+        let unusable: Vec<_> = imported.unusable.iter().map(|one| one.topic.clone()).collect();
         (imported.robots[0].rows[2].v_mps, unusable)
     };
     let r2 = "/r2/cmd_vel";
@@ -365,11 +337,8 @@ fn channels_of_one_topic_in_one_file_are_one() {
         }
     }
     let imported = bag.import("").unwrap();
-    let robots: Vec<_> = imported
-        .robots
-        .iter()
-        .map(|it| (it.name.as_str(), it.row_count))
-        .collect();
+    let robots: Vec<_> =
+        imported.robots.iter().map(|it| (it.name.as_str(), it.row_count)).collect();
     assert_eq!(robots, [("r", 10)]);
     assert!(imported.is_whole());
 }
@@ -382,11 +351,7 @@ fn messages_that_rosbag2_compressed_are_read() {
         let now_ns = START_NS + step * TENTH_NS;
         let mut data = vec![0, 1, 0, 0];
         data.extend(to_vec::<_, LittleEndian>(&battery(now_ns, 10.0, -0.5)).unwrap());
-        bag.raw(
-            "/r/battery",
-            now_ns,
-            &zstd::bulk::compress(&data, 3).unwrap(),
-        );
+        bag.raw("/r/battery", now_ns, &zstd::bulk::compress(&data, 3).unwrap());
     }
     // A bomb is refused, as what it is not.
     let bomb = zstd::bulk::compress(&vec![0; 80 << 20], 19).unwrap();
@@ -401,10 +366,7 @@ fn messages_that_rosbag2_compressed_are_read() {
 #[test]
 fn a_file_of_another_kind_is_named() {
     for (bytes, part) in [
-        (
-            &b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..],
-            "git lfs pull",
-        ),
+        (&b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..], "git lfs pull"),
         (b"#ROSBAG V2.0\n", "rosbags-convert"),
         (b"", "an empty file"),
         (b"hello, world", "68, 65"),
@@ -450,11 +412,7 @@ fn two_clocks(stamp: impl Fn(u64) -> u64, stamped: Option<u64>) -> Bag {
                 bag.message("/cmd_vel", now_ns, &TwistStamped { header, twist });
             }
         }
-        bag.message(
-            "/battery",
-            now_ns + 1_000_000,
-            &battery(stamp(now_ns), 12.0, -1.0),
-        );
+        bag.message("/battery", now_ns + 1_000_000, &battery(stamp(now_ns), 12.0, -1.0));
     }
     bag
 }
@@ -471,12 +429,7 @@ fn stamps_are_not_joined_with_times_of_another_clock() {
         (|ns| ns + LATE_NS, None, "log", "90.00 s ahead of"),
         (|ns| ns - 2 * SECOND_NS, None, "log", "2.00 s behind"),
         (|ns| ns + (ns - START_NS) / 10, None, "log", "drift by"),
-        (
-            |ns| ns / SECOND_NS * SECOND_NS,
-            None,
-            "log",
-            "whole seconds",
-        ),
+        (|ns| ns / SECOND_NS * SECOND_NS, None, "log", "whole seconds"),
         (|_| START_NS, None, "log", "stand still"),
         // All have the robot's clock.
         (|ns| ns + LATE_NS, Some(LATE_NS), "header", ""),

@@ -35,11 +35,7 @@ impl Write for Disk<'_> {
 
 fn attachments() -> Attachments {
     let mut attachments = Attachments::default();
-    attachments.add(
-        "lab/config.toml".to_owned(),
-        "application/toml",
-        vec![7; 50],
-    );
+    attachments.add("lab/config.toml".to_owned(), "application/toml", vec![7; 50]);
     attachments
 }
 
@@ -52,17 +48,11 @@ fn write(
 ) -> Result<Written, WriteError> {
     let mut writer = Writer::new(disk, CaptureSettings::of(preset), &attachments())?;
     for (number, message) in all.iter().enumerate() {
-        let times = Times {
-            log_ns: number as u64,
-            publish_ns: number as u64,
-        };
+        let times = Times { log_ns: number as u64, publish_ns: number as u64 };
         let written = writer.write("lab", times, message);
         if written.is_err() {
             // Further calls fail again, and corrupt nothing.
-            assert!(matches!(
-                writer.write("lab", times, message),
-                Err(WriteError::Stopped)
-            ));
+            assert!(matches!(writer.write("lab", times, message), Err(WriteError::Stopped)));
         }
         written?;
         if number % 2 == 1 {
@@ -102,17 +92,11 @@ fn try_all(preset: Preset, step: usize) {
     all.retain(|message| few.contains(&message.kind().unwrap()));
     let mut whole = Vec::new();
     let mut flushed = Vec::new();
-    let disk = Disk {
-        bytes: &mut whole,
-        room: usize::MAX,
-    };
+    let disk = Disk { bytes: &mut whole, room: usize::MAX };
     write(disk, preset, &all, &mut flushed).unwrap();
     for room in (0..=whole.len()).step_by(step) {
         let mut file = Vec::new();
-        let disk = Disk {
-            bytes: &mut file,
-            room,
-        };
+        let disk = Disk { bytes: &mut file, room };
         let written = write(disk, preset, &all, &mut Vec::new());
         let fits = room == whole.len();
         assert_eq!(written.is_ok(), fits, "{preset:?}, room for {room} bytes");
@@ -124,16 +108,9 @@ fn try_all(preset: Preset, step: usize) {
         let (found, end) = read(&file);
         let found: Vec<Message> = found.into_iter().map(|entry| entry.message).collect();
         assert_eq!(found, all[..found.len()]);
-        let safe = flushed
-            .iter()
-            .rev()
-            .find(|(bytes, _)| *bytes <= room as u64);
+        let safe = flushed.iter().rev().find(|(bytes, _)| *bytes <= room as u64);
         let safe = safe.map_or(0, |(_, messages)| *messages);
-        assert!(
-            found.len() >= safe,
-            "room for {room}: {} of {safe}",
-            found.len()
-        );
+        assert!(found.len() >= safe, "room for {room}: {} of {safe}", found.len());
         assert_eq!(end.is_none(), fits, "room for {room}: {end:?}");
     }
 }

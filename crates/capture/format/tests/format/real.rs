@@ -10,10 +10,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
-        .filter(|path| {
-            path.extension()
-                .is_some_and(|extension| extension == "mcap")
-        })
+        .filter(|path| path.extension().is_some_and(|extension| extension == "mcap"))
         .collect();
     files.sort();
     files
@@ -31,12 +28,7 @@ fn conformance_files_have_no_errors() {
         }
         for file in files(&variant) {
             let found = inspect(File::open(&file).unwrap()).unwrap();
-            assert!(
-                found.is_sound() && found.complete,
-                "{}: {:?}",
-                file.display(),
-                found.findings
-            );
+            assert!(found.is_sound() && found.complete, "{}: {:?}", file.display(), found.findings);
         }
     }
 }
@@ -51,15 +43,8 @@ fn real_recordings_are_counted_and_inconsistencies_named() {
     assert_eq!((found.messages, found.channels.len()), (18_558, 33));
     assert_eq!(found.chunks[0].chunks, 5);
     assert_eq!(found.statistics, StatisticsCheck::Agree);
-    assert!(
-        found.findings[0].what.contains("without messages"),
-        "{:?}",
-        found.findings
-    );
-    let battery = found
-        .channels
-        .iter()
-        .find(|channel| channel.topic == "/coug2/battery/data");
+    assert!(found.findings[0].what.contains("without messages"), "{:?}", found.findings);
+    let battery = found.channels.iter().find(|channel| channel.topic == "/coug2/battery/data");
     let battery = battery.unwrap();
     assert_eq!(battery.messages, 2628);
     // Bursts: the steps between them are gaps relative to the steps within.
@@ -79,9 +64,7 @@ fn every_rosbag2_corner_case_is_read_to_its_end() {
         // The writer of two of them interprets a first time of 0 as none.
         let is_known = found.findings.iter().all(|finding| {
             finding.severity == Severity::Note
-                || finding
-                    .what
-                    .contains("first log time: 1000000 stated, 0 found")
+                || finding.what.contains("first log time: 1000000 stated, 0 found")
         });
         assert!(is_known, "{}: {:?}", file.display(), found.findings);
     }

@@ -28,10 +28,7 @@ fn compiled() -> FileDescriptorSet {
 /// With `JOULEBUS_WRITE_SCHEMAS` set, writes the descriptors first: to be run after a change.
 #[test]
 fn the_descriptors_match_the_proto_files() {
-    let (path, made) = (
-        directory().join("joulebus.binpb"),
-        compiled().encode_to_vec(),
-    );
+    let (path, made) = (directory().join("joulebus.binpb"), compiled().encode_to_vec());
     if std::env::var_os("JOULEBUS_WRITE_SCHEMAS").is_some() {
         std::fs::write(&path, &made).unwrap();
     }

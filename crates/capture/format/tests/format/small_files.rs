@@ -25,9 +25,8 @@ fn recursive(count: i32) -> Vec<u8> {
         type_name: (kind == Type::Message).then(|| ".p.M".to_owned()),
         ..FieldDescriptorProto::default()
     };
-    let mut fields: Vec<_> = (1..=count)
-        .map(|number| field(number, Type::Message, Label::Repeated))
-        .collect();
+    let mut fields: Vec<_> =
+        (1..=count).map(|number| field(number, Type::Message, Label::Repeated)).collect();
     fields.push(field(count + 1, Type::Uint32, Label::Repeated));
     let file = FileDescriptorProto {
         name: Some("p.proto".to_owned()),

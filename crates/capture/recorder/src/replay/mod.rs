@@ -78,10 +78,7 @@ impl<C: Channel> Outlet for Writer<C> {
             return Ok(());
         };
         rebase.frame(frame, now(), slower);
-        Self::send(self, frame.header, frame.rows.len(), |place| {
-            frame.rows[place]
-        })
-        .map(drop)
+        Self::send(self, frame.header, frame.rows.len(), |place| frame.rows[place]).map(drop)
     }
 
     fn update(&mut self) {
@@ -100,20 +97,14 @@ impl Outlet for SampleWriter {
             return Ok(());
         };
         rebase.samples(frame, now());
-        Self::send(self, frame.header, frame.rows.len(), |place| {
-            frame.rows[place]
-        })
-        .map(drop)
+        Self::send(self, frame.header, frame.rows.len(), |place| frame.rows[place]).map(drop)
     }
 }
 
 /// The time, on both clocks.
 #[must_use]
 pub fn now() -> Moment {
-    Moment {
-        monotonic_ns: clock::monotonic_ns(),
-        unix_ns: clock::unix_ns(),
-    }
+    Moment { monotonic_ns: clock::monotonic_ns(), unix_ns: clock::unix_ns() }
 }
 
 /// Errors of opening the ports.
@@ -172,12 +163,7 @@ impl ReplayPorts {
             }
         }
         let planners = as_worker.then(|| bus.planner_waker(limits)).transpose()?;
-        Ok(Self {
-            ports,
-            planners,
-            _bus: bus,
-            _lock: lock,
-        })
+        Ok(Self { ports, planners, _bus: bus, _lock: lock })
     }
 
     /// Sends a frame now, and leaves it as it was sent; `slower` as in [`Rebase::frame`]. A message

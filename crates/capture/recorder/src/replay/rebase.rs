@@ -55,10 +55,7 @@ impl Rebase {
     pub fn again(&self, recorded: Moment, now: Moment) -> Self {
         let mut next = Self::new(
             recorded,
-            Moment {
-                monotonic_ns: now.monotonic_ns.max(self.newest_ns + 1),
-                ..now
-            },
+            Moment { monotonic_ns: now.monotonic_ns.max(self.newest_ns + 1), ..now },
         );
         next.epoch_ns = now.monotonic_ns.max(self.newest_epoch.saturating_add(1));
         next.joined = Some(HashSet::new());
@@ -74,11 +71,7 @@ impl Rebase {
 
     /// Maps a recorded monotonic time; 0 (unknown) stays 0.
     fn ns(&self, recorded_ns: u64) -> u64 {
-        if recorded_ns == 0 {
-            0
-        } else {
-            recorded_ns.wrapping_add(self.shift_ns)
-        }
+        if recorded_ns == 0 { 0 } else { recorded_ns.wrapping_add(self.shift_ns) }
     }
 
     /// Maps a recorded run; 0 (unknown) stays 0.
@@ -129,9 +122,9 @@ impl Rebase {
         header.instants(|recorded_ns| {
             *recorded_ns = match sent_ns {
                 // The worker's own times keep their distances from the time of sending.
-                Some(sent_ns) if *recorded_ns != 0 => recorded_ns
-                    .wrapping_sub(sent_ns)
-                    .wrapping_add(now.monotonic_ns),
+                Some(sent_ns) if *recorded_ns != 0 => {
+                    recorded_ns.wrapping_sub(sent_ns).wrapping_add(now.monotonic_ns)
+                }
                 _ => self.ns(*recorded_ns),
             };
         });
@@ -150,10 +143,7 @@ mod tests {
 
     use super::*;
 
-    const RECORDED: Moment = Moment {
-        monotonic_ns: 5_000,
-        unix_ns: 1_000_000,
-    };
+    const RECORDED: Moment = Moment { monotonic_ns: 5_000, unix_ns: 1_000_000 };
 
     fn frame(
         rebase: &mut Rebase,
@@ -169,10 +159,7 @@ mod tests {
             ..SampleHeader::default()
         };
         let rows = vec![Sample::new(3, frame_seq, stamp_ns).reading(3.5, stamp_ns - 10)];
-        let now = Moment {
-            monotonic_ns: 90_000,
-            unix_ns: 2_000_000,
-        };
+        let now = Moment { monotonic_ns: 90_000, unix_ns: 2_000_000 };
         let mut frame = Frame { header, rows };
         rebase.samples(&mut frame, now);
         (frame.header, frame.rows[0])
@@ -180,10 +167,7 @@ mod tests {
 
     #[test]
     fn times_keep_their_intervals_and_frames_their_gaps() {
-        let now = Moment {
-            monotonic_ns: 90_000,
-            unix_ns: 2_000_000,
-        };
+        let now = Moment { monotonic_ns: 90_000, unix_ns: 2_000_000 };
         let mut rebase = Rebase::new(RECORDED, now);
         let (first, one) = frame(&mut rebase, 999_000, 40, 5_100);
         let (second, other) = frame(&mut rebase, 999_000, 43, 5_500);
@@ -192,15 +176,9 @@ mod tests {
         assert_eq!((first.frame_seq, first.samples_before), (0, 0));
         assert_eq!((second.frame_seq, second.samples_before), (3, 30));
         assert_eq!((first.source_id, first.source_epoch), (7, 1_084_000));
-        assert_eq!(
-            one.flags, other.flags,
-            "nothing is marked in the first pass"
-        );
+        assert_eq!(one.flags, other.flags, "nothing is marked in the first pass");
         let (unknown, nothing) = (Sample::new(1, 0, 6_000), rebase.ns(0));
-        let mut frame = Frame {
-            header: SampleHeader::default(),
-            rows: vec![unknown],
-        };
+        let mut frame = Frame { header: SampleHeader::default(), rows: vec![unknown] };
         rebase.samples(&mut frame, now);
         assert_eq!((frame.rows[0].measured_ns, nothing), (0, 0));
     }
@@ -208,10 +186,7 @@ mod tests {
     #[test]
     fn runs_stay_in_order_and_are_never_older_than_the_replay_at_any_uptime() {
         for (recorded_ns, now_ns) in [(1 << 50, 5), (5, 1 << 50), (1 << 50, 1 << 50)] {
-            let at = |monotonic_ns| Moment {
-                monotonic_ns,
-                unix_ns: 1,
-            };
+            let at = |monotonic_ns| Moment { monotonic_ns, unix_ns: 1 };
             let rebase = Rebase::new(at(recorded_ns), at(now_ns));
             let runs = [1, recorded_ns - 1, recorded_ns, recorded_ns + 1, u64::MAX];
             let runs = runs.map(|run| rebase.epoch(run));
@@ -222,24 +197,15 @@ mod tests {
 
     #[test]
     fn another_pass_is_newer_at_any_rate() {
-        let now = Moment {
-            monotonic_ns: 90_000,
-            unix_ns: 2_000_000,
-        };
+        let now = Moment { monotonic_ns: 90_000, unix_ns: 2_000_000 };
         let mut rebase = Rebase::new(RECORDED, now);
         let (_, early) = frame(&mut rebase, 999_000, 0, 5_100);
         // The source was restarted late in the recording, which is played at maximum rate.
         let (before, late) = frame(&mut rebase, 1_500_000, 0, 600_000);
-        let soon = Moment {
-            monotonic_ns: 90_001,
-            unix_ns: 2_000_001,
-        };
+        let soon = Moment { monotonic_ns: 90_001, unix_ns: 2_000_001 };
         let mut again = rebase.again(RECORDED, soon);
         let (after, first) = frame(&mut again, 999_000, 0, 5_100);
-        assert!(
-            after.source_epoch > before.source_epoch,
-            "{after:?} {before:?}"
-        );
+        assert!(after.source_epoch > before.source_epoch, "{after:?} {before:?}");
         assert!(first.stamp_ns > late.stamp_ns, "{first:?} {late:?}");
         assert!(first.has(sample_flag::DISCONTINUITY) && !early.has(sample_flag::DISCONTINUITY));
         let (_, second) = frame(&mut again, 999_000, 1, 5_200);
@@ -248,10 +214,7 @@ mod tests {
 
     #[test]
     fn a_workers_own_times_keep_their_distances_from_the_time_of_sending() {
-        let now = Moment {
-            monotonic_ns: 90_000,
-            unix_ns: 2_000_000,
-        };
+        let now = Moment { monotonic_ns: 90_000, unix_ns: 2_000_000 };
         let header = ForecastHeader {
             worker_epoch: 999_000,
             tick: 7,
@@ -268,10 +231,7 @@ mod tests {
             source_epoch: 999_000,
             ..Forecast::default()
         };
-        let mut frame = Frame::<Forecasts> {
-            header,
-            rows: vec![row],
-        };
+        let mut frame = Frame::<Forecasts> { header, rows: vec![row] };
         let mut rebase = Rebase::new(RECORDED, now);
         rebase.frame(&mut frame, now, 2.5);
         let Frame { header: sent, rows } = frame;
@@ -285,12 +245,8 @@ mod tests {
             ..header
         };
         assert_eq!(sent, expected);
-        let expected = Forecast {
-            stamp_ns: 90_050,
-            target_ns: 90_083,
-            source_epoch: 1_084_000,
-            ..row
-        };
+        let expected =
+            Forecast { stamp_ns: 90_050, target_ns: 90_083, source_epoch: 1_084_000, ..row };
         assert_eq!(rows, [expected]);
         assert_eq!(rebase.newest_ns, 90_050);
     }

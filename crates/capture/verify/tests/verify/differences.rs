@@ -64,8 +64,7 @@ impl Simulation {
 
     fn restart(&mut self) {
         let late = std::mem::take(&mut self.late);
-        self.sent
-            .extend(late.into_iter().map(|(_, message)| message));
+        self.sent.extend(late.into_iter().map(|(_, message)| message));
         self.fleet = world::fleet(CAPACITY);
         (self.worker_epoch, self.tick) = (self.worker_epoch + 1, 0);
         self.keyframe();
@@ -74,11 +73,7 @@ impl Simulation {
     fn keyframe(&mut self) {
         let mut bytes = Vec::new();
         self.fleet.state().encode_into(&mut bytes);
-        let due = if self.tick == 0 {
-            0
-        } else {
-            self.tick + KEYFRAME_LATE
-        };
+        let due = if self.tick == 0 { 0 } else { self.tick + KEYFRAME_LATE };
         for (place, piece) in bytes.chunks(PIECE_BYTES).enumerate() {
             let header = StateHeader {
                 schema: SCHEMA_VERSION,
@@ -88,16 +83,13 @@ impl Simulation {
                 offset: (place * PIECE_BYTES) as u64,
                 ..StateHeader::default()
             };
-            self.late
-                .push((due, Message::of::<State>(header, piece.to_vec())));
+            self.late.push((due, Message::of::<State>(header, piece.to_vec())));
         }
     }
 
     fn samples(&mut self, source: usize) -> Vec<Sample> {
-        let robots: &[u32] = [
-            &[1, 2, 3, 101, 102, 201][..],
-            &[4, 5, 6, 103, 202, 203, 204][..],
-        ][source];
+        let robots: &[u32] =
+            [&[1, 2, 3, 101, 102, 201][..], &[4, 5, 6, 103, 202, 203, 204][..]][source];
         let mut samples = Vec::new();
         for robot in robots {
             let mut sample = healthy(*robot, self.step, self.now_ns, PERIOD_NS);
@@ -193,8 +185,7 @@ impl Simulation {
         let (worker_epoch, tick) = (self.worker_epoch, self.tick);
         let compute_start_ns = header.compute_start_ns;
         let forecasts = robots.clone().map(|place| self.fleet.forecast(place));
-        self.sent
-            .push(Message::of::<Forecasts>(header, forecasts.collect()));
+        self.sent.push(Message::of::<Forecasts>(header, forecasts.collect()));
         let header = DiagnosticHeader {
             schema: SCHEMA_VERSION,
             worker_epoch,
@@ -203,17 +194,11 @@ impl Simulation {
             ..DiagnosticHeader::default()
         };
         let diagnostics = robots.clone().map(|place| self.fleet.diagnostic(place));
-        self.sent
-            .push(Message::of::<Diagnostics>(header, diagnostics.collect()));
-        let header = BudgetHeader {
-            schema: SCHEMA_VERSION,
-            worker_epoch,
-            tick,
-            ..BudgetHeader::default()
-        };
+        self.sent.push(Message::of::<Diagnostics>(header, diagnostics.collect()));
+        let header =
+            BudgetHeader { schema: SCHEMA_VERSION, worker_epoch, tick, ..BudgetHeader::default() };
         let budgets = robots.clone().map(|place| self.fleet.budget(place));
-        self.sent
-            .push(Message::of::<Budgets>(header, budgets.collect()));
+        self.sent.push(Message::of::<Budgets>(header, budgets.collect()));
         if !self.plans() {
             return;
         }
@@ -228,8 +213,7 @@ impl Simulation {
             ..PlanStateHeader::default()
         };
         let rows = robots.map(|place| self.fleet.plan_state(place));
-        self.sent
-            .push(Message::of::<PlanStates>(header, rows.collect()));
+        self.sent.push(Message::of::<PlanStates>(header, rows.collect()));
     }
 }
 
@@ -273,9 +257,7 @@ fn verify_by(mut verifier: Verifier, entries: impl IntoIterator<Item = Entry>) -
 fn tick_of(message: &Message) -> u64 {
     // Frames of samples are not of a tick, and keyframes are of one before.
     let is_of_tick = message.frame::<Samples>().is_none() && message.frame::<State>().is_none();
-    let frame = message
-        .place()
-        .filter(|_| is_of_tick && message.get::<Query>().is_none());
+    let frame = message.place().filter(|_| is_of_tick && message.get::<Query>().is_none());
     frame.map_or(0, |place| place.number)
 }
 
@@ -289,21 +271,9 @@ fn is_frame_50(message: &Message) -> bool {
 fn a_complete_recording_has_no_differences() {
     let report = verify(entries(recorded(1, 200)));
     assert!(report.is_clean(), "{report}");
-    assert_eq!(
-        (report.ticks, report.ticks_verified, report.robots),
-        (200, 200, CAPACITY as usize)
-    );
-    assert_eq!(
-        (report.keyframes, report.untaken_frames, report.runs),
-        (5, 0, 1),
-        "{report:?}"
-    );
-    assert!(
-        report
-            .to_string()
-            .starts_with("200 ticks, 12 robots, 0 differences\n"),
-        "{report}"
-    );
+    assert_eq!((report.ticks, report.ticks_verified, report.robots), (200, 200, CAPACITY as usize));
+    assert_eq!((report.keyframes, report.untaken_frames, report.runs), (5, 0, 1), "{report:?}");
+    assert!(report.to_string().starts_with("200 ticks, 12 robots, 0 differences\n"), "{report}");
 }
 
 /// Everything that can be learned online, and every kind of fault among the samples.
@@ -323,10 +293,7 @@ fn what_one_machine_records_another_computes_to_the_bit() {
     let mut writer =
         Writer::new(file, CaptureSettings::default(), &Attachments::default()).unwrap();
     for entry in entries(simulation.sent) {
-        let times = Times {
-            log_ns: entry.log_time_ns,
-            publish_ns: entry.publish_time_ns,
-        };
+        let times = Times { log_ns: entry.log_time_ns, publish_ns: entry.publish_time_ns };
         writer.write("lab", times, &entry.message).unwrap();
     }
     writer.finish().unwrap();
@@ -420,10 +387,7 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
     let resumed = tick.div_ceil(KEYFRAME_EVERY) * KEYFRAME_EVERY;
     assert_eq!(report.ticks_unverified, resumed - tick + 1, "{report}");
     assert_eq!(report.ticks_verified, 200 - report.ticks_unverified);
-    let frame = Loss::Samples {
-        source_id: 2,
-        frame_seq: 50,
-    };
+    let frame = Loss::Samples { source_id: 2, frame_seq: 50 };
     assert_eq!(report.losses[0], (tick, frame), "{report}");
     assert_eq!((report.differences, report.is_clean()), (0, false));
 }
@@ -442,10 +406,7 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
         entries.insert(place, copy);
         verify(entries)
     };
-    let number = Loss::Ambiguous {
-        source_id: 2,
-        frame_seq: 50,
-    };
+    let number = Loss::Ambiguous { source_id: 2, frame_seq: 50 };
     let other_power = |entry: &mut Entry| {
         let mut samples = samples.clone();
         samples[0].power_w = f32::from_bits(samples[0].power_w.to_bits() ^ 1);
@@ -465,10 +426,7 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
             let report = with(change, place);
             let what = format!("change {number_of_change} at {place}: {report}");
             assert_eq!(report.differences, 0, "{what}");
-            assert!(
-                report.losses.iter().any(|(_, loss)| *loss == number),
-                "{what}"
-            );
+            assert!(report.losses.iter().any(|(_, loss)| *loss == number), "{what}");
             assert!(!report.is_clean() && report.ticks_verified > 100, "{what}");
         }
     }
@@ -476,11 +434,7 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
     let mut entries = all.clone();
     longer(&mut entries[at]);
     let report = verify(entries);
-    assert_eq!(
-        (report.differences, report.losses[0].1),
-        (0, number),
-        "{report}"
-    );
+    assert_eq!((report.differences, report.losses[0].1), (0, number), "{report}");
     // The same bits twice: whichever it took.
     let same = with(&|_| {}, at);
     assert_eq!((same.differences, same.ticks_unverified), (0, 0), "{same}");
@@ -501,10 +455,7 @@ impl Flips {
             let (name, report) = (format!("{row}.{}", field.name), verify(entries(spoilt)));
             let first = report.first.clone();
             let first = first.unwrap_or_else(|| panic!("{name} was not found"));
-            assert_eq!(
-                (first.tick, first.robot, first.field),
-                (65, robot, name.clone())
-            );
+            assert_eq!((first.tick, first.robot, first.field), (65, robot, name.clone()));
             assert_ne!(first.recorded, first.computed, "{name}");
             let counts = (report.differences, report.ticks_verified);
             assert_eq!(counts, (1, 90), "{name}: {report}");
@@ -530,9 +481,7 @@ fn a_flipped_bit_in_a_header_is_named_where_it_follows_from_the_samples() {
         let mut of_tick = spoilt.iter_mut().filter(|message| tick_of(message) == 65);
         of_tick.by_ref().for_each(change);
         let report = verify(entries(spoilt));
-        report
-            .first
-            .map(|first| (first.tick, first.robot, first.field))
+        report.first.map(|first| (first.tick, first.robot, first.field))
     };
     let refused = with(&|message| {
         if let Some(frame) = message.frame_mut::<Diagnostics>() {
@@ -585,19 +534,13 @@ fn frames_of_a_channel_that_is_declared_elsewhere_are_compared() {
         let verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
         let halves = Output::of::<Signals>(
             &["sent_unix_ns"],
-            |tick| SignalHeader {
-                sent_unix_ns: 7 * tick.journal.tick,
-                ..SignalHeader::default()
-            },
+            |tick| SignalHeader { sent_unix_ns: 7 * tick.journal.tick, ..SignalHeader::default() },
             |tick, place| half(&tick.fleet.forecast(place)),
         );
         verify_by(verifier.with_output(halves), entries(messages.to_vec()))
     };
     let report = verify(&messages);
-    assert!(
-        report.is_clean() && report.not_recorded.is_empty(),
-        "{report}"
-    );
+    assert!(report.is_clean() && report.not_recorded.is_empty(), "{report}");
     let is_it = |message: &Message| message.frame::<Signals>().is_some();
     let mut places = (0..messages.len()).filter(|place| is_it(&messages[*place]));
     let place = places.nth(70).unwrap();
@@ -611,11 +554,7 @@ fn frames_of_a_channel_that_is_declared_elsewhere_are_compared() {
 }
 
 fn half(forecast: &Forecast) -> Signal {
-    Signal {
-        robot: forecast.robot,
-        level_dbm: forecast.power_w / 2.0,
-        ..Signal::default()
-    }
+    Signal { robot: forecast.robot, level_dbm: forecast.power_w / 2.0, ..Signal::default() }
 }
 
 #[test]
@@ -623,19 +562,12 @@ fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
     let mut messages = recorded(5, 90);
     let taken_at_60 = |message: &Message| {
         let journal = message.frame::<Ticks>();
-        journal
-            .filter(|journal| journal.header.tick == 60)?
-            .rows
-            .first()
-            .copied()
+        journal.filter(|journal| journal.header.tick == 60)?.rows.first().copied()
     };
     let taken = messages.iter().find_map(taken_at_60).unwrap();
     let mut robot = 0;
     for message in &mut messages {
-        if let Some(Frame {
-            header,
-            rows: samples,
-        }) = message.frame_mut::<Samples>()
+        if let Some(Frame { header, rows: samples }) = message.frame_mut::<Samples>()
             && (header.source_id, header.frame_seq) == (taken.source_id, taken.frame_seq)
         {
             let is_read = |sample: &&mut Sample| sample.power_w.is_finite() && sample.robot < 1_000;
@@ -647,10 +579,7 @@ fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
     let report = verify(entries(messages));
     let first = report.first.clone().unwrap();
     assert_eq!((first.tick, first.robot), (60, Some(robot)), "{report}");
-    assert!(
-        report.differences > 1,
-        "an error in a ledger persists: {report}"
-    );
+    assert!(report.differences > 1, "an error in a ledger persists: {report}");
 }
 
 #[test]
@@ -677,33 +606,20 @@ fn a_killed_worker_and_its_successor_are_both_verified() {
 #[test]
 fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
     let messages = recorded(7, 60);
-    let without = messages
-        .iter()
-        .filter(|message| message.kind() != Some(MessageKind::of::<State>()));
+    let without =
+        messages.iter().filter(|message| message.kind() != Some(MessageKind::of::<State>()));
     let report = verify(entries(without.cloned().collect()));
-    assert_eq!(
-        (
-            report.ticks_verified,
-            report.ticks_unverified,
-            report.is_clean()
-        ),
-        (0, 60, false)
-    );
+    assert_eq!((report.ticks_verified, report.ticks_unverified, report.is_clean()), (0, 60, false));
     assert!(report.to_string().contains("no keyframe"), "{report}");
 
     let mut models = world::models();
     models.swap(0, 2);
     let mut verifier = Verifier::new(world::settings(CAPACITY), models).unwrap();
-    entries(messages)
-        .into_iter()
-        .for_each(|entry| verifier.push(entry));
+    entries(messages).into_iter().for_each(|entry| verifier.push(entry));
     let report = verifier.finish();
     assert_eq!((report.ticks_verified, report.ticks_unverified), (0, 60));
     assert_eq!(report.refused_keyframes, report.keyframes, "{report}");
-    assert!(
-        report.to_string().contains("use the same models"),
-        "{report}"
-    );
+    assert!(report.to_string().contains("use the same models"), "{report}");
 }
 
 #[test]
@@ -726,10 +642,7 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
         let settings = CaptureSettings::default();
         let mut writer = Writer::resume(Vec::new(), settings, &attachments, sequences).unwrap();
         for entry in part {
-            let times = Times {
-                log_ns: entry.log_time_ns,
-                publish_ns: entry.publish_time_ns,
-            };
+            let times = Times { log_ns: entry.log_time_ns, publish_ns: entry.publish_time_ns };
             writer.write("lab", times, &entry.message).unwrap();
         }
         let (_, next, bytes) = writer.finish().unwrap();
@@ -737,10 +650,7 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
         files.push(bytes);
     }
     let read = |bytes: &[u8]| -> Vec<Entry> {
-        Reader::new(bytes)
-            .unwrap()
-            .map(|entry| entry.unwrap())
-            .collect()
+        Reader::new(bytes).unwrap().map(|entry| entry.unwrap()).collect()
     };
     let report = verify(files.iter().flat_map(|bytes| read(bytes)));
     assert!(report.is_clean(), "{report}");
@@ -797,13 +707,7 @@ fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
         Ok(reply) => reply.encode(&mut answer, &mut words),
         Err(error) => Refused::from(error).encode(&mut answer, &mut words),
     }
-    let record = QueryRecord {
-        begun_ns: 1,
-        number,
-        query,
-        answer,
-        ..QueryRecord::default()
-    };
+    let record = QueryRecord { begun_ns: 1, number, query, answer, ..QueryRecord::default() };
     Query::of_record((record, &values, &words))
 }
 
@@ -812,15 +716,8 @@ fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is
     let messages = recorded(4, 90);
     let queries = [asked(&messages, 65, 1, 0.1), asked(&messages, 66, 2, 0.1)];
     let refused = asked(&messages, 66, 3, 99.0);
-    assert!(
-        queries
-            .iter()
-            .all(|query| query.rows.len() == 3 && query.power_w.len() == 30)
-    );
-    assert!(
-        refused.rows.is_empty() && refused.text.contains("99"),
-        "{refused:?}"
-    );
+    assert!(queries.iter().all(|query| query.rows.len() == 3 && query.power_w.len() == 30));
+    assert!(refused.rows.is_empty() && refused.text.contains("99"), "{refused:?}");
     let with = |queries: &[Query], place: usize| {
         let mut messages = messages.clone();
         let queries = queries.iter().cloned().map(Message::from);
@@ -829,10 +726,7 @@ fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is
     };
     let all = [queries[0].clone(), queries[1].clone(), refused.clone()];
     // Before, beside and long after their ticks.
-    let beside = messages
-        .iter()
-        .position(|message| tick_of(message) == 66)
-        .unwrap();
+    let beside = messages.iter().position(|message| tick_of(message) == 66).unwrap();
     for place in [0, beside, messages.len()] {
         let report = with(&all, place);
         assert!(report.is_clean(), "{place}: {report}");
@@ -860,18 +754,12 @@ fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is
         let mut spoilt = queries[0].clone();
         spoil(&mut spoilt);
         let report = with(&[spoilt], beside);
-        let first = report
-            .first
-            .clone()
-            .unwrap_or_else(|| panic!("{name} was not found"));
+        let first = report.first.clone().unwrap_or_else(|| panic!("{name} was not found"));
         assert_eq!((first.tick, &*first.field), (65, name), "{report}");
     }
     let mut changed = refused;
     changed.text = changed.text.replace("99", "98");
-    assert_eq!(
-        &*with(&[changed], beside).first.unwrap().field,
-        "query.text"
-    );
+    assert_eq!(&*with(&[changed], beside).first.unwrap().field, "query.text");
 }
 
 #[test]
@@ -886,17 +774,9 @@ fn answers_about_ticks_that_could_not_be_computed_are_counted() {
     };
     // In tick 35 nobody read plan states, and tick 1,000 is not in the recording.
     let lost = with(&|query| query.record.answer.tick = 35);
-    assert_eq!(
-        (lost.queries_unverified, lost.is_clean()),
-        (1, false),
-        "{lost}"
-    );
+    assert_eq!((lost.queries_unverified, lost.is_clean()), (1, false), "{lost}");
     let outside = with(&|query| query.record.answer.tick = 1_000);
-    assert_eq!(
-        (outside.queries_outside, outside.is_clean()),
-        (1, true),
-        "{outside}"
-    );
+    assert_eq!((outside.queries_outside, outside.is_clean()), (1, true), "{outside}");
     let late = with(&|query| {
         query.record.answer.refusal = QueryRefusal::Deadline.code();
         *query = query.clone().counted();

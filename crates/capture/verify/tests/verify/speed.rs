@@ -58,25 +58,11 @@ fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
         samples_dropped: fleet.drops(),
         ..ForecastHeader::default()
     };
-    let diagnostics = DiagnosticHeader {
-        schema,
-        worker_epoch,
-        tick,
-        ..DiagnosticHeader::default()
-    };
-    let budgets = BudgetHeader {
-        schema,
-        worker_epoch,
-        tick,
-        ..BudgetHeader::default()
-    };
-    let journal = TickHeader {
-        schema,
-        worker_epoch,
-        tick,
-        start_ns: now_ns + MS,
-        ..TickHeader::default()
-    };
+    let diagnostics =
+        DiagnosticHeader { schema, worker_epoch, tick, ..DiagnosticHeader::default() };
+    let budgets = BudgetHeader { schema, worker_epoch, tick, ..BudgetHeader::default() };
+    let journal =
+        TickHeader { schema, worker_epoch, tick, start_ns: now_ns + MS, ..TickHeader::default() };
     let taken = TakenFrame {
         source_id: frame.source_id,
         source_epoch: frame.source_epoch,
@@ -88,10 +74,7 @@ fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
     let robots = 0..fleet.len();
     vec![
         Message::of::<Samples>(frame, samples),
-        Message::of::<Forecasts>(
-            forecasts,
-            robots.clone().map(|at| fleet.forecast(at)).collect(),
-        ),
+        Message::of::<Forecasts>(forecasts, robots.clone().map(|at| fleet.forecast(at)).collect()),
         Message::of::<Diagnostics>(
             diagnostics,
             robots.clone().map(|at| fleet.diagnostic(at)).collect(),
@@ -114,14 +97,9 @@ fn capture() -> Vec<u8> {
         ..StateHeader::default()
     };
     let times = Times::default();
-    writer
-        .write("lab", times, &Message::of::<State>(header, state))
-        .unwrap();
+    writer.write("lab", times, &Message::of::<State>(header, state)).unwrap();
     for tick in 1..=TICKS {
-        let times = Times {
-            log_ns: tick * PERIOD_NS,
-            publish_ns: tick * PERIOD_NS,
-        };
+        let times = Times { log_ns: tick * PERIOD_NS, publish_ns: tick * PERIOD_NS };
         for message in turn(&mut fleet, &mut source, tick) {
             writer.write("lab", times, &message).unwrap();
         }
@@ -140,11 +118,7 @@ fn verify(entries: impl Iterator<Item = Entry>) -> Verification {
 #[ignore = "prints a figure: CONTRIBUTING.md has the command"]
 fn how_fast_a_capture_is_verified() {
     let bytes = capture();
-    println!(
-        "{:.0} s, {:.1} MB",
-        TICKS as f64 / 30.0,
-        bytes.len() as f64 / 1e6
-    );
+    println!("{:.0} s, {:.1} MB", TICKS as f64 / 30.0, bytes.len() as f64 / 1e6);
     for threads in [1, 2] {
         let mut best_s = f64::MAX;
         for _ in 0..5 {

@@ -61,10 +61,8 @@ pub(crate) fn judge(
     let age_ns = inputs.stamp_ns.saturating_sub(inputs.measured_ns);
     let equal_ns = inputs.measured_ns.saturating_sub(inputs.equal_since_ns);
     let read = inputs.measured_ns > 0;
-    let (held, stuck) = (
-        read & (age_ns > platform.hold_max_ns),
-        read & (equal_ns > platform.stuck_after_ns),
-    );
+    let (held, stuck) =
+        (read & (age_ns > platform.hold_max_ns), read & (equal_ns > platform.stuck_after_ns));
     conditions.when(inputs.refused, Alarm::OutOfRange);
     conditions.when(held, Alarm::HeldTooLong);
     conditions.when(stuck, Alarm::StuckSensor);

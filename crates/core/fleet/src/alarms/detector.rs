@@ -182,11 +182,7 @@ impl Detector {
             }
             *agreeing = agreeing.saturating_add(1);
             let raised = self.raised.0 & bit != 0;
-            let needed = if raised {
-                settings.clear_samples
-            } else {
-                settings.raise_samples
-            };
+            let needed = if raised { settings.clear_samples } else { settings.raise_samples };
             if *agreeing >= needed {
                 self.raised.0 ^= bit;
                 self.changing.0 &= !bit;
@@ -288,9 +284,7 @@ mod tests {
     fn noise(state: &mut u64) -> f32 {
         (0..12)
             .map(|_| {
-                *state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
+                *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                 (*state >> 40) as f32 / (1 << 24) as f32
             })
             .sum::<f32>()
@@ -321,19 +315,11 @@ mod tests {
         for (fault, alarm) in cases {
             let (mut detector, mut state) = (Detector::new(), 1);
             run(&mut detector, 5_000, |unit| unit, &mut state);
-            assert_eq!(
-                detector.raised,
-                AlarmSet::default(),
-                "false alarm before {alarm:?}"
-            );
+            assert_eq!(detector.raised, AlarmSet::default(), "false alarm before {alarm:?}");
             run(&mut detector, 300, fault, &mut state);
             assert!(detector.raised.has(alarm), "{alarm:?}: {detector:?}");
             run(&mut detector, 5_000, |unit| unit, &mut state);
-            assert_eq!(
-                detector.raised,
-                AlarmSet::default(),
-                "{alarm:?} did not clear"
-            );
+            assert_eq!(detector.raised, AlarmSet::default(), "{alarm:?} did not clear");
         }
     }
 
@@ -356,11 +342,7 @@ mod tests {
         let mut on = Conditions::default();
         on.when(true, Alarm::StuckSensor);
         for step in 0..100 {
-            let now = if step % 5 == 4 {
-                Conditions::default()
-            } else {
-                on
-            };
+            let now = if step % 5 == 4 { Conditions::default() } else { on };
             detector.decide(now, &SETTINGS);
             assert!(!detector.raised.has(Alarm::StuckSensor));
         }
@@ -368,11 +350,7 @@ mod tests {
             detector.decide(on, &SETTINGS);
         }
         for step in 0..100 {
-            let now = if step % 29 == 28 {
-                on
-            } else {
-                Conditions::default()
-            };
+            let now = if step % 29 == 28 { on } else { Conditions::default() };
             detector.decide(now, &SETTINGS);
             assert!(detector.raised.has(Alarm::StuckSensor));
         }

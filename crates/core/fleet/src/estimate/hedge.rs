@@ -214,28 +214,18 @@ mod tests {
             let rounding = 1e-3 * (self.floor + self.largest);
             for (place, regret) in self.regret.iter().enumerate() {
                 if hedge.losses()[place].is_finite() {
-                    prop_assert!(
-                        *regret <= 2.0 * cost + rounding,
-                        "{place}: {regret} {hedge:?}"
-                    );
+                    prop_assert!(*regret <= 2.0 * cost + rounding, "{place}: {regret} {hedge:?}");
                 }
             }
             let most = 2.0 * self.largest * f64::from(hedge.log()) / f64::from(MEMORY);
-            prop_assert!(
-                cost <= most.max(self.floor) + self.largest + rounding,
-                "{hedge:?}"
-            );
+            prop_assert!(cost <= most.max(self.floor) + self.largest + rounding, "{hedge:?}");
             Ok(())
         }
     }
 
     fn fresh(of_all: bool, start: [f32; 3]) -> Hedge {
         Hedge {
-            above: if of_all {
-                start
-            } else {
-                [start[0], f32::INFINITY, f32::INFINITY]
-            },
+            above: if of_all { start } else { [start[0], f32::INFINITY, f32::INFINITY] },
             cost: 2.0,
             of_all,
         }
@@ -301,10 +291,7 @@ mod tests {
             hedge.learn([2.0, 0.0, 0.1, 0.0], 0.01);
         }
         let [last, network, stack, sceptic] = hedge.weights();
-        assert!(
-            last < 1e-6 && network.max(sceptic) < 1e-30 && stack > 0.999,
-            "{hedge:?}"
-        );
+        assert!(last < 1e-6 && network.max(sceptic) < 1e-30 && stack > 0.999, "{hedge:?}");
         assert_eq!((exp(0.0), ln_ratio(1.0, 1.0)), (1.0, 0.0));
         assert!(exp(f32::NEG_INFINITY) < 1e-34);
     }
@@ -317,10 +304,7 @@ mod tests {
             hedge.learn([error, -error, 1.0, -1.0], 1e-4);
             let weights = hedge.weights();
             assert!((0.0..=1.0).contains(&hedge.confidence()), "{hedge:?}");
-            assert!(
-                weights.iter().all(|weight| (0.0..=1.0).contains(weight)),
-                "{hedge:?}"
-            );
+            assert!(weights.iter().all(|weight| (0.0..=1.0).contains(weight)), "{hedge:?}");
         }
     }
 }

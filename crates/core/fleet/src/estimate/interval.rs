@@ -62,10 +62,7 @@ impl QuantileStep {
             shrink: libm::expf(-settings.rate * tail),
         };
         let missed = 1.0 - settings.coverage;
-        Self {
-            each: step(0.5 * missed),
-            both: step(missed),
-        }
+        Self { each: step(0.5 * missed), both: step(missed) }
     }
 }
 
@@ -167,16 +164,9 @@ impl ConformalInterval {
     pub(crate) fn scale(&self) -> IntervalScale {
         let of = |due| {
             let (below, above, size_w) = self.phase(due);
-            EndScale {
-                below,
-                above,
-                size_w,
-            }
+            EndScale { below, above, size_w }
         };
-        IntervalScale {
-            due: of(true),
-            held: of(false),
-        }
+        IntervalScale { due: of(true), held: of(false) }
     }
 
     /// Share of the readings inside, over all and recently. NaN before the first. `share` weighs
@@ -239,10 +229,7 @@ mod tests {
 
     use super::*;
 
-    const SETTINGS: IntervalSettings = IntervalSettings {
-        coverage: 0.9,
-        rate: 0.2,
-    };
+    const SETTINGS: IntervalSettings = IntervalSettings { coverage: 0.9, rate: 0.2 };
 
     proptest! {
         #[test]
@@ -325,12 +312,7 @@ mod tests {
         for step in 0..3_000u32 {
             let due = step % 3 == 0;
             let size_w = if due { 0.2 } else { 0.002 };
-            interval.observe(
-                size_w * (step as f32 * 1.7).sin(),
-                due,
-                0.001,
-                quantile_step,
-            );
+            interval.observe(size_w * (step as f32 * 1.7).sin(), due, 0.001, quantile_step);
         }
         let width_w = |due| {
             let (lo_w, hi_w) = interval.around(0.0, 0, due);

@@ -49,18 +49,8 @@ use crate::layout::lanes::{Block, LANES, Lanes, put};
 const TERMS: usize = 4;
 /// Numbers of a symmetric matrix of that size: row by row, from the diagonal on.
 const PAIRS: usize = 10;
-const PAIR: [[usize; 2]; PAIRS] = [
-    [0, 0],
-    [0, 1],
-    [0, 2],
-    [0, 3],
-    [1, 1],
-    [1, 2],
-    [1, 3],
-    [2, 2],
-    [2, 3],
-    [3, 3],
-];
+const PAIR: [[usize; 2]; PAIRS] =
+    [[0, 0], [0, 1], [0, 2], [0, 3], [1, 1], [1, 2], [1, 3], [2, 2], [2, 3], [3, 3]];
 
 /// The confident stack and the sceptical one.
 const STACKS: usize = 2;
@@ -141,12 +131,7 @@ impl Members {
             return None;
         };
         let (bias_w, lags) = match model.linear() {
-            Some(Linear {
-                feature_set: FeatureSet::PowerOnly,
-                bias_w,
-                weights,
-                ..
-            }) => {
+            Some(Linear { feature_set: FeatureSet::PowerOnly, bias_w, weights, .. }) => {
                 let first = FeatureSet::PowerOnly.first();
                 (*bias_w, std::array::from_fn(|lag| weights[first + lag]))
             }
@@ -208,10 +193,7 @@ pub(crate) struct Start {
 }
 
 impl Start {
-    pub(crate) const NONE: Self = Self {
-        unlike: false,
-        sceptic_loss: LOSS_SCEPTIC,
-    };
+    pub(crate) const NONE: Self = Self { unlike: false, sceptic_loss: LOSS_SCEPTIC };
 }
 
 /// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from
@@ -265,11 +247,8 @@ pub(crate) struct Weights {
 }
 
 impl Weights {
-    pub(crate) const NONE: Self = Self {
-        due: [f32::NAN; 3],
-        held: [f32::NAN; 2],
-        confidence: f32::NAN,
-    };
+    pub(crate) const NONE: Self =
+        Self { due: [f32::NAN; 3], held: [f32::NAN; 2], confidence: f32::NAN };
 }
 
 /// One robot's.
@@ -331,12 +310,7 @@ impl RlsUpdateLanes {
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> RlsUpdate {
         RlsUpdate {
-            u: [
-                self.u[0][lane],
-                self.u[1][lane],
-                self.u[2][lane],
-                self.u[3][lane],
-            ],
+            u: [self.u[0][lane], self.u[1][lane], self.u[2][lane], self.u[3][lane]],
             innovation_w: [self.innovation_w[0][lane], self.innovation_w[1][lane]],
             square: self.square[lane],
             due: self.due[lane],
@@ -373,10 +347,7 @@ impl Online {
     };
 
     pub(crate) fn new(members: &Members) -> Self {
-        Self {
-            change_w: members.change_w,
-            ..Self::NONE
-        }
+        Self { change_w: members.change_w, ..Self::NONE }
     }
 
     /// The forecast after the readings `lag_w`, newest first, given the network's finite forecast
@@ -405,12 +376,7 @@ impl Online {
         let a_w = members.autoregression(lag_w);
         let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
         let deviation = |watts: f32| within(watts - a_w, most_w);
-        let u = [
-            deviation(last_w),
-            deviation(network_w),
-            deviation(self.mean_w),
-            self.change_w,
-        ];
+        let u = [deviation(last_w), deviation(network_w), deviation(self.mean_w), self.change_w];
         let stacks_w = self
             .theta
             .map(|[p, n, m, level]| a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3])));
@@ -418,11 +384,8 @@ impl Online {
         let confidence = self.hedge(start, true).confidence();
         let both_w = stacks_w[1] + confidence * (stacks_w[0] - stacks_w[1]);
         let stack_w = if due { stacks_w[0] } else { both_w };
-        let early_w = if due | start.unlike | self.unseen {
-            0.0
-        } else {
-            EARLY * (stack_w - last_w)
-        };
+        let early_w =
+            if due | start.unlike | self.unseen { 0.0 } else { EARLY * (stack_w - last_w) };
         MemberForecasts {
             members_w: [last_w + early_w, network_w, stack_w, stacks_w[1]],
             stacks_w,
@@ -457,10 +420,7 @@ impl Online {
         let (members_w, u) = (forecasts.members_w, forecasts.u);
         let square = self.change_w * self.change_w;
         let mut hedge = self.hedge(forecasts.start, due);
-        hedge.learn(
-            members_w.map(|member_w| member_w - reading_w),
-            COST * square,
-        );
+        hedge.learn(members_w.map(|member_w| member_w - reading_w), COST * square);
         for member in 0..MEMBERS - 1 {
             put(&mut self.due_above[member], due, hedge.above[member]);
         }
@@ -468,26 +428,14 @@ impl Online {
         put(&mut self.held_above, !due, hedge.above[0]);
         put(&mut self.held_cost, !due, hedge.cost);
         let most_w = INNOVATION_MAX * self.change_w;
-        let innovation_w = forecasts
-            .stacks_w
-            .map(|stack_w| within(reading_w - stack_w, most_w));
-        RlsUpdate {
-            u,
-            innovation_w,
-            square,
-            due,
-        }
+        let innovation_w = forecasts.stacks_w.map(|stack_w| within(reading_w - stack_w, most_w));
+        RlsUpdate { u, innovation_w, square, due }
     }
 
     /// A step of the recursive least squares, if a measurement was due.
     #[inline(always)]
     pub(crate) fn update_rls(&mut self, update: &RlsUpdate) {
-        let RlsUpdate {
-            u,
-            innovation_w,
-            square,
-            due,
-        } = *update;
+        let RlsUpdate { u, innovation_w, square, due } = *update;
         for stack in 0..STACKS {
             self.update_stack(stack, u, innovation_w[stack], square, due);
         }
@@ -554,25 +502,13 @@ impl Online {
         let square = self.change_w * self.change_w;
         let cost = if due { self.due_cost } else { self.held_cost };
         let started = cost > 0.0;
-        let last = if due {
-            self.due_above[0]
-        } else {
-            self.held_above
-        };
+        let last = if due { self.due_above[0] } else { self.held_above };
         let familiar = if due { LOSS_LAST } else { 0.0 };
         let of_others = if due { LOSS_UNLIKE } else { LOSS_UNLIKE_HELD };
         let last_start = if unlike { -of_others } else { familiar };
         let network_start = if unlike { 0.0 } else { LOSS_NETWORK };
-        let network = if started {
-            self.due_above[1]
-        } else {
-            network_start * square
-        };
-        let sceptic = if started {
-            self.due_above[2]
-        } else {
-            start.sceptic_loss * square
-        };
+        let network = if started { self.due_above[1] } else { network_start * square };
+        let sceptic = if started { self.due_above[2] } else { start.sceptic_loss * square };
         Hedge {
             above: [
                 if started { last } else { last_start * square },
@@ -679,22 +615,14 @@ impl Block for OnlineLanes {
                 put(&mut self.theta[stack][term][lane], mask, theta[term]);
             }
             for pair in 0..PAIRS {
-                put(
-                    &mut self.covariance[stack][pair][lane],
-                    mask,
-                    covariance[pair],
-                );
+                put(&mut self.covariance[stack][pair][lane], mask, covariance[pair]);
             }
         }
         put(&mut self.network_w[lane], mask, robot.network_w);
         put(&mut self.mean_w[lane], mask, robot.mean_w);
         put(&mut self.change_w[lane], mask, robot.change_w);
         for member in 0..MEMBERS - 1 {
-            put(
-                &mut self.due_above[member][lane],
-                mask,
-                robot.due_above[member],
-            );
+            put(&mut self.due_above[member][lane], mask, robot.due_above[member]);
         }
         put(&mut self.due_cost[lane], mask, robot.due_cost);
         put(&mut self.held_above[lane], mask, robot.held_above);
@@ -754,14 +682,9 @@ mod tests {
         let mut online = Online::new(&MEMBERS);
         let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
         for (gain, level) in [(1.0, 0.0), (1.3, -4.0), (0.8, 6.0), (-1.0, 20.0)] {
-            let error = run(&mut online, 5_000, power_w, |step| {
-                gain * power_w(step) + level
-            });
+            let error = run(&mut online, 5_000, power_w, |step| gain * power_w(step) + level);
             // The readings alone hardly help: their variance is 32.
-            assert!(
-                error < 1.0,
-                "gain {gain}, level {level}: {error}, {online:?}"
-            );
+            assert!(error < 1.0, "gain {gain}, level {level}: {error}, {online:?}");
         }
     }
 
@@ -771,17 +694,8 @@ mod tests {
     #[test]
     fn a_robot_unlike_any_in_the_training_starts_from_its_last_reading() {
         let power_w = |step: u32| 3.0 + 0.05 * (step as f32 * 0.37).sin();
-        let far = Members {
-            least_w: 14.0,
-            most_w: 900.0,
-            ..MEMBERS
-        };
-        let faint = Members {
-            change_w: 46.0,
-            bias_w: 40.0,
-            least_w: SHARE_MIN * 46.0,
-            ..MEMBERS
-        };
+        let far = Members { least_w: 14.0, most_w: 900.0, ..MEMBERS };
+        let faint = Members { change_w: 46.0, bias_w: 40.0, least_w: SHARE_MIN * 46.0, ..MEMBERS };
         let fast = power_w(0) + 40.0;
         let lags = FeatureSet::PowerOnly.range();
         let rows = [fast, fast - 9.0].map(|lag_w| {
@@ -790,10 +704,7 @@ mod tests {
             row[lags.start + 1] = fast;
             row
         });
-        let elsewhere = Members {
-            seen: SeenPower::of(fast, rows.iter()),
-            ..MEMBERS
-        };
+        let elsewhere = Members { seen: SeenPower::of(fast, rows.iter()), ..MEMBERS };
         for members in [far, faint, elsewhere] {
             for every in [1, 3] {
                 let mut online = Online::new(&members);
@@ -822,10 +733,7 @@ mod tests {
         run(&mut online, 30 * 3600 * 24, |_| 30.0, |_| 30.5);
         let pairs = online.covariance.as_flattened().iter();
         for (pair, start) in pairs.zip(COVARIANCE.as_flattened()) {
-            assert!(
-                pair.abs() <= 0.26 && (*start == 0.0 || *pair >= 0.0),
-                "{online:?}"
-            );
+            assert!(pair.abs() <= 0.26 && (*start == 0.0 || *pair >= 0.0), "{online:?}");
         }
         let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
         let error = run(&mut online, 2_000, power_w, |step| power_w(step) + 0.5);
@@ -853,10 +761,7 @@ mod tests {
         ) {
             let memory = f64::from(crate::estimate::hedge::MEMORY);
             let wrong = |watts: f32| (f64::from(watts) - f64::from(reading_w)).powi(2);
-            let least = hedge
-                .above
-                .iter()
-                .fold(0.0f32, |least, above| least.min(*above));
+            let least = hedge.above.iter().fold(0.0f32, |least, above| least.min(*above));
             let [last, network, sceptic] = hedge.above;
             let start = [last, network, 0.0, sceptic].map(|loss| -f64::from(loss - least));
             let before = self.regret.unwrap_or(start);
@@ -880,10 +785,7 @@ mod tests {
             }
             let most =
                 2.0 * self.largest * f64::from(log) / f64::from(crate::estimate::hedge::MEMORY);
-            prop_assert!(
-                cost <= most.max(self.floor) + self.largest + rounding,
-                "{cost}"
-            );
+            prop_assert!(cost <= most.max(self.floor) + self.largest + rounding, "{cost}");
             Ok(())
         }
     }
@@ -904,18 +806,12 @@ mod tests {
             online.network_w = network_w;
             let forecast_w = online.forecast(&MEMBERS, &lag_w, network_w, due);
             let forecasts = online.member_forecasts(&MEMBERS, &lag_w, network_w, due);
-            let (hedge, square) = (
-                online.hedge(forecasts.start, due),
-                online.change_w * online.change_w,
-            );
+            let (hedge, square) =
+                (online.hedge(forecasts.start, due), online.change_w * online.change_w);
             let phase = &mut phases[usize::from(due)];
             phase.take(&hedge, square, &forecasts, forecast_w, reading_w);
             online.learn(&MEMBERS, &lag_w, due, reading_w);
-            let cost = if due {
-                online.due_cost
-            } else {
-                online.held_cost
-            };
+            let cost = if due { online.due_cost } else { online.held_cost };
             phase.check(cost, hedge.log())?;
             online.read(&MEMBERS, lag_w[0], due, reading_w);
             lag_w.rotate_right(1);

@@ -15,10 +15,7 @@ pub(crate) struct Lags {
 }
 
 impl Lags {
-    const EMPTY: Self = Self {
-        lag_w: [f32::NAN; LAGS],
-        forecast_w: f32::NAN,
-    };
+    const EMPTY: Self = Self { lag_w: [f32::NAN; LAGS], forecast_w: f32::NAN };
 
     /// Advances the window by one sample period.
     #[inline(always)]
@@ -89,11 +86,7 @@ impl Window {
     /// The last reading, if the next sample's follows on it; else NaN.
     #[inline(always)]
     pub(crate) fn last_w(&self) -> f32 {
-        if self.unread_steps == 0 {
-            self.closed.lag_w[0]
-        } else {
-            f32::NAN
-        }
+        if self.unread_steps == 0 { self.closed.lag_w[0] } else { f32::NAN }
     }
 
     /// Whether the next sample's reading is scored if no gap precedes it. Only forecasts one step
@@ -117,14 +110,7 @@ impl Window {
     #[inline(always)]
     pub(crate) fn shown(&self) -> (f32, u16) {
         let steps = self.unread_steps.saturating_add(self.open_steps);
-        (
-            if self.open_steps > 0 {
-                self.open.forecast_w
-            } else {
-                self.closed.forecast_w
-            },
-            steps,
-        )
+        (if self.open_steps > 0 { self.open.forecast_w } else { self.closed.forecast_w }, steps)
     }
 
     /// The start of a plan made now.
@@ -132,11 +118,7 @@ impl Window {
     pub(crate) fn plan_start(&self) -> PlanStart {
         let (power_w, steps) = self.shown();
         let is_open = self.open_steps > 0;
-        let lag_w = if is_open {
-            self.open.lag_w
-        } else {
-            self.closed.lag_w
-        };
+        let lag_w = if is_open { self.open.lag_w } else { self.closed.lag_w };
         PlanStart {
             lag_w,
             power_w,
@@ -186,9 +168,7 @@ impl Window {
         self.open.push(forecast_w);
         self.open_steps += 1;
         let mut row = self.row(&self.open, None);
-        self.reading_age
-            .after(self.open_steps.into())
-            .fill(&mut row);
+        self.reading_age.after(self.open_steps.into()).fill(&mut row);
         Some(row)
     }
 
@@ -219,10 +199,7 @@ impl Window {
 
     /// Empties the window.
     fn restart(&mut self) {
-        *self = Self {
-            reading_age: self.reading_age,
-            ..Self::EMPTY
-        };
+        *self = Self { reading_age: self.reading_age, ..Self::EMPTY };
     }
 
     /// Resets the age: earlier measurements do not continue.
@@ -324,10 +301,7 @@ pub(crate) struct RequiredInputs {
 
 impl RequiredInputs {
     pub(crate) fn of(set: FeatureSet) -> Self {
-        Self {
-            command: set.needs_command(),
-            freshness: set.needs_freshness(),
-        }
+        Self { command: set.needs_command(), freshness: set.needs_freshness() }
     }
 }
 
@@ -339,11 +313,7 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step), step % 3 == 0);
-            window.next_row(
-                10e-9,
-                Some((0.1, 0.0)),
-                RequiredInputs::of(FeatureSet::Freshness),
-            );
+            window.next_row(10e-9, Some((0.1, 0.0)), RequiredInputs::of(FeatureSet::Freshness));
         }
         window.closed.forecast_w = 4.5;
         window
@@ -371,11 +341,7 @@ mod tests {
                 open(&mut window, ahead);
                 open(&mut window, missing);
                 let again = window.close(Gap::Bridge(missing));
-                assert_eq!(
-                    again.to_bits(),
-                    forecast.to_bits(),
-                    "{missing} missing, {ahead} ahead"
-                );
+                assert_eq!(again.to_bits(), forecast.to_bits(), "{missing} missing, {ahead} ahead");
                 assert_eq!(window.closed, reference.closed);
             }
         }

@@ -31,29 +31,19 @@ impl Fleet {
     /// order, all before the next frame or tick. The same as [`Fleet::take`] of the whole frame.
     pub fn begin_frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> FrameIntake {
         self.intake.frames += 1;
-        self.intake
-            .first
-            .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
+        self.intake.first.get_or_insert((header.intended_ns, header.sent_ns, now_ns));
         let admitted = if header.schema == SCHEMA_VERSION {
             self.sources.frame(header, count, now_ns, &mut self.drops)
         } else {
             self.drops.add(DropReason::Schema, count);
             Err(DropReason::Schema)
         };
-        FrameIntake {
-            header: *header,
-            now_ns,
-            admitted,
-        }
+        FrameIntake { header: *header, now_ns, admitted }
     }
 
     /// Takes the next samples of a frame.
     pub fn take_part(&mut self, frame: &FrameIntake, samples: &[Sample]) {
-        let FrameIntake {
-            header,
-            now_ns,
-            admitted,
-        } = frame;
+        let FrameIntake { header, now_ns, admitted } = frame;
         match admitted {
             Ok(()) => {
                 for sample in samples {

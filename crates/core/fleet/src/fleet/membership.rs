@@ -48,9 +48,7 @@ impl Fleet {
 
     /// The slot of a robot in the fleet.
     pub(super) fn find(&self, robot: u32) -> Option<usize> {
-        let found = self
-            .slot_of
-            .find(robot, |slot| self.columns.admissions[slot as usize].id);
+        let found = self.slot_of.find(robot, |slot| self.columns.admissions[slot as usize].id);
         found.map(|slot| slot as usize)
     }
 
@@ -125,8 +123,7 @@ impl Fleet {
             admission.generation = admission.generation.wrapping_add(1);
             let (robot, charged, platform) = (admission.id, admission.charged, admission.platform);
             let admissions = &self.columns.admissions;
-            self.slot_of
-                .remove(robot, |slot| admissions[slot as usize].id);
+            self.slot_of.remove(robot, |slot| admissions[slot as usize].id);
             self.slots.free(slot);
             let ledger = lanes::get(&self.columns.ledgers, slot);
             if ledger.stamp_ns().is_none() {
@@ -135,15 +132,10 @@ impl Fleet {
                 continue;
             }
             let platform = &self.tick.platforms[usize::from(platform)].platform;
-            let battery = platform.battery.map_or(Known::Nothing, |_| {
-                Known::Kept(lanes::get(&self.columns.batteries, slot))
-            });
-            self.departed.keep(departed::Account {
-                robot,
-                charged,
-                ledger,
-                battery,
-            });
+            let battery = platform
+                .battery
+                .map_or(Known::Nothing, |_| Known::Kept(lanes::get(&self.columns.batteries, slot)));
+            self.departed.keep(departed::Account { robot, charged, ledger, battery });
         }
     }
 }

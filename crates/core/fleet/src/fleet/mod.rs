@@ -295,17 +295,11 @@ impl Fleet {
         let tick = &self.tick;
         let alone = [1 << (slot % WORD)];
         let (_, from) = self.columns.view_mut(self.slots.words()).split(slot / WORD);
-        let mut columns = ColumnsMut {
-            words: &alone,
-            ..from.split(1).0
-        };
+        let mut columns = ColumnsMut { words: &alone, ..from.split(1).0 };
         let platform = columns.admissions[slot % WORD].platform;
         build_rows(tick, platform, &mut columns, &mut self.single, false);
         let context = &tick.platforms[usize::from(platform)];
         infer(context, &mut columns, &mut self.single);
-        tick.simd_level.run(Score {
-            tick,
-            columns: &mut columns,
-        });
+        tick.simd_level.run(Score { tick, columns: &mut columns });
     }
 }

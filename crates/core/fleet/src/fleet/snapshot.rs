@@ -45,8 +45,7 @@ impl Fleet {
         self.check_consistency(state)?;
         self.columns.restore(&state.columns);
         let used = state.columns.admissions.len();
-        self.slots
-            .replace(used, state.present().map(|(slot, _)| slot));
+        self.slots.replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
         for (slot, admission) in state.present() {
             self.slot_of.insert(admission.id, slot as u32);
@@ -96,11 +95,7 @@ impl Fleet {
         at_most("accounts", state.departed.len(), state.capacity as usize)?;
         let most = self.tick.settings.intake.max_sources;
         at_most("sources", state.sources.len(), most.into())?;
-        at_most(
-            "robots that have reported",
-            state.counters.reported as usize,
-            slots,
-        )?;
+        at_most("robots that have reported", state.counters.reported as usize, slots)?;
         self.check_slots(state)
     }
 
@@ -110,9 +105,7 @@ impl Fleet {
         for (_, admission) in state.present() {
             let times = 2 - usize::from(ids.insert(admission.id));
             exactly("times a robot is listed", times, 1)?;
-            let platform = self
-                .platform_of(admission.id)
-                .map_or(usize::MAX, usize::from);
+            let platform = self.platform_of(admission.id).map_or(usize::MAX, usize::from);
             exactly("platform of a robot", admission.platform.into(), platform)?;
         }
         let mut kept = std::collections::HashSet::new();
@@ -149,9 +142,5 @@ fn exactly(what: &'static str, found: usize, allowed: usize) -> Result<(), State
 }
 
 fn corrupt(what: &'static str, found: usize, allowed: usize) -> StateError {
-    StateError::Corrupt {
-        what,
-        found: found as u64,
-        allowed: allowed as u64,
-    }
+    StateError::Corrupt { what, found: found as u64, allowed: allowed as u64 }
 }

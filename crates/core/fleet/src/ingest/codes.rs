@@ -29,9 +29,7 @@ pub(crate) mod drop_counts {
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<DropCounts, D::Error> {
-        Ok(DropCounts {
-            counts: <[u64; 24]>::deserialize(from)?,
-        })
+        Ok(DropCounts { counts: <[u64; 24]>::deserialize(from)? })
     }
 }
 
@@ -52,11 +50,6 @@ pub(crate) mod refusals {
         from: D,
     ) -> Result<[Refusal; 16], D::Error> {
         let places = <[[u32; 4]; 16]>::deserialize(from)?;
-        Ok(places.map(|[robot, reason, pid, count]| Refusal {
-            robot,
-            reason,
-            pid,
-            count,
-        }))
+        Ok(places.map(|[robot, reason, pid, count]| Refusal { robot, reason, pid, count }))
     }
 }

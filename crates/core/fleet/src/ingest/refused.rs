@@ -24,12 +24,8 @@ impl Refused {
             place.count = place.count.saturating_add(1);
             return;
         }
-        self.places[usize::from(self.next) % self.places.len()] = Refusal {
-            robot,
-            reason: code,
-            pid,
-            count: 1,
-        };
+        self.places[usize::from(self.next) % self.places.len()] =
+            Refusal { robot, reason: code, pid, count: 1 };
         self.next = (self.next + 1) % self.places.len() as u8;
     }
 
@@ -53,11 +49,6 @@ mod tests {
         let mut robots: Vec<u32> = refused.places().iter().map(|place| place.robot).collect();
         robots.sort_unstable();
         assert_eq!(robots, (4..20).collect::<Vec<u32>>());
-        assert!(
-            refused
-                .places()
-                .iter()
-                .all(|place| place.count == 3 && place.pid == 9)
-        );
+        assert!(refused.places().iter().all(|place| place.count == 3 && place.pid == 9));
     }
 }

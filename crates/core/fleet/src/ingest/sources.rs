@@ -21,11 +21,8 @@ impl Run {
         let Some(lost) = header.samples_before.checked_sub(self.accounted) else {
             return false;
         };
-        let reason = if self.accounted == 0 {
-            DropReason::BeforeJoin
-        } else {
-            DropReason::Overflow
-        };
+        let reason =
+            if self.accounted == 0 { DropReason::BeforeJoin } else { DropReason::Overflow };
         drops.add(reason, lost);
         self.accounted = header.samples_before.saturating_add(samples);
         true
@@ -48,10 +45,7 @@ impl Source {
     const fn new(header: &SampleHeader, accounted: u64, now_ns: u64) -> Self {
         Self {
             id: header.source_id,
-            run: Run {
-                epoch: header.source_epoch,
-                accounted,
-            },
+            run: Run { epoch: header.source_epoch, accounted },
             other: None,
             taken_ns: now_ns,
         }
@@ -208,11 +202,7 @@ impl Sources {
 
     /// The last one found is checked first, because frames of one source often follow each other.
     fn find(&mut self, id: u64) -> Option<usize> {
-        if self
-            .sources
-            .get(self.recent)
-            .is_some_and(|source| source.id == id)
-        {
+        if self.sources.get(self.recent).is_some_and(|source| source.id == id) {
             return Some(self.recent);
         }
         let at = self.sources.iter().position(|source| source.id == id)?;
@@ -239,12 +229,7 @@ mod tests {
     }
 
     fn header(source_id: u64, source_epoch: u64, samples_before: u64) -> SampleHeader {
-        SampleHeader {
-            source_id,
-            source_epoch,
-            samples_before,
-            ..SampleHeader::default()
-        }
+        SampleHeader { source_id, source_epoch, samples_before, ..SampleHeader::default() }
     }
 
     #[test]
@@ -288,11 +273,7 @@ mod tests {
                 assert_eq!(real(&mut sources, now_ns, &mut drops), Ok(()));
             }
             let forged = sources.frame(&header(1, epoch, before), 10, 1_250, &mut drops);
-            assert_eq!(
-                forged,
-                Ok(()),
-                "{epoch} {before}: it looks like the next run"
-            );
+            assert_eq!(forged, Ok(()), "{epoch} {before}: it looks like the next run");
             for now_ns in (1_300..=1_250 + STALE_NS).step_by(100) {
                 let taken = real(&mut sources, now_ns, &mut drops);
                 assert_eq!(taken, Err(refused), "{epoch} {before} at {now_ns}");
@@ -310,10 +291,7 @@ mod tests {
     #[test]
     fn an_older_run_is_accounted_for_until_the_later_one_gives_way_to_it() {
         let (mut sources, mut drops) = (sources(1), DropCounts::default());
-        assert_eq!(
-            sources.frame(&header(1, 7, 0), 10, 1_000, &mut drops),
-            Ok(())
-        );
+        assert_eq!(sources.frame(&header(1, 7, 0), 10, 1_000, &mut drops), Ok(()));
         // Its host has booted.
         let booted = header(1, 2, 0);
         for now_ns in [0, 1_000, 1_000 + STALE_NS] {

@@ -15,9 +15,7 @@ impl Index {
     /// For at most `most` positions, each below `most`.
     pub(crate) fn new(most: u32) -> Self {
         let most = most as usize;
-        Self {
-            table: vec![EMPTY; most + most / 2 + 1],
-        }
+        Self { table: vec![EMPTY; most + most / 2 + 1] }
     }
 
     /// Removes all entries.
@@ -27,8 +25,7 @@ impl Index {
 
     /// The position of `id`, if it has one.
     pub(crate) fn find(&self, id: u32, id_of: impl Fn(u32) -> u32) -> Option<u32> {
-        self.position(id, id_of)
-            .map(|position| self.table[position])
+        self.position(id, id_of).map(|position| self.table[position])
     }
 
     /// Adds a position for an id that has none.
@@ -88,19 +85,11 @@ impl Index {
     }
 
     fn after(&self, position: usize) -> usize {
-        if position + 1 == self.table.len() {
-            0
-        } else {
-            position + 1
-        }
+        if position + 1 == self.table.len() { 0 } else { position + 1 }
     }
 
     fn distance(&self, from: usize, to: usize) -> usize {
-        if to >= from {
-            to - from
-        } else {
-            to + self.table.len() - from
-        }
+        if to >= from { to - from } else { to + self.table.len() - from }
     }
 }
 

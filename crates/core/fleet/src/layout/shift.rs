@@ -52,11 +52,7 @@ mod tests {
         ] {
             let mut stamp = stamp_ns;
             let before = Shift { offset_ns }.instant(&mut stamp);
-            assert_eq!(
-                (stamp, before),
-                (moved_ns, before_ns),
-                "{stamp_ns} {offset_ns}"
-            );
+            assert_eq!((stamp, before), (moved_ns, before_ns), "{stamp_ns} {offset_ns}");
         }
     }
 }

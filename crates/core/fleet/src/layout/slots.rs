@@ -109,9 +109,7 @@ impl Slots {
         for (index, word) in self.words.iter().enumerate() {
             let here = word.count_ones() as usize;
             if place < before + here {
-                return slots(&[*word])
-                    .nth(place - before)
-                    .map(|slot| index * WORD + slot);
+                return slots(&[*word]).nth(place - before).map(|slot| index * WORD + slot);
             }
             before += here;
         }
@@ -126,10 +124,7 @@ impl Slots {
 
 /// The set bits of words, ascending.
 pub(crate) fn slots(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
-    words.iter().enumerate().flat_map(|(index, word)| Bits {
-        word: *word,
-        first: index * WORD,
-    })
+    words.iter().enumerate().flat_map(|(index, word)| Bits { word: *word, first: index * WORD })
 }
 
 /// Used slots of a block, one bit each.
@@ -150,10 +145,7 @@ pub(crate) fn blocks(words: &[u64]) -> impl Iterator<Item = (usize, u16)> + '_ {
 /// The set bits of a block, ascending.
 #[inline(always)]
 pub(crate) fn bits(lanes: u16) -> impl Iterator<Item = usize> {
-    Bits {
-        word: lanes.into(),
-        first: 0,
-    }
+    Bits { word: lanes.into(), first: 0 }
 }
 
 /// Number of used slots in these words.

@@ -199,11 +199,8 @@ impl BatteryLanes {
     /// these columns: samples come in any order, and each column is another line of the cache.
     #[inline(always)]
     pub(crate) fn note(&mut self, lane: usize, sample: &Sample, battery: &Battery) {
-        self.return_j[lane] = if sample.has(sample_flag::RETURN) {
-            sample.return_j.into()
-        } else {
-            f64::NAN
-        };
+        self.return_j[lane] =
+            if sample.has(sample_flag::RETURN) { sample.return_j.into() } else { f64::NAN };
         let by_voltage_only = !sample.has(sample_flag::SOC);
         self.input_by_voltage[lane] = by_voltage_only;
         self.input[lane] = if by_voltage_only {
@@ -211,15 +208,8 @@ impl BatteryLanes {
         } else {
             f64::from(sample.soc).clamp(0.0, 1.0)
         };
-        self.events[lane] = if sample.has(sample_flag::FULL) {
-            FULL
-        } else {
-            0
-        } | if sample.has(sample_flag::SWAPPED) {
-            SWAPPED
-        } else {
-            0
-        };
+        self.events[lane] = if sample.has(sample_flag::FULL) { FULL } else { 0 }
+            | if sample.has(sample_flag::SWAPPED) { SWAPPED } else { 0 };
     }
 }
 
@@ -259,13 +249,7 @@ impl BatteryState {
 
     /// A battery that is unknown at `at`.
     pub(crate) fn unknown(battery: &Battery, at: At) -> Self {
-        let mut unknown = Self {
-            soc: 0.5,
-            sd: 0.0,
-            below: 0.5,
-            above: 0.5,
-            ..Self::new(battery)
-        };
+        let mut unknown = Self { soc: 0.5, sd: 0.0, below: 0.5, above: 0.5, ..Self::new(battery) };
         unknown.anchor(at);
         unknown
     }
@@ -334,11 +318,7 @@ impl BatteryState {
             if blind { stored(metered_s) } else { counted },
         );
         let least_w = counting.least_w.min(mean_w);
-        let rise = if charging.unmetered {
-            stored(unmetered_s)
-        } else {
-            -used(least_w)
-        };
+        let rise = if charging.unmetered { stored(unmetered_s) } else { -used(least_w) };
         let lowest = self.soc - self.below + lo - used(counting.most_w.max(mean_w));
         let lowest = lowest.clamp(0.0, 1.0);
         let highest = (self.soc + self.above + hi + rise).clamp(0.0, 1.0);
@@ -346,11 +326,7 @@ impl BatteryState {
         let soc = self.soc + counted - used(mean_w);
         let between = 0.5 * (lowest + highest);
         let unknown = blind | (charging.unmetered & (unmetered_s > 0.0));
-        let soc = if unknown {
-            between
-        } else {
-            soc.max(lowest).min(highest)
-        };
+        let soc = if unknown { between } else { soc.max(lowest).min(highest) };
         Estimate {
             soc,
             sd: self.sd + counting.sd * if blind { 0.0 } else { counted.abs() },
@@ -437,10 +413,7 @@ impl BatteryState {
 
     /// A battery that an earlier run wrote down.
     fn restored(saved: &SavedBattery, battery: &Battery, ledger: &Ledger) -> Self {
-        let at = At {
-            unmetered_ns: saved.unmetered_ns,
-            ..At::of(ledger)
-        };
+        let at = At { unmetered_ns: saved.unmetered_ns, ..At::of(ledger) };
         let Some(estimate) = saved.estimate() else {
             return Self::unknown(battery, at);
         };
@@ -479,9 +452,7 @@ impl BatteryState {
 /// The state of charge that the voltage gives.
 fn by_voltage(sample: &Sample, battery: &Battery) -> Option<f64> {
     let table = battery.open_circuit?;
-    let voltage_v = sample
-        .has(sample_flag::VOLTAGE)
-        .then_some(sample.voltage_v)?;
+    let voltage_v = sample.has(sample_flag::VOLTAGE).then_some(sample.voltage_v)?;
     let current_a = if sample.has(sample_flag::CURRENT) {
         sample.current_a
     } else {
@@ -498,11 +469,7 @@ fn counted(counting: &Counting, drawn: f64, charging: bool) -> f64 {
         ChargeReading::Battery | ChargeReading::Load => -drawn,
         ChargeReading::Charger => drawn,
     };
-    let part = if stored > 0.0 {
-        counting.efficiency
-    } else {
-        1.0
-    };
+    let part = if stored > 0.0 { counting.efficiency } else { 1.0 };
     if charging { part * stored } else { -drawn }
 }
 
@@ -551,11 +518,7 @@ impl SavedBattery {
     /// The same battery after an unknown time, when anything may be left.
     #[must_use]
     pub const fn without_bounds(self) -> Self {
-        Self {
-            soc_lo: 0.0,
-            soc_hi: 1.0,
-            ..self
-        }
+        Self { soc_lo: 0.0, soc_hi: 1.0, ..self }
     }
 
     /// `None` if no worker can have written it.

@@ -20,12 +20,7 @@ pub(crate) struct Account {
 impl Account {
     /// Moves the instants to another clock.
     pub(crate) fn shift(&mut self, shift: Shift) {
-        let Self {
-            robot: _,
-            charged: _,
-            ledger,
-            battery,
-        } = self;
+        let Self { robot: _, charged: _, ledger, battery } = self;
         ledger.shift(shift);
         match battery {
             Known::Kept(kept) => kept.shift(shift),
@@ -96,9 +91,7 @@ impl Departed {
 
     /// Removes a robot's account. The oldest one moves to its index.
     pub(crate) fn take(&mut self, robot: u32) -> Option<Account> {
-        let Self {
-            robots, place_of, ..
-        } = self;
+        let Self { robots, place_of, .. } = self;
         let place = place_of.remove(robot, |place| robots[place as usize])?;
         let (oldest, first) = (self.oldest, robots[self.oldest]);
         if first != robot {
@@ -143,11 +136,7 @@ impl Departed {
     /// Index of the `nth` account from the oldest one.
     fn after(&self, nth: usize) -> usize {
         let (place, places) = (self.oldest + nth, self.robots.len());
-        if place < places {
-            place
-        } else {
-            place - places
-        }
+        if place < places { place } else { place - places }
     }
 
     fn account(&self, place: usize) -> Account {
@@ -160,9 +149,7 @@ impl Departed {
     }
 
     fn place(&self, robot: u32) -> Option<usize> {
-        self.place_of
-            .find(robot, |place| self.robots[place as usize])
-            .map(|place| place as usize)
+        self.place_of.find(robot, |place| self.robots[place as usize]).map(|place| place as usize)
     }
 }
 

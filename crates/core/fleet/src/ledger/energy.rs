@@ -108,9 +108,7 @@ impl Ledger {
         longest_ns: u64,
     ) {
         let before_w = Some(f32::from_bits(self.last_power)).filter(|watts| !watts.is_nan());
-        let elapsed_ns = self
-            .stamp_ns()
-            .map_or(0, |last| stamp_ns.saturating_sub(last));
+        let elapsed_ns = self.stamp_ns().map_or(0, |last| stamp_ns.saturating_sub(last));
         match (before_w, power_w) {
             (Some(before), Some(now)) if elapsed_ns <= longest_ns => {
                 self.metered_ns = self.metered_ns.saturating_add(elapsed_ns);
@@ -161,11 +159,7 @@ impl Ledger {
         let (before_uw, now_uw) = (whole_microwatts(before_w), whole_microwatts(power_w));
         let expected_uw = 2.0 * whole_microwatts(forecast_w);
         let drawn_uw = before_uw + now_uw;
-        let expected_uw = if forecast_w.is_nan() {
-            drawn_uw
-        } else {
-            expected_uw
-        };
+        let expected_uw = if forecast_w.is_nan() { drawn_uw } else { expected_uw };
         let narrow = (elapsed_ns < LONG_NS)
             & (before_uw.abs() < 0.5 * STRONG_UW)
             & (now_uw.abs() < 0.5 * STRONG_UW)
@@ -173,12 +167,8 @@ impl Ledger {
         let elapsed = f64::from(elapsed_ns as u32);
         let drawn = integral_narrow(self.drawn_remainder, drawn_uw, elapsed);
         let expected = integral_narrow(self.forecast_remainder, expected_uw, elapsed);
-        self.drawn_uj = self
-            .drawn_uj
-            .saturating_add(if metered { drawn.0 } else { 0 });
-        self.forecast_uj = self
-            .forecast_uj
-            .saturating_add(if metered { expected.0 } else { 0 });
+        self.drawn_uj = self.drawn_uj.saturating_add(if metered { drawn.0 } else { 0 });
+        self.forecast_uj = self.forecast_uj.saturating_add(if metered { expected.0 } else { 0 });
         put(&mut self.drawn_remainder, metered, drawn.1);
         put(&mut self.forecast_remainder, metered, expected.1);
         let metered_ns = self.metered_ns.saturating_add(elapsed_ns);
@@ -217,10 +207,7 @@ fn divided(sum: f64) -> (f64, f64) {
     let nearest = (sum * (1.0 / units) + ROUND) - ROUND;
     let rest = sum - nearest * units;
     let below = rest < 0.0;
-    (
-        if below { nearest - 1.0 } else { nearest },
-        if below { rest + units } else { rest },
-    )
+    (if below { nearest - 1.0 } else { nearest }, if below { rest + units } else { rest })
 }
 
 /// Whole µJ of a trapezoid between two powers in µW plus the remainder before it, and the remainder
@@ -234,10 +221,7 @@ fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) 
     };
     match narrow() {
         // Below 2,000,000,000: it fits.
-        Some(sum) => (
-            sum.div_euclid(UNITS_PER_UJ),
-            sum.rem_euclid(UNITS_PER_UJ) as u32,
-        ),
+        Some(sum) => (sum.div_euclid(UNITS_PER_UJ), sum.rem_euclid(UNITS_PER_UJ) as u32),
         None => wide_integral(remainder, ends_uw, elapsed_ns),
     }
 }
@@ -251,10 +235,7 @@ fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, 
     let sum = sum.saturating_add(remainder.into());
     let units = i128::from(UNITS_PER_UJ);
     let whole = sum.div_euclid(units);
-    (
-        whole.clamp(i64::MIN.into(), i64::MAX.into()) as i64,
-        sum.rem_euclid(units) as u32,
-    )
+    (whole.clamp(i64::MIN.into(), i64::MAX.into()) as i64, sum.rem_euclid(units) as u32)
 }
 
 /// Rounded to the nearest µW, halves away from zero; an absurd forecast saturates.

@@ -15,19 +15,11 @@ const fn bit(alarm: Alarm) -> u32 {
 pub(crate) fn judge(raised: u32, battery: &Battery, estimate: &Estimate, return_j: f64) -> u32 {
     let band = battery.level_band;
     let configured_j = battery.return_j.unwrap_or(f64::NAN);
-    let needed_j = if return_j.is_nan() {
-        configured_j
-    } else {
-        return_j
-    };
+    let needed_j = if return_j.is_nan() { configured_j } else { return_j };
     let needed = needed_j / battery.capacity_j;
     let below = |alarm: Alarm, share: f64, threshold: f64| {
         let stays = (raised & bit(alarm) != 0) & (share < threshold + band);
-        if (share < threshold) | stays {
-            bit(alarm)
-        } else {
-            0
-        }
+        if (share < threshold) | stays { bit(alarm) } else { 0 }
     };
     (raised & bit(Alarm::SocImplausible))
         | below(Alarm::BatteryLow, estimate.soc, battery.low)

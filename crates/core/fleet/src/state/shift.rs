@@ -44,14 +44,7 @@ impl FleetState {
 
 impl Counters {
     fn shift(&mut self, shift: Shift) {
-        let Self {
-            drops: _,
-            accepted: _,
-            reported: _,
-            intake,
-            now_ns,
-            deadline_missed: _,
-        } = self;
+        let Self { drops: _, accepted: _, reported: _, intake, now_ns, deadline_missed: _ } = self;
         shift.instant(now_ns);
         intake.shift(shift);
     }

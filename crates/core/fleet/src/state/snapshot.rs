@@ -170,10 +170,7 @@ impl FleetState {
                 expected: MAGIC[7],
             });
         };
-        let malformed = |reason: String| StateError::Malformed {
-            bytes: bytes.len(),
-            reason,
-        };
+        let malformed = |reason: String| StateError::Malformed { bytes: bytes.len(), reason };
         match postcard::take_from_bytes(encoded) {
             Ok((state, [])) => Ok(state),
             Ok((_, more)) => Err(malformed(format!("{} bytes are left over", more.len()))),

@@ -81,8 +81,7 @@ impl Batch {
         for (column, values) in self.columns.iter_mut().zip(rows).take(features) {
             column[at..at + LANES].copy_from_slice(values);
         }
-        self.slots
-            .extend((first..first + LANES).map(|slot| slot as u32));
+        self.slots.extend((first..first + LANES).map(|slot| slot as u32));
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -132,12 +131,8 @@ impl Batch {
         if is_block(slots) {
             let mut inferred = Inferred::of_none(block);
             inferred.rows = [true; LANES];
-            inferred
-                .forecast_w
-                .copy_from_slice(&self.forecasts_w[whole.clone()]);
-            inferred
-                .outside
-                .copy_from_slice(&self.outside[whole.clone()]);
+            inferred.forecast_w.copy_from_slice(&self.forecasts_w[whole.clone()]);
+            inferred.outside.copy_from_slice(&self.outside[whole.clone()]);
             return Some((inferred, whole.end));
         }
         Some(self.of_part(block, row))
@@ -162,10 +157,7 @@ impl Batch {
 
     /// Each slot with its forecast, W, after [`Batch::infer`].
     pub(crate) fn forecasts(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
-        self.slots
-            .iter()
-            .map(|slot| *slot as usize)
-            .zip(self.forecasts_w.iter().copied())
+        self.slots.iter().map(|slot| *slot as usize).zip(self.forecasts_w.iter().copied())
     }
 }
 
@@ -181,12 +173,7 @@ pub(crate) struct Inferred {
 
 impl Inferred {
     const fn of_none(block: usize) -> Self {
-        Self {
-            block,
-            rows: [false; LANES],
-            forecast_w: [f32::NAN; LANES],
-            outside: [false; LANES],
-        }
+        Self { block, rows: [false; LANES], forecast_w: [f32::NAN; LANES], outside: [false; LANES] }
     }
 }
 

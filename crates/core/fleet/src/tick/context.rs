@@ -36,16 +36,9 @@ impl TickContext {
         let platforms: Vec<PlatformContext> = platforms
             .map(|(platform, model)| PlatformContext::new(platform, model, &settings))
             .collect();
-        let simd_level = platforms
-            .first()
-            .map_or_else(SimdLevel::best, |context| context.model.simd_level());
-        Ok(Self {
-            settings,
-            platforms,
-            simd_level,
-            now_ns: 0,
-            deadline_missed: false,
-        })
+        let simd_level =
+            platforms.first().map_or_else(SimdLevel::best, |context| context.model.simd_level());
+        Ok(Self { settings, platforms, simd_level, now_ns: 0, deadline_missed: false })
     }
 
     /// Ranges of robot ids, ascending, with the platform they belong to.
@@ -72,8 +65,6 @@ impl TickContext {
     #[inline(always)]
     pub(crate) fn is_stale(&self, admission: &AdmissionState) -> bool {
         self.silent_ns(admission)
-            > self.platforms[usize::from(admission.platform)]
-                .platform
-                .stale_after_ns
+            > self.platforms[usize::from(admission.platform)].platform.stale_after_ns
     }
 }

@@ -152,9 +152,7 @@ pub(crate) fn run_overdue(
     while !overdue.is_empty() {
         batch.clear();
         for slot in overdue.iter().map(|slot| *slot as usize) {
-            let silent_ns = tick
-                .now_ns
-                .saturating_sub(columns.admissions[slot].taken_ns);
+            let silent_ns = tick.now_ns.saturating_sub(columns.admissions[slot].taken_ns);
             let steps = missing_steps(silent_ns, context.platform.period_ns);
             let mut window = lanes::get(columns.windows, slot);
             let longest = context.longest_steps.saturating_sub(window.unread_steps);

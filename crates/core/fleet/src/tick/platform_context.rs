@@ -75,10 +75,7 @@ impl PlatformContext {
 
     /// The range of power that a platform can draw, W.
     pub(crate) const fn possible(&self) -> PossiblePower {
-        PossiblePower {
-            min_w: self.platform.power_min_w,
-            max_w: self.platform.power_max_w,
-        }
+        PossiblePower { min_w: self.platform.power_min_w, max_w: self.platform.power_max_w }
     }
 }
 
@@ -103,26 +100,15 @@ impl PossiblePower {
     /// The nearest possible forecast, W; NaN stays NaN, and −0 stays −0 on every CPU.
     #[inline(always)]
     pub(crate) fn nearest(self, forecast_w: f32) -> f32 {
-        let below = if forecast_w < self.min_w {
-            self.min_w
-        } else {
-            forecast_w
-        };
-        if below > self.max_w {
-            self.max_w
-        } else {
-            below
-        }
+        let below = if forecast_w < self.min_w { self.min_w } else { forecast_w };
+        if below > self.max_w { self.max_w } else { below }
     }
 }
 
 #[cfg(test)]
 #[test]
 fn what_is_farther_outside_the_limits_than_they_are_apart_is_no_forecast() {
-    let possible = PossiblePower {
-        min_w: -1.0,
-        max_w: 5.0,
-    };
+    let possible = PossiblePower { min_w: -1.0, max_w: 5.0 };
     for (forecast_w, is_near) in [
         (-1.0, true),
         (5.0, true),

@@ -60,22 +60,14 @@ impl Schedule {
         let due_ns = match (self.policy, first_taken_ns) {
             (Policy::Timer, _) => self.grid_ns,
             (Policy::OnFrame { deadline_ns }, Some(taken_ns)) => {
-                let ready_ns = if complete {
-                    taken_ns
-                } else {
-                    taken_ns + deadline_ns
-                };
+                let ready_ns = if complete { taken_ns } else { taken_ns + deadline_ns };
                 ready_ns.max(self.spaced_ns)
             }
             // Without samples the tick continues: planners must see robots become stale, and that
             // the worker is alive.
             (Policy::OnFrame { .. }, None) => self.started_ns + self.period_ns + self.period_ns / 2,
         };
-        if now_ns >= due_ns {
-            Next::Tick { due_ns }
-        } else {
-            Next::Wait { until_ns: due_ns }
-        }
+        if now_ns >= due_ns { Next::Tick { due_ns } } else { Next::Wait { until_ns: due_ns } }
     }
 
     /// Records that a tick due at `due_ns` ran from `start_ns` to `end_ns`, with or without
@@ -107,24 +99,15 @@ mod tests {
     fn on_frame_ticks_when_complete_or_at_the_deadline() {
         let schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         assert_eq!(schedule.next(30, Some(30), true), Next::Tick { due_ns: 30 });
-        assert_eq!(
-            schedule.next(30, Some(30), false),
-            Next::Wait { until_ns: 35 }
-        );
-        assert_eq!(
-            schedule.next(36, Some(30), false),
-            Next::Tick { due_ns: 35 }
-        );
+        assert_eq!(schedule.next(30, Some(30), false), Next::Wait { until_ns: 35 });
+        assert_eq!(schedule.next(36, Some(30), false), Next::Tick { due_ns: 35 });
     }
 
     #[test]
     fn ticks_with_frames_keep_their_distance_and_idle_ones_delay_nothing() {
         let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         schedule.ticked(0, 0, 1, true);
-        assert_eq!(
-            schedule.next(20, Some(20), true),
-            Next::Wait { until_ns: 26 }
-        );
+        assert_eq!(schedule.next(20, Some(20), true), Next::Wait { until_ns: 26 });
         assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });
         schedule.ticked(49, 49, 50, false);
         assert_eq!(schedule.next(51, Some(51), true), Next::Tick { due_ns: 51 });
@@ -142,21 +125,13 @@ mod tests {
     #[test]
     fn the_timer_keeps_its_grid_and_counts_what_it_skips() {
         let mut schedule = Schedule::new(Policy::Timer, PERIOD, 0);
-        assert_eq!(
-            schedule.next(32, Some(1), true),
-            Next::Wait { until_ns: 33 }
-        );
+        assert_eq!(schedule.next(32, Some(1), true), Next::Wait { until_ns: 33 });
         assert_eq!(schedule.next(34, None, false), Next::Tick { due_ns: 33 });
         assert!(!schedule.ticked(33, 34, 40, true));
         assert_eq!(schedule.next(40, None, false), Next::Wait { until_ns: 66 });
         assert!(schedule.ticked(66, 70, 66 + 2 * PERIOD + 1, true));
         assert_eq!((schedule.skipped, schedule.late), (2, 1));
-        assert_eq!(
-            schedule.next(140, None, false),
-            Next::Wait {
-                until_ns: 66 + 3 * PERIOD
-            }
-        );
+        assert_eq!(schedule.next(140, None, false), Next::Wait { until_ns: 66 + 3 * PERIOD });
     }
 
     #[test]

@@ -75,11 +75,7 @@ impl Absorbed {
             let absorbed = broken | pending.is(lane, PendingState::Absorbed);
             taken.mask[lane] = absorbed & (lanes >> lane & 1 == 1);
             taken.broken[lane] = broken;
-            taken.reading_w[lane] = if sample.read() {
-                sample.power_w
-            } else {
-                f32::NAN
-            };
+            taken.reading_w[lane] = if sample.read() { sample.power_w } else { f32::NAN };
             taken.previous_w[lane] = windows.previous_w(lane);
             pending.mark(lane, taken.mask[lane], PendingState::None);
         }
@@ -174,14 +170,7 @@ fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots
     }
     score(robots.scores, absorbed, &scored);
     detect(context, absorbed, &scored, robots.detectors);
-    alarm(
-        tick,
-        context,
-        absorbed,
-        &mask,
-        robots.scores,
-        robots.detectors,
-    );
+    alarm(tick, context, absorbed, &mask, robots.scores, robots.detectors);
 }
 
 #[inline(always)]
@@ -193,11 +182,7 @@ fn meter(
 ) {
     // The time between two recordings is not metered.
     let longest_ns = |lane: usize| {
-        if absorbed.broken[lane] {
-            0
-        } else {
-            overdue_after_ns
-        }
+        if absorbed.broken[lane] { 0 } else { overdue_after_ns }
     };
     let mut wide = [false; LANES];
     for lane in 0..LANES {
@@ -263,10 +248,7 @@ fn follow(
     }
     let counting = Counting::of(battery, platform);
     // The anchors of robots on their chargers are at this sample.
-    let driving = Charging {
-        metered: false,
-        unmetered: false,
-    };
+    let driving = Charging { metered: false, unmetered: false };
     for lane in 0..LANES {
         let robot = batteries.get(lane);
         let (at, mean_w) = (At::of(&ledgers.get(lane)), absorbed.mean_power_w[lane]);

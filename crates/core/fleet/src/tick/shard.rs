@@ -30,12 +30,7 @@ pub enum Stage {
 
 impl Stage {
     /// All stages; the position is `stage as usize`.
-    pub const ALL: [Self; 4] = [
-        Self::Features,
-        Self::Network,
-        Self::Bookkeeping,
-        Self::Writing,
-    ];
+    pub const ALL: [Self; 4] = [Self::Features, Self::Network, Self::Bookkeeping, Self::Writing];
 }
 
 /// Robots ticked by one thread: disjoint from all other shards of the fleet, so that each may be
@@ -81,14 +76,8 @@ impl<'a> Outputs<'a> {
         let (forecasts, more_forecasts) = split(self.forecasts, robots);
         let (accounts, more_accounts) = self.accounts.split_at(robots);
         (
-            Outputs {
-                forecasts,
-                accounts,
-            },
-            Outputs {
-                forecasts: more_forecasts,
-                accounts: more_accounts,
-            },
+            Outputs { forecasts, accounts },
+            Outputs { forecasts: more_forecasts, accounts: more_accounts },
         )
     }
 }
@@ -107,11 +96,7 @@ impl<'a> Accounts<'a> {
         let (budgets, more_budgets) = split(self.budgets, robots);
         let (plan_states, more_plan_states) = split(self.plan_states, robots);
         (
-            Self {
-                diagnostics,
-                budgets,
-                plan_states,
-            },
+            Self { diagnostics, budgets, plan_states },
             Self {
                 diagnostics: more_diagnostics,
                 budgets: more_budgets,
@@ -222,20 +207,13 @@ impl<'a> Shard<'a> {
 
     /// Each slice separately: an omitted one must not suppress the others.
     fn write_accounts(&self, places: &mut AccountPlaces<'_>) {
-        self.tick.simd_level.run(WriteAccounts {
-            tick: self.tick,
-            columns: &self.columns,
-            places,
-        });
+        self.tick.simd_level.run(WriteAccounts { tick: self.tick, columns: &self.columns, places });
     }
 
     /// Calls `work` for each tile that has robots.
     fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Shard<'_>)) {
-        let mut rest = Shard {
-            tick: self.tick,
-            columns: self.columns.reborrow(),
-            oldest_ns: self.oldest_ns,
-        };
+        let mut rest =
+            Shard { tick: self.tick, columns: self.columns.reborrow(), oldest_ns: self.oldest_ns };
         while !rest.columns.words.is_empty() {
             let (mut tile, behind) = rest.split_words(words);
             if !tile.is_empty() {
@@ -247,11 +225,7 @@ impl<'a> Shard<'a> {
 
     fn split_words(self, words: usize) -> (Self, Self) {
         let (first, second) = self.columns.split(words);
-        let shard = |columns| Shard {
-            tick: self.tick,
-            columns,
-            oldest_ns: self.oldest_ns,
-        };
+        let shard = |columns| Shard { tick: self.tick, columns, oldest_ns: self.oldest_ns };
         (shard(first), shard(second))
     }
 }

@@ -71,11 +71,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
             least_and_most = (fleet.len().min(least), fleet.len().max(most));
         }
     }
-    assert_eq!(
-        least_and_most,
-        (0, ROBOTS as usize),
-        "robots joined and left"
-    );
+    assert_eq!(least_and_most, (0, ROBOTS as usize), "robots joined and left");
     assert!(fleet.drops().iter().count() >= 4, "{:?}", fleet.drops());
 }
 
@@ -117,10 +113,7 @@ fn a_robot_takes_at_most_672_bytes_with_the_account_of_a_departed_one() {
     for capacity in [5_000u32, 10_000, 14_337, 16_384, 57_345, 100_000] {
         let each = (bytes(capacity) - fixed) as f64 / f64::from(capacity);
         println!("{each:.1} bytes per robot at a capacity of {capacity}");
-        assert!(
-            each <= 672.0,
-            "{each:.1} bytes per robot at a capacity of {capacity}"
-        );
+        assert!(each <= 672.0, "{each:.1} bytes per robot at a capacity of {capacity}");
     }
     println!("{fixed} bytes for the fleet");
     assert!(fixed < 200_000, "{fixed} bytes for the fleet");

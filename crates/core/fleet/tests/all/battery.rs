@@ -45,11 +45,7 @@ fn settings(battery: Battery, robots: u32) -> FleetSettings {
 }
 
 fn fleet(battery: Battery, robots: u32) -> Fleet {
-    let residual = ResidualStats {
-        std_w: 0.1,
-        q05_w: -0.15,
-        q95_w: 0.17,
-    };
+    let residual = ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 };
     let model = Model::Persistence(Persistence::new(residual).expect("finite and in order"));
     Fleet::new(settings(battery, robots), vec![model]).expect("the settings are consistent")
 }
@@ -106,11 +102,7 @@ impl Bench {
         Self {
             fleet: fleet(battery, 1),
             source: Source::new(1, 1),
-            truth: Truth {
-                soc: battery.initial_soc,
-                gain: 0.0,
-                bias: 0.0,
-            },
+            truth: Truth { soc: battery.initial_soc, gain: 0.0, bias: 0.0 },
             step: 0,
         }
     }
@@ -123,9 +115,7 @@ impl Bench {
         self.step += 1;
         let power_w = self.truth.step(power_w, battery().charge_efficiency);
         let now_ns = self.now_ns();
-        let sample = Sample::new(0, self.step, now_ns)
-            .command(0.1, 0.0)
-            .reading(power_w, now_ns);
+        let sample = Sample::new(0, self.step, now_ns).command(0.1, 0.0).reading(power_w, now_ns);
         let sample = change(sample, &self.truth);
         self.source.tick(&mut self.fleet, &[sample], now_ns);
         self.budget()
@@ -180,9 +170,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
     let mut noise = Noise(7);
     let mut fleet = fleet(battery, robots);
     let (mut source, mut epoch) = (Source::new(1, 1), 1);
-    let mut truths: Vec<Truth> = (0..robots)
-        .map(|_| Truth::drawn(&mut noise, &battery))
-        .collect();
+    let mut truths: Vec<Truth> = (0..robots).map(|_| Truth::drawn(&mut noise, &battery)).collect();
     let (mut inside, mut width, mut judged) = (0.0, 0.0, 0.0);
     let mut samples = Vec::new();
     for step in 1..=24 * HOUR {
@@ -262,10 +250,7 @@ fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
 
 #[test]
 fn over_a_day_the_bounds_hold_the_truth_as_often_as_they_say() {
-    let metered = Battery {
-        charge_reading: ChargeReading::Battery,
-        ..battery()
-    };
+    let metered = Battery { charge_reading: ChargeReading::Battery, ..battery() };
     let cases = [
         ("counted, charge metered", metered, false, 0.30),
         ("measured, charge metered", metered, true, 0.19),
@@ -282,10 +267,7 @@ fn over_a_day_the_bounds_hold_the_truth_as_often_as_they_say() {
 
 #[test]
 fn a_metered_charge_is_counted_with_its_sign_and_efficiency() {
-    for (reading, sign) in [
-        (ChargeReading::Battery, 1.0),
-        (ChargeReading::Charger, -1.0),
-    ] {
+    for (reading, sign) in [(ChargeReading::Battery, 1.0), (ChargeReading::Charger, -1.0)] {
         let mut bench = Bench::new(Battery {
             charge_reading: reading,
             initial_soc: 0.5,
@@ -312,10 +294,7 @@ fn a_metered_charge_is_counted_with_its_sign_and_efficiency() {
 
 #[test]
 fn a_full_battery_is_as_full_as_the_config_says_and_only_on_the_charger() {
-    let mut bench = Bench::new(Battery {
-        on_full_soc: 0.97,
-        ..battery()
-    });
+    let mut bench = Bench::new(Battery { on_full_soc: 0.97, ..battery() });
     bench.drive(300, plain);
     let full = bench.send(2.0, charged);
     assert!((full.soc - 0.97).abs() < 1e-6, "{full:?}");
@@ -535,10 +514,7 @@ fn levels_are_raised_below_their_thresholds_and_cleared_a_band_above() {
 #[test]
 fn a_robot_cannot_return_when_less_than_it_needs_is_certainly_left() {
     // By the config: 9 kJ of 36.
-    let mut bench = Bench::new(Battery {
-        return_j: Some(9_000.0),
-        ..battery()
-    });
+    let mut bench = Bench::new(Battery { return_j: Some(9_000.0), ..battery() });
     let steps = (0..10_000).find(|_| {
         bench.send(4.0, plain);
         bench.raised(Alarm::CannotReturn)

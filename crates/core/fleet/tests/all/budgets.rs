@@ -33,21 +33,12 @@ fn warm() -> (Fleet, Source, Budget) {
 /// Conservative bounds are below the best estimate, and all are within the battery.
 fn assert_in_order(budget: &Budget) {
     let full_j = battery().capacity_j as f32;
-    let energies = [
-        0.0,
-        budget.usable_lo_j,
-        budget.usable_j,
-        budget.left_j,
-        full_j,
-    ];
+    let energies = [0.0, budget.usable_lo_j, budget.usable_j, budget.left_j, full_j];
     let shares = [0.0, budget.soc_lo, budget.soc, budget.soc_hi, 1.0];
     assert!(energies.is_sorted() && shares.is_sorted(), "{budget:?}");
     let [lo_s, hi_s] = [budget.time_to_empty_lo_s, budget.time_to_empty_hi_s];
     if budget.flags & budget_flag::TIME_TO_EMPTY != 0 {
-        assert!(
-            [lo_s, budget.time_to_empty_s, hi_s].is_sorted(),
-            "{budget:?}"
-        );
+        assert!([lo_s, budget.time_to_empty_s, hi_s].is_sorted(), "{budget:?}");
     } else {
         assert!(budget.time_to_empty_s.is_nan(), "{budget:?}");
     }
@@ -73,13 +64,7 @@ fn the_budget_follows_from_the_ledger() {
     assert_eq!(shown.metered_ns, 29 * PERIOD_NS);
     assert_eq!(shown.unmetered_ns, 0);
     assert_eq!(shown.valid_until_ns, shown.stamp_ns + 30 * PERIOD_NS);
-    let Battery {
-        capacity_j,
-        reserve,
-        initial_soc,
-        initial_soc_lo,
-        ..
-    } = battery();
+    let Battery { capacity_j, reserve, initial_soc, initial_soc_lo, .. } = battery();
     let usable_j = capacity_j * (initial_soc - reserve) - shown.drawn_j();
     let usable_lo_j = capacity_j * (initial_soc_lo - reserve) - shown.drawn_j();
     let near = |found: f32, expected: f64| (f64::from(found) - expected).abs() < 1e-3;
@@ -104,10 +89,7 @@ fn silence_is_charged_at_maximum_power_and_returning_raises_nothing() {
         before = shown;
     }
     let back = send(&mut fleet, &mut source, at(90));
-    assert!(
-        back.usable_lo_j <= before.usable_lo_j,
-        "{back:?}, {before:?}"
-    );
+    assert!(back.usable_lo_j <= before.usable_lo_j, "{back:?}, {before:?}");
     assert_eq!(back.unmetered_ns, 61 * PERIOD_NS);
 }
 
@@ -130,10 +112,7 @@ fn refused_or_missing_input_lowers_the_budget_like_silence() {
             let shown = send(&mut fleet, &mut source, sample);
             // One period of tolerance: the robot may just be late.
             let (now, last) = (shown.usable_lo_j, before.usable_lo_j);
-            assert!(
-                now < last || step == 30 && now == last,
-                "{what}, step {step}"
-            );
+            assert!(now < last || step == 30 && now == last, "{what}, step {step}");
             assert_eq!(shown.metered_ns, start.metered_ns, "{what}, step {step}");
             assert_in_order(&shown);
             before = shown;
@@ -196,11 +175,7 @@ fn without_a_battery_or_an_accepted_sample_nothing_is_published() {
     assert_eq!(shown.flags, 0);
     assert_eq!(shown.charge_state(), ChargeState::Unknown);
     assert!(shown.usable_lo_j.is_nan() && shown.left_j.is_nan());
-    source.tick(
-        &mut fleet,
-        &[healthy(207, 0, START_NS, PERIOD_NS)],
-        START_NS,
-    );
+    source.tick(&mut fleet, &[healthy(207, 0, START_NS, PERIOD_NS)], START_NS);
     assert_unknown(&budget(&fleet, 207));
 }
 

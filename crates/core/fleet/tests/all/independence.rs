@@ -134,15 +134,7 @@ fn run(
 fn an_invalid_robot_changes_no_bit_of_any_other() {
     let robots: Vec<u32> = (0..20).collect();
     let healthy = run(&mut fleet(20), &robots, |_, _, _| {});
-    let values = [
-        f32::NAN,
-        f32::INFINITY,
-        f32::NEG_INFINITY,
-        f32::MAX,
-        -f32::MAX,
-        1e-40,
-        -1.0,
-    ];
+    let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -f32::MAX, 1e-40, -1.0];
     for poisoned in [0, 7, 19] {
         let found = run(&mut fleet(20), &robots, |robot, step, sample| {
             if robot == poisoned && step >= 10 {
@@ -158,14 +150,8 @@ fn an_invalid_robot_changes_no_bit_of_any_other() {
         for (step, (found, healthy)) in found.iter().zip(&healthy).enumerate() {
             for robot in robots.iter().map(|robot| *robot as usize) {
                 let same = found[robot] == healthy[robot];
-                assert!(
-                    same || robot == poisoned as usize,
-                    "robot {robot} at step {step}"
-                );
-                assert!(
-                    !same || robot != poisoned as usize || step < 10,
-                    "nothing was invalid"
-                );
+                assert!(same || robot == poisoned as usize, "robot {robot} at step {step}");
+                assert!(!same || robot != poisoned as usize || step < 10, "nothing was invalid");
             }
         }
     }
@@ -197,11 +183,7 @@ fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
     let left_ns = START_NS + 19 * PERIOD_NS + 2_500 * MS + 1;
     fleet.tick(left_ns, false);
     assert!(fleet.is_empty());
-    assert_eq!(
-        fleet.ledger(ROBOT),
-        Some(account),
-        "the account of a departed robot"
-    );
+    assert_eq!(fleet.ledger(ROBOT), Some(account), "the account of a departed robot");
 
     for step in 0..20 {
         let now_ns = left_ns + step * PERIOD_NS;
@@ -209,12 +191,7 @@ fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
         let shown = forecast(&fleet, 8);
         assert_eq!(shown.generation, 1);
         if step < 4 {
-            assert_eq!(
-                shown.quality(),
-                Quality::Warmup {
-                    have: step as u16 + 1
-                }
-            );
+            assert_eq!(shown.quality(), Quality::Warmup { have: step as u16 + 1 });
             assert_eq!(shown.flags & forecast_flag::POWER, 0);
         }
         let sent: Vec<Sample> = (0..=step)
@@ -227,10 +204,7 @@ fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
     fleet.tick(back_ns, false);
     send(&mut fleet, ROBOT, 40, back_ns);
     assert_eq!(forecast(&fleet, ROBOT).generation, 2);
-    assert_eq!(
-        forecast(&fleet, ROBOT).quality(),
-        Quality::Warmup { have: 1 }
-    );
+    assert_eq!(forecast(&fleet, ROBOT).quality(), Quality::Warmup { have: 1 });
     let again = fleet.ledger(ROBOT).expect("it has sent samples");
     assert_eq!(again.drawn_uj, account.drawn_uj);
     assert_eq!(again.metered_ns, account.metered_ns);
@@ -245,25 +219,14 @@ fn the_first_owner_keeps_the_robot_and_the_second_source_changes_no_bit() {
     let mut first = Source::new(1, 1);
     for step in 0..60 {
         let now_ns = START_NS + step * PERIOD_NS;
-        first.send(
-            &mut fleet,
-            &[healthy(ROBOT, step, now_ns, PERIOD_NS)],
-            now_ns,
-        );
+        first.send(&mut fleet, &[healthy(ROBOT, step, now_ns, PERIOD_NS)], now_ns);
         let mut foreign = healthy(ROBOT, 1_000 + step, now_ns + 1, PERIOD_NS);
         foreign.power_w = if step % 2 == 0 { f32::NAN } else { 9.0 };
         intruder.tick(&mut fleet, &[foreign], now_ns);
-        assert_eq!(
-            bits(&fleet, ROBOT),
-            expected[step as usize][0],
-            "step {step}"
-        );
+        assert_eq!(bits(&fleet, ROBOT), expected[step as usize][0], "step {step}");
     }
     let named = fleet.refusals()[0];
-    assert_eq!(
-        (named.robot, named.pid, named.count),
-        (ROBOT, intruder.header.pid, 60)
-    );
+    assert_eq!((named.robot, named.pid, named.count), (ROBOT, intruder.header.pid, 60));
 }
 
 #[test]

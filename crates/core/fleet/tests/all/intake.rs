@@ -30,11 +30,7 @@ fn good() -> Sample {
 }
 
 type Spoil = fn(&mut Sample);
-type Faults = (
-    DropReason,
-    Option<InvalidReason>,
-    &'static [(&'static str, Spoil)],
-);
+type Faults = (DropReason, Option<InvalidReason>, &'static [(&'static str, Spoil)]);
 
 /// Faults of one sample of a known robot, by the reason for which it is refused and what its
 /// forecast shows.
@@ -97,21 +93,9 @@ const SAMPLES: [Faults; 9] = [
             ("stamp jumps", |s| s.stamp_ns = NOW + 5_000 * MS + 1),
         ],
     ),
-    (
-        DropReason::Duplicate,
-        None,
-        &[("sent twice", |s| s.seq = 7)],
-    ),
-    (
-        DropReason::OutOfOrder,
-        None,
-        &[("overtaken", |s| s.seq = 6)],
-    ),
-    (
-        DropReason::UnknownRobot,
-        None,
-        &[("of no platform", |s| s.robot = 300)],
-    ),
+    (DropReason::Duplicate, None, &[("sent twice", |s| s.seq = 7)]),
+    (DropReason::OutOfOrder, None, &[("overtaken", |s| s.seq = 6)]),
+    (DropReason::UnknownRobot, None, &[("of no platform", |s| s.robot = 300)]),
 ];
 
 #[test]
@@ -131,19 +115,11 @@ fn each_bad_sample_is_counted_once_named_and_shown_and_the_next_good_one_recover
         assert_eq!(quality(&fleet, ROBOT), expected, "{what}");
         let shown = forecast(&fleet, ROBOT);
         assert_eq!(shown.expected_w().is_some(), invalid.is_none(), "{what}");
-        assert_eq!(
-            diagnostic(&fleet, ROBOT).refused,
-            u64::from(invalid.is_some()),
-            "{what}"
-        );
+        assert_eq!(diagnostic(&fleet, ROBOT).refused, u64::from(invalid.is_some()), "{what}");
 
         let later = NEXT + PERIOD_NS;
         source.tick(&mut fleet, &[healthy(ROBOT, 9, later, PERIOD_NS)], later);
-        assert_eq!(
-            quality(&fleet, ROBOT),
-            Quality::Fresh,
-            "{what}: no recovery"
-        );
+        assert_eq!(quality(&fleet, ROBOT), Quality::Fresh, "{what}: no recovery");
         assert_eq!(fleet.accepted(), accepted + 1, "{what}");
         assert_eq!(fleet.drops().total(), 1, "{what}");
     }
@@ -167,24 +143,9 @@ type FrameCase = (&'static str, fn(&mut SampleHeader), DropReason, bool);
 /// Faults of a whole frame; the last column: whether its robot ids are reliable.
 const FRAMES: [FrameCase; 5] = [
     ("schema", |h| h.schema += 1, DropReason::Schema, false),
-    (
-        "old run",
-        |h| h.source_epoch = 4,
-        DropReason::OldEpoch,
-        true,
-    ),
-    (
-        "again",
-        |h| h.samples_before = 0,
-        DropReason::Duplicate,
-        true,
-    ),
-    (
-        "other",
-        |h| h.source_id = 2,
-        DropReason::ForeignSource,
-        true,
-    ),
+    ("old run", |h| h.source_epoch = 4, DropReason::OldEpoch, true),
+    ("again", |h| h.samples_before = 0, DropReason::Duplicate, true),
+    ("other", |h| h.source_id = 2, DropReason::ForeignSource, true),
     (
         "a newer run of another source",
         |h| (h.source_id, h.source_epoch) = (2, 99),
@@ -220,18 +181,12 @@ fn lost_samples_are_counted_from_the_headers() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
     source.frame(30);
     source.send(&mut fleet, &[good()], NEXT);
-    assert_eq!(
-        fleet.drops().iter().collect::<Vec<_>>(),
-        [(DropReason::BeforeJoin, 30)]
-    );
+    assert_eq!(fleet.drops().iter().collect::<Vec<_>>(), [(DropReason::BeforeJoin, 30)]);
     source.frame(4);
     let later = NEXT + PERIOD_NS;
     source.send(&mut fleet, &[healthy(ROBOT, 9, later, PERIOD_NS)], later);
     let drops: Vec<_> = fleet.drops().iter().collect();
-    assert_eq!(
-        drops,
-        [(DropReason::Overflow, 4), (DropReason::BeforeJoin, 30)]
-    );
+    assert_eq!(drops, [(DropReason::Overflow, 4), (DropReason::BeforeJoin, 30)]);
     assert_eq!(fleet.accepted(), 2);
 }
 
@@ -243,13 +198,7 @@ fn a_source_beyond_the_maximum_is_counted_and_named() {
     }
     let mut extra = Source::new(5, 1);
     extra.send(&mut fleet, &[healthy(8, 0, NEXT, PERIOD_NS)], NEXT);
-    assert_refused(
-        &fleet,
-        "a source beyond the maximum",
-        8,
-        DropReason::TooManySources,
-        1,
-    );
+    assert_refused(&fleet, "a source beyond the maximum", 8, DropReason::TooManySources, 1);
     assert_eq!(fleet.refusals()[0].pid, extra.header.pid);
     assert!(place(&fleet, 8).is_none());
 }
@@ -259,22 +208,15 @@ fn a_robot_beyond_the_capacity_is_counted_and_named() {
     let (mut fleet, mut source) = warm();
     let robots = [8, 9, 9].map(|robot| healthy(robot, 0, NEXT, PERIOD_NS));
     source.send(&mut fleet, &robots, NEXT);
-    assert_refused(
-        &fleet,
-        "beyond the capacity",
-        9,
-        DropReason::OverCapacity,
-        2,
-    );
+    assert_refused(&fleet, "beyond the capacity", 9, DropReason::OverCapacity, 2);
     assert_eq!(fleet.len(), 2);
 }
 
 #[test]
 fn a_tick_takes_a_limited_number_of_samples_per_robot_and_the_next_tick_continues() {
     let (mut fleet, mut source) = warm();
-    let burst: Vec<Sample> = (8..14)
-        .map(|step| healthy(ROBOT, step, NOW + (step - 7) * PERIOD_NS, PERIOD_NS))
-        .collect();
+    let burst: Vec<Sample> =
+        (8..14).map(|step| healthy(ROBOT, step, NOW + (step - 7) * PERIOD_NS, PERIOD_NS)).collect();
     let now_ns = NOW + 6 * PERIOD_NS;
     source.tick(&mut fleet, &burst, now_ns);
     assert_refused(&fleet, "a burst", ROBOT, DropReason::Backlog, 2);
@@ -304,10 +246,8 @@ fn every_reason_is_tested() {
 
 #[test]
 fn a_new_run_of_the_source_takes_over_even_when_its_first_sample_is_refused() {
-    for (what, stamp_ns) in [
-        ("clock continues", NOW + 2 * PERIOD_NS),
-        ("clock restarts", 40 * MS),
-    ] {
+    for (what, stamp_ns) in [("clock continues", NOW + 2 * PERIOD_NS), ("clock restarts", 40 * MS)]
+    {
         let (mut fleet, _) = warm();
         let mut source = Source::new(1, 6);
         let mut first = healthy(ROBOT, 0, stamp_ns, PERIOD_NS);
@@ -343,9 +283,7 @@ fn missing_columns_are_missing_and_not_zero() {
             source.tick(&mut fleet, &[bare], now_ns);
             let shown = forecast(&fleet, robot);
             let expected = match (step, forecasts) {
-                (0..4, _) => Quality::Warmup {
-                    have: step as u16 + 1,
-                },
+                (0..4, _) => Quality::Warmup { have: step as u16 + 1 },
                 (_, false) => Quality::Invalid(InvalidReason::NoCommand),
                 (_, true) if step % 3 == 0 => Quality::Fresh,
                 (_, true) => Quality::Held,
@@ -354,11 +292,7 @@ fn missing_columns_are_missing_and_not_zero() {
             let known = forecasts && step >= 4;
             assert_eq!(shown.expected_w().is_some(), known, "{what}, step {step}");
             assert_eq!(shown.power_w.is_nan(), !known, "{what}, step {step}");
-            assert_ne!(
-                shown.flags & forecast_flag::READING,
-                0,
-                "{what}, step {step}"
-            );
+            assert_ne!(shown.flags & forecast_flag::READING, 0, "{what}, step {step}");
         }
         let scored = diagnostic(&fleet, robot).scored;
         assert_eq!(scored, if forecasts { 7 } else { 0 }, "{what}");
@@ -373,10 +307,7 @@ fn without_readings_there_is_no_forecast_and_the_reason_is_shown() {
         let now_ns = NOW + step * PERIOD_NS;
         let sample = Sample::new(ROBOT, step, now_ns).command(0.1, 0.0);
         source.tick(&mut fleet, &[sample], now_ns);
-        assert_eq!(
-            quality(&fleet, ROBOT),
-            Quality::Invalid(InvalidReason::NoReading)
-        );
+        assert_eq!(quality(&fleet, ROBOT), Quality::Invalid(InvalidReason::NoReading));
         assert_eq!(forecast(&fleet, ROBOT).flags & forecast_flag::READING, 0);
     }
 }
@@ -398,10 +329,7 @@ fn silence_is_open_loop_then_stale_and_the_robot_recovers() {
     }
     let stale = NOW + 31 * PERIOD_NS + 1;
     fleet.tick(stale, false);
-    assert_eq!(
-        quality(&fleet, ROBOT),
-        Quality::Invalid(InvalidReason::Stale)
-    );
+    assert_eq!(quality(&fleet, ROBOT), Quality::Invalid(InvalidReason::Stale));
     assert!(diagnostic(&fleet, ROBOT).alarms().has(Alarm::NoData));
     let back = NOW + 40 * PERIOD_NS;
     source.tick(&mut fleet, &[healthy(ROBOT, 9, back, PERIOD_NS)], back);
@@ -427,11 +355,9 @@ fn a_robot_that_joins_with_a_held_reading_is_not_stuck() {
 /// The open-loop limit counts from the last reading, not from the last sample.
 #[test]
 fn missing_readings_and_silence_are_bridged_for_at_most_stale_after() {
-    for (missing, expected) in [
-        (25, Quality::Fresh),
-        (26, Quality::Warmup { have: 1 }),
-        (29, Quality::Warmup { have: 1 }),
-    ] {
+    for (missing, expected) in
+        [(25, Quality::Fresh), (26, Quality::Warmup { have: 1 }), (29, Quality::Warmup { have: 1 })]
+    {
         let (mut fleet, mut source) = warm();
         for step in 8..13 {
             let now_ns = NOW + (step - 7) * PERIOD_NS;
@@ -457,10 +383,7 @@ fn a_refused_sample_does_not_delay_the_others_to_the_deadline() {
     source.send(&mut fleet, &[poisoned], NEXT);
     assert!(fleet.complete(NEXT));
     fleet.tick(NEXT, false);
-    assert!(
-        !fleet.complete(NEXT + PERIOD_NS),
-        "the next tick waits for it again"
-    );
+    assert!(!fleet.complete(NEXT + PERIOD_NS), "the next tick waits for it again");
 }
 
 #[test]

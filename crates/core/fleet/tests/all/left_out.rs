@@ -30,22 +30,11 @@ fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>
         fleet.begin(now_ns, false);
         let (mut batch, mut shard) = (Batch::default(), fleet.shard());
         let accounts = Accounts {
-            diagnostics: if with.diagnostics {
-                &mut diagnostics
-            } else {
-                &mut []
-            },
+            diagnostics: if with.diagnostics { &mut diagnostics } else { &mut [] },
             budgets: &mut budgets,
-            plan_states: if with.plan_states {
-                &mut plan_states
-            } else {
-                &mut []
-            },
+            plan_states: if with.plan_states { &mut plan_states } else { &mut [] },
         };
-        let outputs = Outputs {
-            forecasts: &mut forecasts,
-            accounts,
-        };
+        let outputs = Outputs { forecasts: &mut forecasts, accounts };
         if halves {
             let (mut first, mut second) = shard.split_at(ROBOTS as usize / 2);
             let (to_first, to_second) = outputs.split_at(first.len());
@@ -61,10 +50,7 @@ fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>
 
 #[test]
 fn an_output_is_the_same_whatever_else_is_left_out() {
-    let with = |diagnostics, plan_states| With {
-        diagnostics,
-        plan_states,
-    };
+    let with = |diagnostics, plan_states| With { diagnostics, plan_states };
     // As text, in which NaN equals NaN.
     let text = |rows: &dyn std::fmt::Debug| format!("{rows:?}");
     let all = run(false, with(true, true));

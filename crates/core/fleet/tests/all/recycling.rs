@@ -46,16 +46,9 @@ fn a_hundred_thousand_successive_sources_and_robots_do_not_affect_a_live_robot()
     assert_eq!(allocated, 0, "no table has grown");
     assert_eq!(fleet.accepted(), step + names);
     let given_up = fleet.accounts_given_up();
-    assert!(
-        given_up > NAMES / 2,
-        "{given_up} accounts made room for others"
-    );
+    assert!(given_up > NAMES / 2, "{given_up} accounts made room for others");
     let account = fleet.ledger(LIVING).unwrap();
-    assert_eq!(
-        account.metered_ns,
-        (step - 1) * PERIOD_NS,
-        "its account is whole"
-    );
+    assert_eq!(account.metered_ns, (step - 1) * PERIOD_NS, "its account is whole");
 }
 
 #[test]
@@ -76,14 +69,7 @@ fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account
         now_ns += LEAVE_AFTER_NS + PERIOD_NS;
         let wrong = [f32::NAN, f32::INFINITY, 1e30][step as usize % 3];
         let impossible: Vec<_> = (0..3)
-            .map(|place| {
-                healthy(
-                    10 + (3 * step + place) as u32 % 280,
-                    step,
-                    now_ns,
-                    PERIOD_NS,
-                )
-            })
+            .map(|place| healthy(10 + (3 * step + place) as u32 % 280, step, now_ns, PERIOD_NS))
             .map(|sample| sample.reading(wrong, now_ns))
             .collect();
         liar.tick(&mut fleet, &impossible, now_ns);
@@ -106,11 +92,7 @@ fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
         let mut shut_out = 0;
         for step in 0..back_at + 60 {
             let now_ns = 60_000 * MS + step * PERIOD_NS;
-            source.send(
-                &mut fleet,
-                &[healthy(LIVING, step, now_ns, PERIOD_NS)],
-                now_ns,
-            );
+            source.send(&mut fleet, &[healthy(LIVING, step, now_ns, PERIOD_NS)], now_ns);
             if step == forged_at {
                 let mut forged = Source::new(1, epoch).header;
                 forged.samples_before = before;
@@ -119,10 +101,7 @@ fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
             }
             fleet.tick(now_ns, false);
             let refused = [DropReason::OldEpoch, DropReason::Duplicate];
-            let refused: u64 = refused
-                .iter()
-                .map(|reason| fleet.drops().get(*reason))
-                .sum();
+            let refused: u64 = refused.iter().map(|reason| fleet.drops().get(*reason)).sum();
             if step == back_at {
                 shut_out = refused;
                 assert!(shut_out > 0, "{what}: it looks like the next run");
@@ -133,10 +112,7 @@ fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
                 let fresh = matches!(found, Quality::Fresh | Quality::Held);
                 assert!(fresh, "{what}: {found:?} in step {step}");
             }
-            assert!(
-                step <= back_at || refused == shut_out,
-                "{what}: step {step}"
-            );
+            assert!(step <= back_at || refused == shut_out, "{what}: step {step}");
         }
         assert_eq!(forecast(&fleet, LIVING).source_epoch, 5, "{what}");
     }

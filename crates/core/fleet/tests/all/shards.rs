@@ -51,12 +51,7 @@ fn scatter(shard: Shard<'_>, outputs: Outputs<'_>, seed: u64, depth: u32) {
     let mut noise = Noise(seed);
     if depth == 0 || shard.is_empty() {
         let mut batch = Batch::of_slots(1 + (noise.next_u64() % 700) as usize);
-        return tick(
-            shard,
-            outputs,
-            &mut batch,
-            noise.next_u64().is_multiple_of(2),
-        );
+        return tick(shard, outputs, &mut batch, noise.next_u64().is_multiple_of(2));
     }
     let robots = (noise.next_u64() % (shard.len() as u64 + 1)) as usize;
     let (first, second) = shard.split_at(robots);

@@ -52,9 +52,7 @@ fn what_a_keyframe_costs() {
         let mut others = vec![1_u8; 64 << 20];
         let mut copies = Vec::new();
         for _ in 0..15 {
-            others
-                .iter_mut()
-                .for_each(|byte| *byte = byte.wrapping_add(1));
+            others.iter_mut().for_each(|byte| *byte = byte.wrapping_add(1));
             let begun = Instant::now();
             fleet.state_into(&mut state);
             copies.push(begun.elapsed().as_secs_f64() * 1e6);

@@ -17,8 +17,7 @@ fn questions_about_candidates_allocate_nothing() {
     let [power_w, by_v, by_omega] = &mut columns;
     let before = counting::calls();
     let copy = robot;
-    copy.what_if_into(&candidates, 0.9, &mut answers)
-        .expect("allowed");
+    copy.what_if_into(&candidates, 0.9, &mut answers).expect("allowed");
     copy.power_w(&candidates, power_w).expect("allowed");
     copy.gradient(&candidates, by_v, by_omega).expect("allowed");
     assert_eq!(counting::calls() - before, 0, "allocations");

@@ -27,12 +27,8 @@ fn fleet() -> Fleet {
 fn rows(fleet: &Fleet, soc: f64, soc_lo: f64) -> Rows {
     let mut energy = EnergyState::new(7);
     for _ in 0..1_800 {
-        let sample = EnergySample {
-            power_w: 3.5,
-            elapsed_s: 1.0 / 30.0,
-            v_mps: 0.0,
-            omega_radps: 0.0,
-        };
+        let sample =
+            EnergySample { power_w: 3.5, elapsed_s: 1.0 / 30.0, v_mps: 0.0, omega_radps: 0.0 };
         energy.observe(&fleet.platforms()[0].energy, &sample);
     }
     let mut rows = Rows::with_usable(1.0);
@@ -54,9 +50,7 @@ fn rows(fleet: &Fleet, soc: f64, soc_lo: f64) -> Rows {
 fn there_and_back(robot: &Robot<'_>, away_m: f64) -> Trip {
     let dock = Point::new(0.0, 0.0);
     let path = Path::new(&[dock, Point::new(away_m, 0.0)], 0.2);
-    robot
-        .can_finish(&path, Some(dock), 0.9)
-        .expect("it is a path")
+    robot.can_finish(&path, Some(dock), 0.9).expect("it is a path")
 }
 
 #[test]
@@ -85,10 +79,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
         let rows = rows(&fleet, soc, soc_lo);
         let trip = there_and_back(&rows.robot(&fleet), away_m);
         let answer = trip.answer;
-        let asked = format!(
-            "{soc} {soc_lo}, {away_m} m: {answer:?} {:?}",
-            trip.turn_back_s
-        );
+        let asked = format!("{soc} {soc_lo}, {away_m} m: {answer:?} {:?}", trip.turn_back_s);
         assert_eq!(answer.verdict, verdict, "{asked}");
         let found = answer.probability.expect("errors are known");
         assert!(probability.contains(&found), "{asked}");
@@ -96,10 +87,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
         // Nobody has to turn back in the middle of what is a yes.
         if verdict == Verdict::Yes {
             let there_s = trip.commands.leg_ends[0] as f32 * trip.commands.period_s;
-            assert!(
-                trip.turn_back_s.is_some_and(|s| (s - there_s).abs() < 0.1),
-                "{asked}"
-            );
+            assert!(trip.turn_back_s.is_some_and(|s| (s - there_s).abs() < 0.1), "{asked}");
         }
         if away_m == 1.0 {
             let energy = answer.energy.expect("known");
@@ -114,8 +102,5 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
     assert_eq!(verdict(&unknown), Verdict::Unknown(Unknown::NoBudget));
     let mut contradicted = rows(&fleet, 0.5, 0.4);
     contradicted.budget.flags |= budget_flag::CONTRADICTED;
-    assert_eq!(
-        verdict(&contradicted),
-        Verdict::Unknown(Unknown::BatteryUnknown)
-    );
+    assert_eq!(verdict(&contradicted), Verdict::Unknown(Unknown::BatteryUnknown));
 }

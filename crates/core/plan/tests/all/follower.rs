@@ -18,11 +18,7 @@ fn fleet(v_max_mps: f32, omega_max_radps: f32) -> Fleet {
     let mut settings = config.settings().clone();
     settings.platforms[0].v_max_mps = v_max_mps;
     settings.platforms[0].omega_max_radps = omega_max_radps;
-    let residual = ResidualStats {
-        std_w: 1.0,
-        q05_w: -1.6,
-        q95_w: 1.6,
-    };
+    let residual = ResidualStats { std_w: 1.0, q05_w: -1.6, q95_w: 1.6 };
     let model = Model::Persistence(Persistence::new(residual).expect("finite"));
     Fleet::new(&settings, &[model])
 }
@@ -78,10 +74,7 @@ fn steps_outside(platform: &Platform, path: &Path) -> usize {
     let followed = follower.follow(path).expect("it gets there");
     let mut at_rest = EnergyState::new(0);
     (at_rest.metered.v_mps, at_rest.metered.omega_radps) = (0.0, 0.0);
-    platform
-        .energy
-        .forecast(&at_rest, followed.commands())
-        .steps_outside
+    platform.energy.forecast(&at_rest, followed.commands()).steps_outside
 }
 
 proptest! {
@@ -128,10 +121,7 @@ fn wrong_paths_are_refused_with_the_value() {
     let follower = follower(0.2, 3.0);
     let at = Point::new;
     let refused = |path: &Path| follower.follow(path).expect_err("refused");
-    assert_eq!(
-        refused(&Path::new(&[at(0.0, 0.0)], 0.1)),
-        PathError::Points { found: 1 }
-    );
+    assert_eq!(refused(&Path::new(&[at(0.0, 0.0)], 0.1)), PathError::Points { found: 1 });
     for value in [f64::NAN, f64::INFINITY, 2e6] {
         let error = refused(&Path::new(&[at(0.0, 0.0), at(1.0, value)], 0.1));
         let PathError::Coordinate { column, point, .. } = error else {
@@ -141,10 +131,7 @@ fn wrong_paths_are_refused_with_the_value() {
     }
     for speed in [0.0, -0.1, f64::NAN] {
         let error = refused(&Path::new(&[at(0.0, 0.0), at(1.0, 0.0)], speed));
-        assert!(
-            matches!(error, PathError::Speed { point: 1, .. }),
-            "{error}"
-        );
+        assert!(matches!(error, PathError::Speed { point: 1, .. }), "{error}");
     }
     let still = fleet(0.0, 0.0);
     let error = Follower::new(&still.platforms()[0]).expect_err("it cannot move");
@@ -158,17 +145,7 @@ fn a_path_of_too_many_steps_is_told_from_a_point_that_is_circled() {
     for speed_mps in [0.2, 1e-5] {
         let error = follower.follow(&Path::new(&points, speed_mps));
         let error = error.expect_err("refused");
-        assert!(
-            matches!(
-                error,
-                PathError::TooLong {
-                    point: 1,
-                    allowed: 100,
-                    ..
-                }
-            ),
-            "{error}"
-        );
+        assert!(matches!(error, PathError::TooLong { point: 1, allowed: 100, .. }), "{error}");
     }
 }
 
@@ -230,10 +207,7 @@ fn simulator() -> Option<PathBuf> {
         "{} or Python with NumPy is missing",
         folder.display()
     );
-    println!(
-        "skipped: {} or Python with NumPy is missing",
-        folder.display()
-    );
+    println!("skipped: {} or Python with NumPy is missing", folder.display());
     None
 }
 
@@ -247,28 +221,19 @@ fn commands_and_drives_are_those_of_the_robotarium_simulator() {
     let mut cases = Vec::new();
     for place in 0..40 {
         let turn = f64::from(place);
-        let pose = [
-            1.3 * (turn * 0.7).sin(),
-            (turn * 1.1).cos(),
-            turn * 0.55 - 3.0,
-        ];
+        let pose = [1.3 * (turn * 0.7).sin(), (turn * 1.1).cos(), turn * 0.55 - 3.0];
         cases.push((pose, [(turn * 0.37).cos(), 1.4 * (turn * 0.9).sin()]));
     }
     let followed_by = |pose: [f64; 3], goal: [f64; 2]| {
         let path = Path {
             heading_rad: Some(pose[2]),
-            ..Path::new(
-                &[Point::new(pose[0], pose[1]), Point::new(goal[0], goal[1])],
-                SPEED_MPS,
-            )
+            ..Path::new(&[Point::new(pose[0], pose[1]), Point::new(goal[0], goal[1])], SPEED_MPS)
         };
         follower.follow(&path).expect("it gets there")
     };
     let period_s = 1.0 / 30.0;
-    let listed: Vec<String> = cases
-        .iter()
-        .map(|(pose, goal)| format!("[{pose:?}, {goal:?}]"))
-        .collect();
+    let listed: Vec<String> =
+        cases.iter().map(|(pose, goal)| format!("[{pose:?}, {goal:?}]")).collect();
     let given = format!(
         r#"{{"speed": {SPEED_MPS}, "period": {period_s}, "cases": [{}]}}"#,
         listed.join(", ")
@@ -280,37 +245,20 @@ fn commands_and_drives_are_those_of_the_robotarium_simulator() {
         .output()
         .expect("Python runs");
     let (stdout, stderr) = (&output.stdout, &output.stderr);
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(stderr)
-    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(stderr));
     let theirs: Theirs = serde_json::from_slice(stdout).expect("its answer is JSON");
     for (place, (pose, goal)) in cases.into_iter().enumerate() {
-        let here = Pose {
-            at: Point::new(pose[0], pose[1]),
-            heading_rad: pose[2],
-        };
+        let here = Pose { at: Point::new(pose[0], pose[1]), heading_rad: pose[2] };
         let (v_mps, omega_radps) = follower.command(&here, Point::new(goal[0], goal[1]), SPEED_MPS);
         let (v, omega) = theirs.commands[place];
         assert!((f64::from(v_mps) - v).abs() < 1e-6, "{place}: {v_mps} {v}");
-        assert!(
-            (f64::from(omega_radps) - omega).abs() < 1e-5,
-            "{place}: {omega_radps} {omega}"
-        );
+        assert!((f64::from(omega_radps) - omega).abs() < 1e-5, "{place}: {omega_radps} {omega}");
         // The simulator takes the heading at the beginning of a step, the follower in its middle.
         let followed = followed_by(pose, goal);
         let (steps, travelled_m) = theirs.drives[place];
-        let mine_m: f64 = followed
-            .v_mps
-            .iter()
-            .map(|v| f64::from(v.abs()) * period_s)
-            .sum();
+        let mine_m: f64 = followed.v_mps.iter().map(|v| f64::from(v.abs()) * period_s).sum();
         let mine = (followed.v_mps.len() - 1) as f64;
-        assert!(
-            (mine - steps).abs() <= 2.0 + 0.01 * steps,
-            "{place}: {mine} {steps}"
-        );
+        assert!((mine - steps).abs() <= 2.0 + 0.01 * steps, "{place}: {mine} {steps}");
         assert!(
             (mine_m - travelled_m).abs() < 0.01 + 0.01 * travelled_m,
             "{place}: {mine_m} {travelled_m}"

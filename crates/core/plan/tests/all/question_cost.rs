@@ -35,25 +35,11 @@ fn what_a_path_and_the_time_to_turn_back_cost() {
             for id in &ids {
                 let rows = rows(*id);
                 let robot = fleet.robot(&rows.frames()).unwrap();
-                assert!(
-                    robot
-                        .can_finish(&path, Some(end), 0.9)
-                        .unwrap()
-                        .turn_back_s
-                        .is_some()
-                );
+                assert!(robot.can_finish(&path, Some(end), 0.9).unwrap().turn_back_s.is_some());
             }
             let alone_ms = begun.elapsed().as_secs_f64() * 1e3;
-            let plan = Plan::Follow {
-                robots: ids.clone(),
-                path: path.clone(),
-                back_to: Some(end),
-            };
-            let question = Question {
-                plan,
-                coverage: 0.9,
-                power: false,
-            };
+            let plan = Plan::Follow { robots: ids.clone(), path: path.clone(), back_to: Some(end) };
+            let question = Question { plan, coverage: 0.9, power: false };
             let find = |robot| Some(rows(robot));
             let begun = Instant::now();
             let mut work = Work::begin(question, find, QUERY_STEPS).unwrap();
@@ -71,9 +57,8 @@ fn what_a_path_and_the_time_to_turn_back_cost() {
             let mut work = work.renew(find).unwrap();
             assert!(work.rest(&fleet).unwrap());
             let renewed_ms = begun.elapsed().as_secs_f64() * 1e3;
-            for (best, found) in best_ms
-                .iter_mut()
-                .zip([alone_ms, whole_ms, longest_ms, renewed_ms])
+            for (best, found) in
+                best_ms.iter_mut().zip([alone_ms, whole_ms, longest_ms, renewed_ms])
             {
                 *best = best.min(found);
             }

@@ -26,14 +26,7 @@ fn rows(rows: &Rows, robot: u32) -> RobotRows {
 }
 
 fn path() -> Path {
-    Path::new(
-        &[
-            Point::new(0.0, 0.0),
-            Point::new(1.0, 0.0),
-            Point::new(1.0, -0.5),
-        ],
-        0.15,
-    )
+    Path::new(&[Point::new(0.0, 0.0), Point::new(1.0, 0.0), Point::new(1.0, -0.5)], 0.15)
 }
 
 fn questions() -> Vec<Question> {
@@ -44,16 +37,10 @@ fn questions() -> Vec<Question> {
         v_mps: (0..30).map(|at| at as f32 * 0.005).collect(),
         omega_radps: (0..30).map(|at| at as f32 * -0.01).collect(),
     };
-    let idle = Plan::Idle {
-        robots: vec![7, 3],
-        duration_s: 20.0,
-    };
+    let idle = Plan::Idle { robots: vec![7, 3], duration_s: 20.0 };
     let follow = |robots: &[u32], heading_rad, back_to| Plan::Follow {
         robots: robots.to_vec(),
-        path: Path {
-            heading_rad,
-            ..path()
-        },
+        path: Path { heading_rad, ..path() },
         back_to,
     };
     let plans = [
@@ -62,11 +49,7 @@ fn questions() -> Vec<Question> {
         follow(&[7], Some(0.5), None),
         follow(&[9, 7, 3], None, Some(Point::new(0.1, -0.0))),
     ];
-    let question = |plan| Question {
-        plan,
-        coverage: 0.9,
-        power: true,
-    };
+    let question = |plan| Question { plan, coverage: 0.9, power: true };
     plans.into_iter().map(question).collect()
 }
 
@@ -76,10 +59,7 @@ fn questions_and_replies_survive_their_payloads() {
     robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
     for question in questions() {
         let (header, values) = question.encode(FLEET).unwrap();
-        assert_eq!(
-            Question::decode(&header, &values, FLEET).as_ref(),
-            Ok(&question)
-        );
+        assert_eq!(Question::decode(&header, &values, FLEET).as_ref(), Ok(&question));
         let find = |robot| Some(rows(&robots, robot));
         let reply = question.clone().answer(&fleet, find, QUERY_STEPS).unwrap();
         assert!(!reply.rows.is_empty());
@@ -96,14 +76,9 @@ fn several_robots_are_answered_as_rank_answers() {
     let rich = Rows::with_usable(20_000.0);
     let of = |robot| rows(if robot == 3 { &rich } else { &poor }, robot);
     let question = questions().pop().unwrap();
-    let reply = question
-        .answer(&fleet, |robot| Some(of(robot)), QUERY_STEPS)
-        .unwrap();
+    let reply = question.answer(&fleet, |robot| Some(of(robot)), QUERY_STEPS).unwrap();
     let all = [9, 7, 3].map(of);
-    let robots: Vec<_> = all
-        .iter()
-        .map(|rows| fleet.robot(&rows.frames()).unwrap())
-        .collect();
+    let robots: Vec<_> = all.iter().map(|rows| fleet.robot(&rows.frames()).unwrap()).collect();
     let ranked = rank(&robots, &path(), Some(Point::new(0.1, -0.0)), 0.9).unwrap();
     assert_eq!(reply.rows[0].robot, 3);
     for (row, ranked) in reply.rows.iter().zip(&ranked) {
@@ -142,14 +117,8 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     let row = stale.rows[2];
     let age_ns = stale_ns - rich.header.sent_ns;
     assert_eq!(row.robot, 3);
-    assert_eq!(
-        row.answer.verdict,
-        Verdict::Unknown(Unknown::Stale { age_ns })
-    );
-    assert_eq!(
-        (row.answer.energy, row.turn_back_s),
-        (yes.answer.energy, None)
-    );
+    assert_eq!(row.answer.verdict, Verdict::Unknown(Unknown::Stale { age_ns }));
+    assert_eq!((row.answer.energy, row.turn_back_s), (yes.answer.energy, None));
     assert_eq!(stale.rows[0].answer, fresh.rows[1].answer);
 }
 
@@ -192,11 +161,7 @@ fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_w
     new.header.sent_ns += 1_000_000_000;
     new.budget_header.sent_ns += 1_000_000_000;
     new.now_ns += 1_000_000_000;
-    let mut work = Work::begin(
-        straight(&robots),
-        |robot| Some(rows(&old, robot)),
-        QUERY_STEPS,
-    );
+    let mut work = Work::begin(straight(&robots), |robot| Some(rows(&old, robot)), QUERY_STEPS);
     let work = work.as_mut().unwrap();
     while !work.step(&fleet).unwrap() {}
     assert!(!work.is_stale(old.now_ns) && work.is_stale(new.now_ns));

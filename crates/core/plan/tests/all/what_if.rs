@@ -30,26 +30,14 @@ fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
     for (answer, usable_j) in answers.iter().zip([400.0f32, 45.0, 30.0]) {
         let energy = answer.energy.expect("known");
         assert!((energy.mean_j - 42.0).abs() < 0.5, "{answer:?}");
-        assert!(
-            (energy.lo_j / energy.mean_j - 0.9).abs() < 0.02,
-            "{answer:?}"
-        );
-        assert!(
-            (energy.hi_j / energy.mean_j - 1.1).abs() < 0.02,
-            "{answer:?}"
-        );
+        assert!((energy.lo_j / energy.mean_j - 0.9).abs() < 0.02, "{answer:?}");
+        assert!((energy.hi_j / energy.mean_j - 1.1).abs() < 0.02, "{answer:?}");
         let margin_j = answer.margin_j.expect("known");
-        assert!(
-            (margin_j - (0.9 * usable_j - energy.hi_j)).abs() < 0.01,
-            "{answer:?}"
-        );
+        assert!((margin_j - (0.9 * usable_j - energy.hi_j)).abs() < 0.01, "{answer:?}");
         let left = answer.left.expect("known");
         assert!((left.mean_j - (3_600.0 + usable_j - energy.mean_j)).abs() < 0.1);
         assert!((left.lo_j - (3_600.0 + 0.9 * usable_j - energy.hi_j)).abs() < 0.1);
-        assert_eq!(
-            answer.limiting_leg.is_none(),
-            answer.verdict == Verdict::Yes
-        );
+        assert_eq!(answer.limiting_leg.is_none(), answer.verdict == Verdict::Yes);
     }
     let probability = |answer: &Answer| answer.probability.expect("known");
     assert!(probability(&answers[0]) > 0.99 && probability(&answers[2]) < 0.01);
@@ -60,26 +48,16 @@ fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
 fn whatever_is_unknown_is_said_and_never_yes() {
     let fleet = fleet();
     let fine = Rows::with_usable(20_000.0);
-    assert_eq!(
-        straight(&fine.robot(&fleet), 0.1, 300).verdict,
-        Verdict::Yes
-    );
+    assert_eq!(straight(&fine.robot(&fleet), 0.1, 300).verdict, Verdict::Yes);
     type Spoil = fn(&mut Rows);
     let cases: [(Spoil, Unknown); 14] = [
-        (
-            |rows| rows.now_ns += 3 * PERIOD_NS,
-            Unknown::Stale {
-                age_ns: 1_000_000 + 3 * PERIOD_NS,
-            },
-        ),
+        (|rows| rows.now_ns += 3 * PERIOD_NS, Unknown::Stale { age_ns: 1_000_000 + 3 * PERIOD_NS }),
         (
             |rows| {
                 let code = Quality::Invalid(InvalidReason::Stale).encode();
                 (rows.state.quality, rows.state.quality_detail) = code;
             },
-            Unknown::Invalid {
-                reason: InvalidReason::Stale,
-            },
+            Unknown::Invalid { reason: InvalidReason::Stale },
         ),
         (
             |rows| {
@@ -92,28 +70,13 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         (|rows| rows.state.flags = 0, Unknown::NoLevel),
         (|rows| rows.state.time_s = [0.0; 4], Unknown::NoLevel),
         (|rows| rows.has_budget = false, Unknown::NoBudget),
-        (
-            |rows| rows.budget_header.worker_epoch = 4,
-            Unknown::NoBudget,
-        ),
-        (
-            |rows| rows.budget_header.sent_ns -= 3 * PERIOD_NS,
-            Unknown::NoBudget,
-        ),
+        (|rows| rows.budget_header.worker_epoch = 4, Unknown::NoBudget),
+        (|rows| rows.budget_header.sent_ns -= 3 * PERIOD_NS, Unknown::NoBudget),
         (|rows| rows.budget_header.tick -= 1, Unknown::NoBudget),
         (|rows| rows.budget.robot = 8, Unknown::NoBudget),
-        (
-            |rows| rows.budget.flags &= !budget_flag::BATTERY,
-            Unknown::BatteryUnknown,
-        ),
-        (
-            |rows| rows.budget.usable_lo_j = f32::NAN,
-            Unknown::BatteryUnknown,
-        ),
-        (
-            |rows| rows.budget.flags |= budget_flag::CONTRADICTED,
-            Unknown::BatteryUnknown,
-        ),
+        (|rows| rows.budget.flags &= !budget_flag::BATTERY, Unknown::BatteryUnknown),
+        (|rows| rows.budget.usable_lo_j = f32::NAN, Unknown::BatteryUnknown),
+        (|rows| rows.budget.flags |= budget_flag::CONTRADICTED, Unknown::BatteryUnknown),
     ];
     for (spoil, reason) in cases {
         let mut rows = fine;
@@ -136,11 +99,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         let mut all = all.chain(trust);
         *all.nth(place).expect("16 numbers") = value;
         let answer = straight(&rows.robot(&fleet), 0.1, 300);
-        assert_eq!(
-            answer.verdict,
-            Verdict::Unknown(Unknown::NoLevel),
-            "{place}"
-        );
+        assert_eq!(answer.verdict, Verdict::Unknown(Unknown::NoLevel), "{place}");
     }
     let mut settings = platform().settings;
     settings.battery = None;
@@ -159,26 +118,18 @@ fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state
     let outside = straight(&robot, 0.25, 300);
     assert_eq!(outside.caveats.steps_outside_training, 300);
     let hi_j = outside.energy.expect("known").hi_j;
-    assert!(
-        hi_j >= 20.0 * 10.0,
-        "20 W are possible for 10 s: {outside:?}"
-    );
+    assert!(hi_j >= 20.0 * 10.0, "20 W are possible for 10 s: {outside:?}");
     assert_eq!(outside.verdict, Verdict::Yes, "even that can be spared");
     let poor = Rows::with_usable(0.9 * f64::from(hi_j));
     let outside = straight(&poor.robot(&fleet), 0.25, 300);
     assert_eq!(outside.verdict, Verdict::Tight);
     assert!(outside.energy.expect("known").lo_j >= 0.0, "{outside:?}");
     // A jump that no recording has, in one step of many.
-    let careful = fleet_with(EnergyModel {
-        combined: Some([0.4, 1.0, 100.0, 4.0, 100.0]),
-        ..model()
-    });
+    let careful =
+        fleet_with(EnergyModel { combined: Some([0.4, 1.0, 100.0, 4.0, 100.0]), ..model() });
     let careful = rows.robot(&careful);
     let gentle = straight(&careful, 0.12, 300);
-    assert_eq!(
-        (gentle.verdict, gentle.caveats.any()),
-        (Verdict::Yes, false)
-    );
+    assert_eq!((gentle.verdict, gentle.caveats.any()), (Verdict::Yes, false));
     let sudden = straight(&careful, 0.15, 300);
     assert_eq!(sudden.caveats.steps_outside_training, 1);
     assert_eq!(sudden.verdict, Verdict::Yes);
@@ -186,20 +137,14 @@ fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state
     assert!(widened_j > 0.9 * 16.0 * STEP_S, "{widened_j} J");
     // 400 s: errors are known up to 300.
     let long = straight(&robot, 0.1, 12_000);
-    assert!(
-        long.caveats.beyond_horizon && long.verdict == Verdict::Yes,
-        "{long:?}"
-    );
+    assert!(long.caveats.beyond_horizon && long.verdict == Verdict::Yes, "{long:?}");
     let energy = long.energy.expect("known");
     assert!(energy.hi_j > energy.mean_j + 100.0 * 15.0, "{long:?}");
     assert!(energy.lo_j < energy.mean_j - 100.0 * 3.0, "{long:?}");
     let mut open = rows;
     open.state.open_steps = 2;
     let answer = straight(&open.robot(&fleet), 0.1, 300);
-    assert!(
-        answer.caveats.no_reading && answer.verdict == Verdict::Tight,
-        "{answer:?}"
-    );
+    assert!(answer.caveats.no_reading && answer.verdict == Verdict::Tight, "{answer:?}");
     // As the worker marks a robot whose newest row is extrapolated.
     let mut extrapolated = rows;
     extrapolated.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
@@ -218,18 +163,12 @@ fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state
 fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
     let rows = Rows::with_usable(30_000.0);
     for (calibrated, horizon_s) in (1..).zip(HORIZONS_S) {
-        let energy = EnergyModel {
-            calibrated,
-            ..model()
-        };
+        let energy = EnergyModel { calibrated, ..model() };
         let fleet = fleet_with(energy);
         let robot = rows.robot(&fleet);
         let steps = (30.0 * horizon_s) as usize;
         // Thirty steps of 1/30 s add up to a little more than a second.
-        let answers = [
-            straight(&robot, 0.1, steps),
-            robot.idle(horizon_s, 0.9).expect("allowed"),
-        ];
+        let answers = [straight(&robot, 0.1, steps), robot.idle(horizon_s, 0.9).expect("allowed")];
         for answer in answers {
             assert!((answer.duration_s / horizon_s - 1.0).abs() < 1e-5);
             let energy = answer.energy.expect("known");
@@ -248,42 +187,13 @@ fn wrong_questions_are_refused_with_the_value() {
     let fleet = fleet();
     let robot = Rows::with_usable(1_000.0).robot(&fleet);
     let four = [0.1f32; 4];
-    assert!(matches!(
-        Candidates::new(0, 0.1, &four, &four),
-        Err(AskError::Empty { .. })
-    ));
-    assert!(matches!(
-        Candidates::new(1, 0.1, &[], &[]),
-        Err(AskError::Empty { .. })
-    ));
-    assert!(matches!(
-        Candidates::new(8, 0.1, &four, &four),
-        Err(AskError::Empty { .. })
-    ));
+    assert!(matches!(Candidates::new(0, 0.1, &four, &four), Err(AskError::Empty { .. })));
+    assert!(matches!(Candidates::new(1, 0.1, &[], &[]), Err(AskError::Empty { .. })));
+    assert!(matches!(Candidates::new(8, 0.1, &four, &four), Err(AskError::Empty { .. })));
     let error = Candidates::new(3, 0.1, &four, &four).expect_err("4 is no multiple of 3");
-    assert!(
-        matches!(
-            error,
-            AskError::Shape {
-                found: 4,
-                allowed: 3,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    assert!(matches!(error, AskError::Shape { found: 4, allowed: 3, .. }), "{error}");
     let error = Candidates::new(2, 0.1, &four, &four[..3]).expect_err("another length");
-    assert!(
-        matches!(
-            error,
-            AskError::Shape {
-                column: "omega_radps",
-                found: 3,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    assert!(matches!(error, AskError::Shape { column: "omega_radps", found: 3, .. }), "{error}");
     for period_s in [0.0, -0.1, f32::NAN, f32::INFINITY, 61.0] {
         let error = Candidates::new(1, period_s, &four, &four).expect_err("no period");
         assert!(matches!(error, AskError::Period { .. }), "{error}");
@@ -293,34 +203,17 @@ fn wrong_questions_are_refused_with_the_value() {
         omega[3] = value;
         let candidates = Candidates::new(2, 0.1, &four, &omega).expect("the shape is right");
         let error = robot.what_if(&candidates, 0.9).expect_err("no command");
-        let is_expected = matches!(
-            error,
-            AskError::Command {
-                column: "omega_radps",
-                candidate: 1,
-                step: 1,
-                ..
-            }
-        );
+        let is_expected =
+            matches!(error, AskError::Command { column: "omega_radps", candidate: 1, step: 1, .. });
         assert!(is_expected, "{error}");
     }
     let candidates = Candidates::new(2, 0.1, &four, &four).expect("the shape is right");
     for coverage in [0.0, 0.4, 1.0, f32::NAN] {
-        let error = robot
-            .what_if(&candidates, coverage)
-            .expect_err("no coverage");
+        let error = robot.what_if(&candidates, coverage).expect_err("no coverage");
         assert!(matches!(error, AskError::Coverage { .. }), "{error}");
     }
-    let error = robot
-        .power_w(&candidates, &mut [0.0; 3])
-        .expect_err("too short");
-    assert_eq!(
-        error,
-        AskError::Results {
-            found: 3,
-            allowed: 4
-        }
-    );
+    let error = robot.power_w(&candidates, &mut [0.0; 3]).expect_err("too short");
+    assert_eq!(error, AskError::Results { found: 3, allowed: 4 });
     for duration_s in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         let error = robot.idle(duration_s, 0.9).expect_err("no duration");
         assert!(matches!(error, AskError::Duration { .. }), "{error}");
@@ -331,9 +224,8 @@ fn wrong_questions_are_refused_with_the_value() {
 fn commands(candidates: usize, steps: usize, seed: u32) -> (Vec<f32>, Vec<f32>) {
     let mut state = u64::from(seed) | 1;
     let mut draw = |most: f32| {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         most * ((state >> 40) as f32 / (1 << 23) as f32 - 1.0)
     };
     let count = candidates * steps;
@@ -508,19 +400,13 @@ fn fleet_with(energy: EnergyModel) -> Fleet {
 
 #[test]
 fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
-    let fleet = fleet_with(EnergyModel {
-        omega_radps: [-20.0, 20.0],
-        ..model()
-    });
+    let fleet = fleet_with(EnergyModel { omega_radps: [-20.0, 20.0], ..model() });
     let robot = Rows::with_usable(30_000.0).robot(&fleet);
     let dock = Point::new(0.0, 0.0);
     let points = [dock, Point::new(2.0, 0.0), Point::new(0.1, 0.0), dock];
     // The last leg, and so the path back, is slow: from the middle it takes more than three
     // minutes.
-    let path = Path {
-        speed_mps: vec![0.2, 0.2, 0.2, 0.01],
-        ..Path::new(&points, 0.2)
-    };
+    let path = Path { speed_mps: vec![0.2, 0.2, 0.2, 0.01], ..Path::new(&points, 0.2) };
     for (max_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
         let trip = robot.can_finish_within(&path, Some(dock), 0.9, max_steps);
         let trip = trip.expect("the whole trip fits");
@@ -560,20 +446,14 @@ fn the_limiting_leg_is_the_first_that_is_not_sure() {
     let fleet = fleet();
     let robot = Rows::with_usable(150.0).robot(&fleet);
     // Some 10 s a metre, 4 W: each leg costs about 45 J, 50 at most; 135 J can be spared for sure.
-    let points: Vec<Point> = (0..6)
-        .map(|place| Point::new(f64::from(place), 0.0))
-        .collect();
-    let trip = robot
-        .can_finish(&Path::new(&points, 0.1), None, 0.9)
-        .expect("allowed");
+    let points: Vec<Point> = (0..6).map(|place| Point::new(f64::from(place), 0.0)).collect();
+    let trip = robot.can_finish(&Path::new(&points, 0.1), None, 0.9).expect("allowed");
     assert_eq!(trip.commands.leg_ends.len(), 5);
     let leg = trip.answer.limiting_leg.expect("it is too far");
     let ends = &trip.commands.leg_ends;
     let up_to = |leg: usize| {
-        let (v, omega) = (
-            &trip.commands.v_mps[..ends[leg]],
-            &trip.commands.omega_radps[..ends[leg]],
-        );
+        let (v, omega) =
+            (&trip.commands.v_mps[..ends[leg]], &trip.commands.omega_radps[..ends[leg]]);
         let candidates = Candidates::new(1, trip.commands.period_s, v, omega).expect("allowed");
         robot.what_if(&candidates, 0.9).expect("allowed")[0].verdict
     };
@@ -623,12 +503,7 @@ fn robots_in_different_places_are_ranked_by_their_own_ways_with_the_answers_of_c
     let asked: Vec<(Robot<'_>, Path)> = rows
         .iter()
         .zip([-3.0, 0.5, 0.9])
-        .map(|(rows, x_m)| {
-            (
-                rows.robot(&fleet),
-                Path::new(&[Point::new(x_m, 0.0), goal], 0.1),
-            )
-        })
+        .map(|(rows, x_m)| (rows.robot(&fleet), Path::new(&[Point::new(x_m, 0.0), goal], 0.1)))
         .collect();
     let ranked = rank_each(&asked, Some(dock), 0.9).expect("allowed");
     let order: Vec<u32> = ranked.iter().map(|ranked| ranked.robot).collect();
@@ -649,14 +524,8 @@ fn standing_still_costs_the_level_times_the_time() {
     for duration_s in [0.01f32, 1.0, 60.0, 300.0] {
         let answer = robot.idle(duration_s, 0.9).expect("allowed");
         let mean_j = answer.energy.expect("known").mean_j;
-        assert!(
-            (answer.duration_s / duration_s - 1.0).abs() < 1e-3,
-            "{answer:?}"
-        );
-        assert!(
-            (mean_j / (3.6 * duration_s) - 1.0).abs() < 0.01,
-            "{answer:?}"
-        );
+        assert!((answer.duration_s / duration_s - 1.0).abs() < 1e-3, "{answer:?}");
+        assert!((mean_j / (3.6 * duration_s) - 1.0).abs() < 0.01, "{answer:?}");
         assert_eq!(answer.verdict, Verdict::Yes);
     }
 }
@@ -674,18 +543,12 @@ fn a_frame_of_another_config_or_model_is_refused_with_both_hashes() {
             let place = place as u64;
             if place < count { 100 + place } else { 0 }
         });
-        header.model_hash = if count == 1 {
-            100
-        } else {
-            joulebus_wire::combine_hashes(100..100 + count)
-        };
+        header.model_hash =
+            if count == 1 { 100 } else { joulebus_wire::combine_hashes(100..100 + count) };
         assert_eq!(fleet.check(&header), Ok(()));
         let mut other = header;
         other.settings_hash = 8;
-        let expected = Differs::Settings {
-            found: 8,
-            expected: 7,
-        };
+        let expected = Differs::Settings { found: 8, expected: 7 };
         assert_eq!(fleet.check(&other), Err(expected));
         let mut other = header;
         other.models[0] = 5;
@@ -704,12 +567,8 @@ fn a_row_of_no_robot_of_its_platform_is_none() {
     let mut rows = Rows::with_usable(1.0);
     for (robot, platform) in [(100, 0), (7, 1), (7, u16::MAX)] {
         (rows.state.robot, rows.state.platform) = (robot, platform);
-        let frames = Frames {
-            header: &rows.header,
-            state: &rows.state,
-            budget: None,
-            now_ns: rows.now_ns,
-        };
+        let frames =
+            Frames { header: &rows.header, state: &rows.state, budget: None, now_ns: rows.now_ns };
         assert!(fleet.robot(&frames).is_none(), "{robot} {platform}");
     }
 }

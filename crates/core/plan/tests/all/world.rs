@@ -64,12 +64,7 @@ impl Rows {
         for _ in 0..600 {
             energy.observe(
                 &model(),
-                &EnergySample {
-                    power_w: 3.6,
-                    elapsed_s: 1.0 / 30.0,
-                    v_mps: 0.0,
-                    omega_radps: 0.0,
-                },
+                &EnergySample { power_w: 3.6, elapsed_s: 1.0 / 30.0, v_mps: 0.0, omega_radps: 0.0 },
             );
         }
         let mut models = [0; joulebus_wire::LISTED_MODELS];
@@ -129,9 +124,7 @@ impl Rows {
         let frames = Frames {
             header: &self.header,
             state: &self.state,
-            budget: self
-                .has_budget
-                .then_some((&self.budget_header, &self.budget)),
+            budget: self.has_budget.then_some((&self.budget_header, &self.budget)),
             now_ns: self.now_ns,
         };
         fleet.robot(&frames).expect("the robot is of the fleet")

@@ -39,10 +39,7 @@ fn long() -> impl Iterator<Item = Recording> {
 }
 
 fn kinds(found: &[Finding]) -> Vec<(Kind, Option<Quantity>)> {
-    found
-        .iter()
-        .map(|finding| (finding.kind, finding.quantity))
-        .collect()
+    found.iter().map(|finding| (finding.kind, finding.quantity)).collect()
 }
 
 fn each(mut rows: Vec<Observation>, change: impl Fn(&mut Observation)) -> Vec<Observation> {
@@ -55,9 +52,7 @@ fn share(
     of: impl Iterator<Item = Recording>,
     is_found: impl Fn(&Recording) -> bool,
 ) -> (usize, usize) {
-    of.fold((0, 0), |(found, all), one| {
-        (found + usize::from(is_found(&one)), all + 1)
-    })
+    of.fold((0, 0), |(found, all), one| (found + usize::from(is_found(&one)), all + 1))
 }
 
 /// Robots that drive, feed energy back, charge, and stand still, with and without velocities and
@@ -95,18 +90,12 @@ fn a_turned_sign_is_found() {
         let found = judged(Known::default(), &turned(one));
         let others = found.iter().filter(|finding| finding.kind != Kind::Sign);
         assert_eq!(others.count(), 0, "{one:?}: {found:?}");
-        found
-            .iter()
-            .any(|finding| finding.severity == Severity::Error)
+        found.iter().any(|finding| finding.severity == Severity::Error)
     };
     for (what, change, least) in [
         ("plain", (|_| ()) as fn(&mut Recording), 1.0),
         ("no velocities", |one| one.velocities = false, 1.0),
-        (
-            "power alone",
-            |one| (one.velocities, one.battery) = (false, false),
-            1.0,
-        ),
+        ("power alone", |one| (one.velocities, one.battery) = (false, false), 1.0),
         // Of a robot that hardly moves nothing tells a charger: a warning.
         ("no battery", |one| one.battery = false, 0.93),
         // While it feeds back a part of the time.
@@ -156,9 +145,8 @@ fn a_factor_of_a_thousand_is_found() {
     for (what, change, expected) in cases {
         let (found, all) = share(grid(), |one| {
             let found = judged(Known::default(), &each(one.rows(), change));
-            let is_unit = found
-                .iter()
-                .any(|finding| finding.kind == Kind::Unit && finding.is_error());
+            let is_unit =
+                found.iter().any(|finding| finding.kind == Kind::Unit && finding.is_error());
             let others = found.iter().filter(|finding| finding.kind != Kind::Unit);
             assert_eq!(others.count(), 0, "{what}, {one:?}: {found:?}");
             is_unit
@@ -171,9 +159,7 @@ fn a_factor_of_a_thousand_is_found() {
 /// Columns called `voltage` and `current`.
 #[test]
 fn columns_without_a_unit_are_read_if_only_one_unit_fits() {
-    let known = Known::default()
-        .unstated(Quantity::Voltage)
-        .unstated(Quantity::Current);
+    let known = Known::default().unstated(Quantity::Voltage).unstated(Quantity::Current);
     for one in grid() {
         let found = judged(known, &one.rows());
         assert!(found.is_empty(), "{one:?}: {found:?}");
@@ -209,17 +195,11 @@ fn other_units_of_time_and_speed_are_found() {
     for one in grid() {
         let rows = each(one.rows(), |seen| seen.time_s *= 1e6);
         let found = judged(Known::default(), &rows);
-        assert!(
-            kinds(&found).contains(&(Kind::Unit, None)),
-            "{one:?}: {found:?}"
-        );
+        assert!(kinds(&found).contains(&(Kind::Unit, None)), "{one:?}: {found:?}");
         let moving = Recording { idle: 0.0, ..one };
         let rows = each(moving.rows(), |seen| seen.v_mps *= 1e3);
         let found = judged(Known::default(), &rows);
-        assert!(
-            kinds(&found).contains(&(Kind::Unit, Some(Quantity::V))),
-            "{one:?}: {found:?}"
-        );
+        assert!(kinds(&found).contains(&(Kind::Unit, Some(Quantity::V))), "{one:?}: {found:?}");
     }
 }
 
@@ -236,9 +216,7 @@ fn clocks_that_stand_still_or_go_back_are_found() {
         let mut rows = one.rows();
         let half = rows.len() / 2;
         let last_s = rows[half].time_s;
-        rows[half..]
-            .iter_mut()
-            .for_each(|seen| seen.time_s -= 0.9 * last_s);
+        rows[half..].iter_mut().for_each(|seen| seen.time_s -= 0.9 * last_s);
         let found = judged(Known::default(), &rows);
         assert_eq!(kinds(&found), [(Kind::Clock, None)], "{one:?}: {found:?}");
     }
@@ -254,11 +232,7 @@ fn a_command_that_never_ends_is_found() {
             (seen.v_mps, seen.v_measured_mps) = (0.5, 0.0);
         }
         let found = judged(Known::default(), &rows);
-        assert_eq!(
-            kinds(&found),
-            [(Kind::Hold, Some(Quantity::V))],
-            "{one:?}: {found:?}"
-        );
+        assert_eq!(kinds(&found), [(Kind::Hold, Some(Quantity::V))], "{one:?}: {found:?}");
         assert!(!found[0].is_error());
     }
 }
@@ -275,25 +249,15 @@ fn full_registers_and_wraps_are_found() {
         let steps = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0];
         let step_a = end_a / 32_767.0;
         let decade = 10f64.powf(step_a.log10().floor());
-        let step_a = steps
-            .iter()
-            .map(|step| step * decade)
-            .find(|step| *step >= step_a)
-            .unwrap();
+        let step_a = steps.iter().map(|step| step * decade).find(|step| *step >= step_a).unwrap();
         let end_a = 32_767.0 * step_a;
-        rows.iter_mut()
-            .for_each(|seen| seen.current_a = seen.current_a.min(end_a));
+        rows.iter_mut().for_each(|seen| seen.current_a = seen.current_a.min(end_a));
         let at_end = rows.iter().filter(|seen| seen.current_a == end_a).count();
         let found = judged(Known::default(), &rows);
         let is_found = kinds(&found).contains(&(Kind::Saturation, Some(Quantity::Current)));
-        let in_a_row = rows
-            .windows(3)
-            .any(|three| three.iter().all(|seen| seen.current_a == end_a));
-        assert_eq!(
-            is_found,
-            at_end >= 5 && in_a_row,
-            "{one:?}: {at_end} {found:?}"
-        );
+        let in_a_row =
+            rows.windows(3).any(|three| three.iter().all(|seen| seen.current_a == end_a));
+        assert_eq!(is_found, at_end >= 5 && in_a_row, "{one:?}: {at_end} {found:?}");
     }
     for one in grid().filter(|one| one.rows > 150) {
         // Steps of 1 mA in a robot whose current hardly changes.
@@ -309,8 +273,7 @@ fn full_registers_and_wraps_are_found() {
         for row in (20..one.rows).step_by(97) {
             rows[row].current_a -= 65.536;
         }
-        rows.iter_mut()
-            .for_each(|seen| seen.power_w = 60.0 + (seen.time_s * 7.0).sin());
+        rows.iter_mut().for_each(|seen| seen.power_w = 60.0 + (seen.time_s * 7.0).sin());
         let found = judged(Known::default(), &rows);
         assert!(
             kinds(&found).contains(&(Kind::Saturation, Some(Quantity::Current))),
@@ -327,18 +290,9 @@ fn readings_that_never_change_or_never_came_are_found() {
                 (|seen| seen.power_w = 0.0) as fn(&mut Observation),
                 (Kind::Constant, Some(Quantity::Power)),
             ),
-            (
-                |seen| seen.current_a = 0.0,
-                (Kind::Constant, Some(Quantity::Current)),
-            ),
-            (
-                |seen| seen.power_w = 12.5,
-                (Kind::Constant, Some(Quantity::Power)),
-            ),
-            (
-                |seen| seen.soc = f64::NAN,
-                (Kind::NeverCame, Some(Quantity::Soc)),
-            ),
+            (|seen| seen.current_a = 0.0, (Kind::Constant, Some(Quantity::Current))),
+            (|seen| seen.power_w = 12.5, (Kind::Constant, Some(Quantity::Power))),
+            (|seen| seen.soc = f64::NAN, (Kind::NeverCame, Some(Quantity::Soc))),
         ] {
             let rows = each(one.rows(), change);
             let found = judged(Known::default().expects(Quantity::Soc), &rows);
@@ -357,14 +311,7 @@ fn ranges_are_counted_and_mostly_wrong_ones_stop() {
         assert!(found[0].is_error());
     }
     let wide = Known::default().within(Quantity::Power, 0.0, 60.0);
-    let found = judged(
-        wide,
-        &Recording {
-            idle: 0.7,
-            ..Recording::USUAL
-        }
-        .rows(),
-    );
+    let found = judged(wide, &Recording { idle: 0.7, ..Recording::USUAL }.rows());
     assert!(found.iter().all(|finding| !finding.is_error()), "{found:?}");
 }
 

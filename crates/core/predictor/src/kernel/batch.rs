@@ -190,11 +190,7 @@ fn batch_major<L: Lanes, S: Source, const R: usize, const C: usize>(
     for (tile, out_w) in out_w.chunks_exact_mut(R * L::WIDTH).enumerate() {
         let start = start + tile * R * L::WIDTH;
         source.columns(lanes, start, packed.read, &mut inputs);
-        lanes.run(BatchMajor::<L, R, C> {
-            packed,
-            inputs: &inputs,
-            out_w,
-        });
+        lanes.run(BatchMajor::<L, R, C> { packed, inputs: &inputs, out_w });
     }
 }
 

@@ -41,10 +41,7 @@ impl Kernel {
 
     /// The fastest that this CPU supports.
     pub fn best() -> Kernel {
-        let available = Kernel::ALL
-            .into_iter()
-            .rev()
-            .find(|kernel| kernel.is_available());
+        let available = Kernel::ALL.into_iter().rev().find(|kernel| kernel.is_available());
         available.unwrap_or(Kernel::Scalar)
     }
 }
@@ -156,14 +153,7 @@ fn roll<L: Lanes, const R: usize, const C: usize>(
     energy_j: &mut [f32],
     power_w: Option<&mut [f32]>,
 ) {
-    lanes.run(Roll::<R, C> {
-        packed,
-        range,
-        rollouts,
-        first,
-        energy_j,
-        power_w,
-    });
+    lanes.run(Roll::<R, C> { packed, range, rollouts, first, energy_j, power_w });
 }
 
 fn tiles<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize>(
@@ -173,10 +163,5 @@ fn tiles<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize>(
     source: S,
     out_w: &mut [f32],
 ) {
-    lanes.run(Batch::<S, R, C, N> {
-        packed,
-        tiling,
-        source,
-        out_w,
-    });
+    lanes.run(Batch::<S, R, C, N> { packed, tiling, source, out_w });
 }

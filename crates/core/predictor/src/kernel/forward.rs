@@ -39,11 +39,7 @@ impl<L: Lanes> Gelu<L> {
         for power in 1..6 {
             table[power] = lanes.table(&coefficients[power]);
         }
-        Gelu {
-            table,
-            limit: lanes.splat(LIMIT),
-            magic: lanes.splat(MAGIC),
-        }
+        Gelu { table, limit: lanes.splat(LIMIT), magic: lanes.splat(MAGIC) }
     }
 
     /// [`Activation::scaled_value`] of every lane.
@@ -147,9 +143,8 @@ fn columns<
             for c in 0..C {
                 sums[c] = [lanes.splat(bias[start + c]); R];
             }
-            for (x, weights) in input[read.first..read.end]
-                .iter()
-                .zip(&weights[read.first..read.end])
+            for (x, weights) in
+                input[read.first..read.end].iter().zip(&weights[read.first..read.end])
             {
                 for c in 0..C {
                     let weight = lanes.splat(weights.0[start + c]);

@@ -86,10 +86,8 @@ unsafe impl Lanes for Neon {
     fn at_most(self, magnitude: float32x4_t, limit: float32x4_t) -> float32x4_t {
         // SAFETY: NEON is part of every aarch64 CPU that Rust's std runs on.
         unsafe {
-            let (magnitude, limit) = (
-                vreinterpretq_u32_f32(magnitude),
-                vreinterpretq_u32_f32(limit),
-            );
+            let (magnitude, limit) =
+                (vreinterpretq_u32_f32(magnitude), vreinterpretq_u32_f32(limit));
             vreinterpretq_f32_u32(vminq_u32(magnitude, limit))
         }
     }

@@ -53,10 +53,7 @@ pub(crate) struct Read {
 impl Read {
     /// The first `inputs`.
     pub(crate) const fn all(inputs: usize) -> Read {
-        Read {
-            first: 0,
-            end: inputs,
-        }
+        Read { first: 0, end: inputs }
     }
 
     /// Whether the reading-age features are among them.
@@ -82,10 +79,7 @@ impl Packed {
     pub(crate) fn new(parameters: &Parameters) -> Packed {
         let [first, second, third, last] = fold(parameters);
         Packed {
-            read: Read {
-                first: parameters.feature_set.first(),
-                end: parameters.feature_set.end(),
-            },
+            read: Read { first: parameters.feature_set.first(), end: parameters.feature_set.end() },
             gelu: *parameters.activation.table(),
             first: Dense::new(&first, parameters.feature_set.range()),
             second: Dense::new(&second, 0..HIDDEN[0]),
@@ -128,11 +122,7 @@ pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     // 2 * segments in and segments out: a factor of 1/2, which is exact.
     let between = |layer: &Layer| Layer {
         weights: layer.weights.iter().map(|weight| weight * 0.5).collect(),
-        bias: layer
-            .bias
-            .iter()
-            .map(|bias| in_segments(bias) as f32)
-            .collect(),
+        bias: layer.bias.iter().map(|bias| in_segments(bias) as f32).collect(),
     };
     let std_w = f64::from(normalisation.power_std_w);
     let in_watt = |value: &f32| f64::from(*value) * std_w;
@@ -140,16 +130,7 @@ pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     let mean_w = f64::from(normalisation.power_mean_w);
     let last = Layer {
         weights: last.weights.iter().map(weight).collect(),
-        bias: last
-            .bias
-            .iter()
-            .map(|bias| (in_watt(bias) + mean_w) as f32)
-            .collect(),
+        bias: last.bias.iter().map(|bias| (in_watt(bias) + mean_w) as f32).collect(),
     };
-    [
-        Layer { weights, bias },
-        between(second),
-        between(third),
-        last,
-    ]
+    [Layer { weights, bias }, between(second), between(third), last]
 }

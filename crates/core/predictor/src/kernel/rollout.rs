@@ -79,10 +79,7 @@ impl Tiles<'_> {
     #[inline(always)]
     fn commands(&self, step: usize) -> (&[f32], &[f32]) {
         let place = step * self.rollouts.lanes() + self.first + self.done;
-        (
-            &self.rollouts.v_mps[place..],
-            &self.rollouts.omega_radps[place..],
-        )
+        (&self.rollouts.v_mps[place..], &self.rollouts.omega_radps[place..])
     }
 
     /// Initial state of the robot of a lane; `lane` counts from the first one that is not done.
@@ -95,9 +92,7 @@ impl Tiles<'_> {
     fn row_of_first_step(&self, lane: usize) -> Features {
         let (v_mps, omega_radps) = self.commands(0);
         let start = self.start(lane);
-        let before = start
-            .command
-            .map(|(v, omega)| (v, omega, self.rollouts.step_s));
+        let before = start.command.map(|(v, omega)| (v, omega, self.rollouts.step_s));
         let mut row = features(v_mps[lane], omega_radps[lane], before, &start.lag_w);
         self.fill_reading_age(0, lane, &mut row);
         row
@@ -246,11 +241,7 @@ impl Tiles<'_> {
                     _ => self.next_row(step, lane, forecasts_w[lane], row),
                 };
             }
-            lanes.run(OutputMajor {
-                packed: self.packed,
-                rows: &rows,
-                out_w: &mut forecasts_w,
-            });
+            lanes.run(OutputMajor { packed: self.packed, rows: &rows, out_w: &mut forecasts_w });
             self.note(step, &mut forecasts_w, &mut sums_w);
         }
         self.finish(&sums_w, energy_j);

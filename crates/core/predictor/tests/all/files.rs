@@ -7,9 +7,7 @@ use joulebus_testkit_networks::forged::{Contents, forged};
 use joulebus_testkit_networks::random::{Noise, card, network, parameters};
 
 fn written(feature_set: FeatureSet) -> Vec<u8> {
-    network(1, feature_set)
-        .to_safetensors()
-        .expect("valid networks can be written")
+    network(1, feature_set).to_safetensors().expect("valid networks can be written")
 }
 
 fn header_end(bytes: &[u8]) -> usize {
@@ -46,17 +44,11 @@ fn the_hash_depends_on_weights_and_card() {
 fn every_truncation_is_refused() {
     let bytes = written(FeatureSet::PowerOnly);
     for length in 0..bytes.len() {
-        assert!(
-            Network::from_safetensors(&bytes[..length]).is_err(),
-            "{length} bytes"
-        );
+        assert!(Network::from_safetensors(&bytes[..length]).is_err(), "{length} bytes");
     }
     let mut longer = bytes;
     longer.push(0);
-    assert!(
-        Network::from_safetensors(&longer).is_err(),
-        "one byte too many"
-    );
+    assert!(Network::from_safetensors(&longer).is_err(), "one byte too many");
 }
 
 #[test]
@@ -65,19 +57,12 @@ fn every_flipped_bit_of_the_header_and_a_flipped_bit_in_every_byte_of_the_weight
     let header_end = header_end(&bytes);
     for position in 0..bytes.len() {
         let every_bit = (0..8).map(|bit| 1u8 << bit).chain([0xff]);
-        let masks: Vec<u8> = if position < header_end {
-            every_bit.collect()
-        } else {
-            vec![1 << (position % 8)]
-        };
+        let masks: Vec<u8> =
+            if position < header_end { every_bit.collect() } else { vec![1 << (position % 8)] };
         for mask in masks {
             bytes[position] ^= mask;
             let refused = Network::from_safetensors(&bytes).is_err();
-            assert!(
-                refused,
-                "byte {position} of {} with mask {mask:#x}",
-                bytes.len()
-            );
+            assert!(refused, "byte {position} of {} with mask {mask:#x}", bytes.len());
             bytes[position] ^= mask;
         }
     }
@@ -124,10 +109,7 @@ fn a_file_without_an_energy_model_is_read_and_one_with_a_wrong_one_is_refused() 
         let mut metadata = metadata.clone();
         metadata.insert("energy".to_owned(), wrong.to_owned());
         let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
-        assert!(
-            matches!(error, Some(ModelError::Energy(_))),
-            "{wrong}: {error:?}"
-        );
+        assert!(matches!(error, Some(ModelError::Energy(_))), "{wrong}: {error:?}");
     }
     let mut metadata = metadata.clone();
     let negative = metadata["energy"].replacen("\"mean_w\":", "\"mean_w\":-", 1);
@@ -205,10 +187,7 @@ fn wrong_metadata_is_refused_by_name() {
         let Err(error) = Network::from_safetensors(&forged(&metadata, &tensors)) else {
             panic!("`{field}` = {value} was accepted");
         };
-        assert!(
-            matches!(error, ModelError::Field { .. }),
-            "{field}: {error}"
-        );
+        assert!(matches!(error, ModelError::Field { .. }), "{field}: {error}");
     }
     let (metadata, tensors) = contents();
     for field in metadata.keys().filter(|field| *field != "energy") {
@@ -230,10 +209,7 @@ fn a_file_states_the_features_read_and_the_definition_of_the_reading_age() {
     let more = fresh["features"].strip_prefix(&paper["features"]);
     assert_eq!(more, Some(",reading_age_steps,reading_due"));
     let more = fresh["convention"].strip_prefix(&paper["convention"]);
-    assert!(
-        more.is_some_and(|more| more.contains("interval learned")),
-        "{more:?}"
-    );
+    assert!(more.is_some_and(|more| more.contains("interval learned")), "{more:?}");
     assert!(!of(FeatureSet::PowerOnly)["convention"].contains("reading_due"));
 
     // A set with the feature list, definition or weights of another one is refused.
@@ -252,10 +228,7 @@ fn a_file_states_the_features_read_and_the_definition_of_the_reading_age() {
         let error = Network::from_safetensors(&forged(&of(other), &tensors)).err();
         let text = error.expect("refused").to_string();
         let width = |set: FeatureSet| format!("F32 [64, {}]", set.inputs());
-        assert!(
-            text.contains(&width(set)) && text.contains(&width(other)),
-            "{text}"
-        );
+        assert!(text.contains(&width(set)) && text.contains(&width(other)), "{text}");
     }
 }
 
@@ -281,33 +254,18 @@ fn wrong_tensors_are_refused_by_name() {
     let (metadata, mut tensors) = contents();
     tensors.pop();
     let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
-    assert!(
-        matches!(error, Some(ModelError::MissingTensor { .. })),
-        "{error:?}"
-    );
+    assert!(matches!(error, Some(ModelError::MissingTensor { .. })), "{error:?}");
 
     let (metadata, mut tensors) = contents();
     tensors.push(("stranger".to_owned(), vec![1], vec![0; 4]));
     let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
-    assert!(
-        matches!(error, Some(ModelError::UnexpectedTensor { .. })),
-        "{error:?}"
-    );
+    assert!(matches!(error, Some(ModelError::UnexpectedTensor { .. })), "{error:?}");
 }
 
 #[test]
 fn a_file_of_another_size_class_is_refused_before_it_is_parsed() {
     let error = Network::from_safetensors(&vec![0; 2 << 20]).err();
-    assert!(
-        matches!(
-            error,
-            Some(ModelError::TooLarge {
-                found: 2_097_152,
-                ..
-            })
-        ),
-        "{error:?}"
-    );
+    assert!(matches!(error, Some(ModelError::TooLarge { found: 2_097_152, .. })), "{error:?}");
 }
 
 #[test]

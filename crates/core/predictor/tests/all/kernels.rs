@@ -54,9 +54,7 @@ fn row_in_range(network: &Network, noise: &mut Noise) -> Features {
 }
 
 fn reference(network: &Network, rows: &[Features]) -> Vec<u32> {
-    rows.iter()
-        .map(|row| network.predict_reference_f32(row).to_bits())
-        .collect()
+    rows.iter().map(|row| network.predict_reference_f32(row).to_bits()).collect()
 }
 
 fn batched(network: &Network, rows: &[Features]) -> Vec<u32> {
@@ -74,12 +72,7 @@ fn every_batch_size_gives_the_reference_bits_on_every_kernel() {
             let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
             let expected = reference(&network, &rows);
             for network in kernels(&network) {
-                assert_eq!(
-                    batched(&network, &rows),
-                    expected,
-                    "{:?} {count}",
-                    network.kernel()
-                );
+                assert_eq!(batched(&network, &rows), expected, "{:?} {count}", network.kernel());
             }
         }
     }
@@ -189,9 +182,7 @@ fn trained_networks_stay_within_3e_6_of_the_output_scale_of_double_precision() {
         let name = &network.card().name;
         let mut noise = Noise(10);
         let usual = (0..20_000).map(|_| usual_row(&network, &mut noise));
-        let usual = worst_error(&network, &usual.collect::<Vec<_>>(), |_| {
-            output_scale_w(&network)
-        });
+        let usual = worst_error(&network, &usual.collect::<Vec<_>>(), |_| output_scale_w(&network));
         println!("{name}: {usual:.2e} of the output scale");
         assert!(usual <= 3e-6, "{name}: {usual:e}");
         // Far from the mean the forecast is many scales large, and its own last place is 3e-6 of
@@ -208,9 +199,7 @@ fn trained_networks_stay_within_3e_6_of_the_output_scale_of_double_precision() {
 fn trained_networks_give_the_reference_bits_on_every_kernel() {
     for network in trained() {
         let mut noise = Noise(11);
-        let rows: Vec<Features> = (0..77)
-            .map(|_| row_in_range(&network, &mut noise))
-            .collect();
+        let rows: Vec<Features> = (0..77).map(|_| row_in_range(&network, &mut noise)).collect();
         let expected = reference(&network, &rows);
         for network in kernels(&network) {
             assert_eq!(batched(&network, &rows), expected, "{:?}", network.kernel());
@@ -235,11 +224,7 @@ fn a_network_that_needs_velocities_or_freshness_forecasts_nan_without_them() {
     no_velocities[..6].fill(f32::NAN);
     let mut no_freshness = row(&mut Noise(8));
     ReadingAge::UNKNOWN.fill(&mut no_freshness);
-    let residual = ResidualStats {
-        std_w: 0.1,
-        q05_w: -0.2,
-        q95_w: 0.2,
-    };
+    let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
     let persistence = Persistence::new(residual).expect("valid");
     let network = |set| Model::Network(network(9, set));
     for (model, command, freshness) in [
@@ -251,26 +236,14 @@ fn a_network_that_needs_velocities_or_freshness_forecasts_nan_without_them() {
     ] {
         let mut out_w = [0.0; 2];
         model.predict(&[no_velocities, no_freshness], &mut out_w);
-        assert_eq!(
-            (model.needs_command(), model.needs_freshness()),
-            (command, freshness)
-        );
-        assert_eq!(
-            out_w.map(f32::is_nan),
-            [command, freshness],
-            "{}",
-            model.name()
-        );
+        assert_eq!((model.needs_command(), model.needs_freshness()), (command, freshness));
+        assert_eq!(out_w.map(f32::is_nan), [command, freshness], "{}", model.name());
     }
 }
 
 #[test]
 fn persistence_repeats_the_newest_reading_and_refuses_bad_residuals() {
-    let fine = ResidualStats {
-        std_w: 0.1,
-        q05_w: -0.2,
-        q95_w: 0.2,
-    };
+    let fine = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
     let model = Model::Persistence(Persistence::new(fine).expect("valid"));
     let row = features(0.1, 0.2, None, &[5.0, 4.0, 3.0, 2.0, 1.0]);
     let mut out_w = [0.0];
@@ -279,19 +252,10 @@ fn persistence_repeats_the_newest_reading_and_refuses_bad_residuals() {
     assert_eq!(model.residual(), fine);
     assert!(model.training_range().is_none());
     for bad in [
-        ResidualStats {
-            std_w: f32::NAN,
-            ..fine
-        },
-        ResidualStats {
-            std_w: -0.1,
-            ..fine
-        },
+        ResidualStats { std_w: f32::NAN, ..fine },
+        ResidualStats { std_w: -0.1, ..fine },
         ResidualStats { q05_w: 0.3, ..fine },
-        ResidualStats {
-            q95_w: f32::INFINITY,
-            ..fine
-        },
+        ResidualStats { q95_w: f32::INFINITY, ..fine },
     ] {
         assert!(Persistence::new(bad).is_err(), "{bad:?}");
     }
@@ -302,15 +266,9 @@ fn features_are_differences_over_the_true_time_step() {
     let lag_w = [5.0, 4.0, 3.0, 2.0, 1.0];
     let first = features(-0.1, 2.0, None, &lag_w);
     assert!(first[FEATURES..].iter().all(|value| value.is_nan()));
-    assert_eq!(
-        first[..FEATURES],
-        [-0.1, 2.0, 0.0, 0.0, 0.1, 2.0, 5.0, 4.0, 3.0, 2.0, 1.0]
-    );
+    assert_eq!(first[..FEATURES], [-0.1, 2.0, 0.0, 0.0, 0.1, 2.0, 5.0, 4.0, 3.0, 2.0, 1.0]);
     let next = features(0.15, -1.0, Some((-0.1, 2.0, 0.5)), &lag_w);
-    assert_eq!(
-        next[..FEATURES],
-        [0.15, -1.0, 0.5, -6.0, 0.15, 1.0, 5.0, 4.0, 3.0, 2.0, 1.0]
-    );
+    assert_eq!(next[..FEATURES], [0.15, -1.0, 0.5, -6.0, 0.15, 1.0, 5.0, 4.0, 3.0, 2.0, 1.0]);
     for dt_s in [0.0, -0.1, f32::NAN] {
         let row = features(0.15, -1.0, Some((-0.1, 2.0, dt_s)), &lag_w);
         assert!(row[2].is_nan() && row[3].is_nan(), "{dt_s}");
@@ -323,17 +281,8 @@ fn the_training_range_names_the_first_feature_outside() {
     let range = network.card().training_range;
     let mut row = [0.0; INPUTS];
     row[0] = f32::NAN;
-    assert_eq!(
-        range.outside(&row, 0.0),
-        None,
-        "a power-only network has no range of velocities"
-    );
-    for (value, outside) in [
-        (2.5, None),
-        (2.6, Some(8)),
-        (f32::NAN, Some(8)),
-        (-1.6, Some(8)),
-    ] {
+    assert_eq!(range.outside(&row, 0.0), None, "a power-only network has no range of velocities");
+    for (value, outside) in [(2.5, None), (2.6, Some(8)), (f32::NAN, Some(8)), (-1.6, Some(8))] {
         row[8] = value;
         assert_eq!(range.outside(&row, 0.0), outside, "{value}");
     }

@@ -79,15 +79,8 @@ fn columns_of_every_length_and_alignment_give_the_reference_bits() {
 #[test]
 fn parts_of_rollouts_write_exactly_their_own_elements() {
     let mut noise = Noise(45);
-    let (candidates, steps) = (
-        if cfg!(miri) { 6 } else { 50 },
-        if cfg!(miri) { 1 } else { 2 },
-    );
-    let starts = [RolloutStart {
-        command: None,
-        lag_w: [0.5; 5],
-        reading_age: known(),
-    }];
+    let (candidates, steps) = (if cfg!(miri) { 6 } else { 50 }, if cfg!(miri) { 1 } else { 2 });
+    let starts = [RolloutStart { command: None, lag_w: [0.5; 5], reading_age: known() }];
     let [v_mps, omega_radps] = [(); 2]
         .map(|()| -> Vec<f32> { (0..candidates * steps).map(|_| noise.next_f32()).collect() });
     let rollouts = Rollouts {
@@ -105,9 +98,7 @@ fn parts_of_rollouts_write_exactly_their_own_elements() {
 
 fn known() -> ReadingAge {
     let mut reading_age = ReadingAge::UNKNOWN;
-    [true, false, false, true]
-        .into_iter()
-        .for_each(|new| reading_age.read(new));
+    [true, false, false, true].into_iter().for_each(|new| reading_age.read(new));
     reading_age
 }
 

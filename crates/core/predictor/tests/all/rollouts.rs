@@ -11,11 +11,7 @@ use proptest::prelude::*;
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
 fn persistence() -> Model {
-    let residual = ResidualStats {
-        std_w: 0.1,
-        q05_w: -0.2,
-        q95_w: 0.2,
-    };
+    let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
     Model::Persistence(Persistence::new(residual).expect("valid"))
 }
 
@@ -149,10 +145,8 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
         let mut reading_age = start.reading_age;
         let mut total = 0.0f64;
         for step in 0..scene.steps {
-            let (v, omega) = (
-                scene.v_mps[step * lanes + lane],
-                scene.omega_radps[step * lanes + lane],
-            );
+            let (v, omega) =
+                (scene.v_mps[step * lanes + lane], scene.omega_radps[step * lanes + lane]);
             let lag_w: [f32; LAGS] = std::array::from_fn(|lag| window_w[lag]);
             let mut row = features(v, omega, before.map(|(v, w)| (v, w, step_s)), &lag_w);
             reading_age.fill(&mut row);
@@ -184,12 +178,7 @@ fn run(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
     let mut energy_j = vec![-1.0; scene.lanes()];
     let mut power_w = vec![-1.0; scene.lanes() * scene.steps];
     model
-        .rollout(
-            &scene.rollouts(),
-            0..scene.lanes(),
-            &mut energy_j,
-            Some(&mut power_w),
-        )
+        .rollout(&scene.rollouts(), 0..scene.lanes(), &mut energy_j, Some(&mut power_w))
         .expect("the shapes match");
     (energy_j, power_w)
 }
@@ -207,9 +196,8 @@ fn a_network_that_amplifies_its_own_forecasts_stays_bounded() {
         for model in on_every_kernel(&amplifies) {
             let (energy_j, power_w) = run(&model, &scene);
             assert!(energy_j.iter().all(|energy_j| energy_j.is_finite()));
-            let largest = power_w
-                .iter()
-                .fold(0.0f32, |largest, power_w| largest.max(power_w.abs()));
+            let largest =
+                power_w.iter().fold(0.0f32, |largest, power_w| largest.max(power_w.abs()));
             // Fed with its own forecasts as they are, it leaves the numbers within some ten steps.
             assert!((10.0..1e5).contains(&largest), "{set:?}: {largest} W");
         }
@@ -265,14 +253,8 @@ fn parts_of_the_lanes_give_the_bits_of_the_whole() {
                 );
             }
             energy_j.fill(-1.0);
-            model
-                .rollout(&rollouts, first..last, &mut energy_j, None)
-                .expect("the shapes fit");
-            assert_eq!(
-                bits(&energy_j),
-                bits(&whole_j[first..last]),
-                "without a trace"
-            );
+            model.rollout(&rollouts, first..last, &mut energy_j, None).expect("the shapes fit");
+            assert_eq!(bits(&energy_j), bits(&whole_j[first..last]), "without a trace");
         }
     }
 }
@@ -288,43 +270,24 @@ fn mismatched_shapes_are_refused_with_numbers() {
         model.rollout(rollouts, lanes, &mut energy_j, power_w.as_deref_mut())
     };
     assert_eq!(run(&whole, 0..6, 6, Some(24)), Ok(()));
-    let length = |column, found, allowed| {
-        Err(RolloutError::Length(LengthError {
-            column,
-            found,
-            allowed,
-        }))
-    };
+    let length =
+        |column, found, allowed| Err(RolloutError::Length(LengthError { column, found, allowed }));
     assert_eq!(run(&whole, 0..6, 5, None), length("energy_j", 5, 6));
     assert_eq!(run(&whole, 0..5, 5, Some(24)), length("power_w", 24, 20));
-    let short = Rollouts {
-        omega_radps: &scene.omega_radps[1..],
-        ..whole
-    };
+    let short = Rollouts { omega_radps: &scene.omega_radps[1..], ..whole };
     assert_eq!(run(&short, 0..6, 6, None), length("omega_radps", 23, 24));
-    let short = Rollouts {
-        v_mps: &[],
-        ..whole
-    };
+    let short = Rollouts { v_mps: &[], ..whole };
     assert_eq!(run(&short, 0..6, 6, None), length("v_mps", 0, 24));
     let backwards = std::ops::Range { start: 4, end: 3 };
     for lanes in [0..7, backwards, 7..7] {
-        let expected = RolloutError::Lanes {
-            start: lanes.start,
-            end: lanes.end,
-            allowed: 6,
-        };
+        let expected = RolloutError::Lanes { start: lanes.start, end: lanes.end, allowed: 6 };
         assert_eq!(run(&whole, lanes, 0, None), Err(expected));
     }
     for step_s in [0.0, -0.1, f32::INFINITY, f32::NAN] {
         let found = run(&Rollouts { step_s, ..whole }, 0..6, 6, None);
         assert!(matches!(found, Err(RolloutError::Step { .. })), "{step_s}");
     }
-    let huge = Rollouts {
-        candidates: usize::MAX,
-        steps: usize::MAX,
-        ..whole
-    };
+    let huge = Rollouts { candidates: usize::MAX, steps: usize::MAX, ..whole };
     assert!(run(&huge, 0..6, 6, None).is_err());
 }
 

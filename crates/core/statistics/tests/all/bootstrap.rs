@@ -15,11 +15,7 @@ fn of_mean(settings: Bootstrap, values: &[f64]) -> joulebus_statistics::bootstra
 
 #[test]
 fn intervals_cover_the_true_mean_at_about_the_nominal_rate() {
-    let settings = Bootstrap {
-        resamples: 400,
-        confidence: 0.9,
-        ..Bootstrap::default()
-    };
+    let settings = Bootstrap { resamples: 400, confidence: 0.9, ..Bootstrap::default() };
     let mut random = Pcg64::seed_from_u64(7);
     let tries = 500;
     let mut held = 0;
@@ -69,10 +65,7 @@ fn too_few_blocks_and_draws_without_a_score_give_no_interval() {
     let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
     let few = of_mean(Bootstrap::default(), &values[..MIN_BLOCKS - 1]);
     assert!(few.value == 4.0 && few.lo.is_nan() && few.hi.is_nan());
-    let off = Bootstrap {
-        resamples: 0,
-        ..Bootstrap::default()
-    };
+    let off = Bootstrap { resamples: 0, ..Bootstrap::default() };
     assert!(of_mean(off, &values).lo.is_nan());
     // Without the first block, the score is not defined.
     let sometimes = Bootstrap::default().estimate(8, |blocks| {
@@ -91,15 +84,7 @@ fn constant_blocks_have_no_spread_and_another_seed_draws_differently() {
     let found = of_mean(Bootstrap::default(), &[5.0; 20]);
     assert_eq!((found.lo, found.hi), (5.0, 5.0));
     let values: Vec<f64> = (0..40).map(f64::from).collect();
-    let seeded = |seed| {
-        of_mean(
-            Bootstrap {
-                seed,
-                ..Bootstrap::default()
-            },
-            &values,
-        )
-    };
+    let seeded = |seed| of_mean(Bootstrap { seed, ..Bootstrap::default() }, &values);
     assert_eq!(seeded(1), seeded(1));
     assert_ne!(seeded(1), seeded(2));
 }

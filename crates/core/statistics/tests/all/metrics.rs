@@ -147,23 +147,11 @@ proptest! {
 #[test]
 fn quantiles_interpolate_between_neighbours() {
     let ascending = [1.0, 2.0, 4.0, 8.0];
-    for (share, wanted) in [
-        (0.0, 1.0),
-        (1.0 / 3.0, 2.0),
-        (0.5, 3.0),
-        (0.95, 7.4),
-        (1.0, 8.0),
-    ] {
-        assert!(
-            (quantile(&ascending, share) - wanted).abs() < 1e-12,
-            "{share}"
-        );
+    for (share, wanted) in [(0.0, 1.0), (1.0 / 3.0, 2.0), (0.5, 3.0), (0.95, 7.4), (1.0, 8.0)] {
+        assert!((quantile(&ascending, share) - wanted).abs() < 1e-12, "{share}");
     }
     let quantiles = ResidualQuantiles::of([f64::NAN, 8.0, 1.0, 4.0, 2.0, f64::INFINITY]);
-    assert_eq!(
-        (quantiles.min_w, quantiles.max_w, quantiles.q50_w),
-        (1.0, 8.0, 3.0)
-    );
+    assert_eq!((quantiles.min_w, quantiles.max_w, quantiles.q50_w), (1.0, 8.0, 3.0));
 }
 
 #[test]
@@ -195,10 +183,7 @@ fn undefined_scores_are_nan() {
     assert_eq!(perfect.r2(), 1.0);
     assert!(perfect.skill(&perfect).is_nan(), "a baseline without error");
     let fewer = tally(&[1.0, 2.0], &[1.5, f64::NAN], 1.0);
-    assert!(
-        fewer.skill(&perfect).is_nan() && perfect.skill(&fewer).is_nan(),
-        "other rows"
-    );
+    assert!(fewer.skill(&perfect).is_nan() && perfect.skill(&fewer).is_nan(), "other rows");
     let at_rest = tally(&[0.0, 2.0], &[1.0, 1.0], 1.0);
     assert_eq!(at_rest.mape(), 0.5, "a reading of 0 has no relative error");
     let coverage = CoverageTally::default().coverage_of(0.8);

@@ -18,15 +18,7 @@ fn read_twice(residuals_w: &[f32]) -> ResidualQuantiles {
 }
 
 fn bits(quantiles: &ResidualQuantiles) -> [u64; 7] {
-    let ResidualQuantiles {
-        min_w,
-        q05_w,
-        q25_w,
-        q50_w,
-        q75_w,
-        q95_w,
-        max_w,
-    } = *quantiles;
+    let ResidualQuantiles { min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w } = *quantiles;
     [min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w].map(f64::to_bits)
 }
 

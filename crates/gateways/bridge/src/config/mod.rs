@@ -106,14 +106,10 @@ impl Settings {
     pub(crate) fn intake(&self, config: &Config) -> Intake {
         let platforms = &config.settings().platforms;
         let robots = self.robots.iter().filter_map(|(id, _)| {
-            let platform = platforms
-                .iter()
-                .find(|it| it.robots.iter().any(|ids| ids.contains(&id)))?;
+            let platform =
+                platforms.iter().find(|it| it.robots.iter().any(|ids| ids.contains(&id)))?;
             let reading = platform.battery.map(|battery| battery.charge_reading);
-            Some((
-                id,
-                reading.unwrap_or(joulebus_settings::ChargeReading::Load),
-            ))
+            Some((id, reading.unwrap_or(joulebus_settings::ChargeReading::Load)))
         });
         let judgement = Judgement::new(Source::Bridge, self.accepted.clone());
         Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
@@ -148,12 +144,7 @@ impl Check<'_> {
             || name.contains(|letter: char| letter.is_control() || "/+#{}".contains(letter))
         {
             let what = format!("is {name:?}");
-            self.problem(
-                None,
-                "bridge.name",
-                what,
-                "Allowed: 1 to 100 bytes without / + # { }",
-            );
+            self.problem(None, "bridge.name", what, "Allowed: 1 to 100 bytes without / + # { }");
         }
         let holds = Holds {
             command_ns: self.nanoseconds("bridge.command_holds_s", section.command_holds_s),
@@ -173,14 +164,7 @@ impl Check<'_> {
             let what = "names nothing to bridge".to_owned();
             self.problem(None, "", what, "Add [mqtt] or [ros2]");
         }
-        Some(Settings {
-            name,
-            holds,
-            accepted,
-            robots,
-            mqtt: mqtt.flatten(),
-            ros2: ros2.flatten(),
-        })
+        Some(Settings { name, holds, accepted, robots, mqtt: mqtt.flatten(), ros2: ros2.flatten() })
     }
 
     fn robots(&mut self, file: &BridgeFile, config: &Config) -> Robots {
@@ -193,34 +177,18 @@ impl Check<'_> {
             };
             if let Err(error) = robots.add(name.get_ref(), &text) {
                 let key = format!("robots.{}", name.get_ref());
-                self.problem(
-                    Some(name.span().start),
-                    &key,
-                    error.to_string(),
-                    "Correct the line",
-                );
+                self.problem(Some(name.span().start), &key, error.to_string(), "Correct the line");
             }
         }
         let platforms = &config.settings().platforms;
-        let known = |id: u32| {
-            platforms
-                .iter()
-                .any(|it| it.robots.iter().any(|ids| ids.contains(&id)))
-        };
-        let strangers: Vec<u32> = robots
-            .iter()
-            .map(|(id, _)| id)
-            .filter(|id| !known(*id))
-            .collect();
+        let known =
+            |id: u32| platforms.iter().any(|it| it.robots.iter().any(|ids| ids.contains(&id)));
+        let strangers: Vec<u32> =
+            robots.iter().map(|(id, _)| id).filter(|id| !known(*id)).collect();
         if let Some(first) = strangers.first() {
-            let what = format!(
-                "has {} ids of no platform, the first is {first}",
-                strangers.len()
-            );
-            let remedy = format!(
-                "Name them in `platform.robots` of the config of fleet {}",
-                self.fleet
-            );
+            let what = format!("has {} ids of no platform, the first is {first}", strangers.len());
+            let remedy =
+                format!("Name them in `platform.robots` of the config of fleet {}", self.fleet);
             self.problem(None, "robots", what, &remedy);
         }
         let capacity = config.settings().capacity as usize;
@@ -257,10 +225,7 @@ mod tests {
     #[test]
     fn a_good_file_is_taken() {
         let settings = load(GOOD).unwrap();
-        assert_eq!(
-            (settings.name.as_str(), settings.robots.len()),
-            ("bridge", 5)
-        );
+        assert_eq!((settings.name.as_str(), settings.robots.len()), ("bridge", 5));
         assert_eq!(settings.holds.reading_ns, 2_000_000_000);
         let mqtt = settings.mqtt.unwrap();
         assert_eq!(
@@ -330,10 +295,7 @@ mod tests {
         let ros2 = settings.ros2.unwrap();
         assert_eq!((ros2.domain_id, ros2.networks.len()), (7, 1));
         assert_eq!(ros2.routes[0].topic.of("r2"), "/lab/r2/battery");
-        assert_eq!(
-            ros2.routes[0].pattern.matches("/lab/x/battery"),
-            Some(Some("x"))
-        );
+        assert_eq!(ros2.routes[0].pattern.matches("/lab/x/battery"), Some(Some("x")));
         let topics: Vec<String> = ros2.writes.iter().map(|it| it.topic.of("r2")).collect();
         assert_eq!(topics, ["/r2/joulebus/power_w", "/diagnostics"]);
         assert_eq!(ros2.writes[0].value.as_ref().unwrap().unit.name, "mW");
@@ -392,18 +354,12 @@ mod tests {
 
     #[test]
     fn a_file_without_robots_or_a_bridge_is_refused() {
-        for text in [
-            "",
-            "[robots]\n",
-            "[robots]\na = 1\n",
-            "[robots]\n[mqtt]\nbroker = \"h:1\"\n",
-        ] {
+        for text in ["", "[robots]\n", "[robots]\na = 1\n", "[robots]\n[mqtt]\nbroker = \"h:1\"\n"]
+        {
             assert!(!load(text).unwrap_err().problems().is_empty(), "{text:?}");
         }
-        let nowhere = Settings::load(
-            Path::new("/nowhere"),
-            &Config::parse(FLEET, Path::new(".")).unwrap(),
-        );
+        let nowhere =
+            Settings::load(Path::new("/nowhere"), &Config::parse(FLEET, Path::new(".")).unwrap());
         assert!(matches!(nowhere, Err(ConfigError::Read { .. })));
     }
 }

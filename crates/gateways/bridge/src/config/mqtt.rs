@@ -88,12 +88,7 @@ impl Check<'_> {
         let (least, most) = KEEP_ALIVE_S;
         if !(least..=most).contains(&section.keep_alive_s) {
             let what = format!("is {}", section.keep_alive_s);
-            self.problem(
-                None,
-                "mqtt.keep_alive_s",
-                what,
-                &format!("Allowed: {least} to {most}"),
-            );
+            self.problem(None, "mqtt.keep_alive_s", what, &format!("Allowed: {least} to {most}"));
         }
         if !(1..=MAX_PAYLOAD_BYTES).contains(&section.max_payload_bytes) {
             let what = format!("is {}", section.max_payload_bytes);
@@ -115,10 +110,8 @@ impl Check<'_> {
             routes.extend(self.route(&vda.topic, "mqtt.vda5050.topic", Fields::vda5050(negate)));
         }
         let vizier = section.vizier.map(|vizier| {
-            let fields = vizier
-                .fields
-                .as_ref()
-                .map(|fields| self.fields(fields, "mqtt.vizier.fields"));
+            let fields =
+                vizier.fields.as_ref().map(|fields| self.fields(fields, "mqtt.vizier.fields"));
             routes.extend(self.route(
                 &vizier.commands,
                 "mqtt.vizier.commands",
@@ -134,11 +127,8 @@ impl Check<'_> {
                 self.apart_from_vizier(&write.topic, robots);
             }
         }
-        let writes = section
-            .write
-            .iter()
-            .filter_map(|write| self.write(write, robots, &routes))
-            .collect();
+        let writes =
+            section.write.iter().filter_map(|write| self.write(write, robots, &routes)).collect();
         Some(MqttSettings {
             host,
             port,
@@ -162,12 +152,7 @@ impl Check<'_> {
         if id.is_empty() || id.len() > 200 || id.contains(is_bad) {
             let start = found.map(|id| id.span().start);
             let what = format!("is {id:?}");
-            self.problem(
-                start,
-                "mqtt.client_id",
-                what,
-                "Allowed: 1 to 200 bytes without / + #",
-            );
+            self.problem(start, "mqtt.client_id", what, "Allowed: 1 to 200 bytes without / + #");
         }
         id
     }
@@ -192,15 +177,10 @@ impl Check<'_> {
         let pattern = Pattern::parse(topic.get_ref());
         let pattern = self.checked(topic, key, pattern)?;
         let is_named = pattern.has_robot() != fields.robot.is_some();
-        let named = is_named
-            .then_some(())
-            .ok_or("needs {robot}, or else `robot_at`: one of the two");
+        let named =
+            is_named.then_some(()).ok_or("needs {robot}, or else `robot_at`: one of the two");
         self.checked(topic, key, named)?;
-        Some(Route {
-            name: topic.get_ref().clone(),
-            pattern,
-            fields,
-        })
+        Some(Route { name: topic.get_ref().clone(), pattern, fields })
     }
 
     fn fields(&mut self, section: &FieldsSection, key: &str) -> Fields {
@@ -241,11 +221,7 @@ impl Check<'_> {
                 self.checked(unit, &format!("{key}.unit"), quantity.unit(unit.get_ref()))?
             }
         };
-        Some(Number {
-            place,
-            unit,
-            negate: section.negate,
-        })
+        Some(Number { place, unit, negate: section.negate })
     }
 
     fn flag(&mut self, section: Option<&FlagSection>, key: &str) -> Option<Flag> {
@@ -262,9 +238,8 @@ impl Check<'_> {
         let place = Place::at(at.get_ref());
         let escapes = place.pointer.split('~').skip(1);
         let is_pointer = escapes.into_iter().all(|rest| rest.starts_with(['0', '1']));
-        let is_pointer = is_pointer
-            .then_some(())
-            .ok_or("is no JSON pointer: ~ is written ~0, / in a name ~1");
+        let is_pointer =
+            is_pointer.then_some(()).ok_or("is no JSON pointer: ~ is written ~0, / in a name ~1");
         self.checked(at, &format!("{key}.at"), is_pointer)?;
         let unknown = self.plain(at, unknown, key)?;
         Some(Place { unknown, ..place })
@@ -312,18 +287,13 @@ impl Check<'_> {
             let mut routes = routes.iter();
             routes.find(|route| route.pattern.matches(&written).is_some())
         });
-        let apart = reads.map_or(Ok(()), |route| {
-            Err(format!("is written, and {} reads it too", route.name))
-        });
+        let apart = reads
+            .map_or(Ok(()), |route| Err(format!("is written, and {} reads it too", route.name)));
         self.checked(topic, "mqtt.write.topic", apart)?;
         let usual_s = if what == What::Budget { 5.0 } else { 1.0 };
         let every = self.every("mqtt.write.every_s", section.every_s.unwrap_or(usual_s));
         let fields = match &section.fields {
-            None => what
-                .usual()
-                .iter()
-                .map(|value| OutgoingValue::plain(value))
-                .collect(),
+            None => what.usual().iter().map(|value| OutgoingValue::plain(value)).collect(),
             Some(fields) => self.outgoing_values(topic, what, fields)?,
         };
         Some(Write {
@@ -344,9 +314,7 @@ impl Check<'_> {
             written == vizier::request_topic(robot)
                 || written.starts_with(&format!("{robot}/responses/"))
         });
-        let apart = (!is_its)
-            .then_some(())
-            .ok_or("is a topic of the vizier, which is only read");
+        let apart = (!is_its).then_some(()).ok_or("is a topic of the vizier, which is only read");
         self.checked(topic, "mqtt.write.topic", apart);
     }
 
@@ -366,10 +334,7 @@ impl Check<'_> {
             let key = format!("mqtt.write.fields.{}", name.get_ref());
             let value = section.value.get_ref();
             let known = quantity(value).ok_or_else(|| {
-                format!(
-                    "is no value; allowed are {}",
-                    value_names().collect::<Vec<_>>().join(", ")
-                )
+                format!("is no value; allowed are {}", value_names().collect::<Vec<_>>().join(", "))
             });
             let known = self.checked(&section.value, &key, known)?;
             let unit = section
@@ -402,9 +367,7 @@ impl Check<'_> {
 fn path(name: &Spanned<String>) -> Vec<String> {
     let pointer = Place::at(name.get_ref()).pointer;
     let parts = pointer.split('/').skip(1);
-    parts
-        .map(|part| part.replace("~1", "/").replace("~0", "~"))
-        .collect()
+    parts.map(|part| part.replace("~1", "/").replace("~0", "~")).collect()
 }
 
 /// Splits `host:port` or `[address]:port`.
@@ -412,10 +375,7 @@ fn broker(text: &str) -> Result<(String, u16), &'static str> {
     let refused = "is not host:port, such as localhost:1883";
     let (host, port) = text.rsplit_once(':').ok_or(refused)?;
     let port: u16 = port.parse().map_err(|_| refused)?;
-    let host = host
-        .strip_prefix('[')
-        .and_then(|host| host.strip_suffix(']'))
-        .unwrap_or(host);
+    let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
     let is_host = !host.is_empty() && port != 0 && !host.contains(['/', ' ', '@']);
     is_host.then(|| (host.to_owned(), port)).ok_or(refused)
 }

@@ -53,16 +53,10 @@ impl Check<'_> {
             self.checked(network, "ros2.networks", address)
         });
         let networks = networks.collect();
-        let routes: Vec<RosRoute> = section
-            .read
-            .iter()
-            .filter_map(|read| self.ros_route(read, robots))
-            .collect();
-        let writes: Vec<RosWrite> = section
-            .write
-            .iter()
-            .filter_map(|write| self.ros_write(write, robots))
-            .collect();
+        let routes: Vec<RosRoute> =
+            section.read.iter().filter_map(|read| self.ros_route(read, robots)).collect();
+        let writes: Vec<RosWrite> =
+            section.write.iter().filter_map(|write| self.ros_write(write, robots)).collect();
         self.apart(&routes, &writes, robots);
         let topics = robots.len() * (routes.len() + writes.len());
         if topics > MAX_TOPICS {
@@ -74,12 +68,7 @@ impl Check<'_> {
             let what = "neither reads nor writes".to_owned();
             self.problem(None, "ros2", what, "Add [[ros2.read]] or [[ros2.write]]");
         }
-        Some(Ros2Settings {
-            domain_id,
-            networks,
-            routes,
-            writes,
-        })
+        Some(Ros2Settings { domain_id, networks, routes, writes })
     }
 
     /// The domain of the file, else of the variable as in every ROS 2 program, else 0.
@@ -110,9 +99,8 @@ impl Check<'_> {
             || section.percentage_unit.is_some()
             || section.power_of.is_some()
             || section.power_of_current.is_some();
-        let fits = (is_battery || !is_mapped)
-            .then_some(())
-            .ok_or("has no current, percentage or power");
+        let fits =
+            (is_battery || !is_mapped).then_some(()).ok_or("has no current, percentage or power");
         self.checked(&section.kind, "ros2.read.type", fits)?;
         let power_of = section.power_of.map_or(PowerOf::Battery, Into::into);
         let battery = BatteryFields {
@@ -120,13 +108,7 @@ impl Check<'_> {
             percentage: self.share(section.percentage_unit.as_ref())?,
             power_of: section.power_of_current.unwrap_or(true).then_some(power_of),
         };
-        Some(RosRoute {
-            name: section.topic.get_ref().clone(),
-            topic,
-            pattern,
-            kind,
-            battery,
-        })
+        Some(RosRoute { name: section.topic.get_ref().clone(), topic, pattern, kind, battery })
     }
 
     fn share(&mut self, unit: Option<&Text>) -> Option<Unit> {
@@ -177,25 +159,12 @@ impl Check<'_> {
             (RosWhat::Value, Some(field)) => format!("/{{robot}}/joulebus/{}", field.value),
             _ => "/{robot}/joulebus/forecast".to_owned(),
         };
-        let place = section
-            .topic
-            .clone()
-            .unwrap_or_else(|| toml::Spanned::new(0..0, usual));
+        let place = section.topic.clone().unwrap_or_else(|| toml::Spanned::new(0..0, usual));
         let name = place.get_ref().clone();
-        let topic = self.ros_topic(
-            &place,
-            &name,
-            "ros2.write.topic",
-            (what.is_of_robot(), robots),
-        )?;
+        let topic =
+            self.ros_topic(&place, &name, "ros2.write.topic", (what.is_of_robot(), robots))?;
         let every = self.every("ros2.write.every_s", section.every_s.unwrap_or(1.0));
-        Some(RosWrite {
-            what,
-            name,
-            topic,
-            every_ns: every.as_nanos() as u64,
-            value,
-        })
+        Some(RosWrite { what, name, topic, every_ns: every.as_nanos() as u64, value })
     }
 
     fn ros_value(&mut self, value: &Text, section: &RosWriteSection) -> Option<OutgoingValue> {
@@ -224,11 +193,7 @@ impl Check<'_> {
     fn apart(&mut self, routes: &[RosRoute], writes: &[RosWrite], robots: &Robots) {
         let mut topics: Vec<(String, &str)> = Vec::new();
         for (_, robot) in robots.iter() {
-            topics.extend(
-                routes
-                    .iter()
-                    .map(|it| (it.topic.of(robot), it.name.as_str())),
-            );
+            topics.extend(routes.iter().map(|it| (it.topic.of(robot), it.name.as_str())));
             let of_robot = writes.iter().filter(|it| it.what.is_of_robot());
             topics.extend(of_robot.map(|it| (it.topic.of(robot), it.name.as_str())));
         }

@@ -45,9 +45,7 @@ impl TlsSettings {
     pub(crate) fn load(&self) -> Result<Arc<ClientConfig>, (&'static str, TlsError)> {
         let mut roots = RootCertStore::empty();
         for certificate in certificates(&self.ca).map_err(|error| ("ca", error))? {
-            roots
-                .add(certificate)
-                .map_err(|error| ("ca", error.into()))?;
+            roots.add(certificate).map_err(|error| ("ca", error.into()))?;
         }
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let builder = ClientConfig::builder_with_provider(provider)

@@ -190,12 +190,7 @@ impl Account {
 
 impl fmt::Display for UnmappedRecord {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            route,
-            reason,
-            count,
-            names,
-        } = self;
+        let Self { route, reason, count, names } = self;
         write!(out, "{route}: {reason} {count} ({})", names.join(", "))
     }
 }
@@ -208,11 +203,7 @@ mod tests {
     fn a_field_that_never_came_is_named_once_and_is_no_loss() {
         let mut account = Account::default();
         for message in 0..100 {
-            account.came(
-                "a",
-                "r1",
-                &[("power", false), ("soc", true), ("v", message == 7)],
-            );
+            account.came("a", "r1", &[("power", false), ("soc", true), ("v", message == 7)]);
             account.came("a", "r2", &[("power", true), ("soc", true), ("v", true)]);
         }
         assert_eq!(account.take_news(), ["a: never_came: power of r1"]);

@@ -35,10 +35,7 @@ const PLANTED: [(&str, &str); 9] = [
     ("", "nothing"),
     ("sign", "a current of the other sign"),
     ("unit", "mV, mA and mW without a unit in the mapping"),
-    (
-        "unit",
-        "a charge of 0 to 100 where a share is expected, or the other way round",
-    ),
+    ("unit", "a charge of 0 to 100 where a share is expected, or the other way round"),
     ("hold", "a controller that fell silent"),
     ("clock", "a robot's clock that stands still"),
     ("never-came", "a field that no message has"),
@@ -83,11 +80,7 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
         ampere = -ampere;
     }
     let commands = planted != "a controller that fell silent" || step < 50;
-    let stamp = if planted.starts_with("a robot's clock") {
-        0
-    } else {
-        step
-    };
+    let stamp = if planted.starts_with("a robot's clock") { 0 } else { step };
     let has_soc = planted != "a field that no message has";
     match format {
         "MQTT, fields" => {
@@ -100,11 +93,8 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
                 soc: si(Quantity::Share, "soc"),
                 ..Fields::default()
             };
-            let power = if planted.starts_with("mV") {
-                volt * ampere * 1e-3
-            } else {
-                volt * ampere
-            };
+            let power =
+                if planted.starts_with("mV") { volt * ampere * 1e-3 } else { volt * ampere };
             let mut sent = json!({"stamp": stamp, "power": power, "volt": volt, "ampere": ampere});
             if commands {
                 sent["v"] = json!(v);
@@ -140,10 +130,7 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
             };
             let state = BatteryState {
                 header: Header {
-                    stamp: Time {
-                        sec: stamp as i32,
-                        nanosec: 0,
-                    },
+                    stamp: Time { sec: stamp as i32, nanosec: 0 },
                     frame_id: String::new(),
                 },
                 voltage: volt as f32,
@@ -192,11 +179,7 @@ fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
     let of_kind = found.iter().find(|one| one.finding.kind.name() == kind);
     let unmapped = account.records();
     if let Some(found) = of_kind {
-        let severity = if found.finding.is_error() {
-            "alarm"
-        } else {
-            "told"
-        };
+        let severity = if found.finding.is_error() { "alarm" } else { "told" };
         assert!(!found.remedy.is_empty());
         return severity.to_owned();
     }
@@ -214,11 +197,8 @@ fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
 
 #[test]
 fn no_format_is_silent_about_any_kind() {
-    let mut text = format!(
-        "\n| finding | planted | {} |\n|{}\n",
-        FORMATS.join(" | "),
-        "---|".repeat(5)
-    );
+    let mut text =
+        format!("\n| finding | planted | {} |\n|{}\n", FORMATS.join(" | "), "---|".repeat(5));
     for planted in PLANTED {
         let cells = FORMATS.map(|format| cell(format, planted)).join(" | ");
         let kind = match planted.0 {

@@ -25,11 +25,7 @@ impl Place {
             text if text.starts_with('/') => text.to_owned(),
             name => format!("/{}", name.replace('~', "~0")),
         };
-        Self {
-            pointer,
-            or: None,
-            unknown: Vec::new(),
-        }
+        Self { pointer, or: None, unknown: Vec::new() }
     }
 
     /// Finds the value, unless it is missing, null or means "not known".
@@ -58,11 +54,7 @@ pub(crate) struct Number {
 impl Number {
     /// A number at `place` in the SI unit.
     pub(crate) fn si(quantity: Quantity, place: &str) -> Self {
-        Self {
-            place: Place::at(place),
-            unit: quantity.si(),
-            negate: false,
-        }
+        Self { place: Place::at(place), unit: quantity.si(), negate: false }
     }
 
     /// Reads the value in SI.
@@ -72,11 +64,7 @@ impl Number {
         };
         let number = found.as_f64().ok_or(Reason::WrongType)? * self.unit.size;
         let number = (if self.negate { -number } else { number }) as f32;
-        if number.is_finite() {
-            Ok(Some(number))
-        } else {
-            Err(Reason::NotFinite)
-        }
+        if number.is_finite() { Ok(Some(number)) } else { Err(Reason::NotFinite) }
     }
 }
 
@@ -91,10 +79,7 @@ pub(crate) struct Flag {
 impl Flag {
     /// A boolean at `place`.
     pub(crate) fn at(place: &str) -> Self {
-        Self {
-            place: Place::at(place),
-            is: vec![Value::Bool(true)],
-        }
+        Self { place: Place::at(place), is: vec![Value::Bool(true)] }
     }
 
     fn read(&self, document: &Value) -> Result<Option<bool>, Reason> {
@@ -105,15 +90,8 @@ impl Flag {
             return Ok(Some(true));
         }
         let kind = std::mem::discriminant(found);
-        let is_alike = self
-            .is
-            .iter()
-            .any(|value| std::mem::discriminant(value) == kind);
-        if is_alike {
-            Ok(Some(false))
-        } else {
-            Err(Reason::WrongType)
-        }
+        let is_alike = self.is.iter().any(|value| std::mem::discriminant(value) == kind);
+        if is_alike { Ok(Some(false)) } else { Err(Reason::WrongType) }
     }
 }
 
@@ -179,9 +157,7 @@ impl Fields {
         mut refused: impl FnMut(Reason, &'static str),
     ) -> Observation {
         let mut number = |field: &Option<Number>, name| {
-            let read = field
-                .as_ref()
-                .map_or(Ok(None), |field| field.read(document));
+            let read = field.as_ref().map_or(Ok(None), |field| field.read(document));
             read.unwrap_or_else(|reason| {
                 refused(reason, name);
                 None
@@ -202,17 +178,12 @@ impl Fields {
             seen.v_mps = speed_mps.filter(|speed_mps| speed_mps.is_finite());
         }
         let power_w = number(&self.power, "power");
-        seen.power = power_w.map(|power_w| PowerReading {
-            power_w,
-            of: self.power_of,
-        });
+        seen.power = power_w.map(|power_w| PowerReading { power_w, of: self.power_of });
         if self.power_of_current {
             seen.power = seen.power.or(product(seen.voltage_v, seen.current_a));
         }
         let mut flag = |field: &Option<Flag>, name| {
-            let read = field
-                .as_ref()
-                .map_or(Ok(None), |field| field.read(document));
+            let read = field.as_ref().map_or(Ok(None), |field| field.read(document));
             read.unwrap_or_else(|reason| {
                 refused(reason, name);
                 None
@@ -240,9 +211,7 @@ impl Fields {
             ("full", self.full.is_some(), seen.full.is_some()),
         ];
         let is_due = |name| self.standard.is_none_or(|standard| standard.demands(name));
-        let named = fields
-            .into_iter()
-            .filter(|(name, is_named, _)| *is_named && is_due(name));
+        let named = fields.into_iter().filter(|(name, is_named, _)| *is_named && is_due(name));
         named.map(|(name, _, has)| (name, has)).collect()
     }
 
@@ -259,20 +228,14 @@ impl Fields {
     /// to version 2 the battery is `batteryState`, from 3 on `powerSupply`, with a current whose
     /// sign the standard does not state: `negate` turns it.
     pub(crate) fn vda5050(negate: bool) -> Self {
-        let percent = Unit {
-            name: "%",
-            size: 0.01,
-        };
+        let percent = Unit { name: "%", size: 0.01 };
         let either = |quantity: Quantity, pointer, or| {
             let mut number = Number::si(quantity, pointer);
             number.place.or = Some(or);
             number
         };
-        let soc = either(
-            Quantity::Share,
-            "/batteryState/batteryCharge",
-            "/powerSupply/stateOfCharge",
-        );
+        let soc =
+            either(Quantity::Share, "/batteryState/batteryCharge", "/powerSupply/stateOfCharge");
         let voltage = "/batteryState/batteryVoltage";
         let mut charging = Flag::at("/batteryState/charging");
         charging.place.or = Some("/powerSupply/charging");
@@ -280,15 +243,8 @@ impl Fields {
             v: Some(Number::si(Quantity::Speed, "/velocity/vx")),
             vy: Some(Number::si(Quantity::Speed, "/velocity/vy")),
             omega: Some(Number::si(Quantity::TurnRate, "/velocity/omega")),
-            soc: Some(Number {
-                unit: percent,
-                ..soc
-            }),
-            voltage: Some(either(
-                Quantity::Voltage,
-                voltage,
-                "/powerSupply/batteryVoltage",
-            )),
+            soc: Some(Number { unit: percent, ..soc }),
+            voltage: Some(either(Quantity::Voltage, voltage, "/powerSupply/batteryVoltage")),
             current: Some(Number {
                 negate,
                 ..Number::si(Quantity::Current, "/powerSupply/batteryCurrent")
@@ -304,10 +260,7 @@ impl Fields {
 /// The battery's power, if both factors are numbers.
 pub(crate) fn product(voltage_v: Option<f32>, current_a: Option<f32>) -> Option<PowerReading> {
     let power_w = voltage_v? * current_a?;
-    power_w.is_finite().then_some(PowerReading {
-        power_w,
-        of: PowerOf::Battery,
-    })
+    power_w.is_finite().then_some(PowerReading { power_w, of: PowerOf::Battery })
 }
 
 #[cfg(test)]
@@ -318,11 +271,7 @@ mod tests {
     use super::*;
 
     fn number(place: &str, quantity: Quantity, unit: &str, negate: bool) -> Option<Number> {
-        Some(Number {
-            place: Place::at(place),
-            unit: quantity.unit(unit).unwrap(),
-            negate,
-        })
+        Some(Number { place: Place::at(place), unit: quantity.unit(unit).unwrap(), negate })
     }
 
     fn fields() -> Fields {
@@ -331,10 +280,7 @@ mod tests {
             current: number("/battery/current", Quantity::Current, "mA", true),
             voltage: number("volt", Quantity::Voltage, "V", false),
             soc: number("/soc", Quantity::Share, "%", false),
-            charging: Some(Flag {
-                is: vec![json!("charging"), json!(1)],
-                ..Flag::at("/state")
-            }),
+            charging: Some(Flag { is: vec![json!("charging"), json!(1)], ..Flag::at("/state") }),
             power_of_current: true,
             ..Fields::default()
         }
@@ -369,10 +315,7 @@ mod tests {
     #[test]
     fn what_is_missing_null_or_a_sentinel_is_unknown_and_no_error() {
         let mut fields = fields();
-        for place in [&mut fields.power, &mut fields.voltage]
-            .into_iter()
-            .flatten()
-        {
+        for place in [&mut fields.power, &mut fields.voltage].into_iter().flatten() {
             place.place.unknown = vec![json!(-1)];
         }
         for document in [
@@ -383,10 +326,7 @@ mod tests {
             json!({"battery": {"power": -1.0}, "volt": -1}),
         ] {
             let (seen, refused) = read(&fields, &document);
-            assert!(
-                seen.is_empty() && refused.is_empty(),
-                "{document}: {seen:?} {refused:?}"
-            );
+            assert!(seen.is_empty() && refused.is_empty(), "{document}: {seen:?} {refused:?}");
         }
     }
 
@@ -401,18 +341,11 @@ mod tests {
         ] {
             let document = json!({"battery": {"power": power}, "soc": 50, "state": []});
             let (seen, refused) = read(&fields(), &document);
-            assert_eq!(
-                refused,
-                [(expected, "power"), (Reason::WrongType, "charging")]
-            );
+            assert_eq!(refused, [(expected, "power"), (Reason::WrongType, "charging")]);
             assert_eq!((seen.power, seen.soc), (None, Some(0.5)));
         }
         let overflow = json!({"battery": {"current": -1e38}, "volt": 1e38});
-        assert_eq!(
-            read(&fields(), &overflow).0.power,
-            None,
-            "their product is not finite"
-        );
+        assert_eq!(read(&fields(), &overflow).0.power, None, "their product is not finite");
     }
 
     #[test]
@@ -422,17 +355,11 @@ mod tests {
             "velocity": {"vx": 0.3, "vy": 0.4, "omega": -0.2},
             "batteryState": {"batteryCharge": 80.0, "batteryVoltage": 24.5, "charging": false, "reach": 1200},
         });
-        let fields = Fields {
-            robot: Some(Place::at("/serialNumber")),
-            ..Fields::vda5050(true)
-        };
+        let fields = Fields { robot: Some(Place::at("/serialNumber")), ..Fields::vda5050(true) };
         let (seen, refused) = read(&fields, &document);
         assert_eq!(refused, []);
         assert_eq!((seen.v_mps, seen.omega_radps), (Some(0.5), Some(-0.2)));
-        assert_eq!(
-            (seen.soc, seen.voltage_v, seen.charging),
-            (Some(0.8), Some(24.5), Some(false))
-        );
+        assert_eq!((seen.soc, seen.voltage_v, seen.charging), (Some(0.8), Some(24.5), Some(false)));
         assert_eq!(seen.power, None, "version 2 has neither power nor current");
         let of_3 = json!({
             "version": "3.0.0", "velocity": {"vx": 0.5}, "powerSupply": {
@@ -442,25 +369,16 @@ mod tests {
         let (new, refused) = read(&fields, &of_3);
         assert_eq!(refused, []);
         assert_eq!(new.power.map(|power| power.power_w), Some(48.0));
-        assert_eq!(
-            (new.soc, new.voltage_v, new.charging),
-            (Some(0.615), Some(24.0), Some(true))
-        );
+        assert_eq!((new.soc, new.voltage_v, new.charging), (Some(0.615), Some(24.0), Some(true)));
         let unknown = |document| Standard::Vda5050.unknown_version(&document);
         for known in ["1.1", "2.0.0", "2.1.0", "3.0.0", "3.1"] {
             assert_eq!(unknown(json!({"version": known})), None, "{known}");
         }
         assert_eq!(unknown(json!({})), None);
-        assert_eq!(
-            unknown(json!({"version": "4.0.0"})).as_deref(),
-            Some("\"4.0.0\"")
-        );
+        assert_eq!(unknown(json!({"version": "4.0.0"})).as_deref(), Some("\"4.0.0\""));
         assert_eq!(unknown(json!({"version": 3})).as_deref(), Some("3"));
         assert_eq!(fields.robot(&document).as_deref(), Some("0001"));
-        assert_eq!(
-            fields.robot(&json!({"serialNumber": 7})).as_deref(),
-            Some("7")
-        );
+        assert_eq!(fields.robot(&json!({"serialNumber": 7})).as_deref(), Some("7"));
         assert_eq!(fields.robot(&json!({"serialNumber": -7.5})), None);
         let backwards = json!({"velocity": {"vx": -0.3, "vy": 0.0}});
         assert_eq!(read(&fields, &backwards).0.v_mps, Some(-0.3));

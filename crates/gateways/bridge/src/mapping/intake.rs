@@ -201,10 +201,7 @@ impl Intake {
 
     /// Robots that nothing has come from.
     pub(crate) fn silent(&self) -> impl Iterator<Item = u32> {
-        let silent = self
-            .robots
-            .iter()
-            .filter(|(_, known)| known.any_ns.is_none());
+        let silent = self.robots.iter().filter(|(_, known)| known.any_ns.is_none());
         silent.map(|(id, _)| *id)
     }
 
@@ -246,30 +243,19 @@ mod tests {
 
     use super::*;
 
-    const HOLDS: Holds = Holds {
-        command_ns: 50,
-        expired: Expired::Unknown,
-        reading_ns: 100,
-        silent_ns: 300,
-    };
+    const HOLDS: Holds =
+        Holds { command_ns: 50, expired: Expired::Unknown, reading_ns: 100, silent_ns: 300 };
 
     fn intake(holds: Holds, charge_reading: ChargeReading) -> Intake {
         Intake::new(holds, false, [(7, charge_reading)])
     }
 
     fn power(power_w: f32, of: PowerOf) -> Observation {
-        Observation {
-            power: Some(PowerReading { power_w, of }),
-            ..Observation::default()
-        }
+        Observation { power: Some(PowerReading { power_w, of }), ..Observation::default() }
     }
 
     fn command_of(v_mps: f32) -> Observation {
-        Observation {
-            v_mps: Some(v_mps),
-            omega_radps: Some(-v_mps),
-            ..Observation::default()
-        }
+        Observation { v_mps: Some(v_mps), omega_radps: Some(-v_mps), ..Observation::default() }
     }
 
     #[test]
@@ -293,11 +279,7 @@ mod tests {
         intake.take(7, &power(5.0, PowerOf::Load), 400);
         assert!(!intake.sample(7, 410).unwrap().held, "it is back");
         intake.take(8, &power(5.0, PowerOf::Load), 400);
-        assert_eq!(
-            (intake.sample(8, 410), intake.observations()),
-            (None, 3),
-            "not in the mapping"
-        );
+        assert_eq!((intake.sample(8, 410), intake.observations()), (None, 3), "not in the mapping");
     }
 
     #[test]
@@ -306,11 +288,7 @@ mod tests {
             let mut intake = intake(Holds { expired, ..HOLDS }, ChargeReading::Load);
             intake.take(7, &power(3.0, PowerOf::Load), 5);
             let state = intake.sample(7, 6).unwrap();
-            assert_eq!(
-                (state.v_mps, state.omega_radps),
-                (None, None),
-                "never commanded"
-            );
+            assert_eq!((state.v_mps, state.omega_radps), (None, None), "never commanded");
             intake.take(7, &command_of(0.5), 10);
             assert_eq!(intake.sample(7, 60).unwrap().v_mps, Some(0.5));
             let state = intake.sample(7, 61).unwrap();
@@ -323,10 +301,7 @@ mod tests {
     #[test]
     fn a_robot_has_one_unit_of_its_charge() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
-        let charge = |soc| Observation {
-            soc: Some(soc),
-            ..Observation::default()
-        };
+        let charge = |soc| Observation { soc: Some(soc), ..Observation::default() };
         for (soc, taken) in [(0.5, Some(0.5)), (96.0, None), (1.0, None), (0.4, None)] {
             intake.take(7, &charge(soc), 10);
             assert_eq!(intake.sample(7, 20).unwrap().soc, taken, "{soc}");
@@ -336,21 +311,14 @@ mod tests {
     #[test]
     fn a_repeated_measurement_keeps_its_time() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
-        let again = Observation {
-            repeats: true,
-            ..power(3.0, PowerOf::Load)
-        };
+        let again = Observation { repeats: true, ..power(3.0, PowerOf::Load) };
         intake.take(7, &again, 10);
         assert!(!intake.sample(7, 20).unwrap().held, "the first one");
         intake.take(7, &again, 90);
         let state = intake.sample(7, 100).unwrap();
         assert_eq!((state.held, state.measured_ns), (true, Some(10)));
         intake.take(7, &again, 150);
-        assert_eq!(
-            intake.sample(7, 160).unwrap().power_w,
-            None,
-            "measured too long ago"
-        );
+        assert_eq!(intake.sample(7, 160).unwrap().power_w, None, "measured too long ago");
     }
 
     #[test]
@@ -373,16 +341,10 @@ mod tests {
             assert_eq!(state.power_w, expected, "{charge_reading:?} {of:?}");
             assert_eq!(state.measured_ns.is_some(), expected.is_some());
             assert_eq!(state.charger, Charger::Full);
-            let left = Observation {
-                charging: Some(false),
-                ..power_alone(12.0)
-            };
+            let left = Observation { charging: Some(false), ..power_alone(12.0) };
             intake.take(7, &left, 30);
             let state = intake.sample(7, 40).unwrap();
-            assert_eq!(
-                (state.power_w, state.charger),
-                (Some(12.0), Charger::Disconnected)
-            );
+            assert_eq!((state.power_w, state.charger), (Some(12.0), Charger::Disconnected));
         }
     }
 
@@ -397,14 +359,8 @@ mod tests {
             let mut intake = Intake::new(HOLDS, true, [(7, charge_reading)]);
             intake.take(7, &power(-40.0, of), 10);
             let state = intake.sample(7, 20).unwrap();
-            assert_eq!(
-                (state.power_w, state.charger),
-                (expected, Charger::Disconnected)
-            );
-            let told = Observation {
-                charging: Some(false),
-                ..power(12.0, of)
-            };
+            assert_eq!((state.power_w, state.charger), (expected, Charger::Disconnected));
+            let told = Observation { charging: Some(false), ..power(12.0, of) };
             intake.take(7, &told, 30);
             let state = intake.sample(7, 40).unwrap();
             assert_eq!((state.power_w, state.held), (Some(12.0), false));
@@ -414,27 +370,17 @@ mod tests {
     #[test]
     fn charging_applies_until_it_is_told_otherwise() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
-        let charging = |charging| Observation {
-            charging: Some(charging),
-            ..Observation::default()
-        };
+        let charging =
+            |charging| Observation { charging: Some(charging), ..Observation::default() };
         intake.take(7, &charging(true), 30);
         for at_ns in (100..2_000).step_by(100) {
             intake.take(7, &power(-40.0, PowerOf::Battery), at_ns);
             let state = intake.sample(7, at_ns + 10).unwrap();
-            assert_eq!(
-                (state.charger, state.power_w),
-                (Charger::Charging, None),
-                "at {at_ns}"
-            );
+            assert_eq!((state.charger, state.power_w), (Charger::Charging, None), "at {at_ns}");
         }
         intake.take(7, &charging(false), 2_000);
         let state = intake.sample(7, 2_010).unwrap();
-        assert_eq!(
-            (state.charger, state.power_w),
-            (Charger::Disconnected, None),
-            "of before"
-        );
+        assert_eq!((state.charger, state.power_w), (Charger::Disconnected, None), "of before");
         intake.take(7, &power(12.0, PowerOf::Battery), 2_020);
         let state = intake.sample(7, 2_030).unwrap();
         assert_eq!((state.power_w, state.held), (Some(12.0), false));
@@ -446,11 +392,7 @@ mod tests {
         intake.take(7, &power(3.0, PowerOf::Load), 12);
         for (now_ns, held) in [(10, false), (20, true)] {
             let state = intake.sample(7, now_ns).unwrap();
-            assert_eq!(
-                (state.measured_ns, state.held),
-                (Some(10), held),
-                "at {now_ns}"
-            );
+            assert_eq!((state.measured_ns, state.held), (Some(10), held), "at {now_ns}");
         }
     }
 

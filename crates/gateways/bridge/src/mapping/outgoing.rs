@@ -197,18 +197,12 @@ pub(crate) fn values(
         Ok(Value::Object(values)) => values,
         _ => Object::new(),
     };
-    for (of, unix) in [
-        ("stamp_ns", "stamp_unix_ns"),
-        ("target_ns", "target_unix_ns"),
-    ] {
+    for (of, unix) in [("stamp_ns", "stamp_unix_ns"), ("target_ns", "target_unix_ns")] {
         let stamp_ns = values.remove(of).and_then(|stamp| stamp.as_u64());
         values.insert(unix.to_owned(), json!(stamp_ns.map(&unix_ns)));
     }
     let age_ns = values.remove("reading_age_ns").and_then(|age| age.as_f64());
-    values.insert(
-        "reading_age_s".to_owned(),
-        json!(age_ns.map(|age_ns| age_ns * 1e-9)),
-    );
+    values.insert("reading_age_s".to_owned(), json!(age_ns.map(|age_ns| age_ns * 1e-9)));
     values.insert("name".to_owned(), json!(name));
     values
 }
@@ -267,14 +261,8 @@ mod tests {
             (&values["stamp_unix_ns"], &values["target_unix_ns"]),
             (&json!(1_100), &json!(1_130))
         );
-        assert_eq!(
-            (&values["reading_age_s"], &values["quality"]),
-            (&json!(0.5), &json!("Held"))
-        );
-        assert_eq!(
-            (&values["lo_w"], &values["alarms"]),
-            (&Value::Null, &json!(["StuckSensor"]))
-        );
+        assert_eq!((&values["reading_age_s"], &values["quality"]), (&json!(0.5), &json!("Held")));
+        assert_eq!((&values["lo_w"], &values["alarms"]), (&Value::Null, &json!(["StuckSensor"])));
     }
 
     #[test]

@@ -34,12 +34,8 @@ impl Robots {
     /// Adds a robot. With `{id}` in the name it adds one for each id of a range such as `0-19`.
     pub(crate) fn add(&mut self, name: &str, ids: &str) -> Result<(), RobotsError> {
         let range = range(ids).filter(|ids| ids.start() == ids.end() || name.contains("{id}"));
-        let range = range.ok_or_else(|| RobotsError::Ids {
-            found: ids.to_owned(),
-        })?;
-        range
-            .into_iter()
-            .try_for_each(|id| self.insert(name.replace("{id}", &id.to_string()), id))
+        let range = range.ok_or_else(|| RobotsError::Ids { found: ids.to_owned() })?;
+        range.into_iter().try_for_each(|id| self.insert(name.replace("{id}", &id.to_string()), id))
     }
 
     fn insert(&mut self, name: String, id: u32) -> Result<(), RobotsError> {
@@ -107,39 +103,20 @@ mod tests {
             assert_eq!(robots.id(name), Some(id));
             assert_eq!(robots.name(id), Some(name));
         }
-        assert_eq!(
-            (robots.len(), robots.id("agv-11"), robots.name(11)),
-            (4, None, None)
-        );
-        assert_eq!(
-            robots.add("lifter", "4"),
-            Err(RobotsError::TwoIds {
-                first: 3,
-                second: 4
-            })
-        );
-        assert!(matches!(
-            robots.add("other", "9"),
-            Err(RobotsError::TwoNames { robot: 9, .. })
-        ));
+        assert_eq!((robots.len(), robots.id("agv-11"), robots.name(11)), (4, None, None));
+        assert_eq!(robots.add("lifter", "4"), Err(RobotsError::TwoIds { first: 3, second: 4 }));
+        assert!(matches!(robots.add("other", "9"), Err(RobotsError::TwoNames { robot: 9, .. })));
     }
 
     #[test]
     fn what_is_no_name_or_no_range_is_refused() {
         for name in ["", "a/b", "+", "#", "a\0", "a{b", &"x".repeat(129)] {
-            assert_eq!(
-                Robots::default().add(name, "1"),
-                Err(RobotsError::Name),
-                "{name:?}"
-            );
+            assert_eq!(Robots::default().add(name, "1"), Err(RobotsError::Name), "{name:?}");
         }
         for ids in ["", "x", "-1", "3-1", "1-2-3", "0-100000", "4294967296"] {
             let refused = Robots::default().add("r{id}", ids);
             assert!(matches!(refused, Err(RobotsError::Ids { .. })), "{ids:?}");
         }
-        assert!(
-            Robots::default().add("one", "1-2").is_err(),
-            "two robots of one name"
-        );
+        assert!(Robots::default().add("one", "1-2").is_err(), "two robots of one name");
     }
 }

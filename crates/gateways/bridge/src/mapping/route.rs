@@ -63,12 +63,7 @@ struct Vizier {
 impl Reader {
     /// Creates a reader of payloads up to `max_bytes`.
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
-        Self {
-            routes,
-            robots,
-            max_bytes,
-            vizier: None,
-        }
+        Self { routes, robots, max_bytes, vizier: None }
     }
 
     /// Adds the answers of a vizier to `client`.
@@ -88,11 +83,7 @@ impl Reader {
     /// The topics to subscribe to, without duplicates.
     pub(crate) fn filters(&self) -> Vec<String> {
         let mut filters: Vec<String> = self.routes.iter().map(|it| it.pattern.filter()).collect();
-        filters.extend(
-            self.vizier
-                .iter()
-                .map(|it| vizier::response_filter(&it.client)),
-        );
+        filters.extend(self.vizier.iter().map(|it| vizier::response_filter(&it.client)));
         filters.sort();
         filters.dedup();
         filters
@@ -110,11 +101,7 @@ impl Reader {
             Some((route, robot))
         });
         for (route, robot) in matching {
-            let reading = Reading {
-                route: &route.name,
-                message,
-                account,
-            };
+            let reading = Reading { route: &route.name, message, account };
             if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.max_bytes) {
                 take(robot, &seen);
             }
@@ -122,11 +109,7 @@ impl Reader {
         if let Some(vizier) = &mut self.vizier
             && let Some((node, number)) = vizier::answered(&vizier.client, message.topic)
         {
-            let reading = Reading {
-                route: VIZIER,
-                message,
-                account,
-            };
+            let reading = Reading { route: VIZIER, message, account };
             if let Some((robot, seen)) =
                 vizier.seen(reading, (node, number), &self.robots, self.max_bytes)
             {
@@ -179,9 +162,7 @@ fn without_nan(payload: &[u8]) -> Vec<u8> {
     let mut text = Vec::with_capacity(payload.len());
     let (mut rest, mut in_string) = (payload, false);
     while let Some((first, after)) = rest.split_first() {
-        let word = NOT_NUMBERS
-            .iter()
-            .find(|word| !in_string && rest.starts_with(word));
+        let word = NOT_NUMBERS.iter().find(|word| !in_string && rest.starts_with(word));
         if let Some(word) = word {
             text.extend_from_slice(b"null");
             rest = &rest[word.len()..];
@@ -215,11 +196,7 @@ impl Reading<'_> {
     }
 
     fn document(&mut self, max_bytes: usize) -> Option<Value> {
-        let Message {
-            topic,
-            payload,
-            retained,
-        } = self.message;
+        let Message { topic, payload, retained } = self.message;
         let refused = if payload.len() > max_bytes {
             Reason::TooLong
         } else if retained {
@@ -309,8 +286,7 @@ impl Vizier {
             return None;
         };
         // An answer to an earlier request would be out of date.
-        self.open
-            .retain(|other, (of, _)| *of != robot || *other > number);
+        self.open.retain(|other, (of, _)| *of != robot || *other > number);
         let body = match vizier::body(&document) {
             Ok(body) => body,
             Err(reason) => {
@@ -361,11 +337,7 @@ mod tests {
 
     fn reader() -> Reader {
         let named = route("all", Some(Place::at("robot")));
-        Reader::new(
-            vec![route("fleet/{robot}/power", None), named],
-            robots(),
-            1_000,
-        )
+        Reader::new(vec![route("fleet/{robot}/power", None), named], robots(), 1_000)
     }
 
     /// Robots with their powers, and reasons with their names.
@@ -373,18 +345,11 @@ mod tests {
 
     fn read(reader: &mut Reader, topic: &str, payload: &[u8]) -> Read {
         let (mut taken, mut account) = (Vec::new(), Account::default());
-        let message = Message {
-            topic,
-            payload,
-            retained: false,
-        };
+        let message = Message { topic, payload, retained: false };
         reader.read(message, &mut account, |robot, seen| {
             taken.push((robot, seen.power.unwrap().power_w));
         });
-        let refused = account
-            .records()
-            .into_iter()
-            .map(|it| (it.reason, it.names.join(",")));
+        let refused = account.records().into_iter().map(|it| (it.reason, it.names.join(",")));
         (taken, refused.collect())
     }
 
@@ -434,20 +399,10 @@ mod tests {
         assert_eq!((taken, refused[0].0), (vec![], "not_json"));
         let (taken, refused) = read(&mut reader(), "fleet/r1/power", &[b' '; 1_001]);
         assert_eq!((taken, refused[0].0), (vec![], "too_long"));
-        assert_eq!(
-            read(&mut reader(), "elsewhere", b"{"),
-            (vec![], vec![]),
-            "of no route"
-        );
+        assert_eq!(read(&mut reader(), "elsewhere", b"{"), (vec![], vec![]), "of no route");
         let mut account = Account::default();
-        let kept = Message {
-            topic: "fleet/r1/power",
-            payload: br#"{"power": 3}"#,
-            retained: true,
-        };
-        reader().read(kept, &mut account, |_, _| {
-            panic!("nobody knows how old it is")
-        });
+        let kept = Message { topic: "fleet/r1/power", payload: br#"{"power": 3}"#, retained: true };
+        reader().read(kept, &mut account, |_, _| panic!("nobody knows how old it is"));
         assert_eq!(account.records()[0].reason, "retained");
     }
 
@@ -472,9 +427,7 @@ mod tests {
 
     fn answer(power_mw: f64) -> Vec<u8> {
         let body = json!({"power": power_mw, "batt_volt": 4.0, "charge_status": false}).to_string();
-        json!({"status": 200, "body": body, "type": "DATA"})
-            .to_string()
-            .into_bytes()
+        json!({"status": 200, "body": body, "type": "DATA"}).to_string().into_bytes()
     }
 
     #[test]
@@ -485,10 +438,7 @@ mod tests {
         let topics: Vec<&str> = asked.iter().map(|(topic, _)| topic.as_str()).collect();
         assert_eq!(topics, ["r1/requests", "r2/requests", "r3/requests"]);
         assert_eq!(asked[1].1["id"], "jb/1");
-        assert_eq!(
-            read(&mut reader, "r2/responses/jb/1", &answer(3_000.0)).0,
-            [(2, 3.0)]
-        );
+        assert_eq!(read(&mut reader, "r2/responses/jb/1", &answer(3_000.0)).0, [(2, 3.0)]);
         let again = read(&mut reader, "r2/responses/jb/1", &answer(9_000.0));
         assert_eq!(again, (vec![], vec![("not_asked", "r2".to_owned())]));
         let of_another = read(&mut reader, "r3/responses/jb/0", &answer(9_000.0));
@@ -496,10 +446,7 @@ mod tests {
         for _ in 0..2 {
             reader.requests(&mut account);
         }
-        assert_eq!(
-            read(&mut reader, "r1/responses/jb/6", &answer(1_000.0)).0,
-            [(1, 1.0)]
-        );
+        assert_eq!(read(&mut reader, "r1/responses/jb/6", &answer(1_000.0)).0, [(1, 1.0)]);
         let late = read(&mut reader, "r1/responses/jb/3", &answer(1_000.0));
         assert_eq!(late.1[0].0, "not_asked", "an answer to an earlier request");
         assert_eq!(account.records(), []);

@@ -147,11 +147,7 @@ mod tests {
             };
             let read = Pattern::parse(pattern).unwrap();
             assert_eq!(&read.filter(), filter);
-            assert_eq!(
-                &format!("{:?}", read.matches(topic)),
-                found,
-                "{pattern} {topic}"
-            );
+            assert_eq!(&format!("{:?}", read.matches(topic)), found, "{pattern} {topic}");
         }
     }
 

@@ -55,12 +55,7 @@ impl Quantity {
             Self::Voltage => &[("V", 1.0), ("mV", 1e-3)],
             Self::Current => &[("A", 1.0), ("mA", 1e-3)],
             Self::Share => &[("share", 1.0), ("%", 0.01)],
-            Self::Speed => &[
-                ("m/s", 1.0),
-                ("mm/s", 1e-3),
-                ("cm/s", 1e-2),
-                ("km/h", 1.0 / 3.6),
-            ],
+            Self::Speed => &[("m/s", 1.0), ("mm/s", 1e-3), ("cm/s", 1e-2), ("km/h", 1.0 / 3.6)],
             Self::TurnRate => &[("rad/s", 1.0), ("deg/s", PI / 180.0)],
             Self::Energy => &[("J", 1.0), ("kJ", 1e3), ("Wh", 3.6e3), ("kWh", 3.6e6)],
             Self::Time => &[("s", 1.0), ("ms", 1e-3), ("min", 60.0), ("h", 3.6e3)],
@@ -81,12 +76,7 @@ impl Quantity {
         unit.ok_or_else(|| UnitError {
             found: name.to_owned(),
             quantity: self.name(),
-            allowed: self
-                .units()
-                .iter()
-                .map(|(unit, _)| *unit)
-                .collect::<Vec<_>>()
-                .join(", "),
+            allowed: self.units().iter().map(|(unit, _)| *unit).collect::<Vec<_>>().join(", "),
         })
     }
 }

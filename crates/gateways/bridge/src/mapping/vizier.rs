@@ -62,10 +62,7 @@ pub(crate) fn body(response: &Value) -> Result<Value, Reason> {
 /// yet.
 pub(crate) fn status_fields() -> Fields {
     let number = |quantity: Quantity, name, size, place| Number {
-        place: Place {
-            unknown: vec![json!(-1)],
-            ..Place::at(place)
-        },
+        place: Place { unknown: vec![json!(-1)], ..Place::at(place) },
         unit: Unit { name, size },
         ..Number::si(quantity, place)
     };
@@ -151,10 +148,7 @@ mod tests {
             (json!({"status": 200, "body": ""}), Reason::Refused),
             (json!({"status": 200}), Reason::Refused),
             (json!({"status": 200, "body": "{"}), Reason::NotJson),
-            (
-                json!({"status": 200, "body": {"power": 1}}),
-                Reason::WrongType,
-            ),
+            (json!({"status": 200, "body": {"power": 1}}), Reason::WrongType),
             (json!([]), Reason::Refused),
         ] {
             assert_eq!(body(&response), Err(why), "{response}");

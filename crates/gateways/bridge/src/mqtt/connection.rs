@@ -89,10 +89,9 @@ impl Lost {
                     | ReasonCode::QuotaExceeded
                     | ReasonCode::ConnectionRateExceeded
             ),
-            Self::Tls { error } => !matches!(
-                error,
-                TlsError::AlertReceived(AlertDescription::InternalError)
-            ),
+            Self::Tls { error } => {
+                !matches!(error, TlsError::AlertReceived(AlertDescription::InternalError))
+            }
             Self::File { .. } | Self::SpeaksTls => true,
             _ => false,
         }
@@ -425,11 +424,7 @@ impl Connection {
     }
 
     const fn ended(&self) -> Lost {
-        if self.is_up {
-            Lost::Closed
-        } else {
-            Lost::Unanswered
-        }
+        if self.is_up { Lost::Closed } else { Lost::Unanswered }
     }
 
     /// Asks the broker for an answer now and then. It is gone if it then sends neither a packet nor

@@ -89,9 +89,9 @@ impl Inbox {
         let incoming = match read {
             Ok(packet) => Incoming::Packet(packet),
             // Its length is known, so that the next packet can be read.
-            Err(_) if kind == PacketType::Publish => Incoming::Malformed {
-                topic: topic(named).unwrap_or_default(),
-            },
+            Err(_) if kind == PacketType::Publish => {
+                Incoming::Malformed { topic: topic(named).unwrap_or_default() }
+            }
             Err(error) => return Err(error),
         };
         self.at += whole;

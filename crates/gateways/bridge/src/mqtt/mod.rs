@@ -88,11 +88,8 @@ impl Mqtt {
             retain: write.retain,
             expires_s: None,
         });
-        let mut reader = Reader::new(
-            settings.routes.clone(),
-            robots.clone(),
-            settings.max_payload_bytes,
-        );
+        let mut reader =
+            Reader::new(settings.routes.clone(), robots.clone(), settings.max_payload_bytes);
         if let Some(vizier) = &settings.vizier {
             reader = reader.with_vizier(&settings.client_id, vizier.fields.clone());
         }
@@ -150,9 +147,7 @@ impl Mqtt {
                 let falls_back = self.version == newer && why.is_of_version(self.knows_newer);
                 self.version = if falls_back { older } else { newer };
                 if falls_back {
-                    say(&format!(
-                        "not connected to {broker} by MQTT 5: {why}; trying MQTT 3.1.1"
-                    ));
+                    say(&format!("not connected to {broker} by MQTT 5: {why}; trying MQTT 3.1.1"));
                     continue;
                 }
             }
@@ -176,16 +171,9 @@ impl Mqtt {
         let socket = self.open()?;
         // Read again for each connection, since certificates are renewed.
         let tls = self.settings.tls.as_ref().map(|tls| tls.load());
-        let tls = tls
-            .transpose()
-            .map_err(|(key, error)| Lost::File { key, error })?;
+        let tls = tls.transpose().map_err(|(key, error)| Lost::File { key, error })?;
         let transport = Transport::new(socket, &self.settings.host, tls)?;
-        Connection::new(
-            transport,
-            &self.settings,
-            self.version,
-            self.goodbye.first(),
-        )
+        Connection::new(transport, &self.settings, self.version, self.goodbye.first())
     }
 
     /// Opens a connection in a thread of its own, because looking a name up blocks.
@@ -358,7 +346,4 @@ impl Mqtt {
     }
 }
 
-const POLL_TIMEOUT: Timespec = Timespec {
-    tv_sec: 0,
-    tv_nsec: POLL_INTERVAL.subsec_nanos() as i64,
-};
+const POLL_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: POLL_INTERVAL.subsec_nanos() as i64 };

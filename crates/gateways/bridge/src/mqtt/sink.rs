@@ -92,12 +92,7 @@ impl MqttSink {
             due_ns: 0,
             published: HashMap::new(),
             // The broker may retain documents of an earlier run.
-            kept: start
-                .robots
-                .iter()
-                .map(|(robot, _)| robot)
-                .filter(|_| write.retain)
-                .collect(),
+            kept: start.robots.iter().map(|(robot, _)| robot).filter(|_| write.retain).collect(),
             write,
         };
         let topics = start.writes.into_iter().map(topic).collect();
@@ -162,17 +157,10 @@ impl MqttSink {
 
     fn publish_changes(&mut self, now_ns: u64) {
         let since_ns = now_ns.saturating_sub(self.arrives_within_ns);
-        while self
-            .handed
-            .front()
-            .is_some_and(|(at_ns, _)| *at_ns < since_ns)
-        {
+        while self.handed.front().is_some_and(|(at_ns, _)| *at_ns < since_ns) {
             self.handed.pop_front();
         }
-        let topics = self
-            .topics
-            .iter()
-            .filter(|topic| topic.write.what == What::AlarmChanges);
+        let topics = self.topics.iter().filter(|topic| topic.write.what == What::AlarmChanges);
         let topics: Vec<&Topic> = topics.collect();
         while let Some(record) = self.waiting.front() {
             let name = record.robot.and_then(|robot| self.robots.name(robot));
@@ -252,11 +240,7 @@ impl Write {
         Outgoing {
             topic: self.topic.of(name),
             payload,
-            qos: if self.what == What::Forecast {
-                QoS::AtMostOnce
-            } else {
-                QoS::AtLeastOnce
-            },
+            qos: if self.what == What::Forecast { QoS::AtMostOnce } else { QoS::AtLeastOnce },
             retain: self.retain,
             // An interval is at most an hour.
             expires_s: is_renewed.then(|| expires_ns.div_ceil(1_000_000_000) as u32),
@@ -324,12 +308,8 @@ mod tests {
     use crate::mapping::intake::{Holds, Intake};
     use crate::mapping::topic::Template;
 
-    const HOLDS: Holds = Holds {
-        command_ns: 1,
-        expired: Expired::Unknown,
-        reading_ns: 1,
-        silent_ns: 1,
-    };
+    const HOLDS: Holds =
+        Holds { command_ns: 1, expired: Expired::Unknown, reading_ns: 1, silent_ns: 1 };
 
     fn write(what: What, topic: &str) -> Write {
         Write {
@@ -378,20 +358,13 @@ mod tests {
         sink.topics[2].due_ns = 2;
         sink.connections = outlet.connections();
         for turn in 0..5 {
-            let times = Times {
-                now_ns: 1,
-                now_unix_ns: turn,
-            };
+            let times = Times { now_ns: 1, now_unix_ns: turn };
             sink.publish(&Board::new(0), times);
         }
         assert_eq!((outlet.sent(), outlet.lost()), (3, 0));
         assert_eq!((sink.waiting.len(), sink.published_to), (1, 1));
         sink.finish();
-        assert_eq!(
-            sink.lost.load(Ordering::Relaxed),
-            1,
-            "never published to all"
-        );
+        assert_eq!(sink.lost.load(Ordering::Relaxed), 1, "never published to all");
         outlet.disconnected();
         sink.finish();
         assert_eq!(

@@ -47,10 +47,7 @@ impl Transport {
             let tls = ClientConnection::new(config, name).map_err(io::Error::other)?;
             Ok::<_, io::Error>(Box::new(tls))
         });
-        Ok(Self {
-            socket,
-            tls: tls.transpose()?,
-        })
+        Ok(Self { socket, tls: tls.transpose()? })
     }
 
     pub(super) const fn socket(&self) -> &TcpStream {

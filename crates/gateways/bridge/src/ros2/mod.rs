@@ -109,10 +109,7 @@ impl Ros2 {
         if !settings.networks.is_empty() {
             builder = builder.with_only_networks(settings.networks.iter().copied());
         }
-        let join = |source| Ros2Error::Join {
-            domain_id: settings.domain_id,
-            source,
-        };
+        let join = |source| Ros2Error::Join { domain_id: settings.domain_id, source };
         let participant = builder.build().map_err(join)?;
         let usual = QosPolicies::qos_none();
         let subscriber = participant.create_subscriber(&usual).map_err(join)?;
@@ -126,10 +123,7 @@ impl Ros2 {
             shared: Arc::clone(shared),
         };
         ros.open_readers(&subscriber)?;
-        let topics = settings
-            .writes
-            .iter()
-            .map(|write| ros.open_writers(&publisher, write));
+        let topics = settings.writes.iter().map(|write| ros.open_writers(&publisher, write));
         let topics = topics.collect::<Result<Vec<Topic>, Ros2Error>>()?;
         let written: usize = topics.iter().map(|topic| topic.writers.len()).sum();
         say(&format!(
@@ -169,11 +163,7 @@ impl Ros2 {
                     Ros2Error::Topic { topic, source }
                 })?;
                 self.endpoints.insert(reader.guid(), name);
-                self.incoming.push(Incoming {
-                    route: place,
-                    robot,
-                    reader,
-                });
+                self.incoming.push(Incoming { route: place, robot, reader });
                 thread::sleep(ANNOUNCE_PAUSE);
             }
         }
@@ -218,17 +208,12 @@ impl Ros2 {
             writers.insert(robot, writer);
             thread::sleep(ANNOUNCE_PAUSE);
         }
-        Ok(Topic {
-            write: write.clone(),
-            writers,
-            due_ns: 0,
-        })
+        Ok(Topic { write: write.clone(), writers, due_ns: 0 })
     }
 
     fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<DdsTopic, CreateError> {
         let (name, kind) = (dds_topic(name), kind.to_owned());
-        self.participant
-            .create_topic(name, kind, qos, TopicKind::NoKey)
+        self.participant.create_topic(name, kind, qos, TopicKind::NoKey)
     }
 
     /// Takes messages until the bridge stops.
@@ -236,9 +221,7 @@ impl Ros2 {
     /// # Errors
     /// [`Ros2Error`].
     pub(crate) fn run(self) -> Result<(), Ros2Error> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_time()
-            .build()?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         runtime.block_on(self.serve())
     }
 
@@ -298,23 +281,14 @@ impl Ros2 {
                 let is_new = seen.len() < MAX_ANNOUNCED && seen.insert(writer.guid);
                 if is_new {
                     let topic = (writer.topic_name.as_str(), writer.type_name.as_str());
-                    announced(
-                        &self.routes,
-                        &self.robots,
-                        topic,
-                        &mut self.shared.account(),
-                    );
+                    announced(&self.routes, &self.robots, topic, &mut self.shared.account());
                 }
             }
             Event::WriterLost { guid, .. } => {
                 seen.remove(&guid);
             }
-            Event::RemoteWriterQosIncompatible {
-                local_reader: ours, ..
-            }
-            | Event::RemoteReaderQosIncompatible {
-                local_writer: ours, ..
-            } => {
+            Event::RemoteWriterQosIncompatible { local_reader: ours, .. }
+            | Event::RemoteReaderQosIncompatible { local_writer: ours, .. } => {
                 if let Some(topic) = self.endpoints.get(&ours) {
                     let mut account = self.shared.account();
                     account.count(topic, Reason::IncompatibleQos, "a participant");
@@ -337,10 +311,7 @@ async fn closed(shared: &Shared) {
 /// each topic.
 fn allow_descriptors() {
     let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
-    let all = Rlimit {
-        current: maximum,
-        maximum,
-    };
+    let all = Rlimit { current: maximum, maximum };
     if let Err(error) = setrlimit(Resource::Nofile, all) {
         tracing::warn!(%error, "the limit of file descriptors stays");
     }

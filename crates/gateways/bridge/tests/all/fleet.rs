@@ -42,10 +42,7 @@ impl Fleet {
     /// Starts a worker.
     pub(crate) fn worker(&self) -> Child {
         let mut command = Command::new(joulebus());
-        command
-            .args(["run", "--config"])
-            .arg(self.config())
-            .env_remove("JOULEBUS_LOG");
+        command.args(["run", "--config"]).arg(self.config()).env_remove("JOULEBUS_LOG");
         let mut worker = Child::spawn("run", command);
         worker.wait_for_line("ready:");
         worker
@@ -56,11 +53,7 @@ impl Fleet {
         let path = self.directory.path().join("bridge.toml");
         fs::write(&path, text).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bridge"));
-        command
-            .args(["--format", "json"])
-            .arg(path)
-            .arg("--config")
-            .arg(self.config());
+        command.args(["--format", "json"]).arg(path).arg("--config").arg(self.config());
         command.env_remove("JOULEBUS_LOG");
         command
     }

@@ -11,9 +11,7 @@ use crate::mqtt::broker::{Broker, mosquitto};
 
 fn command(fleet: &Fleet, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bridge"));
-    command
-        .args(["--format", "json", "--config"])
-        .arg(fleet.config());
+    command.args(["--format", "json", "--config"]).arg(fleet.config());
     command.args(arguments).env_remove("JOULEBUS_LOG");
     command
 }
@@ -25,10 +23,7 @@ fn ended(fleet: &Fleet, arguments: &[&str]) -> Ended {
 #[test]
 fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
     let (fleet, folder) = (Fleet::new(), tempfile::tempdir().unwrap());
-    for (usual, topic) in [
-        ("ros2", "/{robot}/cmd_vel"),
-        ("mqtt", "fleet/{robot}/power"),
-    ] {
+    for (usual, topic) in [("ros2", "/{robot}/cmd_vel"), ("mqtt", "fleet/{robot}/power")] {
         let given = [usual, "--robots", "robot{id}=0-4", "--robots", "lifter=7"];
         let checked = ended(&fleet, &[&given[..], &["--check"]].concat());
         assert_eq!(checked.exit_code(), 0, "{checked:?}");
@@ -49,10 +44,7 @@ fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
             (&[usual, "--robots", "robot7"], "NAME=IDS"),
             (&[usual, "--robots", "robot=0-9"], "robots.robot"),
             (&[file, "--robots", "robot=7"], "joulebus bridge ros2"),
-            (
-                &["ros2", "--robots", "r=7", "--broker", "b:1"],
-                "ROS 2 has no broker",
-            ),
+            (&["ros2", "--robots", "r=7", "--broker", "b:1"], "ROS 2 has no broker"),
         ] {
             let refused = ended(&fleet, options);
             assert_eq!(refused.exit_code(), 2, "{refused:?}");
@@ -64,10 +56,7 @@ fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
 #[test]
 fn the_usual_topics_of_mqtt_are_forecast_without_a_file() {
     let Some(program) = mosquitto() else { return };
-    let (fleet, broker) = (
-        Fleet::new(),
-        Broker::start(&program, "allow_anonymous true"),
-    );
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
     let mut worker = fleet.worker();
     let address = broker.address();
     let options = ["mqtt", "--robots", "robot{id}=1-3", "--broker", &address];
@@ -81,10 +70,7 @@ fn the_usual_topics_of_mqtt_are_forecast_without_a_file() {
         let power_w = 4.0 + f64::from(turn % 7) * 0.01;
         for (topic, payload) in [
             ("fleet/robot3/power", power_w.to_string()),
-            (
-                "fleet/robot3/command",
-                r#"{"v": 0.1, "omega": 0.0}"#.to_owned(),
-            ),
+            ("fleet/robot3/command", r#"{"v": 0.1, "omega": 0.0}"#.to_owned()),
             (
                 "uagv/v2/anyone/robot3/state",
                 r#"{"batteryState": {"batteryCharge": 80, "charging": false}}"#.to_owned(),
@@ -99,9 +85,7 @@ fn the_usual_topics_of_mqtt_are_forecast_without_a_file() {
             last.map(|message| message.json()).unwrap_or_default()
         };
         of_robot("joulebus/lab/robot3/forecast")["lo_w"].is_number()
-            && of_robot("joulebus/lab/robot3/budget")["soc"]
-                .as_f64()
-                .is_some_and(|soc| soc < 0.95)
+            && of_robot("joulebus/lab/robot3/budget")["soc"].as_f64().is_some_and(|soc| soc < 0.95)
     });
     assert_eq!(bridge.stop().json()["unmapped"], serde_json::json!([]));
     worker.stop();

@@ -60,34 +60,22 @@ impl Check<'_> {
             let at = Some(section.prefix.span().start);
             self.problem(at, "lease.prefix", what, &remedy);
         }
-        let own = self.pair(
-            (&section.certificate, "lease.certificate"),
-            (&section.key, "lease.key"),
-        );
+        let own =
+            self.pair((&section.certificate, "lease.certificate"), (&section.key, "lease.key"));
         let own = own.map(|(certificate, key)| {
             let certificate = self.file(certificate, "lease.certificate", false);
             (certificate, self.file(key, "lease.key", true))
         });
-        let user = self.pair(
-            (&section.user, "lease.user"),
-            (&section.password, "lease.password"),
-        );
+        let user = self.pair((&section.user, "lease.user"), (&section.password, "lease.password"));
         let user = user.map(|(user, password)| {
             let path = self.file(password, "lease.password", true);
             (user.get_ref().clone(), path)
         });
         LeaseSettings {
-            endpoints: section
-                .endpoints
-                .iter()
-                .map(|it| it.get_ref().clone())
-                .collect(),
+            endpoints: section.endpoints.iter().map(|it| it.get_ref().clone()).collect(),
             ttl_s: section.ttl_s,
             prefix: prefix.clone(),
-            ca: section
-                .ca
-                .as_ref()
-                .map(|ca| self.file(ca, "lease.ca", false)),
+            ca: section.ca.as_ref().map(|ca| self.file(ca, "lease.ca", false)),
             own,
             user,
         }

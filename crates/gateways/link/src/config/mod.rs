@@ -146,11 +146,7 @@ impl Check<'_> {
         let shards = file.shards.as_ref().map(|path| self.shards(path, config));
         let shards = shards.flatten().map(Arc::new);
         let has_shards = file.shards.is_some();
-        let standby = self.standby(
-            file.lease.as_ref(),
-            &file.network,
-            (&name, shards.as_deref()),
-        );
+        let standby = self.standby(file.lease.as_ref(), &file.network, (&name, shards.as_deref()));
         let side = match (file.worker, file.samples, file.follow) {
             (Some(worker), None, None) => {
                 if let Some(shards) = &shards
@@ -167,10 +163,7 @@ impl Check<'_> {
                 let samples =
                     samples.map(|section| self.workers(section.to.as_ref(), "samples.to", of));
                 let follow = follow.map(|section| self.follow(&section, of, config));
-                Side::Other {
-                    samples: samples.map(|shards| shards.concat()),
-                    follow,
-                }
+                Side::Other { samples: samples.map(|shards| shards.concat()), follow }
             }
             _ => {
                 let what = "says nothing of this host, or both".to_owned();
@@ -180,13 +173,7 @@ impl Check<'_> {
                 return None;
             }
         };
-        Some(Settings {
-            name,
-            network,
-            shards,
-            side,
-            standby,
-        })
+        Some(Settings { name, network, shards, side, standby })
     }
 
     /// Checks whether the worker of the link `name` is one of several candidates.
@@ -259,9 +246,8 @@ impl Check<'_> {
             }
             None => {
                 let all = shards.map(Shards::all).unwrap_or_default();
-                if let Some(shard) = all
-                    .iter()
-                    .find(|shard| shard.workers.iter().any(|it| it == name))
+                if let Some(shard) =
+                    all.iter().find(|shard| shard.workers.iter().any(|it| it == name))
                 {
                     let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
                     let remedy = "A worker's host has [worker]; give this link another name";
@@ -295,10 +281,7 @@ impl Check<'_> {
         }
         let robots = self.robots(section.robots.as_deref(), "follow.robots", config);
         let ranges = robots.ranges().to_vec();
-        Follow {
-            workers,
-            selection: Selection::new(services, section.every, ranges),
-        }
+        Follow { workers, selection: Selection::new(services, section.every, ranges) }
     }
 
     /// Checks the name of a link. It becomes a part of network keys.
@@ -343,12 +326,7 @@ impl Check<'_> {
         let (found, most) = (ranges.len(), MAX_RANGES);
         if found > most || list.is_some_and(<[Value]>::is_empty) {
             let what = format!("has {found} entries; allowed are 1 to {most}");
-            self.problem(
-                None,
-                key,
-                what,
-                "Join neighbouring ids, or leave the key out for all",
-            );
+            self.problem(None, key, what, "Join neighbouring ids, or leave the key out for all");
         }
         let known = |(first, last): &(u32, u32)| {
             let platforms = &config.settings().platforms;
@@ -398,16 +376,10 @@ mod tests {
         let Side::Worker(takes) = settings.side else {
             panic!("a worker's");
         };
-        assert_eq!(
-            (settings.name.as_str(), takes[0].from.as_str()),
-            ("base", "edge")
-        );
+        assert_eq!((settings.name.as_str(), takes[0].from.as_str()), ("base", "edge"));
         assert_eq!(takes[0].robots.ranges(), [(0, 4), (7, 7)]);
         assert_eq!(settings.network.realtime_within_ns, None);
-        let kept = WORKER.replace(
-            "[worker]\n",
-            "[clock]\nrealtime_within_s = 0.00005\n[worker]\n",
-        );
+        let kept = WORKER.replace("[worker]\n", "[clock]\nrealtime_within_s = 0.00005\n[worker]\n");
         let within_ns = load(&kept).unwrap().network.realtime_within_ns;
         assert_eq!(within_ns, Some(50_000));
         let settings = load(OTHER).unwrap();
@@ -428,28 +400,10 @@ mod tests {
             (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
             (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
             (WORKER, "listen", "listens", 3, "unknown field"),
-            (
-                WORKER,
-                "tcp/127.0.0.1:7447",
-                "udp/127.0.0.1:7447",
-                3,
-                "tcp/",
-            ),
+            (WORKER, "tcp/127.0.0.1:7447", "udp/127.0.0.1:7447", 3, "tcp/"),
             (WORKER, "tcp/127.0.0.1:7447", "tcp/127.0.0.1", 3, "port"),
-            (
-                WORKER,
-                "tcp/127.0.0.1:7447",
-                "tcp/10.0.0.1:7447",
-                3,
-                "unencrypted",
-            ),
-            (
-                WORKER,
-                "tcp/127.0.0.1:7447",
-                "tls/10.0.0.1:7447",
-                3,
-                "[network.tls]",
-            ),
+            (WORKER, "tcp/127.0.0.1:7447", "tcp/10.0.0.1:7447", 3, "unencrypted"),
+            (WORKER, "tcp/127.0.0.1:7447", "tls/10.0.0.1:7447", 3, "[network.tls]"),
             (WORKER, "\"edge\"", "\"base\"", 6, "this link"),
             (WORKER, "7]", "12]", 7, "no platform"),
             (WORKER, "\"0-4\"", "\"4-0\"", 7, "4-0"),
@@ -462,27 +416,9 @@ mod tests {
                 5,
                 "0.000001 to 0.01",
             ),
-            (
-                WORKER,
-                "[worker]",
-                "[clock]\nrealtime_within_s = 1\n[worker]",
-                5,
-                "0.000001 to 0.01",
-            ),
-            (
-                WORKER,
-                "[worker]",
-                "[clock]\n[worker]",
-                4,
-                "realtime_within_s",
-            ),
-            (
-                OTHER,
-                "worker = \"base\"",
-                "worker = \"base\"\nevery = 0",
-                8,
-                "1 to 3600",
-            ),
+            (WORKER, "[worker]", "[clock]\nrealtime_within_s = 1\n[worker]", 5, "0.000001 to 0.01"),
+            (WORKER, "[worker]", "[clock]\n[worker]", 4, "realtime_within_s"),
+            (OTHER, "worker = \"base\"", "worker = \"base\"\nevery = 0", 8, "1 to 3600"),
             (
                 OTHER,
                 "worker = \"base\"",
@@ -490,13 +426,7 @@ mod tests {
                 8,
                 "unknown variant",
             ),
-            (
-                OTHER,
-                "connect = [\"tcp/127.0.0.1:7447\"]",
-                "mode = \"client\"",
-                2,
-                "router",
-            ),
+            (OTHER, "connect = [\"tcp/127.0.0.1:7447\"]", "mode = \"client\"", 2, "router"),
         ] {
             let text = base.replacen(from, to, 1);
             assert_ne!(text, base, "{from}");
@@ -570,11 +500,7 @@ mod tests {
         }
         for (from, to, expected) in [
             ("[follow]", "[follow]\nworker = \"base\"", "Leave it out"),
-            (
-                "[follow]",
-                "[follow]\nservices = [\"ticks\"]",
-                "of one worker",
-            ),
+            ("[follow]", "[follow]\nservices = [\"ticks\"]", "of one worker"),
             ("shards = ", "# shards = ", "file of `shards`"),
             ("shards.toml", "none.toml", "cannot be read"),
         ] {
@@ -684,13 +610,8 @@ mod tests {
             }
             // With shards, no section names a worker.
             let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
-            let split = split
-                .replace("to = \"base\"", "")
-                .replace("worker = \"base\"", "");
-            write(
-                "shards.toml",
-                &fs::read_to_string(examples.join("shards.toml")).unwrap(),
-            );
+            let split = split.replace("to = \"base\"", "").replace("worker = \"base\"", "");
+            write("shards.toml", &fs::read_to_string(examples.join("shards.toml")).unwrap());
             Settings::load(&write(&name, &split), &config)
                 .unwrap_or_else(|error| panic!("{name}: {error}"));
         }
@@ -715,10 +636,7 @@ mod tests {
             assert!(shown.contains(expected), "{expected}: {shown}");
             assert!(error.problems().len() <= 101, "{expected}");
             let mut problems = error.problems().iter();
-            assert!(
-                problems.all(|problem| problem.what.chars().count() <= 401),
-                "{shown}"
-            );
+            assert!(problems.all(|problem| problem.what.chars().count() <= 401), "{shown}");
         }
     }
 

@@ -48,11 +48,7 @@ impl Check<'_> {
             self.problem(None, "shard", what, &remedy);
         }
         let all: Vec<Shard> = file.shard.iter().map(|it| self.shard(it, config)).collect();
-        self.distinct(
-            &file,
-            |shard| std::slice::from_ref(&shard.name),
-            "shard.name",
-        );
+        self.distinct(&file, |shard| std::slice::from_ref(&shard.name), "shard.name");
         self.distinct(&file, |shard| &shard.workers, "shard.workers");
         let listed = file.shard.iter().filter(|it| it.robots.is_some()).count();
         if listed != 0 && listed != found {

@@ -94,9 +94,9 @@ impl Carried {
     /// Maximum number of elements of a frame in a fleet with that capacity.
     pub(crate) const fn most(self, capacity: usize) -> usize {
         match self.frames().rows {
-            FrameRows::Bytes => capacity
-                .saturating_mul(STATE_BYTES_PER_ROBOT)
-                .saturating_add(STATE_BYTES),
+            FrameRows::Bytes => {
+                capacity.saturating_mul(STATE_BYTES_PER_ROBOT).saturating_add(STATE_BYTES)
+            }
             _ => capacity,
         }
     }
@@ -125,10 +125,7 @@ impl<'a> RawFrame<'a> {
         let (header_bytes, element_bytes) = service.sizes();
         let (count, allowed) = (count as usize, service.most(most));
         if count > allowed {
-            return Err(FrameError::TooLong {
-                found: count,
-                allowed,
-            });
+            return Err(FrameError::TooLong { found: count, allowed });
         }
         let allowed = header_bytes + count * element_bytes;
         if bytes.len() != allowed {
@@ -141,11 +138,7 @@ impl<'a> RawFrame<'a> {
         if schema != SCHEMA_VERSION {
             return Err(FrameError::Schema { found: schema });
         }
-        Ok(Self {
-            service,
-            header,
-            elements,
-        })
+        Ok(Self { service, header, elements })
     }
 
     /// The header, as the type of its service.
@@ -217,15 +210,9 @@ mod tests {
 
     #[test]
     fn a_frame_whose_length_count_or_version_is_wrong_is_refused() {
-        let header = ForecastHeader {
-            schema: SCHEMA_VERSION,
-            tick: 9,
-            ..ForecastHeader::default()
-        };
-        let rows = [Forecast {
-            robot: 3,
-            ..Forecast::default()
-        }; 2];
+        let header =
+            ForecastHeader { schema: SCHEMA_VERSION, tick: 9, ..ForecastHeader::default() };
+        let rows = [Forecast { robot: 3, ..Forecast::default() }; 2];
         let mut bytes = bytemuck::bytes_of(&header).to_vec();
         bytes.extend_from_slice(bytemuck::cast_slice(&rows));
         let frame = RawFrame::new(Carried::FORECASTS, 2, 2, &bytes).unwrap();

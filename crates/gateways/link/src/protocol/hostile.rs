@@ -43,10 +43,7 @@ struct Victim {
 /// Takes the steps that the bytes encode, each as a code, a length and that many bytes. Returns
 /// whether a frame was taken.
 pub(crate) fn run(mut bytes: &[u8]) -> bool {
-    let own = Sender {
-        fleet: FLEET,
-        run: START_NS,
-    };
+    let own = Sender { fleet: FLEET, run: START_NS };
     let halves = [(0, 4), (5, u32::MAX)].map(|range| Shard {
         name: format!("from {}", range.0),
         workers: vec!["link".to_owned()],
@@ -88,10 +85,8 @@ impl Victim {
             Body::Frame(status, _) => status.sent_ns,
             Body::Request(_) => 0,
         };
-        self.receiver.set_clock(Some(RealtimeClock {
-            realtime_ns: REALTIME_NS,
-            within_ns: 50_000,
-        }));
+        self.receiver
+            .set_clock(Some(RealtimeClock { realtime_ns: REALTIME_NS, within_ns: 50_000 }));
         let taken = self.receiver.take(&message, bytes.len(), self.now_ns);
         let received = self.receiver.received();
         assert!(received.frames <= self.messages);
@@ -116,8 +111,7 @@ impl Victim {
         if frame.service == Carried::SAMPLES {
             let samples: Vec<Sample> = (0..frame.len()).map(|at| frame.element(at)).collect();
             let mut split = 0;
-            self.split
-                .split(&frame.header(), &samples, |_, _, rows| split += rows.len());
+            self.split.split(&frame.header(), &samples, |_, _, rows| split += rows.len());
             assert_eq!(split, samples.len());
         }
         self.merges();
@@ -125,14 +119,8 @@ impl Victim {
 
     fn merges(&mut self) {
         let live = [true, self.now_ns.is_multiple_of(2)];
-        if self
-            .merge
-            .is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1))
-        {
-            let own = Origin {
-                pid: 1,
-                place: Place { run: 1, number: 1 },
-            };
+        if self.merge.is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1)) {
+            let own = Origin { pid: 1, place: Place { run: 1, number: 1 } };
             let (most, mut rows) = (self.merge.len(), 0);
             let header = self.merge.write(&live, own, self.now_ns, |_| rows += 1);
             assert!(rows == most || header.is_none());
@@ -172,10 +160,7 @@ impl Victim {
         let Some(stream) = &mut self.stream else {
             return;
         };
-        let header = SampleHeader {
-            schema: SCHEMA_VERSION,
-            ..SampleHeader::default()
-        };
+        let header = SampleHeader { schema: SCHEMA_VERSION, ..SampleHeader::default() };
         let rows = [Sample::new(1, 0, 0); 3];
         let mut out = Vec::new();
         for source in given {
@@ -213,11 +198,8 @@ fn patched(mut message: Vec<u8>, patches: &[u8]) -> Vec<u8> {
 }
 
 fn frame(now_ns: u64, number: u64) -> Vec<u8> {
-    let header = ForecastHeader {
-        schema: SCHEMA_VERSION,
-        sent_ns: now_ns,
-        ..ForecastHeader::default()
-    };
+    let header =
+        ForecastHeader { schema: SCHEMA_VERSION, sent_ns: now_ns, ..ForecastHeader::default() };
     let rows = [Forecast::default(); 2];
     let rows: &[u8] = cast_slice(&rows);
     let status = Status {
@@ -228,10 +210,7 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
         leader: Worker::Alive.into(),
         realtime_ns: REALTIME_NS,
     };
-    let sender = Sender {
-        fleet: FLEET,
-        run: 1,
-    };
+    let sender = Sender { fleet: FLEET, run: 1 };
     let frame = Some(Outgoing {
         service: Carried::FORECASTS,
         header: bytes_of(&header),
@@ -243,10 +222,7 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
 }
 
 fn request(now_ns: u64) -> Vec<u8> {
-    let sender = Sender {
-        fleet: FLEET,
-        run: 2,
-    };
+    let sender = Sender { fleet: FLEET, run: 2 };
     let request = Request {
         acknowledged: (0, 0),
         asked_ns: now_ns,

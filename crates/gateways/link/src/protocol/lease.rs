@@ -63,11 +63,7 @@ pub(crate) enum Call {
     Look,
     /// Makes this candidate the holder, sets the term and removes the request, if there is no
     /// holder and the term's key still has this revision.
-    Acquire {
-        lease: u64,
-        term: u64,
-        term_revision: u64,
-    },
+    Acquire { lease: u64, term: u64, term_revision: u64 },
     /// Renews the lease.
     Renew { lease: u64 },
 }
@@ -263,10 +259,7 @@ impl Candidate {
             (Call::Grant, Reply::Granted { lease, ttl_ns })
                 if lease > 0 && until(asked_ns, ttl_ns) > now_ns =>
             {
-                self.lease = Some(Lease {
-                    id: lease,
-                    until_ns: until(asked_ns, ttl_ns),
-                });
+                self.lease = Some(Lease { id: lease, until_ns: until(asked_ns, ttl_ns) });
             }
             (Call::Look, Reply::StoreView(view)) => self.observe_store(view, now_ns),
             (Call::Acquire { term, .. }, Reply::Acquired(true)) => {

@@ -48,11 +48,7 @@ pub(crate) struct Merge<C: Channel> {
 
 impl<C: Merged> Merge<C> {
     pub(crate) fn new(shards: usize) -> Self {
-        Self {
-            parts: (0..shards).map(|_| None).collect(),
-            written_ns: 0,
-            since_ns: None,
-        }
+        Self { parts: (0..shards).map(|_| None).collect(), written_ns: 0, since_ns: None }
     }
 
     /// Takes a shard's frame in place of its last one.
@@ -68,11 +64,7 @@ impl<C: Merged> Merge<C> {
         let mut kept = last.map(|part| part.rows).unwrap_or_default();
         kept.clear();
         kept.extend(rows);
-        self.parts[shard] = Some(Part {
-            header,
-            rows: kept,
-            is_new: true,
-        });
+        self.parts[shard] = Some(Part { header, rows: kept, is_new: true });
     }
 
     pub(crate) fn header(&self, shard: usize) -> Option<&C::Header> {
@@ -93,35 +85,18 @@ impl<C: Merged> Merge<C> {
         let frames_ns = period_ns.saturating_mul(u64::from(every));
         let begin_ns = frames_ns.saturating_mul(BEGIN_PERIODS);
         let begins = now_ns.saturating_sub(self.written_ns) > begin_ns;
-        let (awaited, patience_ns) = if begins {
-            (has_worker, begin_ns)
-        } else {
-            (is_live, period_ns)
-        };
-        let waited_ns = self
-            .since_ns
-            .map(|since_ns| now_ns.saturating_sub(since_ns));
+        let (awaited, patience_ns) =
+            if begins { (has_worker, begin_ns) } else { (is_live, period_ns) };
+        let waited_ns = self.since_ns.map(|since_ns| now_ns.saturating_sub(since_ns));
         let is_over = waited_ns.is_some_and(|waited_ns| waited_ns >= patience_ns);
-        let mut awaited = self
-            .parts
-            .iter()
-            .zip(awaited)
-            .filter(|(_, is_awaited)| **is_awaited);
-        let mut live = self
-            .parts
-            .iter()
-            .zip(is_live)
-            .filter(|(_, is_live)| **is_live);
+        let mut awaited = self.parts.iter().zip(awaited).filter(|(_, is_awaited)| **is_awaited);
+        let mut live = self.parts.iter().zip(is_live).filter(|(_, is_live)| **is_live);
         live.any(|(part, _)| is_new(part)) && (is_over || awaited.all(|(part, _)| is_new(part)))
     }
 
     /// Maximum number of rows of a frame.
     pub(crate) fn len(&self) -> usize {
-        self.parts
-            .iter()
-            .flatten()
-            .map(|part| part.rows.len())
-            .sum()
+        self.parts.iter().flatten().map(|part| part.rows.len()).sum()
     }
 
     /// Passes all rows, at most [`Merge::len`], to `each`, those of stale shards as silent, and
@@ -218,10 +193,7 @@ impl Merged for Forecasts {
 
 impl Merged for Diagnostics {
     fn merged(parts: &[DiagnosticHeader], _: &[DiagnosticHeader]) -> DiagnosticHeader {
-        let mut merged = DiagnosticHeader {
-            schema: SCHEMA_VERSION,
-            ..DiagnosticHeader::default()
-        };
+        let mut merged = DiagnosticHeader { schema: SCHEMA_VERSION, ..DiagnosticHeader::default() };
         // The first entry of each shard comes before the second of any.
         let most = merged.refused.len();
         let refused = (0..most).flat_map(|at| parts.iter().map(move |part| part.refused[at]));
@@ -242,10 +214,7 @@ impl Merged for Diagnostics {
 
 impl Merged for Budgets {
     fn merged(_: &[BudgetHeader], _: &[BudgetHeader]) -> BudgetHeader {
-        BudgetHeader {
-            schema: SCHEMA_VERSION,
-            ..BudgetHeader::default()
-        }
+        BudgetHeader { schema: SCHEMA_VERSION, ..BudgetHeader::default() }
     }
 
     /// A budget states itself until when it is valid.
@@ -315,10 +284,7 @@ mod tests {
 
     use super::*;
 
-    const OWN: Origin = Origin {
-        pid: 7,
-        place: Place { run: 90, number: 4 },
-    };
+    const OWN: Origin = Origin { pid: 7, place: Place { run: 90, number: 4 } };
 
     fn header(sent_ns: u64, accepted: u64) -> ForecastHeader {
         ForecastHeader {
@@ -360,10 +326,8 @@ mod tests {
         assert_eq!((header.sent_ns, header.samples_accepted), (880, 70));
         assert_eq!((header.pid, header.worker_epoch, header.tick), (7, 90, 4));
         assert_eq!((header.model_hash, header.period_ns), (5, 33));
-        let known: Vec<_> = rows
-            .iter()
-            .map(|row| (row.robot, row.expected_w().is_some()))
-            .collect();
+        let known: Vec<_> =
+            rows.iter().map(|row| (row.robot, row.expected_w().is_some())).collect();
         assert_eq!(known, [(1, true), (2, true), (3, true), (4, false)]);
         // The last known values of a robot stay, but its forecast does not.
         let stale = Quality::Invalid(InvalidReason::Stale);
@@ -382,10 +346,7 @@ mod tests {
         };
         Diagnostics::silence(&mut row);
         assert!(row.alarms().has(Alarm::BatteryLow) && row.alarms().has(Alarm::NoData));
-        assert_eq!(
-            (row.level(), row.alarm()),
-            (Level::Stale, row.alarms().first())
-        );
+        assert_eq!((row.level(), row.alarm()), (Level::Stale, row.alarms().first()));
     }
 
     #[test]

@@ -128,10 +128,7 @@ pub(crate) struct LeaderStatus {
 
 impl From<Worker> for LeaderStatus {
     fn from(worker: Worker) -> Self {
-        Self {
-            worker,
-            ..Self::default()
-        }
+        Self { worker, ..Self::default() }
     }
 }
 
@@ -209,12 +206,7 @@ pub(crate) fn write_frame(
     };
     let at = out.len();
     out.extend_from_slice(bytes_of(&head));
-    let Some(Outgoing {
-        service,
-        header,
-        elements,
-    }) = frame
-    else {
+    let Some(Outgoing { service, header, elements }) = frame else {
         return;
     };
     out.extend_from_slice(header);
@@ -269,27 +261,17 @@ pub(crate) fn read(bytes: &[u8], fleet: FleetId, most: usize) -> Result<Message<
         });
     }
     if prelude.fleet != fleet.name {
-        return Err(MessageError::Fleet {
-            found: prelude.fleet,
-            allowed: fleet.name,
-        });
+        return Err(MessageError::Fleet { found: prelude.fleet, allowed: fleet.name });
     }
     if prelude.shards != fleet.shards {
-        return Err(MessageError::Shards {
-            found: prelude.shards,
-            allowed: fleet.shards,
-        });
+        return Err(MessageError::Shards { found: prelude.shards, allowed: fleet.shards });
     }
     let body = match prelude.kind {
         FRAME => read_frame(rest, most)?,
         REQUEST => Body::Request(read_request(rest)?),
         found => return Err(MessageError::Kind { found }),
     };
-    Ok(Message {
-        run: prelude.run,
-        number: prelude.number,
-        body,
-    })
+    Ok(Message { run: prelude.run, number: prelude.number, body })
 }
 
 fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
@@ -364,10 +346,7 @@ fn split<T: Pod>(bytes: &[u8]) -> Result<(T, &[u8]), MessageError> {
     let allowed = size_of::<T>();
     let (head, rest) = bytes
         .split_at_checked(allowed)
-        .ok_or(MessageError::Length {
-            found: bytes.len(),
-            allowed,
-        })?;
+        .ok_or(MessageError::Length { found: bytes.len(), allowed })?;
     Ok((pod_read_unaligned(head), rest))
 }
 
@@ -381,11 +360,7 @@ pub(crate) enum MessageError {
          {PROTOCOL}, schema {SCHEMA_VERSION}); use one release on all hosts",
         own = env!("CARGO_PKG_VERSION")
     )]
-    Release {
-        release: String,
-        protocol: u32,
-        schema: u32,
-    },
+    Release { release: String, protocol: u32, schema: u32 },
     #[error("it is of another fleet ({found:016x}, this one is {allowed:016x})")]
     Fleet { found: u64, allowed: u64 },
     #[error(
@@ -426,14 +401,8 @@ mod tests {
 
     use super::*;
 
-    const FLEET: FleetId = FleetId {
-        name: 77,
-        shards: 6,
-    };
-    const SENDER: Sender = Sender {
-        fleet: FLEET,
-        run: 5,
-    };
+    const FLEET: FleetId = FleetId { name: 77, shards: 6 };
+    const SENDER: Sender = Sender { fleet: FLEET, run: 5 };
 
     fn status() -> Status {
         Status {
@@ -451,10 +420,7 @@ mod tests {
     }
 
     fn frame() -> Vec<u8> {
-        let header = ForecastHeader {
-            schema: SCHEMA_VERSION,
-            ..ForecastHeader::default()
-        };
+        let header = ForecastHeader { schema: SCHEMA_VERSION, ..ForecastHeader::default() };
         let rows = [Forecast::default(); 3];
         let mut out = Vec::new();
         let rows: &[u8] = bytemuck::cast_slice(&rows);

@@ -54,11 +54,7 @@ struct Bounds {
 impl Bounds {
     fn at(self, now_ns: u64) -> Self {
         let drift_ns = max_drift_ns(now_ns.saturating_sub(self.at_ns));
-        Self {
-            lo_ns: self.lo_ns - drift_ns,
-            hi_ns: self.hi_ns + drift_ns,
-            at_ns: now_ns,
-        }
+        Self { lo_ns: self.lo_ns - drift_ns, hi_ns: self.hi_ns + drift_ns, at_ns: now_ns }
     }
 
     /// The intersection of both.
@@ -153,11 +149,8 @@ impl Offset {
         let trips = trips.and(newest);
         let between_ns = i128::from(theirs_ns) - i128::from(own.realtime_ns);
         let within_ns = i128::from(own.within_ns) + 2 * i128::from(READ_NS);
-        let found = Bounds {
-            lo_ns: between_ns - within_ns,
-            hi_ns: between_ns + within_ns,
-            at_ns: now_ns,
-        };
+        let found =
+            Bounds { lo_ns: between_ns - within_ns, hi_ns: between_ns + within_ns, at_ns: now_ns };
         let is_trusted = now_ns >= self.distrust_until_ns;
         if found.lo_ns > trips.hi_ns || trips.lo_ns > found.hi_ns {
             self.contradictions += u64::from(is_trusted);
@@ -181,10 +174,7 @@ impl Offset {
         if let Some(recent) = recent {
             self.bounds.pop_back();
             let at_ns = recent.at_ns;
-            self.bounds.push_back(Bounds {
-                at_ns,
-                ..recent.at(found.at_ns).and(found)
-            });
+            self.bounds.push_back(Bounds { at_ns, ..recent.at(found.at_ns).and(found) });
             return;
         }
         if self.bounds.len() == MAX_BOUNDS {
@@ -202,9 +192,7 @@ impl Offset {
         // offset.
         let below = |of_trips_ns: i128, of_kept_ns: i128| {
             let by_trips_ns = trips.lo_ns - of_trips_ns;
-            realtime.map_or(by_trips_ns, |realtime| {
-                by_trips_ns.max(realtime.lo_ns - of_kept_ns)
-            })
+            realtime.map_or(by_trips_ns, |realtime| by_trips_ns.max(realtime.lo_ns - of_kept_ns))
         };
         let (most_ns, least_ns) = (below(0, 0), below(MAX_BELOW_NS, REALTIME_MAX_BELOW_NS));
         let holds = |used_ns: i128| used_ns <= most_ns && used_ns >= least_ns;
@@ -241,9 +229,7 @@ impl Offset {
     /// Upper bound of how much older stamps may look than they are, ns.
     pub(crate) fn uncertainty_ns(&self, now_ns: u64) -> Option<u64> {
         let trips = self.trips(now_ns)?;
-        let known = self
-            .realtime(now_ns)
-            .map_or(trips, |realtime| trips.and(realtime));
+        let known = self.realtime(now_ns).map_or(trips, |realtime| trips.and(realtime));
         u64::try_from(known.hi_ns - self.used_ns?).ok()
     }
 }
@@ -297,10 +283,7 @@ mod tests {
         within_ns: u64,
     ) -> (u64, RealtimeClock) {
         let realtime_ns = 1_700_000_000_000_000_000;
-        let own = RealtimeClock {
-            realtime_ns,
-            within_ns,
-        };
+        let own = RealtimeClock { realtime_ns, within_ns };
         let theirs_ns = i128::from(realtime_ns) + clocks.true_ns(now_ns) + i128::from(apart_ns);
         (u64::try_from(theirs_ns).unwrap(), own)
     }
@@ -379,20 +362,16 @@ mod tests {
 
     #[test]
     fn clocks_that_round_trips_contradict_are_counted_once_and_not_used_for_a_while_after() {
-        let clocks = Clocks {
-            offset_ns: 7_000_000,
-            drift_ppm: 0,
-        };
+        let clocks = Clocks { offset_ns: 7_000_000, drift_ppm: 0 };
         let mut offset = Offset::default();
         let mut now_ns = 1_000_000_000_000;
         let mut run = |offset: &mut Offset, seconds: u64, apart_ns: i64| {
             for _ in 0..seconds * 10 {
                 now_ns += 100_000_000;
                 let readings = realtime_readings(&clocks, now_ns, apart_ns, 20_000);
-                assert!(offset.note(
-                    trip(&clocks, now_ns - 350_000, 150_000, 150_000),
-                    Some(readings)
-                ));
+                assert!(
+                    offset.note(trip(&clocks, now_ns - 350_000, 150_000, 150_000), Some(readings))
+                );
                 let late_ns = clocks.true_ns(now_ns) - offset.used_ns().unwrap();
                 assert!(late_ns >= 0, "{apart_ns}: {late_ns}");
             }
@@ -403,10 +382,7 @@ mod tests {
             )
         };
         let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
-        assert!(
-            uses_realtime && contradictions == 0 && uncertain_ns < 60_000,
-            "{uncertain_ns}"
-        );
+        assert!(uses_realtime && contradictions == 0 && uncertain_ns < 60_000, "{uncertain_ns}");
         let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
         assert!(!uses_realtime && uncertain_ns > 300_000, "{uncertain_ns}");
         assert_eq!(contradictions, 1, "in 200 s");
@@ -417,31 +393,20 @@ mod tests {
 
     #[test]
     fn an_answer_that_took_longer_there_than_here_is_a_step_and_nothing_is_moved_until_the_next() {
-        let clocks = Clocks {
-            offset_ns: 0,
-            drift_ppm: 0,
-        };
+        let clocks = Clocks { offset_ns: 0, drift_ppm: 0 };
         let mut offset = Offset::default();
         assert!(offset.note(trip(&clocks, 5_000_000_000, 100_000, 100_000), None));
         // This host was suspended for half a millisecond while the answer was in flight.
-        let suspended = Trip {
-            now_ns: 6_000_050_000,
-            ..trip(&clocks, 6_000_000_000, 300_000, 100_000)
-        };
-        let suspended = Trip {
-            sent_ns: suspended.received_ns + 1_000_000,
-            ..suspended
-        };
+        let suspended =
+            Trip { now_ns: 6_000_050_000, ..trip(&clocks, 6_000_000_000, 300_000, 100_000) };
+        let suspended = Trip { sent_ns: suspended.received_ns + 1_000_000, ..suspended };
         assert!(!offset.note(suspended, None));
         assert_eq!((offset.used_ns(), offset.steps), (None, 1));
     }
 
     #[test]
     fn distances_between_stamps_stay_while_the_bounds_allow_it() {
-        let clocks = Clocks {
-            offset_ns: 7_000_000,
-            drift_ppm: 1,
-        };
+        let clocks = Clocks { offset_ns: 7_000_000, drift_ppm: 1 };
         let mut offset = Offset::default();
         for at in 0..3_000_u64 {
             // One path in ten is slow.
@@ -456,10 +421,7 @@ mod tests {
     #[test]
     fn a_step_of_either_clock_is_noticed_and_measured_anew() {
         for step_ns in [-5_000_000_000_i128, -1_000_000, 1_000_000, 5_000_000_000] {
-            let mut clocks = Clocks {
-                offset_ns: 0,
-                drift_ppm: 0,
-            };
+            let mut clocks = Clocks { offset_ns: 0, drift_ppm: 0 };
             let mut offset = Offset::default();
             let mut asked_ns = 100_000_000_000;
             for at in 0..40 {
@@ -471,10 +433,7 @@ mod tests {
             }
             assert_eq!(offset.steps, 1, "{step_ns}");
             let late_ns = clocks.offset_ns - offset.used_ns().unwrap();
-            assert!(
-                (0..MAX_BELOW_NS + 300_000).contains(&late_ns),
-                "{step_ns}: {late_ns}"
-            );
+            assert!((0..MAX_BELOW_NS + 300_000).contains(&late_ns), "{step_ns}: {late_ns}");
         }
     }
 
@@ -489,12 +448,7 @@ mod tests {
             (10, 0, 100, 20),
             (1, 0, 0, 20_000_000_000),
         ] {
-            let trip = Trip {
-                asked_ns,
-                received_ns,
-                sent_ns,
-                now_ns,
-            };
+            let trip = Trip { asked_ns, received_ns, sent_ns, now_ns };
             assert!(!offset.note(trip, None), "{trip:?}");
         }
         assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None, None));

@@ -162,11 +162,8 @@ impl Receiver {
         let Body::Frame(status, frame) = &message.body else {
             return Err(Unused::NotAsked);
         };
-        let position = Position {
-            run: message.run,
-            sent_ns: status.sent_ns,
-            number: message.number,
-        };
+        let position =
+            Position { run: message.run, sent_ns: status.sent_ns, number: message.number };
         self.account(position, now_ns)?;
         self.received_ns = now_ns;
         self.is_silent = false;
@@ -186,11 +183,7 @@ impl Receiver {
         }
         let offset_ns = self.offset.used_ns().ok_or(Unused::NoClock)?;
         self.received.frames += 1;
-        Ok(Accepted {
-            frame,
-            offset_ns,
-            term: status.leader.term,
-        })
+        Ok(Accepted { frame, offset_ns, term: status.leader.term })
     }
 
     /// Notes what the next request has to acknowledge.
@@ -289,9 +282,7 @@ impl Receiver {
         self.asked += 1;
         self.asked_ns = now_ns;
         let request = Request {
-            acknowledged: self
-                .newest
-                .map_or((0, 0), |position| (position.run, position.number)),
+            acknowledged: self.newest.map_or((0, 0), |position| (position.run, position.number)),
             asked_ns: now_ns,
             selection: self.selection.clone(),
         };
@@ -302,11 +293,7 @@ impl Receiver {
     pub(crate) const fn request_due_ns(&self) -> u64 {
         let due_ns = self.asked_ns.saturating_add(REQUEST_INTERVAL_NS);
         let answer_ns = self.unanswered_ns.saturating_add(MAX_ACK_DELAY_NS);
-        if self.unanswered != 0 && answer_ns < due_ns {
-            answer_ns
-        } else {
-            due_ns
-        }
+        if self.unanswered != 0 && answer_ns < due_ns { answer_ns } else { due_ns }
     }
 
     const fn is_quiet(&self, now_ns: u64) -> bool {

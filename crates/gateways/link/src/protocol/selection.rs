@@ -29,11 +29,7 @@ impl Selection {
             }
             joins
         });
-        Self {
-            services,
-            every: every.max(1),
-            ranges,
-        }
+        Self { services, every: every.max(1), ranges }
     }
 
     pub(crate) fn ranges(&self) -> &[(u32, u32)] {
@@ -78,15 +74,9 @@ impl Selection {
                 let id = row[..4].try_into().map_or(u32::MAX, u32::from_le_bytes);
                 self.is_listed(id)
             };
-            let skipped = rest
-                .chunks_exact(bytes)
-                .take_while(|row| !wanted(row))
-                .count();
+            let skipped = rest.chunks_exact(bytes).take_while(|row| !wanted(row)).count();
             rest = &rest[skipped * bytes..];
-            let taken = rest
-                .chunks_exact(bytes)
-                .take_while(|row| wanted(row))
-                .count();
+            let taken = rest.chunks_exact(bytes).take_while(|row| wanted(row)).count();
             let (run, after) = rest.split_at(taken * bytes);
             rest = after;
             (!run.is_empty()).then_some(run)

@@ -35,24 +35,14 @@ impl Shards {
     pub(crate) fn new(all: Vec<Shard>) -> Self {
         let is_hashed = all.iter().all(|shard| shard.robots.is_empty());
         let mut text = String::new();
-        for Shard {
-            name,
-            workers,
-            robots,
-        } in &all
-        {
+        for Shard { name, workers, robots } in &all {
             text.push_str(&format!("{name}={workers:?}{robots:?};"));
         }
         let hash = fnv1a(text.bytes());
         // 0 is reserved for a fleet without shards.
         let digest = ((hash >> 32) as u32 ^ hash as u32).max(1);
         let hashes = all.iter().map(|shard| fnv1a(shard.name.bytes()));
-        Self {
-            hashes: hashes.collect(),
-            all,
-            is_hashed,
-            digest,
-        }
+        Self { hashes: hashes.collect(), all, is_hashed, digest }
     }
 
     pub(crate) fn all(&self) -> &[Shard] {
@@ -109,10 +99,8 @@ mod tests {
 
     #[test]
     fn lists_share_out_the_robots_that_they_name() {
-        let shards = Shards::new(vec![
-            shard("a", &[(0, 4), (8, 8)]),
-            shard("b", &[(5, 7), (9, u32::MAX)]),
-        ]);
+        let shards =
+            Shards::new(vec![shard("a", &[(0, 4), (8, 8)]), shard("b", &[(5, 7), (9, u32::MAX)])]);
         for (robot, place) in [(0, 0), (4, 0), (5, 1), (7, 1), (8, 0), (9, 1)] {
             assert_eq!(shards.of_robot(robot), Some(place), "{robot}");
         }
@@ -131,19 +119,13 @@ mod tests {
             let mut has = vec![0_u32; count + 1];
             for robot in 0..10_000 {
                 let (old, new) = (before.of_robot(robot), after.of_robot(robot).unwrap());
-                assert!(
-                    Some(new) == old || new == count,
-                    "{robot}: {old:?} to {new}"
-                );
+                assert!(Some(new) == old || new == count, "{robot}: {old:?} to {new}");
                 has[new] += 1;
             }
             let even = 10_000.0 / has.len() as f64;
             for robots in &has {
                 // Five standard deviations of the binomial.
-                assert!(
-                    (f64::from(*robots) - even).abs() < 5.0 * even.sqrt(),
-                    "{has:?}"
-                );
+                assert!((f64::from(*robots) - even).abs() < 5.0 * even.sqrt(), "{has:?}");
             }
         }
     }

@@ -20,17 +20,10 @@ mod tests {
 
     #[test]
     fn distances_between_times_stay_and_what_is_not_known_stays_so() {
-        let mut row = Budget {
-            stamp_ns: 1_000,
-            valid_until_ns: 1_500,
-            metered_ns: 70,
-            ..Budget::default()
-        };
+        let mut row =
+            Budget { stamp_ns: 1_000, valid_until_ns: 1_500, metered_ns: 70, ..Budget::default() };
         shift(&mut row, -400);
-        assert_eq!(
-            (row.stamp_ns, row.valid_until_ns, row.metered_ns),
-            (600, 1_100, 70)
-        );
+        assert_eq!((row.stamp_ns, row.valid_until_ns, row.metered_ns), (600, 1_100, 70));
         let mut nothing = Forecast::default();
         shift(&mut nothing, 5_000);
         assert_eq!(nothing, Forecast::default());

@@ -34,13 +34,7 @@ pub(crate) struct Split {
 impl Split {
     pub(crate) fn new(shards: Shards) -> Self {
         let rows = vec![Vec::new(); shards.all().len()];
-        Self {
-            shards,
-            sources: BTreeMap::new(),
-            frames: 0,
-            unassigned: 0,
-            rows,
-        }
+        Self { shards, sources: BTreeMap::new(), frames: 0, unassigned: 0, rows }
     }
 
     /// Splits a frame, and passes the parts that have samples to `each`: shard, header, samples.
@@ -82,10 +76,7 @@ impl Split {
             if !rows.is_empty() {
                 let samples_before = *before;
                 *before = before.saturating_add(rows.len() as u64);
-                let header = SampleHeader {
-                    samples_before,
-                    ..*header
-                };
+                let header = SampleHeader { samples_before, ..*header };
                 each(shard, &header, rows);
             }
         }
@@ -193,11 +184,8 @@ mod tests {
 
     #[test]
     fn a_robot_of_no_shard_is_counted() {
-        let shard = Shard {
-            name: "a".to_owned(),
-            workers: vec!["w".to_owned()],
-            robots: vec![(0, 1)],
-        };
+        let shard =
+            Shard { name: "a".to_owned(), workers: vec!["w".to_owned()], robots: vec![(0, 1)] };
         let mut split = Split::new(Shards::new(vec![shard]));
         let samples = [Sample::new(1, 0, 0), Sample::new(2, 0, 0)];
         let mut rows = 0;

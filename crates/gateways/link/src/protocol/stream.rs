@@ -114,8 +114,7 @@ impl Stream {
         if run == self.sender.run && number <= self.number {
             self.acknowledge(number, now_ns);
         }
-        self.lanes
-            .retain(|(service, _), _| request.selection.wants(*service));
+        self.lanes.retain(|(service, _), _| request.selection.wants(*service));
         self.request = request;
     }
 
@@ -203,10 +202,8 @@ impl Stream {
         let waiting: Vec<LaneKey> = self.lanes.iter().filter_map(waits).collect();
         for key in waiting {
             if self.is_free(key, now_ns)
-                && let Some((header, elements)) = self
-                    .lanes
-                    .get_mut(&key)
-                    .and_then(|lane| lane.waiting.take())
+                && let Some((header, elements)) =
+                    self.lanes.get_mut(&key).and_then(|lane| lane.waiting.take())
             {
                 self.write((key, &header, &elements), leader, now_ns, out);
                 return true;
@@ -262,11 +259,7 @@ impl Stream {
         // Reserve once, even if only some robots are selected.
         out.reserve(HEADS_BYTES + header.len() + elements.len());
         let mut runs = self.request.selection.runs(key.0, elements);
-        let frame = Some(Outgoing {
-            service: key.0,
-            header,
-            elements: &mut runs,
-        });
+        let frame = Some(Outgoing { service: key.0, header, elements: &mut runs });
         write_frame(out, (self.sender, self.number), status, frame);
         let lane = self.lanes.entry(key).or_default();
         lane.in_flight.push_back((self.number, now_ns));

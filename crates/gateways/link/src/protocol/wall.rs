@@ -46,13 +46,8 @@ impl Wall {
     /// while.
     pub(crate) fn note(&mut self, reading: Reading) -> Option<u64> {
         let (lo_ns, hi_ns) = reading.between_ns;
-        let (lo_ns, hi_ns) = (
-            lo_ns.saturating_sub(INEXACT_NS),
-            hi_ns.saturating_add(INEXACT_NS),
-        );
-        let known = self
-            .between_ns
-            .map(|(lo, hi)| (lo.max(lo_ns), hi.min(hi_ns)));
+        let (lo_ns, hi_ns) = (lo_ns.saturating_sub(INEXACT_NS), hi_ns.saturating_add(INEXACT_NS));
+        let known = self.between_ns.map(|(lo, hi)| (lo.max(lo_ns), hi.min(hi_ns)));
         let (lo_ns, hi_ns) = match known {
             Some(known) if known.0 <= known.1 => known,
             _ => {
@@ -76,11 +71,7 @@ mod tests {
     const R: u64 = 1_700_000_000 * SECOND;
 
     fn read(at_s: u64, between_ns: (u64, u64), is_synchronised: bool) -> Reading {
-        Reading {
-            now_ns: at_s * SECOND,
-            between_ns,
-            is_synchronised,
-        }
+        Reading { now_ns: at_s * SECOND, between_ns, is_synchronised }
     }
 
     #[test]
@@ -92,10 +83,7 @@ mod tests {
         assert_eq!(wall.note(read(15, (R, R + 80), true)), Some(R + 40));
         // Each reading narrows the bounds. One that was interrupted does not widen them.
         assert_eq!(wall.note(read(16, (R + 60, R + 140), true)), Some(R + 70));
-        assert_eq!(
-            wall.note(read(17, (R - SECOND, R + 75), true)),
-            Some(R + 67)
-        );
+        assert_eq!(wall.note(read(17, (R - SECOND, R + 75), true)), Some(R + 67));
         assert_eq!(wall.note(read(18, (R, R + 80), false)), None, "not kept");
         assert_eq!(wall.note(read(19, (R, R + 80), true)), Some(R + 67));
         for step_ns in [1_000, SECOND] {
@@ -111,19 +99,10 @@ mod tests {
 
     #[test]
     fn readings_that_say_too_little_or_nothing_are_not_used() {
-        for between_ns in [
-            (R, R + 2 * READ_NS + 1),
-            (0, 0),
-            (R + SECOND, R),
-            (0, u64::MAX),
-        ] {
+        for between_ns in [(R, R + 2 * READ_NS + 1), (0, 0), (R + SECOND, R), (0, u64::MAX)] {
             let mut wall = Wall::default();
             assert_eq!(wall.note(read(1, between_ns, true)), None);
-            assert_eq!(
-                wall.note(read(20, between_ns, true)),
-                None,
-                "{between_ns:?}"
-            );
+            assert_eq!(wall.note(read(20, between_ns, true)), None, "{between_ns:?}");
         }
     }
 }

@@ -31,13 +31,8 @@ struct Weather {
     is_cut: bool,
 }
 
-const CALM: Weather = Weather {
-    delay_ns: 500_000,
-    jitter_ns: 0,
-    loss_percent: 0,
-    again_percent: 0,
-    is_cut: false,
-};
+const CALM: Weather =
+    Weather { delay_ns: 500_000, jitter_ns: 0, loss_percent: 0, again_percent: 0, is_cut: false };
 
 /// One direction of the network, with a bandwidth.
 #[derive(Default)]
@@ -144,14 +139,8 @@ struct Hosts {
 
 impl Hosts {
     fn new(offset_ns: i128, bytes_per_s: u64, dice: u64) -> Self {
-        let own = Sender {
-            fleet: FLEET,
-            run: BEGIN_NS,
-        };
-        let way = || Way {
-            dice,
-            ..Way::default()
-        };
+        let own = Sender { fleet: FLEET, run: BEGIN_NS };
+        let way = || Way { dice, ..Way::default() };
         Self {
             now_ns: BEGIN_NS,
             offset_ns,
@@ -235,16 +224,14 @@ impl Hosts {
             };
             if stream.offer(frame, Worker::Alive.into(), there_ns, &mut self.out) {
                 self.sent += 1;
-                self.there
-                    .send(&self.out, self.now_ns, weather, self.bytes_per_s);
+                self.there.send(&self.out, self.now_ns, weather, self.bytes_per_s);
             }
         }
         let Some(stream) = &mut self.stream else {
             return;
         };
         while stream.due(Worker::Alive.into(), there_ns, &mut self.out) {
-            self.there
-                .send(&self.out, self.now_ns, weather, self.bytes_per_s);
+            self.there.send(&self.out, self.now_ns, weather, self.bytes_per_s);
         }
     }
 
@@ -254,10 +241,10 @@ impl Hosts {
             if let Some(clocks) = &mut self.clocks {
                 let reading = clocks.reading(self.now_ns, REALTIME_NS);
                 let within_ns = clocks.within_ns;
-                let kept = clocks.here.note(reading).map(|realtime_ns| RealtimeClock {
-                    realtime_ns,
-                    within_ns,
-                });
+                let kept = clocks
+                    .here
+                    .note(reading)
+                    .map(|realtime_ns| RealtimeClock { realtime_ns, within_ns });
                 self.receiver.set_clock(kept);
             }
             if let Ok(accepted) = self.receiver.take(&message, bytes.len(), self.now_ns) {
@@ -266,10 +253,7 @@ impl Hosts {
                 let true_ns = i128::from(header.sent_ns) + self.offset_ns;
                 let clocks = self.clocks.as_ref();
                 let are_harmless = clocks.is_none_or(|clocks| clocks.are_harmless(self.now_ns));
-                assert!(
-                    !are_harmless || i128::from(sent_ns) <= true_ns,
-                    "made to look fresher"
-                );
+                assert!(!are_harmless || i128::from(sent_ns) <= true_ns, "made to look fresher");
                 assert!(sent_ns <= self.now_ns, "from the future");
                 self.arrived.push((header.tick, self.now_ns));
             }
@@ -277,8 +261,7 @@ impl Hosts {
         self.receiver.becomes_silent(self.now_ns);
         if let Some(request) = self.receiver.request_if_due(self.now_ns) {
             self.asked += 1;
-            self.back
-                .send(&request, self.now_ns, weather, u64::MAX / 2_000_000_000);
+            self.back.send(&request, self.now_ns, weather, u64::MAX / 2_000_000_000);
         }
     }
 
@@ -298,18 +281,10 @@ fn on_a_calm_network_every_frame_arrives_once_and_nothing_is_counted() {
         let ticks: Vec<u64> = hosts.arrived.iter().map(|(tick, _)| *tick).collect();
         let first = ticks[0];
         assert!(first < 10, "{first}");
-        assert!(
-            ticks
-                .iter()
-                .copied()
-                .eq(first..=first + ticks.len() as u64 - 1)
-        );
+        assert!(ticks.iter().copied().eq(first..=first + ticks.len() as u64 - 1));
         assert!(hosts.tick - ticks.last().unwrap() <= 1);
         let received = hosts.receiver.received();
-        assert_eq!(
-            (received.lost, received.repeated, received.dropped),
-            (0, 0, 0)
-        );
+        assert_eq!((received.lost, received.repeated, received.dropped), (0, 0, 0));
         assert_eq!((received.runs, received.silences), (1, 0));
         assert_eq!(hosts.receiver.offset().steps, 0);
     }
@@ -320,11 +295,7 @@ fn one_request_acknowledges_two_frames_where_the_way_is_free() {
     let mut hosts = Hosts::new(0, FAST, 1);
     hosts.run(10 * SECOND, CALM);
     let frames = hosts.arrived.len() as u64;
-    assert!(
-        hosts.asked < frames / 2 + 20,
-        "{} for {frames}",
-        hosts.asked
-    );
+    assert!(hosts.asked < frames / 2 + 20, "{} for {frames}", hosts.asked);
     assert_eq!(hosts.receiver.received().dropped, 0);
 }
 
@@ -345,11 +316,8 @@ fn a_link_slower_than_the_fleet_brings_the_newest_frames_and_counts_those_that_i
     // A frame has about 700 bytes, so 30 a second are 21 kB/s.
     let mut hosts = Hosts::new(0, 7_000, 1);
     hosts.run(60 * SECOND, CALM);
-    let late: Vec<u64> = hosts
-        .arrived
-        .iter()
-        .map(|(tick, at_ns)| hosts.age_ns(*tick, *at_ns))
-        .collect();
+    let late: Vec<u64> =
+        hosts.arrived.iter().map(|(tick, at_ns)| hosts.age_ns(*tick, *at_ns)).collect();
     let worst_ns = late[20..].iter().max().unwrap();
     assert!(
         *worst_ns < 400_000_000,
@@ -360,10 +328,7 @@ fn a_link_slower_than_the_fleet_brings_the_newest_frames_and_counts_those_that_i
     assert_eq!(received.lost, 0);
     let waiting = hosts.tick - hosts.sent - received.dropped;
     let left_out = hosts.tick - hosts.arrived[0].0 - hosts.arrived.len() as u64;
-    assert!(
-        received.dropped.abs_diff(left_out) <= 5 + waiting.min(3),
-        "{received:?} {left_out}"
-    );
+    assert!(received.dropped.abs_diff(left_out) <= 5 + waiting.min(3), "{received:?} {left_out}");
 }
 
 #[test]
@@ -372,10 +337,7 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its
         let mut hosts = Hosts::new(5_000, FAST, 1);
         hosts.run(5 * SECOND, CALM);
         assert!(hosts.receiver.is_sending());
-        let cut = Weather {
-            is_cut: true,
-            ..CALM
-        };
+        let cut = Weather { is_cut: true, ..CALM };
         let from_ns = hosts.now_ns;
         hosts.run(cut_ns.min(1_400_000_000), cut);
         assert!(hosts.receiver.is_sending());
@@ -391,10 +353,7 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its
         let back = hosts.arrived.iter().find(|(_, at_ns)| *at_ns > healed_ns);
         let (_, back_ns) = back.expect("frames come again");
         assert!(back_ns - healed_ns < SECOND, "{}", back_ns - healed_ns);
-        assert_eq!(
-            hosts.receiver.received().silences,
-            u64::from(cut_ns > SECOND)
-        );
+        assert_eq!(hosts.receiver.received().silences, u64::from(cut_ns > SECOND));
         assert_eq!(hosts.streams, 1 + u64::from(cut_ns > SECOND));
     }
 }
@@ -402,10 +361,7 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its
 #[test]
 fn a_long_way_holds_as_many_frames_as_it_takes() {
     let mut hosts = Hosts::new(0, FAST, 1);
-    let far = Weather {
-        delay_ns: 150_000_000,
-        ..CALM
-    };
+    let far = Weather { delay_ns: 150_000_000, ..CALM };
     hosts.run(20 * SECOND, far);
     let share = hosts.arrived.len() as f64 / hosts.tick as f64;
     assert!(share > 0.95, "{share}");
@@ -435,10 +391,7 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
     }
     let received = hosts.receiver.received();
     assert_eq!((received.runs, received.silences), (1, 0), "{received:?}");
-    assert!(
-        received.other_runs > 10 && received.future > 5,
-        "{received:?}"
-    );
+    assert!(received.other_runs > 10 && received.future > 5, "{received:?}");
     // Each of the other runs sent once, and the accepted one continued.
     assert_eq!(received.contested, received.other_runs, "{received:?}");
     assert_eq!(hosts.receiver.offset().steps, 0);
@@ -451,26 +404,10 @@ fn a_frame_that_says_it_was_sent_after_its_message_is_refused() {
     let at = SENT + 40 + std::mem::offset_of!(ForecastHeader, sent_ns);
     for ahead_ns in [1, SECOND, u64::MAX / 2] {
         // The newest real frame in flight.
-        while hosts
-            .there
-            .under_way
-            .values()
-            .all(|bytes| bytes.len() <= at)
-        {
-            hosts.run(
-                STEP_NS,
-                Weather {
-                    delay_ns: 5_000_000,
-                    ..CALM
-                },
-            );
+        while hosts.there.under_way.values().all(|bytes| bytes.len() <= at) {
+            hosts.run(STEP_NS, Weather { delay_ns: 5_000_000, ..CALM });
         }
-        let frame = hosts
-            .there
-            .under_way
-            .values_mut()
-            .find(|bytes| bytes.len() > at)
-            .unwrap();
+        let frame = hosts.there.under_way.values_mut().find(|bytes| bytes.len() > at).unwrap();
         let sent_ns = u64::from_le_bytes(*frame[SENT..].first_chunk().unwrap());
         frame[at..at + 8].copy_from_slice(&(sent_ns + ahead_ns).to_le_bytes());
         let future = hosts.receiver.received().future;
@@ -488,26 +425,17 @@ const NUMBER: usize = 56;
 const SENT: usize = 96;
 
 fn weather() -> impl Strategy<Value = (u64, Weather)> {
-    let spans = (
-        50_u64..4_000,
-        0_u64..200,
-        0_u64..300,
-        0_u64..60,
-        0_u64..60,
-        0_u32..4,
-    );
-    spans.prop_map(
-        |(span_ms, delay_ms, jitter_ms, loss_percent, again_percent, cut)| {
-            let weather = Weather {
-                delay_ns: delay_ms * 1_000_000,
-                jitter_ns: jitter_ms * 1_000_000,
-                loss_percent,
-                again_percent,
-                is_cut: cut == 0,
-            };
-            (span_ms * 1_000_000, weather)
-        },
-    )
+    let spans = (50_u64..4_000, 0_u64..200, 0_u64..300, 0_u64..60, 0_u64..60, 0_u32..4);
+    spans.prop_map(|(span_ms, delay_ms, jitter_ms, loss_percent, again_percent, cut)| {
+        let weather = Weather {
+            delay_ns: delay_ms * 1_000_000,
+            jitter_ns: jitter_ms * 1_000_000,
+            loss_percent,
+            again_percent,
+            is_cut: cut == 0,
+        };
+        (span_ms * 1_000_000, weather)
+    })
 }
 
 proptest! {

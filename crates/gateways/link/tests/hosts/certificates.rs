@@ -101,19 +101,10 @@ fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool 
     set("connect/exit_on_failure", "true".to_owned());
     set("scouting/multicast/enabled", "false".to_owned());
     let file = |name: &str| format!("{:?}", authority.join(name).display().to_string());
-    set(
-        "transport/link/tls/root_ca_certificate",
-        file("fleet-ca.pem"),
-    );
+    set("transport/link/tls/root_ca_certificate", file("fleet-ca.pem"));
     if let Some(name) = certificate {
-        set(
-            "transport/link/tls/connect_certificate",
-            file(&format!("{name}.pem")),
-        );
-        set(
-            "transport/link/tls/connect_private_key",
-            file(&format!("{name}.key")),
-        );
+        set("transport/link/tls/connect_certificate", file(&format!("{name}.pem")));
+        set("transport/link/tls/connect_private_key", file(&format!("{name}.key")));
         set("transport/link/tls/enable_mtls", "true".to_owned());
     }
     zenoh::open(config).wait().is_ok_and(|session| {
@@ -142,9 +133,7 @@ fn who_shows_no_certificate_gets_no_connection() {
     let listen = format!("listen = [\"{address}\"]");
     let link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
     // The connection attempt ends after three seconds.
-    eventually("a connection", || {
-        connects(&address, folder.path(), Some("desk"))
-    });
+    eventually("a connection", || connects(&address, folder.path(), Some("desk")));
     // A TLS connection breaks if one thread writes it while another reads it.
     let threads = threads(link.pid());
     let has = |name: &str| threads.iter().any(|it| it.starts_with(name));

@@ -20,10 +20,8 @@ pub(crate) struct Chance(pub(crate) u64);
 
 impl Chance {
     pub(crate) fn below(&mut self, most: u64) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) % most
     }
 
@@ -66,16 +64,8 @@ impl Fleet {
                 self.edge = self.there.link(&Self::edge_file());
                 "the robots' link killed"
             }
-            4 => Self::pause(
-                &mut self.base,
-                chance.while_s(2_500),
-                "the worker's link stopped",
-            ),
-            _ => Self::pause(
-                &mut self.edge,
-                chance.while_s(2_500),
-                "the robots' link stopped",
-            ),
+            4 => Self::pause(&mut self.base, chance.while_s(2_500), "the worker's link stopped"),
+            _ => Self::pause(&mut self.edge, chance.while_s(2_500), "the robots' link stopped"),
         }
     }
 
@@ -130,13 +120,7 @@ fn through_cuts_kills_and_stops_frames_stay_in_order_and_ledgers_and_samples_are
     let mut worker = here.worker();
     let base = here.link(&Fleet::base_file());
     let edge = there.link(&Fleet::edge_file());
-    let mut fleet = Fleet {
-        wires,
-        here,
-        there,
-        base,
-        edge,
-    };
+    let mut fleet = Fleet { wires, here, there, base, edge };
     let mut robots = fleet.there.robots(&["--format", "json", "--robots", "3"]);
     let (mut chance, mut last) = (Chance(7), (0, 0));
     let faults = std::env::var(MORE).map_or(FAULTS, |count| count.parse().unwrap());
@@ -169,8 +153,5 @@ fn through_cuts_kills_and_stops_frames_stay_in_order_and_ledgers_and_samples_are
     let dropped: u64 = dropped.filter_map(Value::as_u64).sum();
     let known = report["samples_accepted"].as_u64().unwrap() + dropped;
     assert!(known <= sent, "{known} of {sent}: {report}");
-    assert_eq!(
-        (fleet.here.stale_files(), fleet.there.stale_files()),
-        (vec![], vec![])
-    );
+    assert_eq!((fleet.here.stale_files(), fleet.there.stale_files()), (vec![], vec![]));
 }

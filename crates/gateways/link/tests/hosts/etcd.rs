@@ -43,10 +43,7 @@ impl Etcd {
         let is_there = Command::new(&program).arg("--version").output();
         if !is_there.is_ok_and(|shown| shown.status.success()) {
             let why = "there is no etcd (JOULEBUS_ETCD=$(tools/etcd.sh))";
-            assert!(
-                std::env::var_os("CI").is_none_or(|ci| ci != "true"),
-                "{why}"
-            );
+            assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "{why}");
             eprintln!("skipped: {why}");
             return None;
         }
@@ -80,9 +77,7 @@ impl Etcd {
         command.arg("--data-dir").arg(self.directory.path());
         if let Some(folder) = &self.certificates {
             command.arg("--client-cert-auth");
-            command
-                .arg("--trusted-ca-file")
-                .arg(folder.join("fleet-ca.pem"));
+            command.arg("--trusted-ca-file").arg(folder.join("fleet-ca.pem"));
             command.arg("--cert-file").arg(folder.join("etcd.pem"));
             command.arg("--key-file").arg(folder.join("etcd.key"));
         }

@@ -51,10 +51,7 @@ impl Host {
         );
         let directory = tempfile::tempdir().unwrap();
         fs::write(directory.path().join("fleet.toml"), text).unwrap();
-        Self {
-            directory,
-            namespace,
-        }
+        Self { directory, namespace }
     }
 
     pub(crate) fn config(&self) -> PathBuf {
@@ -176,10 +173,8 @@ pub(crate) fn free_address() -> String {
 
 /// The file of a worker's link.
 pub(crate) fn of_worker(address: &str, takes: &[&str]) -> String {
-    let takes: String = takes
-        .iter()
-        .map(|from| format!("[[worker.take]]\nfrom = \"{from}\"\n"))
-        .collect();
+    let takes: String =
+        takes.iter().map(|from| format!("[[worker.take]]\nfrom = \"{from}\"\n")).collect();
     format!("name = \"base\"\n[network]\nlisten = [\"{address}\"]\n{TLS_OR_NOT}[worker]\n{takes}")
 }
 

@@ -110,12 +110,7 @@ fn samples_of_another_host() -> u64 {
     let mut planner = there.planner();
     let mut known = 0;
     while known < 100 {
-        known += planner
-            .frame()
-            .rows
-            .iter()
-            .filter(|row| row.has_power)
-            .count();
+        known += planner.frame().rows.iter().filter(|row| row.has_power).count();
     }
     planner.leave();
     let robots = robots.wait();
@@ -319,10 +314,7 @@ fn a_receiver_gets_the_ticks_and_robots_that_it_asks_for() {
         // A frame is stale if it is older than two periods of the requested frames.
         assert_eq!(frame.period_ns, 5 * period_ns);
         let mut robots = frame.rows.iter().map(|row| row.robot);
-        assert!(
-            robots.all(|robot| [1, 4, 5, 6].contains(&robot)),
-            "{frame:?}"
-        );
+        assert!(robots.all(|robot| [1, 4, 5, 6].contains(&robot)), "{frame:?}");
         ticks.push(frame.tick);
         last_read_ns = frame.read_ns;
     }
@@ -345,16 +337,10 @@ fn a_host_has_a_worker_or_a_link_in_its_place_and_the_second_is_refused() {
     let _desk = there.link(&of_other("desk", &address, FOLLOW));
     let refused = Child::spawn("run", there.joulebus(&["run"])).wait();
     assert_eq!(refused.code(), Some(1), "{refused:?}");
-    assert!(
-        refused.errors().contains("already has a worker"),
-        "{refused:?}"
-    );
+    assert!(refused.errors().contains("already has a worker"), "{refused:?}");
     let second = Child::spawn("link", here.link_command(&of_other("x", &address, FOLLOW))).wait();
     assert_eq!(second.code(), Some(1), "{second:?}");
-    assert!(
-        second.errors().contains("already has a worker"),
-        "{second:?}"
-    );
+    assert!(second.errors().contains("already has a worker"), "{second:?}");
 }
 
 #[test]

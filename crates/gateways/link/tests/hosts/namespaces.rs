@@ -16,21 +16,14 @@ pub(crate) struct Wires {
 
 fn ip(words: &str) -> bool {
     let words = words.split_whitespace();
-    Command::new("ip")
-        .args(words)
-        .output()
-        .is_ok_and(|done| done.status.success())
+    Command::new("ip").args(words).output().is_ok_and(|done| done.status.success())
 }
 
 impl Wires {
     /// Makes the hosts. `None` where namespaces cannot be made.
     pub(crate) fn new(hosts: usize) -> Option<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
-        let prefix = format!(
-            "jb{}n{}",
-            std::process::id(),
-            NUMBER.fetch_add(1, Ordering::Relaxed)
-        );
+        let prefix = format!("jb{}n{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed));
         let wires = Self {
             names: (0..hosts).map(|at| format!("{prefix}h{at}")).collect(),
             switch: format!("{prefix}sw"),
@@ -39,10 +32,7 @@ impl Wires {
             return Some(wires);
         }
         let why = "network namespaces cannot be made here (root and `ip` are needed)";
-        assert!(
-            std::env::var_os("CI").is_none_or(|ci| ci != "true"),
-            "{why}"
-        );
+        assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "{why}");
         eprintln!("skipped: {why}");
         None
     }
@@ -60,10 +50,7 @@ impl Wires {
                     "link add e0 netns {name} type veth peer name p{at} netns {switch}"
                 ))
                 && ip(&format!("-n {switch} link set p{at} master br0 up"))
-                && ip(&format!(
-                    "-n {name} addr add {}/24 dev e0",
-                    Self::address(at)
-                ))
+                && ip(&format!("-n {name} addr add {}/24 dev e0", Self::address(at)))
                 && ip(&format!("-n {name} link set e0 up"));
         }
         made
@@ -135,11 +122,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let (here, there) = (wires.host(0), wires.host(1));
     let mut worker = here.worker();
     let mut base = here.link(&of_worker(&listening(), &["edge"]));
-    let mut edge = there.link(&of_other(
-        "edge",
-        &listening(),
-        &format!("{SAMPLES}{FOLLOW}"),
-    ));
+    let mut edge = there.link(&of_other("edge", &listening(), &format!("{SAMPLES}{FOLLOW}")));
     let mut robots = there.robots(&["--format", "json", "--robots", "3"]);
     let mut planner = there.planner();
     planner.fresh_sample();
@@ -150,10 +133,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let begin = Instant::now();
     wires.set(1, false);
     assert_eq!(planner.gone(), "Unreachable");
-    assert!(
-        begin.elapsed() > Duration::from_millis(500),
-        "a second is no end"
-    );
+    assert!(begin.elapsed() > Duration::from_millis(500), "a second is no end");
     std::thread::sleep(Duration::from_secs(2));
     wires.set(1, true);
     planner.fresh_sample();
@@ -161,10 +141,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let sent = robots.end().json()["samples_sent"].as_u64().unwrap();
     std::thread::sleep(Duration::from_millis(500));
     let edge = edge.end();
-    assert!(
-        edge.json()["taken"][0]["silences"].as_u64() >= Some(1),
-        "{edge:?}"
-    );
+    assert!(edge.json()["taken"][0]["silences"].as_u64() >= Some(1), "{edge:?}");
     base.end();
     let report = worker.end().json();
     let dropped = report["samples_dropped"].as_object().unwrap().values();
@@ -202,10 +179,7 @@ fn over_a_long_way() -> u64 {
         // All clocks are this machine's. A frame from the other host is at least one shortest path
         // delay old.
         let age_ns = frame.read_ns.checked_sub(frame.sent_ns);
-        assert!(
-            age_ns.is_some_and(|age_ns| age_ns >= 40_000_000),
-            "{frame:?}"
-        );
+        assert!(age_ns.is_some_and(|age_ns| age_ns >= 40_000_000), "{frame:?}");
     }
     planner.leave();
     let report = edge.end().json();

@@ -149,9 +149,7 @@ impl Reader {
     pub(crate) fn all_frames(self) -> Vec<Frame> {
         let lines = self.0.all_lines();
         // The planner was killed, perhaps while it wrote the last line.
-        let seen = lines
-            .iter()
-            .filter_map(|line| serde_json::from_str(line).ok());
+        let seen = lines.iter().filter_map(|line| serde_json::from_str(line).ok());
         let frame = |seen| match seen {
             Seen::Frame(frame) => Some(frame),
             Seen::Gone(_) => None,

@@ -128,17 +128,10 @@ fn one_fleet(shards: &str) -> u64 {
     let source = source.end();
     let sent = number(&source.json(), "samples_sent");
     let hosts = [&fleet.north, &fleet.south];
-    let known = || {
-        hosts
-            .iter()
-            .map(|host| host.known_samples())
-            .sum::<Option<u64>>()
-    };
+    let known = || hosts.iter().map(|host| host.known_samples()).sum::<Option<u64>>();
     // The last samples are unknown if they were lost with their link.
     let is_silent = || has_lost_edge(&north) || has_lost_edge(&south);
-    eventually("all samples are accounted for", || {
-        known() == Some(sent) || is_silent()
-    });
+    eventually("all samples are accounted for", || known() == Some(sent) || is_silent());
     let mut silences = 0;
     // End receivers before their senders: the end of a sender then counts as no silence.
     for mut link in [desk, north, south, edge] {
@@ -161,10 +154,7 @@ fn one_fleet(shards: &str) -> u64 {
         accepted.push(number(report, "samples_accepted"));
     }
     known += accepted.iter().sum::<u64>();
-    assert!(
-        silences > 0 || known == sent,
-        "{known} of {sent}: {reports:?}"
-    );
+    assert!(silences > 0 || known == sent, "{known} of {sent}: {reports:?}");
     assert!(accepted.iter().all(|it| *it > 0), "{accepted:?}");
     silences
 }
@@ -239,28 +229,19 @@ fn a_check_says_which_robots_each_shard_has_and_for_which_the_link_speaks() {
     let checked = Child::spawn("check", command).wait();
     assert_eq!(checked.code(), Some(0), "{checked:?}");
     let report = checked.json();
-    assert_eq!(
-        report["shards"],
-        serde_json::json!({"north": 3, "south": 7})
-    );
+    assert_eq!(report["shards"], serde_json::json!({"north": 3, "south": 7}));
     assert_eq!(report["speaks_for"], "south");
 }
 
 #[test]
 fn hosts_with_different_files_of_shards_refuse_each_other() {
     let fleet = Fleet::new(LISTS);
-    fleet.desk.write(
-        "shards.toml",
-        &LISTS.replace("0-4", "0-3").replace("5-9", "4-9"),
-    );
+    fleet.desk.write("shards.toml", &LISTS.replace("0-4", "0-3").replace("5-9", "4-9"));
     let _worker = fleet.north.worker();
     let mut base = fleet.north.link(&fleet.of_worker("north-1", 0));
     let _desk = fleet.desk.link(&fleet.of_other("desk", "[follow]\n"));
     base.wait_for_line("its file of shards is another one");
     let ended = base.end();
     assert_eq!(ended.code(), Some(3), "{ended:?}");
-    assert!(
-        ended.json()["refused"]["other shards"].as_u64() >= Some(1),
-        "{ended:?}"
-    );
+    assert!(ended.json()["refused"]["other shards"].as_u64() >= Some(1), "{ended:?}");
 }

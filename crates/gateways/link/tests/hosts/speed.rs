@@ -103,11 +103,7 @@ pub(crate) fn run() {
         let mut planner = Subscriber::polling(&config, "near", Duration::from_millis(100)).unwrap();
         collect(|seen| {
             let each = |header: &joulebus_wire::ForecastHeader, _: &[_]| {
-                seen.push(Seen {
-                    tick: header.tick,
-                    sent_ns: header.sent_ns,
-                    read_ns: 0,
-                });
+                seen.push(Seen { tick: header.tick, sent_ns: header.sent_ns, read_ns: 0 });
             };
             let _ = planner.wait_each(Duration::from_secs(1), each).unwrap();
         });
@@ -116,9 +112,7 @@ pub(crate) fn run() {
 
 fn send_raw(address: &str, bytes: usize) {
     let session = session("listen/endpoints", address);
-    let publisher = session
-        .declare_publisher(KEY)
-        .congestion_control(CongestionControl::Drop);
+    let publisher = session.declare_publisher(KEY).congestion_control(CongestionControl::Drop);
     let publisher = publisher.express(true).wait().unwrap();
     send_to_test("joined");
     loop {
@@ -231,11 +225,7 @@ fn median(rounds: &[Cost]) -> Cost {
         all.sort_unstable_by(f64::total_cmp);
         all[all.len() / 2]
     };
-    Cost {
-        p50: of(|it| it.p50),
-        p99: of(|it| it.p99),
-        cpu: of(|it| it.cpu),
-    }
+    Cost { p50: of(|it| it.p50), p99: of(|it| it.p99), cpu: of(|it| it.cpu) }
 }
 
 fn show(what: &str, robots: usize, cost: Cost) {
@@ -325,12 +315,7 @@ fn speed_of_a_fleet_on_four_shards() {
             let of = |children: &[joulebus_testkit::Child]| {
                 spent(&children.iter().map(|it| it.pid()).collect::<Vec<u32>>())
             };
-            [
-                of(&workers),
-                of(&links),
-                spent(&[gives.pid()]),
-                spent(&[reads.pid()]),
-            ]
+            [of(&workers), of(&links), spent(&[gives.pid()]), spent(&[reads.pid()])]
         };
         let (begin, begin_ns) = (all(), clock::monotonic_ns());
         let mut age_ns = Vec::new();

@@ -55,11 +55,7 @@ struct Scene {
 impl Scene {
     /// A scene on this host, where an operator chooses the leader.
     fn by_hand() -> Self {
-        Self::with(
-            [Host::new(), Host::new()],
-            Host::new(),
-            [0, 1].map(|_| free_address()),
-        )
+        Self::with([Host::new(), Host::new()], Host::new(), [0, 1].map(|_| free_address()))
     }
 
     /// A scene on this host with an etcd.
@@ -75,9 +71,7 @@ impl Scene {
     fn wired(ttl_s: u64) -> Option<(Self, Etcd)> {
         let wires = Arc::new(Wires::new(4)?);
         let store = Arc::clone(&wires);
-        let etcd = Etcd::start(&Wires::address(3), 2379, move |command| {
-            store.within(3, command)
-        })?;
+        let etcd = Etcd::start(&Wires::address(3), 2379, move |command| store.within(3, command))?;
         let addresses = [0, 1].map(|at| format!("tcp/{}:7447", Wires::address(at)));
         let mut scene = Self::with([wires.host(0), wires.host(1)], wires.host(2), addresses);
         scene.leased(&etcd, ttl_s, "");
@@ -152,8 +146,7 @@ impl Scene {
     }
 
     fn robots(&self) -> Child {
-        self.field
-            .robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
+        self.field.robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
     }
 
     /// Requests that the worker of a host leads.
@@ -183,10 +176,7 @@ fn copy(command: &std::process::Command) -> std::process::Command {
 
 /// Whether all robots have a forecast of a sample that was taken after `after_ns`.
 fn is_fresh(frame: &Frame, after_ns: u64) -> bool {
-    let fresh = frame
-        .rows
-        .iter()
-        .filter(|row| row.has_power && row.stamp_ns > after_ns);
+    let fresh = frame.rows.iter().filter(|row| row.has_power && row.stamp_ns > after_ns);
     let robots: BTreeSet<u32> = fresh.map(|row| row.robot).collect();
     robots == (0..ROBOTS).collect()
 }
@@ -249,10 +239,7 @@ fn unpublished_s(robots: &mut Child) -> f64 {
 /// Asserts that the accounts of now continue those of before: at most [`MAX_LOST_S`] beside the
 /// time without samples is unmetered.
 fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
-    assert_eq!(
-        (before.len(), now.len()),
-        (ROBOTS as usize, ROBOTS as usize)
-    );
+    assert_eq!((before.len(), now.len()), (ROBOTS as usize, ROBOTS as usize));
     for (before, now) in before.iter().zip(now) {
         let both = format!("{before:?}, {now:?}");
         assert!(now.drawn_j > before.drawn_j, "{both}");
@@ -313,10 +300,7 @@ fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_win
     workers[0].kill();
     let frame = fresh_after(&mut planner, killed_ns);
     let took_ns = frame.read_ns - killed_ns;
-    println!(
-        "figure: takeover, lease {TTL_S} s: {:.2} s after the kill",
-        took_ns as f64 * 1e-9
-    );
+    println!("figure: takeover, lease {TTL_S} s: {:.2} s after the kill", took_ns as f64 * 1e-9);
     assert!(took_ns < TTL_S * SECOND_NS + TAKEOVER_NS, "{took_ns}");
     workers[1].wait_for_line("ready:");
     fresh(&mut planner);
@@ -329,11 +313,7 @@ fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_win
     planner.leave();
     assert_continues(&over, unpublished_s(&mut robots));
     let first = first.end();
-    assert_eq!(
-        (first.code(), &first.json()["ticks"]),
-        (Some(0), &Value::from(0)),
-        "{first:?}"
-    );
+    assert_eq!((first.code(), &first.json()["ticks"]), (Some(0), &Value::from(0)), "{first:?}");
     assert!(!first.errors().contains("ready:"), "{first:?}");
     let report = field.end().json();
     let served: Vec<u64> = report["taken"]
@@ -372,10 +352,7 @@ fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_an
     assert_eq!(beside[0].gone(), "Ended");
     assert_gave_way(&mut workers[0], 1);
     let took_ns = fresh_after(&mut planner, cut_ns).read_ns - cut_ns;
-    println!(
-        "figure: takeover, lease {TTL_S} s: {:.2} s after the cut",
-        took_ns as f64 * 1e-9
-    );
+    println!("figure: takeover, lease {TTL_S} s: {:.2} s after the cut", took_ns as f64 * 1e-9);
     assert!(took_ns < TTL_S * SECOND_NS + TAKEOVER_NS, "{took_ns}");
     fresh(&mut planner);
     let cut_off = (before, accounts(&scene.field));
@@ -457,11 +434,7 @@ fn without_a_lease_operators_command_who_serves() {
     let words = ["doctor", "--format", "json"];
     let view = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
     let checks = view.json()["checks"].clone();
-    let permit = checks
-        .as_array()
-        .unwrap()
-        .iter()
-        .find(|it| it["name"] == "permit");
+    let permit = checks.as_array().unwrap().iter().find(|it| it["name"] == "permit");
     let found = permit.unwrap()["found"].as_str().unwrap();
     assert_eq!(found, "to serve in term 3, until it is withdrawn");
     // A restarted link continues with the permit.
@@ -492,10 +465,8 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
     let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
     fresh(&mut planner);
     // Killed, and hanging.
-    let all = [
-        (Etcd::kill as fn(&mut Etcd), Etcd::again as fn(&mut Etcd)),
-        (Etcd::pause, Etcd::resume),
-    ];
+    let all =
+        [(Etcd::kill as fn(&mut Etcd), Etcd::again as fn(&mut Etcd)), (Etcd::pause, Etcd::resume)];
     let mut serving = 0;
     for (term, (away, back)) in (1..).zip(all) {
         away(&mut etcd);
@@ -527,11 +498,9 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
     let Some(etcd) = Etcd::start_with("127.0.0.1", free_port(), copy, with) else {
         return;
     };
-    for (ca, certificate, is_let_in) in [
-        (&own, &own, true),
-        (&own, &other, false),
-        (&other, &own, false),
-    ] {
+    for (ca, certificate, is_let_in) in
+        [(&own, &own, true), (&own, &other, false), (&other, &own, false)]
+    {
         let mut scene = Scene::by_hand();
         let path = |folder: &Path, name: &str| folder.join(name).display().to_string();
         let more = format!(
@@ -547,9 +516,7 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
             worker.wait_for_line("ready:");
         } else {
             // The message may come before the link logs that it is open.
-            eventually("it is logged", || {
-                link.errors().contains("etcd does not answer")
-            });
+            eventually("it is logged", || link.errors().contains("etcd does not answer"));
         }
         link.end();
         let worker = worker.end();
@@ -616,15 +583,9 @@ fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
     let mut field = scene.field_link();
     let _robots = scene.robots();
     // The message may come before the link logs that it is open.
-    eventually("it is logged", || {
-        link.errors().contains("start it with --standby")
-    });
+    eventually("it is logged", || link.errors().contains("start it with --standby"));
     let report = field.end().json();
-    let frames = report["taken"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|taken| &taken["frames"]);
+    let frames = report["taken"].as_array().unwrap().iter().map(|taken| &taken["frames"]);
     assert!(frames.clone().all(|frames| *frames == 0), "{report}");
 }
 
@@ -635,10 +596,7 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
         return;
     };
     for (verb, body) in [
-        (
-            "auth/user/add",
-            r#"{"name": "root", "password": "for-the-test"}"#,
-        ),
+        ("auth/user/add", r#"{"name": "root", "password": "for-the-test"}"#),
         ("auth/role/add", r#"{"name": "root"}"#),
         ("auth/user/grant", r#"{"user": "root", "role": "root"}"#),
         ("auth/enable", "{}"),
@@ -651,19 +609,13 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
         fs::write(&password, text).unwrap();
         fs::set_permissions(&password, fs::Permissions::from_mode(0o600)).unwrap();
         let mut scene = Scene::by_hand();
-        scene.leased(
-            &etcd,
-            TTL_S,
-            &format!("user = \"root\"\npassword = {password:?}\n"),
-        );
+        scene.leased(&etcd, TTL_S, &format!("user = \"root\"\npassword = {password:?}\n"));
         let mut worker = scene.worker(0);
         let mut link = scene.base_link(0);
         if text.starts_with("for") {
             worker.wait_for_line("ready:");
         } else {
-            eventually("it is logged", || {
-                link.errors().contains("authentication failed")
-            });
+            eventually("it is logged", || link.errors().contains("authentication failed"));
         }
         link.end();
         worker.end();
@@ -735,10 +687,7 @@ impl Supervised {
                 let killed = ended.signal().is_some();
                 assert!(killed || ended.code() == Some(1), "{ended:?}");
                 self.gave_way += u64::from(!killed);
-                assert!(
-                    killed || ended.errors().contains("the permit to serve"),
-                    "{ended:?}"
-                );
+                assert!(killed || ended.errors().contains("the permit to serve"), "{ended:?}");
                 self.workers[at] = self.scene.worker(at);
             }
             if !self.links[at].is_running() {
@@ -780,14 +729,7 @@ fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_i
     let workers = [0, 1].map(|at| scene.worker(at));
     let links = [0, 1].map(|at| scene.base_link(at));
     let field = scene.field_link();
-    let mut all = Supervised {
-        scene,
-        etcd,
-        workers,
-        links,
-        field,
-        gave_way: 0,
-    };
+    let mut all = Supervised { scene, etcd, workers, links, field, gave_way: 0 };
     let _robots = all.scene.robots();
     let mut planner = all.scene.field.planner();
     let beside = vec![all.scene.bases[0].planner(), all.scene.bases[1].planner()];

@@ -33,9 +33,7 @@ fn forgeries(real: &[u8]) -> Vec<Vec<u8>> {
         real[..real.len() - 1].to_vec(),
         real.to_vec(),
     ];
-    for at in [
-        0, 8, 12, 16, 32, 40, 48, 56, 64, 68, 80, 88, 96, 112, 130, 200,
-    ] {
+    for at in [0, 8, 12, 16, 32, 40, 48, 56, 64, 68, 80, 88, 96, 112, 130, 200] {
         let mut forged = real.to_vec();
         if let Some(byte) = forged.get_mut(at) {
             *byte ^= 0x80;
@@ -60,10 +58,7 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     let mut desk = there.link(&text);
     let stranger = session([&address, &of_desk]);
     // Real messages of the stream, recorded and sent again, damaged and intact.
-    let overheard = stranger
-        .declare_subscriber("joulebus/lab/**")
-        .wait()
-        .unwrap();
+    let overheard = stranger.declare_subscriber("joulebus/lab/**").wait().unwrap();
     let mut planner = there.planner();
     let mut real = Vec::new();
     while real.len() < 60 {
@@ -92,24 +87,11 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     planner.fresh();
     planner.leave();
     let desk = desk.end();
-    assert_eq!(
-        desk.code(),
-        Some(3),
-        "refused messages are reported: {desk:?}"
-    );
+    assert_eq!(desk.code(), Some(3), "refused messages are reported: {desk:?}");
     let taken = desk.json()["taken"][0].clone();
-    assert!(
-        taken["refused"]["wrong length"].as_u64().unwrap() > 10,
-        "{taken}"
-    );
-    assert!(
-        taken["refused"]["another release"].as_u64().unwrap() > 1,
-        "{taken}"
-    );
-    assert!(
-        taken["refused"]["another fleet"].as_u64().unwrap() > 1,
-        "{taken}"
-    );
+    assert!(taken["refused"]["wrong length"].as_u64().unwrap() > 10, "{taken}");
+    assert!(taken["refused"]["another release"].as_u64().unwrap() > 1, "{taken}");
+    assert!(taken["refused"]["another fleet"].as_u64().unwrap() > 1, "{taken}");
     let base = base.end();
     assert_eq!(base.code(), Some(3), "{base:?}");
 }

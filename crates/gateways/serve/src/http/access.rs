@@ -42,18 +42,12 @@ pub(super) struct Token(Vec<u8>);
 
 impl Token {
     pub(super) fn read(path: &Path) -> Result<Self, TokenError> {
-        let failed = |error| TokenError::Read {
-            path: path.to_owned(),
-            error,
-        };
+        let failed = |error| TokenError::Read { path: path.to_owned(), error };
         let text = joulebus_files::read_secret(path, MAX_FILE_BYTES).map_err(failed)?;
         let text = text.trim_end_matches(['\n', '\r']);
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
         if !TOKEN_LENGTHS.contains(&text.len()) || !text.bytes().all(plain) {
-            return Err(TokenError::Text {
-                path: path.to_owned(),
-                found: text.len(),
-            });
+            return Err(TokenError::Text { path: path.to_owned(), found: text.len() });
         }
         Ok(Self(text.as_bytes().to_vec()))
     }
@@ -65,9 +59,7 @@ impl Token {
 
     /// Whether a request carries it, as bearer or as the cookie `cookie`.
     fn is_in(&self, headers: &HeaderMap, cookie: &str) -> bool {
-        let bearer = headers
-            .get(header::AUTHORIZATION)
-            .map(|value| value.as_bytes());
+        let bearer = headers.get(header::AUTHORIZATION).map(|value| value.as_bytes());
         let bearer = bearer.and_then(|value| value.strip_prefix(b"Bearer "));
         let cookies = headers.get_all(header::COOKIE).iter();
         let cookies = cookies.filter_map(|cookies| cookies.to_str().ok());
@@ -155,10 +147,7 @@ impl Access {
     /// A request may name the host in its first line, too.
     pub(super) fn check_host(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         let mut stated = headers.get_all(header::HOST).iter();
-        let host = stated
-            .next()
-            .and_then(|host| host.to_str().ok())
-            .unwrap_or_default();
+        let host = stated.next().and_then(|host| host.to_str().ok()).unwrap_or_default();
         let is_known = |host: &str| {
             let name = name_of(host).to_ascii_lowercase();
             let mut names = self.hosts.iter();
@@ -235,8 +224,7 @@ impl Rates {
             (left + seconds * RATE).min(BURST)
         };
         if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
-            self.left
-                .retain(|_, (left, since)| refilled(*left, *since) < BURST);
+            self.left.retain(|_, (left, since)| refilled(*left, *since) < BURST);
         }
         if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
             return Err(too_many());
@@ -367,17 +355,10 @@ mod tests {
         for allowed in [
             ("authorization", "Bearer 0123456789abcdef"),
             ("cookie", "joulebus_token_1=0123456789abcdef"),
-            (
-                "cookie",
-                "joulebus_token_2=fedcba9876543210; joulebus_token_1=0123456789abcdef",
-            ),
+            ("cookie", "joulebus_token_2=fedcba9876543210; joulebus_token_1=0123456789abcdef"),
             ("cookie", "a=b; joulebus_token_1=0123456789abcdef; c=d"),
         ] {
-            assert_eq!(
-                status(&closed, "/metrics", &[host, allowed]),
-                None,
-                "{allowed:?}"
-            );
+            assert_eq!(status(&closed, "/metrics", &[host, allowed]), None, "{allowed:?}");
         }
         for refused in [
             ("authorization", "Bearer 0123456789abcdeg"),
@@ -392,29 +373,18 @@ mod tests {
             ("cookie", "xjoulebus_token_1=0123456789abcdef"),
             ("cookie", "joulebus_token_1=0123456789abcdef0"),
         ] {
-            assert_eq!(
-                status(&closed, "/", &[host, refused]),
-                Some(401),
-                "{refused:?}"
-            );
+            assert_eq!(status(&closed, "/", &[host, refused]), Some(401), "{refused:?}");
         }
         assert_eq!(status(&closed, "/", &[host]), Some(401));
         assert_eq!(status(&closed, "/healthz", &[host]), None);
         let uri = |path: &str| path.parse::<Uri>().expect("a path");
         let found = closed.token_of(&uri("/?token=0123456789abcdef"));
         assert_eq!(found.as_deref(), Some("0123456789abcdef"));
-        for path in [
-            "/?token=",
-            "/?token=0123456789abcdeX",
-            "/",
-            "/metrics?token=0123456789abcdef",
-        ] {
+        for path in ["/?token=", "/?token=0123456789abcdeX", "/", "/metrics?token=0123456789abcdef"]
+        {
             assert_eq!(closed.token_of(&uri(path)), None, "{path}");
         }
-        assert_eq!(
-            access(None).token_of(&uri("/?token=0123456789abcdef")),
-            None
-        );
+        assert_eq!(access(None).token_of(&uri("/?token=0123456789abcdef")), None);
     }
 
     #[test]
@@ -422,23 +392,17 @@ mod tests {
         let (mut rates, begin) = (Rates::default(), Instant::now());
         let one = Peer::Address([127, 0, 0, 1].into());
         let other = Peer::Address([10, 0, 0, 1].into());
-        let taken = (0..5_000)
-            .filter(|_| rates.take(one, false, begin).is_ok())
-            .count();
+        let taken = (0..5_000).filter(|_| rates.take(one, false, begin).is_ok()).count();
         assert_eq!(taken, 1_000);
         // What is refused for its token is counted apart.
         let refused = (0..5_000).filter(|_| rates.take(other, true, begin).is_ok());
         assert_eq!(refused.count(), 100);
         assert!(rates.take(other, false, begin).is_ok());
         let later = begin + Duration::from_secs(1);
-        let taken = (0..5_000)
-            .filter(|_| rates.take(one, false, later).is_ok())
-            .count();
+        let taken = (0..5_000).filter(|_| rates.take(one, false, later).is_ok()).count();
         assert_eq!(taken, 200);
         // A user of this host has an allowance apart from all addresses.
-        let taken = (0..5_000)
-            .filter(|_| rates.take(Peer::User(0), false, later).is_ok())
-            .count();
+        let taken = (0..5_000).filter(|_| rates.take(Peer::User(0), false, later).is_ok()).count();
         assert_eq!(taken, 1_000);
     }
 
@@ -454,10 +418,6 @@ mod tests {
             let _ = rates.take(peer, false, now);
             assert!(rates.left.len() <= MAX_ADDRESSES);
         }
-        assert!(
-            rates
-                .take(Peer::User(7), false, begin + Duration::from_secs(60))
-                .is_ok()
-        );
+        assert!(rates.take(Peer::User(7), false, begin + Duration::from_secs(60)).is_ok());
     }
 }

@@ -89,14 +89,12 @@ impl AlarmLog {
             });
             alarms.changes.truncate(MAX_CHANGES);
         }
-        let raised = history
-            .raised()
-            .map(|(robot, alarm, since_ns)| RaisedRecord {
-                robot,
-                alarm: alarm.name(),
-                since_unix_ns: unix_of(since_ns),
-                acknowledged: history.acknowledged(robot, alarm).map(acknowledged),
-            });
+        let raised = history.raised().map(|(robot, alarm, since_ns)| RaisedRecord {
+            robot,
+            alarm: alarm.name(),
+            since_unix_ns: unix_of(since_ns),
+            acknowledged: history.acknowledged(robot, alarm).map(acknowledged),
+        });
         let of_sources = sources.raised().map(|(robot, since_ns)| RaisedRecord {
             robot,
             alarm: AlarmCard::IMPLAUSIBLE.name,

@@ -102,10 +102,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/readyz", get(ready))
         .route("/metrics", get(metrics_text))
-        .route(
-            "/api/v1/openapi.json",
-            get(|| async { typed("application/json", OPENAPI) }),
-        )
+        .route("/api/v1/openapi.json", get(|| async { typed("application/json", OPENAPI) }))
         .route("/api/v1/fleet", get(fleet))
         .route("/api/v1/robots", get(robots))
         .route("/api/v1/robots/{id}", get(robot))
@@ -126,10 +123,7 @@ static OPENAPI: &[u8] = include_bytes!("openapi.json");
 type Answer = Result<Response, ApiError>;
 
 async fn wrong_method(uri: Uri) -> ApiError {
-    let text = format!(
-        "{} does not take this method: see /api/v1/openapi.json",
-        uri.path()
-    );
+    let text = format!("{} does not take this method: see /api/v1/openapi.json", uri.path());
     ApiError::new(StatusCode::METHOD_NOT_ALLOWED, text)
 }
 
@@ -154,13 +148,7 @@ async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer
     let accept = headers.get(header::ACCEPT).and_then(|it| it.to_str().ok());
     let format = metrics::TextFormat::accepted(accept);
     let now_ns = clock::monotonic_ns();
-    let text = metrics::text(
-        &app.newest(),
-        now_ns,
-        app.config.fleet(),
-        app.metrics_robots,
-        format,
-    );
+    let text = metrics::text(&app.newest(), now_ns, app.config.fleet(), app.metrics_robots, format);
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
     Ok(typed(format.kind(), text))
@@ -237,17 +225,13 @@ async fn history(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer 
 
 /// Waits for the answer of the reading thread.
 async fn within<T>(answer: oneshot::Receiver<T>) -> Result<T, ApiError> {
-    let answered = timeout(ANSWER_LIMIT, answer)
-        .await
-        .ok()
-        .and_then(Result::ok);
+    let answered = timeout(ANSWER_LIMIT, answer).await.ok().and_then(Result::ok);
     answered
         .ok_or_else(|| ApiError::busy("the reading thread has not answered within 5 s: ask again"))
 }
 
 fn id_of(id: &str) -> Result<u32, ApiError> {
-    id.parse()
-        .map_err(|_| ApiError::value("the robot's id", id, "0 to 4294967295"))
+    id.parse().map_err(|_| ApiError::value("the robot's id", id, "0 to 4294967295"))
 }
 
 fn no_robot(robot: u32) -> ApiError {
@@ -313,11 +297,7 @@ impl Flow {
         loop {
             self.ticks.tick().await;
             let newest = self.app.newest();
-            if self
-                .shown
-                .as_ref()
-                .is_none_or(|shown| !Arc::ptr_eq(shown, &newest))
-            {
+            if self.shown.as_ref().is_none_or(|shown| !Arc::ptr_eq(shown, &newest)) {
                 let message = self.client.message(&newest);
                 self.shown = Some(newest);
                 self.sent = Instant::now();
@@ -362,12 +342,7 @@ async fn body<T: DeserializeOwned>(request: Request) -> Result<T, ApiError> {
     let body = axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES);
     let body = timeout(BODY_LIMIT, body).await;
     drop(receiving);
-    let late = || {
-        ApiError::new(
-            StatusCode::REQUEST_TIMEOUT,
-            "the body has not arrived within 5 s",
-        )
-    };
+    let late = || ApiError::new(StatusCode::REQUEST_TIMEOUT, "the body has not arrived within 5 s");
     let body = body.map_err(|_| late())?.map_err(|_| {
         let text =
             format!("the body is longer than {MAX_BODY_BYTES} bytes, or its transfer failed");

@@ -103,20 +103,13 @@ impl Connections {
         }
         open.number += 1;
         let number = open.number;
-        let connection = Arc::new(Connection {
-            is_reserved,
-            ..Connection::default()
-        });
+        let connection = Arc::new(Connection { is_reserved, ..Connection::default() });
         let places = match is_reserved {
             true => &mut open.reserved,
             false => &mut open.usual,
         };
         places.insert(number, Arc::clone(&connection));
-        Place {
-            connections: Arc::clone(self),
-            number,
-            connection,
-        }
+        Place { connections: Arc::clone(self), number, connection }
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
@@ -237,11 +230,7 @@ pub(super) struct Watched<S> {
 
 impl<S> Watched<S> {
     pub(super) fn new(stream: S) -> Self {
-        Self {
-            stream,
-            due: Due::default(),
-            limit: Box::pin(sleep(WRITE_LIMIT)),
-        }
+        Self { stream, due: Due::default(), limit: Box::pin(sleep(WRITE_LIMIT)) }
     }
 
     /// The result of writing some of `bytes`, or an error if the client takes too little.

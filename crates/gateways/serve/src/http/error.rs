@@ -19,10 +19,7 @@ struct Refusal<'a> {
 
 impl ApiError {
     pub(super) fn new(status: StatusCode, text: impl Into<String>) -> Self {
-        Self {
-            status,
-            text: text.into(),
-        }
+        Self { status, text: text.into() }
     }
 
     /// A parameter's value that is not allowed.
@@ -42,10 +39,8 @@ impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         let mut response = json(&Refusal { error: &self.text });
         *response.status_mut() = self.status;
-        let retry = matches!(
-            self.status,
-            StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE
-        );
+        let retry =
+            matches!(self.status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE);
         let headers = response.headers_mut();
         if retry {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));

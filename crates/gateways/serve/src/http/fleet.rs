@@ -137,10 +137,7 @@ impl FleetRecord {
         let header = board.header();
         let mut tick_s = around.distributions.tick_s.clone();
         tick_s.last = header.map(|header| {
-            header
-                .compute_end_ns
-                .saturating_sub(header.compute_start_ns) as f64
-                * 1e-9
+            header.compute_end_ns.saturating_sub(header.compute_start_ns) as f64 * 1e-9
         });
         Self {
             fleet: around.fleet.to_owned(),
@@ -183,10 +180,7 @@ impl WorkerRecord {
                     around.stale_after_ns as f64 * 1e-9
                 )),
             ),
-            Link::Gone => (
-                "gone",
-                Some("its process ended without a shutdown".to_owned()),
-            ),
+            Link::Gone => ("gone", Some("its process ended without a shutdown".to_owned())),
             Link::Ended => ("gone", Some("it has shut down".to_owned())),
         };
         Self {

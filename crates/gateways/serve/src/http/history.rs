@@ -96,9 +96,7 @@ impl History {
         let first = track.first.max(self.steps.saturating_sub(POINTS as u64));
         let column = |value: fn(&Point) -> f32| -> Vec<Option<f32>> {
             let points = (first..self.steps).map(|step| &track.points[step as usize % POINTS]);
-            points
-                .map(|point| Some(value(point)).filter(|value| value.is_finite()))
-                .collect()
+            points.map(|point| Some(value(point)).filter(|value| value.is_finite())).collect()
         };
         Some(HistoryRecord {
             robot,
@@ -116,9 +114,7 @@ impl History {
 
 impl Point {
     fn of(row: &Row) -> Self {
-        let battery = row
-            .budget
-            .filter(|budget| budget.flags & budget_flag::BATTERY != 0);
+        let battery = row.budget.filter(|budget| budget.flags & budget_flag::BATTERY != 0);
         let soc = battery.map_or(f32::NAN, |budget| budget.soc);
         let Some(point) = row.point else {
             return Self { soc, ..UNKNOWN };
@@ -128,9 +124,7 @@ impl Point {
             power_w: point.forecast_w,
             lo_w: point.interval_w.0,
             hi_w: point.interval_w.1,
-            residual_w: row
-                .residual_w
-                .map_or(f32::NAN, |residual_w| residual_w as f32),
+            residual_w: row.residual_w.map_or(f32::NAN, |residual_w| residual_w as f32),
             soc,
         }
     }
@@ -145,11 +139,7 @@ mod tests {
     fn board(tick: u64, robots: &[u32]) -> Board {
         let mut board = Board::new(0);
         for tick in [tick, tick + 1] {
-            let header = ForecastHeader {
-                worker_epoch: 1,
-                tick,
-                ..ForecastHeader::default()
-            };
+            let header = ForecastHeader { worker_epoch: 1, tick, ..ForecastHeader::default() };
             let forecasts: Vec<Forecast> = robots
                 .iter()
                 .map(|robot| Forecast {
@@ -177,14 +167,8 @@ mod tests {
         let record = history.of(3).expect("it is in the fleet");
         assert_eq!(record.reading_w.len(), POINTS);
         // The reading of step n is n + 1 W.
-        assert_eq!(
-            (record.reading_w[0], record.reading_w[239]),
-            (Some(11.0), Some(250.0))
-        );
-        assert_eq!(
-            (record.reading_w[235], record.power_w[234]),
-            (None, Some(0.5))
-        );
+        assert_eq!((record.reading_w[0], record.reading_w[239]), (Some(11.0), Some(250.0)));
+        assert_eq!((record.reading_w[235], record.power_w[234]), (None, Some(0.5)));
         assert_eq!(record.residual_w[239], Some(249.5));
         assert_eq!((record.soc[0], record.lo_w[0]), (None, None));
         assert_eq!(record.end_unix_ns, 249 * STEP_NS);

@@ -90,11 +90,8 @@ pub(super) fn at_socket(path: &Path) -> anyhow::Result<(UnixListener, SocketFile
     let lock = SocketLock::take(path)?;
     remove_stale(path)?;
     let socket = bind(path).with_context(failed)?;
-    let file = SocketFile {
-        path: path.to_owned(),
-        is: identity(path).with_context(failed)?,
-        _lock: lock,
-    };
+    let file =
+        SocketFile { path: path.to_owned(), is: identity(path).with_context(failed)?, _lock: lock };
     net::listen(&socket, WAITING).with_context(failed)?;
     let listener = UnixListener::from(socket);
     listener.set_nonblocking(true).with_context(failed)?;
@@ -248,10 +245,7 @@ mod tests {
     #[test]
     fn a_file_in_the_place_of_the_lock_that_is_not_ours_is_left_as_it_is() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
-        let (path, lock) = (
-            folder.path().join("Cargo"),
-            folder.path().join("Cargo.lock"),
-        );
+        let (path, lock) = (folder.path().join("Cargo"), folder.path().join("Cargo.lock"));
         let longer = [MARKER, b"and more"].concat();
         let other = folder.path().join("other");
         for text in [&b"version = 4"[..], b"\0\0", &longer] {
@@ -321,10 +315,7 @@ mod tests {
                 ended.flatten().collect()
             });
             assert_eq!(refused.len(), SERVERS - 1, "{refused:?}");
-            assert!(
-                refused.iter().all(|why| why.contains(ANOTHER)),
-                "{refused:?}"
-            );
+            assert!(refused.iter().all(|why| why.contains(ANOTHER)), "{refused:?}");
             assert_eq!(fs::read_dir(folder.path())?.count(), 0);
         }
         Ok(())

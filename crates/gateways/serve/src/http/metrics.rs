@@ -57,9 +57,8 @@ fn classic(open: &str) -> String {
     for line in open.lines() {
         if let Some(said) = line.strip_prefix("# HELP ") {
             help = said.split_once(' ').map_or("", |(_, said)| said);
-        } else if let Some((name, kind)) = line
-            .strip_prefix("# TYPE ")
-            .and_then(|typed| typed.split_once(' '))
+        } else if let Some((name, kind)) =
+            line.strip_prefix("# TYPE ").and_then(|typed| typed.split_once(' '))
         {
             let (suffix, kind) = match kind {
                 "counter" => ("_total", kind),
@@ -67,16 +66,7 @@ fn classic(open: &str) -> String {
                 "unknown" => ("", "untyped"),
                 _ => ("", kind),
             };
-            for part in [
-                "# HELP ",
-                name,
-                suffix,
-                " ",
-                help,
-                "\n# TYPE ",
-                name,
-                suffix,
-            ] {
+            for part in ["# HELP ", name, suffix, " ", help, "\n# TYPE ", name, suffix] {
                 text.push_str(part);
             }
             for part in [" ", kind, "\n"] {
@@ -176,11 +166,7 @@ impl Metrics {
                 "Ticks skipped because the one before took too long",
                 counters.ticks_skipped,
             ),
-            (
-                "joulebus_samples_accepted",
-                "Samples accepted",
-                counters.samples_accepted,
-            ),
+            ("joulebus_samples_accepted", "Samples accepted", counters.samples_accepted),
             (
                 "joulebus_questions_answered",
                 "Questions about plans answered",
@@ -192,22 +178,9 @@ impl Metrics {
         }
         let dropped = counters.samples_dropped.iter();
         let dropped = dropped.map(|(reason, count)| (reason.name(), count));
-        by_reason(
-            encoder,
-            "joulebus_samples_dropped",
-            "Samples dropped",
-            dropped,
-        )?;
-        let refused = counters
-            .queries
-            .iter()
-            .map(|(reason, count)| (reason.name(), count));
-        by_reason(
-            encoder,
-            "joulebus_questions_refused",
-            "Questions about plans refused",
-            refused,
-        )
+        by_reason(encoder, "joulebus_samples_dropped", "Samples dropped", dropped)?;
+        let refused = counters.queries.iter().map(|(reason, count)| (reason.name(), count));
+        by_reason(encoder, "joulebus_questions_refused", "Questions about plans refused", refused)
     }
 
     fn fleet(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
@@ -219,19 +192,9 @@ impl Metrics {
             ("stale", totals.stale),
         ];
         let levels = levels.map(|(level, count)| (vec![("level", level.to_owned())], count as f64));
-        gauges(
-            encoder,
-            "joulebus_robots",
-            "Robots of the fleet",
-            None,
-            levels,
-        )?;
+        gauges(encoder, "joulebus_robots", "Robots of the fleet", None, levels)?;
         let mut raised = [0_u32; Alarm::ALL.len()];
-        for diagnostic in self
-            .snapshot
-            .entries()
-            .iter()
-            .filter_map(|entry| entry.newest.diagnostic)
+        for diagnostic in self.snapshot.entries().iter().filter_map(|entry| entry.newest.diagnostic)
         {
             for (count, alarm) in raised.iter_mut().zip(Alarm::ALL) {
                 *count += u32::from(diagnostic.alarms().has(alarm));
@@ -245,13 +208,7 @@ impl Metrics {
         let implausible = implausible.filter(|raised| raised.is(&card)).count() as u32;
         let of_sources = (vec![("alarm", card.name.to_owned())], implausible.into());
         let alarms = alarms.chain([of_sources]);
-        gauges(
-            encoder,
-            "joulebus_alarms",
-            "Alarms that are raised",
-            None,
-            alarms,
-        )?;
+        gauges(encoder, "joulebus_alarms", "Alarms that are raised", None, alarms)?;
         let power_w = totals.power_w.map(|power_w| (NO_LABELS, power_w));
         gauges(
             encoder,
@@ -274,12 +231,7 @@ impl Metrics {
         let all = self.snapshot.entries();
         let robots = &all[..all.len().min(self.max_robots)];
         let beyond = (all.len() - robots.len()) as f64;
-        gauge(
-            encoder,
-            "joulebus_robots_without_series",
-            "Robots beyond --metrics-robots",
-            beyond,
-        )?;
+        gauge(encoder, "joulebus_robots_without_series", "Robots beyond --metrics-robots", beyond)?;
         if robots.is_empty() {
             return Ok(());
         }
@@ -314,25 +266,13 @@ impl Metrics {
             residual,
         )?;
         let soc = series(&|entry| {
-            battery(
-                entry.newest.budget.as_ref()?,
-                budget_flag::BATTERY,
-                |budget| budget.soc,
-            )
+            battery(entry.newest.budget.as_ref()?, budget_flag::BATTERY, |budget| budget.soc)
         });
-        gauges(
-            encoder,
-            "joulebus_soc",
-            "State of charge",
-            Some(&ratio),
-            soc,
-        )?;
+        gauges(encoder, "joulebus_soc", "State of charge", Some(&ratio), soc)?;
         let left = series(&|entry| {
-            battery(
-                entry.newest.budget.as_ref()?,
-                budget_flag::TIME_TO_EMPTY,
-                |budget| budget.time_to_empty_s,
-            )
+            battery(entry.newest.budget.as_ref()?, budget_flag::TIME_TO_EMPTY, |budget| {
+                budget.time_to_empty_s
+            })
         });
         gauges(
             encoder,
@@ -350,13 +290,7 @@ impl Metrics {
             age,
         )?;
         let health = series(&|entry| Some(entry.newest.level().code().into()));
-        gauges(
-            encoder,
-            "joulebus_health_level",
-            "0 ok, 1 warn, 2 error, 3 stale",
-            None,
-            health,
-        )
+        gauges(encoder, "joulebus_health_level", "0 ok, 1 warn, 2 error, 3 stale", None, health)
     }
 }
 
@@ -390,16 +324,12 @@ fn power_w(forecast: &Forecast) -> [(&'static str, Option<f64>); 4] {
 
 fn residual_w(diagnostic: &Diagnostic) -> Option<f64> {
     let scored = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
-    scored
-        .then(|| f64::from(diagnostic.residual_w))
-        .filter(|value| value.is_finite())
+    scored.then(|| f64::from(diagnostic.residual_w)).filter(|value| value.is_finite())
 }
 
 fn battery(budget: &Budget, flag: u32, value: fn(&Budget) -> f32) -> Option<f64> {
     let known = budget.flags & flag != 0;
-    known
-        .then(|| f64::from(value(budget)))
-        .filter(|value| value.is_finite())
+    known.then(|| f64::from(value(budget))).filter(|value| value.is_finite())
 }
 
 fn of(entry: &Entry) -> Labels {
@@ -506,10 +436,7 @@ mod tests {
             (None, TextFormat::Classic),
             (Some("*/*"), TextFormat::Classic),
             (Some("text/plain;version=0.0.4"), TextFormat::Classic),
-            (
-                Some("application/openmetrics-text; q=0"),
-                TextFormat::Classic,
-            ),
+            (Some("application/openmetrics-text; q=0"), TextFormat::Classic),
             (
                 Some("text/html, Application/OpenMetrics-Text; version=1.0.0; q=0.8"),
                 TextFormat::OpenMetrics,

@@ -179,20 +179,18 @@ impl HttpServer {
             .max_blocking_threads(2)
             .build()
             .context("cannot start the server's runtime")?;
-        let web = thread::Builder::new()
-            .name("joulebus-http".to_owned())
-            .spawn(move || {
-                yield_to_the_worker(NICE);
-                runtime.block_on(async {
-                    tokio::select! {
-                        () = accept_all(listeners, &inside) => {}
-                        () = look_for_recorders(config, recorders) => {}
-                        () = inside.end.notified() => {}
-                    }
-                });
-                // A question being computed is not waited for.
-                runtime.shutdown_background();
+        let web = thread::Builder::new().name("joulebus-http".to_owned()).spawn(move || {
+            yield_to_the_worker(NICE);
+            runtime.block_on(async {
+                tokio::select! {
+                    () = accept_all(listeners, &inside) => {}
+                    () = look_for_recorders(config, recorders) => {}
+                    () = inside.end.notified() => {}
+                }
             });
+            // A question being computed is not waited for.
+            runtime.shutdown_background();
+        });
         Ok(Self {
             address,
             socket,
@@ -395,10 +393,7 @@ impl Shared {
         self.access.check_host(uri, headers)?;
         let name = &self.access.cookie;
         let cookie = format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/");
-        let headers = [
-            (header::LOCATION, "/"),
-            (header::SET_COOKIE, cookie.as_str()),
-        ];
+        let headers = [(header::LOCATION, "/"), (header::SET_COOKIE, cookie.as_str())];
         Ok(Some((StatusCode::SEE_OTHER, headers).into_response()))
     }
 }
@@ -437,9 +432,6 @@ fn recorders(config: &Config) -> Option<Vec<Recorder>> {
     let inspection = inspect(&config.domain().ok()?).ok()?;
     let nodes = inspection.nodes.into_iter();
     let recorders = nodes.filter(|node| node.alive != Some(false) && node.name == RECORDER);
-    let recorders = recorders.map(|node| Recorder {
-        name: node.name,
-        pid: node.pid,
-    });
+    let recorders = recorders.map(|node| Recorder { name: node.name, pid: node.pid });
     Some(recorders.collect())
 }

@@ -18,11 +18,7 @@ type File = (&'static str, &'static str, &'static [u8]);
 
 macro_rules! file {
     ($path:literal, $kind:expr) => {
-        (
-            concat!("/", $path),
-            $kind,
-            include_bytes!(concat!("../../page/", $path)),
-        )
+        (concat!("/", $path), $kind, include_bytes!(concat!("../../page/", $path)))
     };
 }
 
@@ -76,11 +72,7 @@ pub(super) fn file(path: &str, request: &HeaderMap) -> Option<Response> {
 
 fn tag(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
-    let digits: String = digest
-        .iter()
-        .take(8)
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let digits: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     format!("\"{digits}\"")
 }
 

@@ -48,11 +48,7 @@ pub(super) struct PlanRows {
 impl PlanRows {
     pub(super) fn ask(&mut self, robots: Vec<u32>, reply: Reply, now_ns: u64) {
         self.asked_ns = now_ns;
-        self.waiting.push(Waiting {
-            robots,
-            reply,
-            until_ns: now_ns + PATIENCE_NS,
-        });
+        self.waiting.push(Waiting { robots, reply, until_ns: now_ns + PATIENCE_NS });
     }
 
     /// Whether a client waits for an answer.
@@ -98,10 +94,7 @@ impl PlanRows {
 
 impl Feeds {
     fn open(planner: &Subscriber) -> Result<Self, ConnectError> {
-        Ok(Self {
-            states: planner.plan_states()?,
-            budgets: planner.budgets()?,
-        })
+        Ok(Self { states: planner.plan_states()?, budgets: planner.budgets()? })
     }
 
     /// None while there is no frame that is at most two ticks old.
@@ -122,9 +115,7 @@ impl Feeds {
             return None;
         }
         let rows = robots.iter().map(|robot| {
-            let state = states
-                .robot(*robot)
-                .ok_or(RowsError::UnknownRobot(*robot))?;
+            let state = states.robot(*robot).ok_or(RowsError::UnknownRobot(*robot))?;
             Ok(RobotRows {
                 header,
                 state: *state,

@@ -55,9 +55,7 @@ impl Questions {
     pub(super) async fn turn(&self, config: &Config) -> Result<Turn, ApiError> {
         let place = Arc::clone(&self.places).try_acquire_owned();
         let place = place.map_err(|_| {
-            ApiError::busy(format!(
-                "{MAX_QUESTIONS} questions are being answered: ask again"
-            ))
+            ApiError::busy(format!("{MAX_QUESTIONS} questions are being answered: ask again"))
         })?;
         let turn = Arc::clone(&self.turn).acquire_owned().await;
         let turn = Turn {
@@ -92,9 +90,7 @@ impl Questions {
     ) -> Result<Reply, ApiError> {
         let plans = Arc::clone(&self.plans);
         let computed = blocking(turn, move |is_gone| {
-            let plans = plans
-                .get()
-                .ok_or_else(|| ApiError::busy("the models are not loaded"))?;
+            let plans = plans.get().ok_or_else(|| ApiError::busy("the models are not loaded"))?;
             compute(plans, question, &rows, is_gone)
         });
         computed.await.map(|(_turn, reply)| reply)
@@ -174,13 +170,10 @@ pub(super) fn report(
     AnswersReport {
         fleet: config.fleet().to_owned(),
         tick: rows.map_or(0, |rows| rows.header.tick),
-        age_s: rows.map_or(0.0, |rows| {
-            rows.now_ns.saturating_sub(rows.header.sent_ns) as f64 * 1e-9
-        }),
+        age_s: rows
+            .map_or(0.0, |rows| rows.now_ns.saturating_sub(rows.header.sent_ns) as f64 * 1e-9),
         coverage,
-        answers: answers
-            .map(|row| AnswerReport::new(config.settings(), row))
-            .collect(),
+        answers: answers.map(|row| AnswerReport::new(config.settings(), row)).collect(),
     }
 }
 

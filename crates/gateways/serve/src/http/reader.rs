@@ -81,12 +81,7 @@ impl Reader {
             }
             Ok::<_, ReaderError>(())
         })?;
-        Ok(Self {
-            snapshots,
-            asks,
-            recorders,
-            thread,
-        })
+        Ok(Self { snapshots, asks, recorders, thread })
     }
 
     pub(super) fn is_over(&self) -> bool {
@@ -174,15 +169,10 @@ impl Work {
     /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
     fn turn(&mut self) -> Result<(), ReaderError> {
         let Self { reading, board, .. } = self;
-        let longest = if self.plan_rows.are_asked() {
-            ANSWER_EVERY
-        } else {
-            SHOW_EVERY
-        };
+        let longest = if self.plan_rows.are_asked() { ANSWER_EVERY } else { SHOW_EVERY };
         reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
-        self.source_alarms
-            .changes(|change| alarms.add(change.into()));
+        self.source_alarms.changes(|change| alarms.add(change.into()));
         match self.alarm_feed.changes(|change| alarms.add(change.into())) {
             // The next call may succeed, as with forecasts.
             Ok(()) | Err(ReadError::Receive(_)) => {}

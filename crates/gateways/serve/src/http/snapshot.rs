@@ -120,10 +120,7 @@ impl Snapshot {
 
     /// A robot as in `watch --format json`, with its platform.
     pub(super) fn robot(&self, robot: u32) -> Option<Arc<Object>> {
-        let place = self
-            .entries
-            .binary_search_by_key(&robot, |entry| entry.robot)
-            .ok()?;
+        let place = self.entries.binary_search_by_key(&robot, |entry| entry.robot).ok()?;
         let entry = &self.entries[place];
         let record = entry.record.get_or_init(|| {
             object(&ShownRecord {
@@ -131,9 +128,7 @@ impl Snapshot {
                 sample_age_s: entry
                     .sample_age_ns(self.at_ns)
                     .map(|age_ns| (age_ns / 100_000_000) as f64 * 0.1),
-                platform: entry
-                    .platform
-                    .map(|place| self.platforms.names()[place].as_str()),
+                platform: entry.platform.map(|place| self.platforms.names()[place].as_str()),
             })
         });
         Some(Arc::clone(record))

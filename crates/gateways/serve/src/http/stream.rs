@@ -38,12 +38,7 @@ struct Sent {
 
 impl Client {
     pub(super) const fn new(view: View, robot: Option<u32>) -> Self {
-        Self {
-            view,
-            robot,
-            sent: None,
-            seq: 0,
-        }
+        Self { view, robot, sent: None, seq: 0 }
     }
 
     /// The next message.
@@ -128,10 +123,8 @@ impl Client {
         }
         let newest = rows(&window.robots, snapshot);
         let changes = newest.iter().filter_map(|(robot, row)| {
-            let change = sent
-                .rows
-                .get(robot)
-                .map_or_else(|| (**row).clone(), |before| changed(before, row));
+            let change =
+                sent.rows.get(robot).map_or_else(|| (**row).clone(), |before| changed(before, row));
             (!change.is_empty()).then(|| (robot.to_string(), Value::from(change)))
         });
         let changes: Object = changes.collect();
@@ -157,18 +150,13 @@ impl Client {
 
 fn rows(robots: &[u32], snapshot: &Snapshot) -> HashMap<u32, Arc<Object>> {
     let rows = robots.iter();
-    rows.filter_map(|robot| Some((*robot, snapshot.robot(*robot)?)))
-        .collect()
+    rows.filter_map(|robot| Some((*robot, snapshot.robot(*robot)?))).collect()
 }
 
 /// The values of `after` that differ from those of `before`.
 fn changed(before: &Object, after: &Object) -> Object {
-    let differ = after
-        .iter()
-        .filter(|(name, value)| before.get(*name) != Some(*value));
-    differ
-        .map(|(name, value)| (name.clone(), value.clone()))
-        .collect()
+    let differ = after.iter().filter(|(name, value)| before.get(*name) != Some(*value));
+    differ.map(|(name, value)| (name.clone(), value.clone())).collect()
 }
 
 /// The detail of the selected robot to send. `None` if it has not changed.

@@ -42,10 +42,7 @@ impl StreamPlaces {
             return Err(ApiError::busy(text));
         }
         *open.entry(peer).or_default() += 1;
-        Ok(StreamPlace {
-            places: Arc::clone(self),
-            peer,
-        })
+        Ok(StreamPlace { places: Arc::clone(self), peer })
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<Peer, usize>> {

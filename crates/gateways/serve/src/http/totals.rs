@@ -48,16 +48,13 @@ impl Accumulator {
     /// Adds the contents of a board. [`Accumulator::consumed_uj`] is then up to date.
     pub(super) fn add(&mut self, board: &Board) -> Accumulated {
         for (robot, row) in &board.rows {
-            let ledger = row
-                .budget
-                .filter(|budget| budget.flags & budget_flag::LEDGER != 0);
+            let ledger = row.budget.filter(|budget| budget.flags & budget_flag::LEDGER != 0);
             if let Some(budget) = ledger {
                 self.drawn(*robot, budget.metered_ns, budget.drawn_uj);
             }
         }
         if self.ledgers.len() > MAX_ROBOTS {
-            self.ledgers
-                .retain(|robot, _| board.rows.contains_key(robot));
+            self.ledgers.retain(|robot, _| board.rows.contains_key(robot));
         }
         let (ticks, ticks_skipped, ticks_late) = board.ticks();
         Accumulated {
@@ -141,10 +138,7 @@ mod tests {
     fn questions_of_another_worker_are_added() {
         let mut accumulator = Accumulator::default();
         for (answered, total) in [(3, 3), (7, 7), (1, 8), (2, 9), (0, 9)] {
-            let counts = QueryCounts {
-                answered,
-                ..QueryCounts::default()
-            };
+            let counts = QueryCounts { answered, ..QueryCounts::default() };
             assert_eq!(accumulator.queried(counts).answered, total);
         }
     }
@@ -152,12 +146,9 @@ mod tests {
     #[test]
     fn refusals_do_not_fall_when_a_worker_that_answered_nothing_is_restarted() {
         let mut accumulator = Accumulator::default();
-        for (full, late, expected) in [
-            (2, 0, [2, 0]),
-            (5, 1, [5, 1]),
-            (0, 0, [5, 1]),
-            (1, 3, [6, 4]),
-        ] {
+        for (full, late, expected) in
+            [(2, 0, [2, 0]), (5, 1, [5, 1]), (0, 0, [5, 1]), (1, 3, [6, 4])]
+        {
             let mut counts = QueryCounts::default();
             counts.refused[..2].copy_from_slice(&[full, late]);
             assert_eq!(accumulator.queried(counts).refused[..2], expected);

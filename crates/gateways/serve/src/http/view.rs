@@ -84,16 +84,11 @@ impl View {
             }
             "from" => {
                 let allowed = "a number from 0";
-                let from: u32 = value
-                    .parse()
-                    .map_err(|_| ApiError::value(name, value, allowed))?;
+                let from: u32 = value.parse().map_err(|_| ApiError::value(name, value, allowed))?;
                 self.from = from as usize;
             }
             "count" => {
-                let count = value
-                    .parse()
-                    .ok()
-                    .filter(|count| (1..=MAX_ROBOTS).contains(count));
+                let count = value.parse().ok().filter(|count| (1..=MAX_ROBOTS).contains(count));
                 self.count = count.ok_or_else(|| ApiError::value(name, value, "1 to 200"))?;
             }
             _ => return Ok(false),
@@ -112,21 +107,13 @@ impl View {
         let order = snapshot.order(self.sort, self.descending);
         let mut matched = 0;
         let mut robots = Vec::new();
-        for entry in order
-            .iter()
-            .map(|place| snapshot.entry(*place))
-            .filter(shown)
-        {
+        for entry in order.iter().map(|place| snapshot.entry(*place)).filter(shown) {
             if matched >= self.from && robots.len() < self.count {
                 robots.push(entry.robot);
             }
             matched += 1;
         }
-        Window {
-            total: order.len(),
-            matched,
-            robots,
-        }
+        Window { total: order.len(), matched, robots }
     }
 }
 

@@ -65,20 +65,14 @@ impl Asked {
         let robots: Vec<u32> = self.robot.into_iter().chain(self.rank).collect();
         if !(1..=MAX_ROBOTS).contains(&robots.len()) {
             let found = robots.len();
-            return Err(format!(
-                "{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"
-            ));
+            return Err(format!("{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"));
         }
         let plan = match (self.path, self.idle_s) {
             (Some(places), None) => follow(robots, &places, self.back.as_ref())?,
             (None, Some(duration_s)) if self.back.is_none() => Plan::Idle { robots, duration_s },
             _ => return Err("give either path, and return if wanted, or idle_s".to_owned()),
         };
-        Ok(Question {
-            plan,
-            coverage: self.coverage,
-            power: false,
-        })
+        Ok(Question { plan, coverage: self.coverage, power: false })
     }
 }
 
@@ -92,21 +86,14 @@ fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result
     let point = |place: &Place| Point::new(place.x_m, place.y_m);
     let path = Path {
         points: places.iter().map(point).collect(),
-        speed_mps: places
-            .iter()
-            .map(|place| place.speed_mps.unwrap_or(f64::INFINITY))
-            .collect(),
+        speed_mps: places.iter().map(|place| place.speed_mps.unwrap_or(f64::INFINITY)).collect(),
         heading_rad: None,
     };
     let back_to = back.map(|back| match back {
         ReturnTo::Named(Dock::Dock) => path.points[0],
         ReturnTo::Place(place) => point(place),
     });
-    Ok(Plan::Follow {
-        robots,
-        path,
-        back_to,
-    })
+    Ok(Plan::Follow { robots, path, back_to })
 }
 
 /// Maximum length of a path, steps. The server computes one question at a time.

@@ -132,11 +132,7 @@ fn a_server_that_shows_the_fleet_is_not_told_as_one_that_records_it() {
     let fleet = Fleet::new();
     let (mut server, _) = start(&fleet.path(), &[]);
     let members = joulebus_bus::inspect(&fleet.config.domain().unwrap()).unwrap();
-    let names: Vec<_> = members
-        .nodes
-        .iter()
-        .map(|node| node.name.as_str())
-        .collect();
+    let names: Vec<_> = members.nodes.iter().map(|node| node.name.as_str()).collect();
     assert_eq!(names, ["foxglove"]);
     assert_ne!(names, [joulebus_capture_recorder::RECORDER]);
     server.stop();
@@ -175,10 +171,7 @@ fn see_a_forecast(config: &Path) {
     let channel = loop {
         let advertised = next_json(&mut client, "advertise");
         let channels = advertised["channels"].as_array().unwrap().clone();
-        if let Some(channel) = channels
-            .into_iter()
-            .find(|channel| channel["topic"] == topic)
-        {
+        if let Some(channel) = channels.into_iter().find(|channel| channel["topic"] == topic) {
             break channel;
         }
     };
@@ -214,10 +207,7 @@ fn see_a_forecast(config: &Path) {
             break forecasts;
         }
     };
-    assert!(
-        forecasts.iter().all(|forecast| forecast.robot < 3),
-        "{forecasts:?}"
-    );
+    assert!(forecasts.iter().all(|forecast| forecast.robot < 3), "{forecasts:?}");
     drop(client);
 
     server.signal(Signal::INT);
@@ -268,10 +258,7 @@ fn an_incomplete_handshake_is_closed() {
     let mut slowly = slow.try_clone().unwrap();
     let dripping = thread::spawn(move || {
         // Byte by byte, as long as they are accepted.
-        for byte in b"GET / HTTP/1.1\r\nX: "
-            .iter()
-            .chain(std::iter::repeat(&b'x'))
-        {
+        for byte in b"GET / HTTP/1.1\r\nX: ".iter().chain(std::iter::repeat(&b'x')) {
             if slowly.write_all(&[*byte]).is_err() {
                 return;
             }
@@ -281,26 +268,16 @@ fn an_incomplete_handshake_is_closed() {
     for stream in [&mut idle, &mut half, &mut slow] {
         let response = farewell(stream);
         // The slow client may have been reset before it read the reason.
-        assert!(
-            response.starts_with("HTTP/1.1 408 ") || response.is_empty(),
-            "{response}"
-        );
+        assert!(response.starts_with("HTTP/1.1 408 ") || response.is_empty(), "{response}");
     }
     dripping.join().unwrap();
     let mut long = dial(&address);
     long.write_all(
-        &b"GET / HTTP/1.1\r\nX: "
-            .iter()
-            .copied()
-            .chain([b'x'; 20_000])
-            .collect::<Vec<u8>>(),
+        &b"GET / HTTP/1.1\r\nX: ".iter().copied().chain([b'x'; 20_000]).collect::<Vec<u8>>(),
     )
     .unwrap();
     let response = farewell(&mut long);
-    assert!(
-        response.starts_with("HTTP/1.1 431 ") || response.is_empty(),
-        "{response}"
-    );
+    assert!(response.starts_with("HTTP/1.1 431 ") || response.is_empty(), "{response}");
     // The server serves other clients meanwhile.
     next_json(&mut connect(&address), "serverInfo");
     server.stop();
@@ -321,11 +298,7 @@ fn pages_of_this_host_and_of_foxglove_are_served_and_others_refused() {
         let mut client = try_connect(&address, origin).unwrap();
         next_json(&mut client, "serverInfo");
     }
-    for origin in [
-        "http://evil.example",
-        "null",
-        "https://app.foxglove.dev.evil.example",
-    ] {
+    for origin in ["http://evil.example", "null", "https://app.foxglove.dev.evil.example"] {
         let refused = try_connect(&address, Some(origin)).map(drop);
         assert_eq!(refused, Err(403), "{origin}");
         let response = server.wait_for_line("--allow-origin");
@@ -343,9 +316,7 @@ fn the_number_of_connections_is_bounded_and_closed_ones_are_freed() {
     let full = responses.find(|response| response.starts_with("HTTP/1.1 503 "));
     assert!(full.is_some(), "200 connections were taken at once");
     let status = fs::read_to_string(format!("/proc/{}/status", server.pid())).unwrap();
-    let threads = status
-        .lines()
-        .find_map(|line| line.strip_prefix("Threads:"));
+    let threads = status.lines().find_map(|line| line.strip_prefix("Threads:"));
     let threads: u32 = threads.unwrap().trim().parse().unwrap();
     assert!(threads < 64 + 40, "{threads} threads");
     // Silent connections are closed, and others are accepted.

@@ -113,11 +113,7 @@ impl Candidates {
         descriptions.extend(node_details(domain));
         descriptions.retain(|file| file.mode & OWNER_WRITE != 0);
         let nodes = incomplete_nodes(domain);
-        Ok(Self {
-            objects,
-            descriptions,
-            nodes,
-        })
+        Ok(Self { objects, descriptions, nodes })
     }
 
     fn is_empty(&self) -> bool {
@@ -126,11 +122,7 @@ impl Candidates {
 
     /// Removes what is old and open in no process; returns the number removed.
     fn remove(self) -> u64 {
-        let Self {
-            mut objects,
-            mut descriptions,
-            mut nodes,
-        } = self;
+        let Self { mut objects, mut descriptions, mut nodes } = self;
         objects.retain(Object::is_old);
         descriptions.retain(Object::is_old);
         nodes.retain(NodeFiles::is_old);
@@ -184,8 +176,7 @@ impl Abandoned {
             is_empty || !open.contains(&service.identity)
         });
         let now_ns = clock::monotonic_ns();
-        self.seen
-            .retain(|(identity, _)| services.iter().any(|it| it.identity == *identity));
+        self.seen.retain(|(identity, _)| services.iter().any(|it| it.identity == *identity));
         services.retain(|service| {
             let since = self.seen.iter().find(|(it, _)| *it == service.identity);
             let since_ns = since.map(|(_, since_ns)| *since_ns);
@@ -203,9 +194,7 @@ impl Abandoned {
 pub(crate) fn holders(domain: &Domain) -> Vec<u32> {
     let files = services(domain).into_iter();
     let files = files.filter_map(|service| fs::File::open(service.path).ok());
-    files
-        .flat_map(|file| lock_holders(&file, None).unwrap_or_default())
-        .collect()
+    files.flat_map(|file| lock_holders(&file, None).unwrap_or_default()).collect()
 }
 
 /// True if the list of ports of a service with this description exists, as far as the description
@@ -262,13 +251,9 @@ impl NodeFiles {
     }
 
     fn remove(self) -> bool {
-        let files = self
-            .files
-            .iter()
-            .all(|file| fs::remove_file(&file.path).is_ok());
-        let directory = self
-            .directory
-            .is_none_or(|directory| fs::remove_dir(directory.path).is_ok());
+        let files = self.files.iter().all(|file| fs::remove_file(&file.path).is_ok());
+        let directory =
+            self.directory.is_none_or(|directory| fs::remove_dir(directory.path).is_ok());
         files && directory
     }
 }
@@ -289,9 +274,8 @@ fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
         let Some(object) = Object::new(path.clone()) else {
             continue;
         };
-        let Some((id, part)) = name
-            .strip_prefix(domain.shm_prefix())
-            .and_then(|name| name.split_once(MONITOR))
+        let Some((id, part)) =
+            name.strip_prefix(domain.shm_prefix()).and_then(|name| name.split_once(MONITOR))
         else {
             continue;
         };

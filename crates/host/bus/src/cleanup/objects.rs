@@ -64,9 +64,7 @@ impl Object {
         let Some(claim) = Claim::take(self.path.clone()) else {
             return false;
         };
-        let now = claim
-            .found()
-            .and_then(|(path, file)| Self::found(path, &file));
+        let now = claim.found().and_then(|(path, file)| Self::found(path, &file));
         now.is_some_and(|now| now == self) && claim.remove()
     }
 

@@ -38,11 +38,7 @@ pub fn removed_files(domain: &Domain) -> Vec<RemovedFiles> {
     for (pid, path) in in_use(domain).intersection(&before) {
         match found.last_mut().filter(|last| last.pid == *pid) {
             Some(last) => last.count += 1,
-            None => found.push(RemovedFiles {
-                pid: *pid,
-                first: path.clone(),
-                count: 1,
-            }),
+            None => found.push(RemovedFiles { pid: *pid, first: path.clone(), count: 1 }),
         }
     }
     found
@@ -55,9 +51,7 @@ fn in_use(domain: &Domain) -> BTreeSet<(u32, PathBuf)> {
         let name = process.file_name().unwrap_or_default().to_string_lossy();
         let Ok(pid) = name.parse() else { continue };
         let descriptors = list(&process.join("fd"));
-        let removed = descriptors
-            .iter()
-            .filter_map(|descriptor| removed_file(domain, descriptor));
+        let removed = descriptors.iter().filter_map(|descriptor| removed_file(domain, descriptor));
         found.extend(removed.map(|path| (pid, path)));
     }
     found
@@ -79,10 +73,9 @@ fn removed_file(domain: &Domain, descriptor: &Path) -> Option<PathBuf> {
 
 /// True if a descriptor, given as its link in `/proc`, was opened for writing.
 fn is_written(descriptor: &Path) -> bool {
-    let (Some(number), Some(process)) = (
-        descriptor.file_name(),
-        descriptor.parent().and_then(Path::parent),
-    ) else {
+    let (Some(number), Some(process)) =
+        (descriptor.file_name(), descriptor.parent().and_then(Path::parent))
+    else {
         return false;
     };
     let info = fs::read_to_string(process.join("fdinfo").join(number)).unwrap_or_default();

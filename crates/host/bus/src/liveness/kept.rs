@@ -17,10 +17,7 @@ pub(crate) struct Kept<T> {
 
 impl<T> Kept<T> {
     pub(crate) const fn new(value: T, need: Need) -> Self {
-        Self {
-            need: Some(need),
-            value: ManuallyDrop::new(value),
-        }
+        Self { need: Some(need), value: ManuallyDrop::new(value) }
     }
 }
 

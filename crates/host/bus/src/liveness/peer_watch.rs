@@ -27,10 +27,7 @@ impl PeerWatch {
     #[must_use]
     pub fn is_gone(&self) -> bool {
         let mut polled = [PollFd::new(&self.descriptor, PollFlags::IN)];
-        let now = Timespec {
-            tv_sec: 0,
-            tv_nsec: 0,
-        };
+        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
         matches!(poll(&mut polled, Some(&now)), Ok(ready) if ready > 0)
     }
 }

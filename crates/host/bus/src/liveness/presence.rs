@@ -44,17 +44,10 @@ impl Presence {
         let need = self.number.fetch_add(1, Ordering::Relaxed);
         let found = paths.into_iter().filter_map(|path| {
             let identity = identity(&path)?;
-            Some(NeededFile {
-                path,
-                identity,
-                need,
-            })
+            Some(NeededFile { path, identity, need })
         });
         self.files().extend(found);
-        Need {
-            presence: Arc::clone(self),
-            number: need,
-        }
+        Need { presence: Arc::clone(self), number: need }
     }
 
     /// Checks all files. A missing file is reported permanently.
@@ -63,10 +56,7 @@ impl Presence {
     /// [`FilesRemoved`] with the first missing file.
     pub(crate) fn look(&self) -> Result<(), FilesRemoved> {
         let files = self.files();
-        if let Some(file) = files
-            .iter()
-            .find(|file| identity(&file.path) != Some(file.identity))
-        {
+        if let Some(file) = files.iter().find(|file| identity(&file.path) != Some(file.identity)) {
             self.lost.get_or_init(|| file.path.clone());
             self.is_lost.store(true, Ordering::Release);
         }
@@ -82,9 +72,7 @@ impl Presence {
         if !self.is_lost.load(Ordering::Acquire) {
             return Ok(());
         }
-        Err(FilesRemoved {
-            path: self.lost.get().cloned().unwrap_or_default(),
-        })
+        Err(FilesRemoved { path: self.lost.get().cloned().unwrap_or_default() })
     }
 
     fn files(&self) -> MutexGuard<'_, Vec<NeededFile>> {

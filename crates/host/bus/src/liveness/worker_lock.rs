@@ -107,10 +107,7 @@ impl WorkerLock {
     fn try_acquire(domain: &Domain) -> Result<Option<Self>, WorkerLockError> {
         crate::directory::prepare_root(domain)?;
         let path = domain.worker_file();
-        let failed = |source| WorkerLockError::Io {
-            path: path.clone(),
-            source,
-        };
+        let failed = |source| WorkerLockError::Io { path: path.clone(), source };
         let mut file = match open(domain, true) {
             Ok(file) => file,
             Err(error) if is_symlink(&error) => return Err(WorkerLockError::NotALock { path }),
@@ -160,10 +157,7 @@ impl WorkerLock {
             .and_then(|()| file.seek(SeekFrom::Start(0)))
             .and_then(|_| file.write_all(owner.line().as_bytes()))
             .map_err(failed)?;
-        Ok(Some(Self {
-            file,
-            domain: domain.clone(),
-        }))
+        Ok(Some(Self { file, domain: domain.clone() }))
     }
 }
 
@@ -277,9 +271,7 @@ fn is_lock(file: &mut File) -> io::Result<bool> {
     }
     let text = first_bytes(file)?;
     let line = text.strip_suffix(b"\n").unwrap_or(&text);
-    let is_line = line
-        .iter()
-        .all(|byte| byte.is_ascii_digit() || *byte == b' ');
+    let is_line = line.iter().all(|byte| byte.is_ascii_digit() || *byte == b' ');
     Ok(found.len() <= MAX_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
 }
 
@@ -419,10 +411,7 @@ mod tests {
     use super::*;
 
     const fn found(pid: Option<u32>) -> WorkerOwner {
-        WorkerOwner {
-            pid,
-            since_unix_ns: None,
-        }
+        WorkerOwner { pid, since_unix_ns: None }
     }
 
     #[test]

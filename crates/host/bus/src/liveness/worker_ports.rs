@@ -115,10 +115,7 @@ mod tests {
     fn ports(name: &str) -> WorkerPorts {
         let lock_file = std::env::temp_dir().join(format!("{name}-{}", std::process::id()));
         let domain = Domain::new("lab", std::path::Path::new("/dev/shm/nowhere"), "jb_").unwrap();
-        WorkerPorts {
-            lock_file,
-            ..WorkerPorts::new(&domain)
-        }
+        WorkerPorts { lock_file, ..WorkerPorts::new(&domain) }
     }
 
     #[test]

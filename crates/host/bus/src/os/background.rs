@@ -118,17 +118,10 @@ impl<T: Send + 'static> Background<T> {
     ) -> io::Result<(Self, Option<J>)> {
         let stop = Arc::new(AtomicBool::new(false));
         let (joined, started) = sync_channel(1);
-        let running = Running {
-            stop: Arc::clone(&stop),
-            joined,
-        };
+        let running = Running { stop: Arc::clone(&stop), joined };
         let builder = std::thread::Builder::new().name(name.to_owned());
         let thread = builder.spawn(move || work(&running))?;
-        let background = Self {
-            stop,
-            thread: Some(thread),
-            pid: process::id(),
-        };
+        let background = Self { stop, thread: Some(thread), pid: process::id() };
         Ok((background, started.recv().ok()))
     }
 }
@@ -223,13 +216,7 @@ mod tests {
     fn counted(most: usize) -> (Counted, Arc<Mutex<Vec<bool>>>) {
         let calls = Arc::new(Mutex::new(Vec::new()));
         let of_thread = Arc::clone(&calls);
-        (
-            Counted {
-                calls: of_thread,
-                most,
-            },
-            calls,
-        )
+        (Counted { calls: of_thread, most }, calls)
     }
 
     #[test]
@@ -283,9 +270,8 @@ mod tests {
         let mut background = Background::start("steps", move || io::Result::Ok(steps)).unwrap();
         background.finish().unwrap();
         assert_eq!(calls.lock().unwrap().len(), 1);
-        let refused = Background::start("refused", || {
-            Err::<Counted, _>(io::Error::other("not today"))
-        });
+        let refused =
+            Background::start("refused", || Err::<Counted, _>(io::Error::other("not today")));
         assert_eq!(refused.unwrap_err().to_string(), "not today");
         let died = Background::start("dies", || -> io::Result<Counted> { panic!("at the start") });
         assert!(died.unwrap_err().to_string().contains("thread dies died"));

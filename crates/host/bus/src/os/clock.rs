@@ -30,9 +30,7 @@ pub fn unix_ns() -> u64 {
 /// # Errors
 /// `/proc` cannot be read.
 pub fn boot_id() -> io::Result<String> {
-    Ok(std::fs::read_to_string("/proc/sys/kernel/random/boot_id")?
-        .trim()
-        .to_owned())
+    Ok(std::fs::read_to_string("/proc/sys/kernel/random/boot_id")?.trim().to_owned())
 }
 
 /// Bounds of the realtime clock minus the monotonic one, ns. The difference changes only when the
@@ -40,10 +38,7 @@ pub fn boot_id() -> io::Result<String> {
 #[must_use]
 pub fn realtime_minus_monotonic_ns() -> Option<(u64, u64)> {
     let (before_ns, realtime_ns, after_ns) = (monotonic_ns(), unix_ns(), monotonic_ns());
-    Some((
-        realtime_ns.checked_sub(after_ns)?,
-        realtime_ns.checked_sub(before_ns)?,
-    ))
+    Some((realtime_ns.checked_sub(after_ns)?, realtime_ns.checked_sub(before_ns)?))
 }
 
 /// The kernel's view of the program that adjusts the realtime clock.
@@ -105,10 +100,7 @@ mod tests {
         // Refused in some containers.
         if let Ok(found) = synchronisation() {
             // The kernel says so itself above 16 s.
-            assert!(
-                !found.is_synchronised || found.most_error_ns <= 16_000_000_000,
-                "{found:?}"
-            );
+            assert!(!found.is_synchronised || found.most_error_ns <= 16_000_000_000, "{found:?}");
         }
     }
 }

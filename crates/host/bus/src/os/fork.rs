@@ -49,10 +49,7 @@ fn register() {
     // stay where they are: neither a program nor libjoulebus is unloaded.
     let error = unsafe { libc::pthread_atfork(Some(prepare), Some(in_parent), Some(in_child)) };
     if error != 0 {
-        tracing::warn!(
-            error,
-            "a child of this process may wait for ever when it joins"
-        );
+        tracing::warn!(error, "a child of this process may wait for ever when it joins");
     }
 }
 

@@ -17,16 +17,9 @@ use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sch
 /// # Errors
 /// The first refused request, if it is required.
 pub fn schedule_process(asked: &Scheduling) -> Result<Vec<SchedulingError>, SchedulingError> {
-    let memory = if asked.lock_memory {
-        lock_memory()
-    } else {
-        Ok(())
-    };
-    let mut refused: Vec<SchedulingError> = [memory]
-        .into_iter()
-        .chain(requests(asked, 0))
-        .filter_map(Result::err)
-        .collect();
+    let memory = if asked.lock_memory { lock_memory() } else { Ok(()) };
+    let mut refused: Vec<SchedulingError> =
+        [memory].into_iter().chain(requests(asked, 0)).filter_map(Result::err).collect();
     if asked.required && !refused.is_empty() {
         return Err(refused.swap_remove(0));
     }
@@ -111,9 +104,7 @@ impl Rights {
     #[must_use]
     pub fn allow_priority(&self, priority: u8) -> bool {
         self.may_take_any_priority
-            || self
-                .priority_limit
-                .is_none_or(|limit| u64::from(priority) <= limit)
+            || self.priority_limit.is_none_or(|limit| u64::from(priority) <= limit)
     }
 
     /// True if all memory may be locked, including future mappings: a finite limit is not
@@ -176,11 +167,7 @@ pub enum SchedulingError {
 
 /// Binds the calling thread, and threads it starts from now on, to one CPU.
 fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
-    let refused = |source| SchedulingError::Cpu {
-        cpu,
-        allowed: allowed_cpus(),
-        source,
-    };
+    let refused = |source| SchedulingError::Cpu { cpu, allowed: allowed_cpus(), source };
     if cpu >= CpuSet::MAX_CPU {
         return Err(refused(io::ErrorKind::InvalidInput.into()));
     }
@@ -191,9 +178,7 @@ fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
 
 /// Sets a real-time priority for the calling thread; threads it starts are scheduled normally.
 fn take_priority(priority: u8) -> Result<(), SchedulingError> {
-    let parameters = libc::sched_param {
-        sched_priority: priority.into(),
-    };
+    let parameters = libc::sched_param { sched_priority: priority.into() };
     // The raw system call: the function of that name does nothing in some C libraries.
     // SAFETY: the pointer is to a `sched_param` that lives through the call; the kernel only reads
     // it. 0 is the calling thread.
@@ -269,16 +254,11 @@ fn allowed_cpus() -> Vec<usize> {
     let Ok(set) = sched_getaffinity(None) else {
         return Vec::new();
     };
-    (0..CpuSet::MAX_CPU)
-        .filter(|cpu| set.is_set(*cpu))
-        .collect()
+    (0..CpuSet::MAX_CPU).filter(|cpu| set.is_set(*cpu)).collect()
 }
 
 fn limit_words(limit: Option<u64>, unit: u64, name: &str) -> String {
-    limit.map_or_else(
-        || "unlimited".to_owned(),
-        |limit| format!("{}{name}", limit / unit),
-    )
+    limit.map_or_else(|| "unlimited".to_owned(), |limit| format!("{}{name}", limit / unit))
 }
 
 const fn held(capability: bool) -> &'static str {

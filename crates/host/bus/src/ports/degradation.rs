@@ -65,10 +65,7 @@ impl Failures {
 
     /// Forgets all ports: they are connected.
     pub(crate) fn forget(&self) {
-        self.ports
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clear();
+        self.ports.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 

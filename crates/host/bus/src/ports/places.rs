@@ -66,11 +66,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
         let mut holders = others(self.bus, &(self.nodes)());
         holders.sort();
         holders.dedup();
-        OpenError::Places {
-            service: self.service.name(),
-            allowed,
-            holders: holders.join(", "),
-        }
+        OpenError::Places { service: self.service.name(), allowed, holders: holders.join(", ") }
     }
 }
 

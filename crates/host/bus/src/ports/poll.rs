@@ -22,11 +22,7 @@ pub struct Poller {
 
 impl Poller {
     pub(super) fn new(bus: &Bus) -> Self {
-        Self {
-            lock_file: bus.domain().worker_file(),
-            lock: None,
-            member: Rc::clone(&bus.member),
-        }
+        Self { lock_file: bus.domain().worker_file(), lock: None, member: Rc::clone(&bus.member) }
     }
 
     /// From now on, process `pid` is the worker whose end is waited for.
@@ -48,10 +44,8 @@ impl Poller {
     ) -> Result<Woken, WaitError> {
         self.member.presence.check()?;
         let sleep_ns = deadline_ns.saturating_sub(clock::monotonic_ns());
-        let timeout = Timespec {
-            tv_sec: 0,
-            tv_nsec: sleep_ns.min(MAX_SLEEP_NS).cast_signed() as _,
-        };
+        let timeout =
+            Timespec { tv_sec: 0, tv_nsec: sleep_ns.min(MAX_SLEEP_NS).cast_signed() as _ };
         let mut polled = peer.map(|peer| [PollFd::new(peer, PollFlags::IN)]);
         let polled: &mut [PollFd<'_>] = polled.as_mut().map_or(&mut [], |polled| polled);
         let interrupted = match poll(polled, Some(&timeout)) {
@@ -63,9 +57,7 @@ impl Poller {
         let is_left = || self.lock.as_ref().is_some_and(LockWatch::is_left);
         let woken = Woken {
             ended,
-            peer_gone: polled
-                .first()
-                .is_some_and(|peer| !peer.revents().is_empty()),
+            peer_gone: polled.first().is_some_and(|peer| !peer.revents().is_empty()),
             died: peer.is_none() && !ended && is_left(),
             interrupted,
             ..Woken::default()

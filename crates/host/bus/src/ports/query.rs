@@ -39,14 +39,8 @@ use crate::os::memory;
 use crate::preflight::{check_free, client_bytes, server_bytes};
 use crate::{Bus, Domain, FilesRemoved, Limits, PeerWatch, clock};
 
-type ServerPort = (
-    Server<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
-    QueryFactory,
-);
-type ClientPort = (
-    Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
-    QueryFactory,
-);
+type ServerPort = (Server<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFactory);
+type ClientPort = (Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFactory);
 
 type Pending = PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
 
@@ -132,21 +126,16 @@ impl QueryServer {
         };
         if self.repair.is_due(failed, clock::monotonic_ns, is_listed) {
             self.repair.retried(failed, false);
-            return Err(ReceiveError::Degraded {
-                connections: failed,
-            });
+            return Err(ReceiveError::Degraded { connections: failed });
         }
         let received = match server.receive() {
             // All that wait are of clients with an earlier question that is still held.
             Err(iceoryx2::port::ReceiveError::ExceedsMaxBorrows) => None,
-            received => received.map_err(|reason| ReceiveError::Receive {
-                reason: reason.to_string(),
-            })?,
+            received => {
+                received.map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?
+            }
         };
-        Ok(received.map(|request| OpenQuery {
-            request,
-            _member: Rc::clone(&self.member),
-        }))
+        Ok(received.map(|request| OpenQuery { request, _member: Rc::clone(&self.member) }))
     }
 
     /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
@@ -167,10 +156,7 @@ impl QueryServer {
         *response.user_header_mut() = header;
         response.send().map_err(SendError::send)?;
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        Ok(Sent {
-            readers: 1,
-            not_woken: woken.err(),
-        })
+        Ok(Sent { readers: 1, not_woken: woken.err() })
     }
 
     /// Waits for questions, at most until `deadline_ns` (monotonic), and at most 100 ms.
@@ -326,10 +312,7 @@ impl QueryClient {
         self.pending = None;
         self.member.presence.check()?;
         if values.len() > QUERY_VALUES {
-            return Err(QueryError::TooLong {
-                found: values.len(),
-                allowed: QUERY_VALUES,
-            });
+            return Err(QueryError::TooLong { found: values.len(), allowed: QUERY_VALUES });
         }
         self.watch()?;
         self.number += 1;
@@ -337,9 +320,7 @@ impl QueryClient {
         let listener = self.answered.id();
         let loan = self.port.0.loan_slice_uninit(values.len());
         let mut request = loan
-            .map_err(|reason| QueryError::Send {
-                reason: reason.to_string(),
-            })?
+            .map_err(|reason| QueryError::Send { reason: reason.to_string() })?
             .write_from_slice(values);
         *request.user_header_mut() = QueryHeader {
             number: self.number,
@@ -348,9 +329,8 @@ impl QueryClient {
             listener_hi: (listener >> 64) as u64,
             ..header
         };
-        let pending = request.send().map_err(|reason| QueryError::Send {
-            reason: reason.to_string(),
-        })?;
+        let pending =
+            request.send().map_err(|reason| QueryError::Send { reason: reason.to_string() })?;
         if pending.number_of_server_connections() == 0 {
             return Err(self.not_taken());
         }
@@ -400,9 +380,9 @@ impl QueryClient {
             }
             // The worker has closed its port, and does not answer any more.
             Ok(None) if is_closed => Err(QueryError::NotServed),
-            Ok(None) if now_ns >= deadline_ns => Err(QueryError::TimedOut {
-                waited_ns: now_ns.saturating_sub(self.sent_ns),
-            }),
+            Ok(None) if now_ns >= deadline_ns => {
+                Err(QueryError::TimedOut { waited_ns: now_ns.saturating_sub(self.sent_ns) })
+            }
             received => received,
         };
         if !matches!(polled, Ok(None)) {
@@ -417,9 +397,9 @@ impl QueryClient {
             return Ok(None);
         };
         loop {
-            let received = pending.receive().map_err(|reason| QueryError::Send {
-                reason: reason.to_string(),
-            })?;
+            let received = pending
+                .receive()
+                .map_err(|reason| QueryError::Send { reason: reason.to_string() })?;
             let Some(response) = received else {
                 return Ok(None);
             };
@@ -456,11 +436,7 @@ impl QueryClient {
                 return Err(QueryError::NoWorker);
             }
         }
-        if self.is_served_by(owner.port_pid) {
-            Ok(())
-        } else {
-            Err(QueryError::NotServed)
-        }
+        if self.is_served_by(owner.port_pid) { Ok(()) } else { Err(QueryError::NotServed) }
     }
 
     /// True if the port for questions is that of this process. iceoryx2 takes the port of a killed

@@ -59,12 +59,7 @@ impl<C: Channel> Reader<C> {
             });
             nodes
         };
-        let places = Places {
-            bus,
-            service,
-            open: Some(limits.open_places(C::FLOW)),
-            nodes,
-        };
+        let places = Places { bus, service, open: Some(limits.open_places(C::FLOW)), nodes };
         let create = || {
             places.enter(
                 || subscribe::<C>(&factory, shape.buffer, &failures),
@@ -172,10 +167,7 @@ impl<C: Channel> Reader<C> {
     #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
-        Some(KeptFrame {
-            frame,
-            _member: Rc::clone(&self.member),
-        })
+        Some(KeptFrame { frame, _member: Rc::clone(&self.member) })
     }
 
     /// Number of failed or broken connections to writers.
@@ -204,9 +196,7 @@ impl<C: Channel> Reader<C> {
                 .port
                 .0
                 .receive()
-                .map_err(|reason| ReceiveError::Receive {
-                    reason: reason.to_string(),
-                })?;
+                .map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?;
             if let Some(frame) = received {
                 let worker = self.worker.as_mut();
                 if worker.is_none_or(|worker| worker.admits(frame.origin().value())) {
@@ -235,8 +225,7 @@ impl<C: Channel> Reader<C> {
                 });
             })
         };
-        self.repair
-            .is_due(self.failures.count(), clock::monotonic_ns, is_listed)
+        self.repair.is_due(self.failures.count(), clock::monotonic_ns, is_listed)
     }
 
     /// iceoryx2 does not retry a failed connection; a new port does. The old one is empty, and is
@@ -251,9 +240,8 @@ impl<C: Channel> Reader<C> {
         if !is_whole {
             return Err(ReceiveError::Degraded { connections });
         }
-        self.port.0 = created.map_err(|reason| ReceiveError::Receive {
-            reason: reason.to_string(),
-        })?;
+        self.port.0 =
+            created.map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?;
         self.failures.forget();
         Ok(())
     }
@@ -282,10 +270,7 @@ pub struct Frame<'a, C: Channel> {
 
 impl<C: Channel> Frame<'_, C> {
     const fn new(sample: Received<C>) -> Self {
-        Self {
-            sample,
-            reader: PhantomData,
-        }
+        Self { sample, reader: PhantomData }
     }
 
     /// The frame's header.

@@ -24,9 +24,7 @@ impl Readiness {
     /// The operating system's.
     pub fn new() -> io::Result<Self> {
         let epoll = epoll::create(epoll::CreateFlags::CLOEXEC)?;
-        Ok(Self {
-            epoll: Arc::new(epoll),
-        })
+        Ok(Self { epoll: Arc::new(epoll) })
     }
 
     /// A descriptor that watches a waiter's events.

@@ -26,10 +26,7 @@ pub struct SampleReader {
 
 impl SampleReader {
     pub(crate) fn new(reader: Reader<Samples>) -> Self {
-        Self {
-            reader,
-            mapped: Vec::with_capacity(MAPPED),
-        }
+        Self { reader, mapped: Vec::with_capacity(MAPPED) }
     }
 
     /// Copies the next frame into `frame` and returns true if there was one. Call it until it
@@ -150,12 +147,7 @@ impl FrameBuf {
     /// A buffer for frames of up to `capacity` samples.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
-        Self {
-            header: SampleHeader::default(),
-            samples: touched(capacity),
-            truncated: 0,
-            capacity,
-        }
+        Self { header: SampleHeader::default(), samples: touched(capacity), truncated: 0, capacity }
     }
 
     /// The header.
@@ -195,10 +187,7 @@ pub struct SampleWriter {
 impl SampleWriter {
     pub(super) fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
         if max_len < 1 || max_len > limits.capacity {
-            return Err(OpenError::Length {
-                found: max_len,
-                allowed: limits.capacity,
-            });
+            return Err(OpenError::Length { found: max_len, allowed: limits.capacity });
         }
         Ok(Self {
             writer: Writer::open(bus, limits, max_len)?,

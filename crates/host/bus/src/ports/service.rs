@@ -173,12 +173,7 @@ fn retry<S, E: Debug>(
         report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
             + abandoned.remove(bus.domain(), name.as_str());
         drop(section);
-        tracing::info!(
-            service = name.as_str(),
-            ?error,
-            ?report,
-            "opening a service again"
-        );
+        tracing::info!(service = name.as_str(), ?error, ?report, "opening a service again");
         std::thread::sleep(OPEN_AGAIN_AFTER);
     }
 }
@@ -316,9 +311,7 @@ fn verifier(limits: &Limits) -> AttributeVerifier {
         return AttributeVerifier::new();
     };
     // One attribute always fits.
-    AttributeVerifier::new()
-        .require(&key, &value)
-        .unwrap_or_default()
+    AttributeVerifier::new().require(&key, &value).unwrap_or_default()
 }
 
 fn refused(
@@ -406,10 +399,7 @@ impl OpenError {
     pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
         match check_shortage().and_then(|()| check_left(PORT_BYTES)) {
             Err(full) => Self::Capacity(full),
-            Ok(()) => Self::Port {
-                service: service.name(),
-                reason: reason.to_string(),
-            },
+            Ok(()) => Self::Port { service: service.name(), reason: reason.to_string() },
         }
     }
 }

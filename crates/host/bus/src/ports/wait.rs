@@ -66,9 +66,7 @@ impl Waker {
     pub fn wake(&self, event: WakeEvent) -> Result<usize, WaitError> {
         self.notifier
             .notify_with_custom_event_id(EventId::new(event.id()))
-            .map_err(|reason| WaitError::Notify {
-                reason: reason.to_string(),
-            })
+            .map_err(|reason| WaitError::Notify { reason: reason.to_string() })
     }
 
     /// Wakes the waiter of this id ([`Waiter::id`]), if there is one.
@@ -84,9 +82,7 @@ impl Waker {
             woken = one.notify_with_custom_event_id(EventId::new(event.id()));
             CallbackProgression::Stop
         });
-        woken.map_err(|reason| WaitError::Notify {
-            reason: reason.to_string(),
-        })
+        woken.map_err(|reason| WaitError::Notify { reason: reason.to_string() })
     }
 }
 
@@ -143,12 +139,7 @@ impl Waiter {
             });
             nodes
         };
-        let places = Places {
-            bus,
-            service,
-            open: places,
-            nodes,
-        };
+        let places = Places { bus, service, open: places, nodes };
         let create = || {
             places.enter(
                 || factory.listener_builder().create(),
@@ -161,10 +152,7 @@ impl Waiter {
                 false => OpenError::port(service, reason),
             })?;
         let need = need(bus, &factory, Some(listener.id().value()));
-        Ok(Self {
-            listener: Kept::new(listener, need),
-            member: Rc::clone(&bus.member),
-        })
+        Ok(Self { listener: Kept::new(listener, need), member: Rc::clone(&bus.member) })
     }
 
     /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
@@ -185,14 +173,9 @@ impl Waiter {
             return Ok(woken);
         }
         let sleep_ns = deadline_ns.map_or(MAX_SLEEP_NS, |deadline| {
-            deadline
-                .saturating_sub(clock::monotonic_ns())
-                .min(MAX_SLEEP_NS)
+            deadline.saturating_sub(clock::monotonic_ns()).min(MAX_SLEEP_NS)
         });
-        let timeout = Timespec {
-            tv_sec: 0,
-            tv_nsec: sleep_ns.cast_signed() as _,
-        };
+        let timeout = Timespec { tv_sec: 0, tv_nsec: sleep_ns.cast_signed() as _ };
         let mine = self.as_fd();
         let watched = peer.map_or(mine, PeerWatch::as_fd);
         let mut polled = [
@@ -206,11 +189,7 @@ impl Waiter {
             Err(error) => return Err(WaitError::Poll(error.into())),
         };
         let peer_gone = used == 2 && !polled[1].revents().is_empty();
-        Ok(Woken {
-            peer_gone,
-            interrupted,
-            ..self.drain()?
-        })
+        Ok(Woken { peer_gone, interrupted, ..self.drain()? })
     }
 
     /// Id by which a [`Waker`] finds it.
@@ -232,9 +211,7 @@ impl Waiter {
                 Ok(0) => return Ok(woken),
                 Ok(_) => {}
                 Err(reason) => {
-                    return Err(WaitError::Listen {
-                        reason: reason.to_string(),
-                    });
+                    return Err(WaitError::Listen { reason: reason.to_string() });
                 }
             }
         }

@@ -24,10 +24,7 @@ use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
 
-type Port<C> = (
-    Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
-    Factory<C>,
-);
+type Port<C> = (Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>, Factory<C>);
 
 /// Sends frames of a channel, written in place in shared memory.
 #[derive(Debug)]
@@ -84,11 +81,7 @@ impl<C: Channel> Writer<C> {
         element: impl FnMut(usize) -> C::Row,
     ) -> Result<usize, SendError> {
         self.check(len)?;
-        let mut loan = self
-            .port
-            .0
-            .loan_slice_uninit(len)
-            .map_err(SendError::loan)?;
+        let mut loan = self.port.0.loan_slice_uninit(len).map_err(SendError::loan)?;
         *loan.user_header_mut() = header;
         loan.write_from_fn(element).send().map_err(SendError::send)
     }
@@ -102,10 +95,7 @@ impl<C: Channel> Writer<C> {
         self.check(len)?;
         let mut sample = self.port.0.loan_slice(len).map_err(SendError::loan)?;
         *sample.user_header_mut() = C::Header::default();
-        Ok(Loan {
-            sample,
-            writer: PhantomData,
-        })
+        Ok(Loan { sample, writer: PhantomData })
     }
 
     /// As [`Writer::loan`], for a caller that writes every element: until then they contain those
@@ -115,20 +105,13 @@ impl<C: Channel> Writer<C> {
     /// [`SendError`].
     pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
         self.check(len)?;
-        let mut sample = self
-            .port
-            .0
-            .loan_slice_uninit(len)
-            .map_err(SendError::loan)?;
+        let mut sample = self.port.0.loan_slice_uninit(len).map_err(SendError::loan)?;
         *sample.user_header_mut() = C::Header::default();
         // SAFETY: the memory is a mapping of a shared memory object: the kernel provides zeroed
         // pages, and all other bytes in it are those of an earlier frame. So all of it is
         // initialised, and every bit pattern is a valid payload.
         let sample = unsafe { sample.assume_init() };
-        Ok(Loan {
-            sample,
-            writer: PhantomData,
-        })
+        Ok(Loan { sample, writer: PhantomData })
     }
 
     /// Connects to readers that have joined since the last frame: they receive the history. Cheap
@@ -161,10 +144,7 @@ impl<C: Channel> Writer<C> {
         self.member.presence.check()?;
         self.reconnect();
         if len > self.max_len {
-            return Err(SendError::TooLong {
-                found: len,
-                allowed: self.max_len,
-            });
+            return Err(SendError::TooLong { found: len, allowed: self.max_len });
         }
         Ok(())
     }
@@ -273,14 +253,10 @@ impl SendError {
     }
 
     pub(super) fn loan(reason: LoanError) -> Self {
-        Self::Loan {
-            reason: reason.to_string(),
-        }
+        Self::Loan { reason: reason.to_string() }
     }
 
     pub(super) fn send(reason: iceoryx2::port::SendError) -> Self {
-        Self::Send {
-            reason: reason.to_string(),
-        }
+        Self::Send { reason: reason.to_string() }
     }
 }

@@ -74,10 +74,7 @@ impl HostPlace {
         let name = root.file_stem().unwrap().to_str().unwrap();
         let prefix = format!("jbhost_{name}_");
         fs::create_dir(&root).unwrap();
-        let text = format!(
-            "[global]\nprefix = \"{prefix}\"\nroot-path = \"{}\"\n",
-            root.display()
-        );
+        let text = format!("[global]\nprefix = \"{prefix}\"\nroot-path = \"{}\"\n", root.display());
         fs::write(&file, text).unwrap();
         Self { root, prefix }
     }
@@ -86,9 +83,7 @@ impl HostPlace {
         let entries = fs::read_dir("/dev/shm").unwrap().flatten();
         let paths = entries.map(|entry| entry.path());
         let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
-        paths
-            .filter(|path| name(path).starts_with(&self.prefix))
-            .collect()
+        paths.filter(|path| name(path).starts_with(&self.prefix)).collect()
     }
 }
 
@@ -119,9 +114,7 @@ fn a_process_sets_its_own_global_configuration_after_it_has_joined_and_cleaned_u
     member.stop();
     worker.kill();
     for node in nodes(&place).difference(&before) {
-        let details = fs::read_dir(node)
-            .unwrap()
-            .map(|entry| entry.unwrap().path());
+        let details = fs::read_dir(node).unwrap().map(|entry| entry.unwrap().path());
         let mut details = details.filter(|path| path.extension().unwrap() == "details");
         fs::remove_file(details.next().unwrap()).unwrap();
     }
@@ -208,12 +201,9 @@ fn what_another_program_made_for_every_user_becomes_private() {
 #[test]
 fn one_process_reads_two_fleets_and_cleans_up_in_both() {
     let places = [Place::new(), Place::new()];
-    let buses = places
-        .each_ref()
-        .map(|place| Bus::join(&place.domain, "planner").unwrap());
-    let mut readers = buses
-        .each_ref()
-        .map(|bus| bus.reader::<joulebus_wire::Forecasts>(&limits()).unwrap());
+    let buses = places.each_ref().map(|place| Bus::join(&place.domain, "planner").unwrap());
+    let mut readers =
+        buses.each_ref().map(|bus| bus.reader::<joulebus_wire::Forecasts>(&limits()).unwrap());
     for round in 1..=2 {
         let mut workers = places.each_ref().map(|place| place.joined("worker"));
         for (ticks, worker) in workers.iter_mut().enumerate() {
@@ -228,12 +218,8 @@ fn one_process_reads_two_fleets_and_cleans_up_in_both() {
         }
         // Both cleanup threads may look at the same instant, and iceoryx2 lets one at a time.
         for (place, bus) in places.iter().zip(&buses) {
-            eventually("the dead worker's node is removed", || {
-                nodes(place).len() == 1
-            });
-            eventually("it is counted", || {
-                bus.housekeeping().dead_nodes == round as u64
-            });
+            eventually("the dead worker's node is removed", || nodes(place).len() == 1);
+            eventually("it is counted", || bus.housekeeping().dead_nodes == round as u64);
             assert_eq!(bus.housekeeping().failed_nodes, 0);
         }
     }

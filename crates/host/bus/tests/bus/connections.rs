@@ -91,10 +91,7 @@ fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
         ticks += 1;
         must(&mut worker, "tick 1");
         let latest = must(&mut first, "latest");
-        assert_eq!(
-            latest,
-            format!("[Some({ticks}), Some({ticks}), Some({ticks})]")
-        );
+        assert_eq!(latest, format!("[Some({ticks}), Some({ticks}), Some({ticks})]"));
         must(&mut second, "latest") == latest
     });
     for member in [worker, first, second] {

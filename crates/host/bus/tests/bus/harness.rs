@@ -50,11 +50,7 @@ impl Place {
 
     pub(crate) fn assert_nothing_left(&self) {
         assert_eq!(self.objects(), Vec::<PathBuf>::new());
-        assert!(
-            !self.domain.root().exists(),
-            "{:?}",
-            tree(self.domain.root())
-        );
+        assert!(!self.domain.root().exists(), "{:?}", tree(self.domain.root()));
     }
 
     pub(crate) fn member(&self) -> Member {
@@ -103,12 +99,7 @@ pub(crate) fn must(member: &mut Member, command: &str) -> String {
 }
 
 pub(crate) fn limits() -> Limits {
-    Limits {
-        capacity: 64,
-        max_sources: 3,
-        max_planners: 3,
-        ..Limits::default()
-    }
+    Limits { capacity: 64, max_sources: 3, max_planners: 3, ..Limits::default() }
 }
 
 /// Allows this process to open `more` files.
@@ -116,10 +107,7 @@ fn limit_files(more: u64) -> Answer {
     let before = getrlimit(Resource::Nofile);
     // It cannot be opened if the limit is reached.
     let next = fs::File::open("/proc/self/fd").map(|file| file.as_raw_fd() as u64);
-    let limit = Rlimit {
-        current: next.ok().or(before.current).map(|next| next + more),
-        ..before
-    };
+    let limit = Rlimit { current: next.ok().or(before.current).map(|next| next + more), ..before };
     setrlimit(Resource::Nofile, limit)?;
     Ok(String::new())
 }
@@ -249,12 +237,7 @@ impl Ports {
                 self.worker_lock = None;
                 Ok(String::new())
             }
-            "degraded" => Ok(self
-                .samples
-                .as_ref()
-                .ok_or("no port")?
-                .degraded()
-                .to_string()),
+            "degraded" => Ok(self.samples.as_ref().ok_or("no port")?.degraded().to_string()),
             // Most further files that this process may open.
             "files" => limit_files(number),
             "log" => crate::logging::log(),
@@ -286,9 +269,7 @@ impl Ports {
     }
 
     fn open_source(&mut self) -> Answer {
-        let writer = self
-            .bus()?
-            .sample_writer(&self.limits, self.limits.capacity)?;
+        let writer = self.bus()?.sample_writer(&self.limits, self.limits.capacity)?;
         self.sources = Some(writer);
         Ok(String::new())
     }
@@ -319,19 +300,12 @@ impl Ports {
     /// Sends a frame of `len` samples; sample `i` of frame `n` draws `n + i / 100` W.
     fn send(&mut self, len: u64) -> Answer {
         let number = self.sent;
-        let header = SampleHeader {
-            frame_seq: number,
-            pid: std::process::id(),
-            ..SampleHeader::default()
-        };
-        let sent = self
-            .sources
-            .as_mut()
-            .ok_or("no port")?
-            .send(header, len as usize, |i| {
-                let power_w = number as f32 + i as f32 / 100.0;
-                Sample::new(i as u32, number, 1).reading(power_w, 1)
-            })?;
+        let header =
+            SampleHeader { frame_seq: number, pid: std::process::id(), ..SampleHeader::default() };
+        let sent = self.sources.as_mut().ok_or("no port")?.send(header, len as usize, |i| {
+            let power_w = number as f32 + i as f32 / 100.0;
+            Sample::new(i as u32, number, 1).reading(power_w, 1)
+        })?;
         self.sent += 1;
         Ok(sent.readers.to_string())
     }
@@ -359,36 +333,21 @@ impl Ports {
             loan.header_mut().tick = tick;
             loan.header_mut().pid = std::process::id();
             for (robot, forecast) in loan.payload_mut().iter_mut().enumerate() {
-                *forecast = Forecast {
-                    robot: robot as u32,
-                    power_w: tick as f32,
-                    ..Forecast::default()
-                };
+                *forecast =
+                    Forecast { robot: robot as u32, power_w: tick as f32, ..Forecast::default() };
             }
             loan.send()?;
-            let diagnostics = DiagnosticHeader {
-                tick,
-                ..DiagnosticHeader::default()
-            };
+            let diagnostics = DiagnosticHeader { tick, ..DiagnosticHeader::default() };
             self.diagnostics
                 .as_mut()
                 .ok_or("no port")?
                 .send(diagnostics, 3, |_| Default::default())?;
-            let budgets = BudgetHeader {
-                tick,
-                ..BudgetHeader::default()
-            };
-            self.budgets
-                .as_mut()
-                .ok_or("no port")?
-                .send(budgets, 1, |_| Budget {
-                    drawn_uj: tick.cast_signed(),
-                    ..Budget::default()
-                })?;
-            self.wake
-                .as_ref()
-                .ok_or("no port")?
-                .wake(WakeEvent::Frame)?;
+            let budgets = BudgetHeader { tick, ..BudgetHeader::default() };
+            self.budgets.as_mut().ok_or("no port")?.send(budgets, 1, |_| Budget {
+                drawn_uj: tick.cast_signed(),
+                ..Budget::default()
+            })?;
+            self.wake.as_ref().ok_or("no port")?.wake(WakeEvent::Frame)?;
         }
         Ok(self.sent.to_string())
     }
@@ -403,12 +362,7 @@ impl Ports {
         let reader = self.forecast_reader.as_mut().ok_or("no port")?;
         ticks.push(reader.take_latest()?.map(|frame| {
             let header: &ForecastHeader = frame.header();
-            assert!(
-                frame
-                    .payload()
-                    .iter()
-                    .all(|forecast| forecast.power_w == header.tick as f32)
-            );
+            assert!(frame.payload().iter().all(|forecast| forecast.power_w == header.tick as f32));
             assert_eq!(frame.payload().len(), 3);
             header.tick
         }));
@@ -416,10 +370,7 @@ impl Ports {
         ticks.push(reader.take_latest()?.map(|frame| frame.header().tick));
         let reader = self.budget_reader.as_mut().ok_or("no port")?;
         ticks.push(reader.take_latest()?.map(|frame| {
-            assert_eq!(
-                frame.payload()[0].drawn_uj,
-                frame.header().tick.cast_signed()
-            );
+            assert_eq!(frame.payload()[0].drawn_uj, frame.header().tick.cast_signed());
             frame.header().tick
         }));
         Ok(format!("{ticks:?}"))

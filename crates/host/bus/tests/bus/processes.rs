@@ -16,10 +16,7 @@ use crate::harness::{Place, limits, must};
 fn member_under(place: &Place, program: &str, arguments: &[&str]) -> Member {
     let mine = Member::command();
     let mut command = Command::new(program);
-    command
-        .args(arguments)
-        .arg(mine.get_program())
-        .args(mine.get_args());
+    command.args(arguments).arg(mine.get_program()).args(mine.get_args());
     Member::spawn(program, place.as_member(command))
 }
 
@@ -34,11 +31,7 @@ fn samples_and_forecasts_cross_processes() {
     assert!(must(&mut worker, "wait").contains("frame: true"));
     assert_eq!(must(&mut worker, "take"), "0:64");
     assert_eq!(must(&mut worker, "take"), "none");
-    assert!(
-        source
-            .ask("send 65")
-            .contains("65 elements, allowed are 64")
-    );
+    assert!(source.ask("send 65").contains("65 elements, allowed are 64"));
 
     must(&mut worker, "tick 1");
     assert!(must(&mut planner, "wait").contains("frame: true"));
@@ -84,34 +77,18 @@ fn frames_of_a_process_that_is_not_the_worker_are_skipped() {
 #[test]
 fn members_can_join_in_any_order() {
     let roles = ["source", "worker", "planner"];
-    for order in [
-        [0, 1, 2],
-        [0, 2, 1],
-        [1, 0, 2],
-        [1, 2, 0],
-        [2, 0, 1],
-        [2, 1, 0],
-    ] {
+    for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
         let place = Place::new();
-        let mut members: Vec<_> = order
-            .iter()
-            .map(|role| (*role, place.joined(roles[*role])))
-            .collect();
+        let mut members: Vec<_> =
+            order.iter().map(|role| (*role, place.joined(roles[*role]))).collect();
         members.sort_by_key(|(role, _)| *role);
         let mut members = members.into_iter().map(|(_, member)| member);
-        let (mut source, mut worker, mut planner) = (
-            members.next().unwrap(),
-            members.next().unwrap(),
-            members.next().unwrap(),
-        );
+        let (mut source, mut worker, mut planner) =
+            (members.next().unwrap(), members.next().unwrap(), members.next().unwrap());
         must(&mut source, "send 3");
         assert_eq!(must(&mut worker, "take"), "0:3", "{order:?}");
         must(&mut worker, "tick 2");
-        assert_eq!(
-            must(&mut planner, "latest"),
-            "[Some(2), Some(2), Some(2)]",
-            "{order:?}"
-        );
+        assert_eq!(must(&mut planner, "latest"), "[Some(2), Some(2), Some(2)]", "{order:?}");
         // The first to join is the first to leave.
         source.finish();
         worker.finish();
@@ -229,16 +206,12 @@ fn members_clean_up_after_dead_members() {
     // Notified by the member that cleans up, within about a second.
     assert!(must(&mut planner, "wait").contains("died: true"));
     let dead = |node: &NodeInfo| node.alive != Some(true);
-    eventually("no dead node", || {
-        !inspect(&place.domain).unwrap().nodes.iter().any(dead)
-    });
+    eventually("no dead node", || !inspect(&place.domain).unwrap().nodes.iter().any(dead));
     let nodes = inspect(&place.domain).unwrap().nodes;
     assert_eq!(nodes.len(), 1, "{nodes:?}");
     assert_eq!(nodes[0].pid, Some(planner.pid()));
     // It counts what it has removed a moment later.
-    eventually("it is counted", || {
-        must(&mut planner, "housekeeping").contains("dead_nodes: 1")
-    });
+    eventually("it is counted", || must(&mut planner, "housekeeping").contains("dead_nodes: 1"));
     planner.finish();
     place.assert_nothing_left();
 }
@@ -319,9 +292,7 @@ fn a_start_removes_all_files_only_if_no_member_is_alive() {
     assert!(report.contains("cold: false"), "{report}");
     assert!(!sweep(&place.domain).unwrap().cold);
     // The source itself may be removing the dead ones' files, and not have got a processor since.
-    eventually("live members are not affected", || {
-        must(&mut source, "send 1") == "0"
-    });
+    eventually("live members are not affected", || must(&mut source, "send 1") == "0");
 
     source.kill();
     let mut next = place.member();
@@ -342,10 +313,7 @@ fn a_sweep_without_live_members_leaves_no_files() {
     assert!(!place.objects().is_empty());
     // A supervisor does this in a separate process; here it is this process, once.
     let report = sweep(&place.domain).unwrap();
-    assert!(
-        report.cold && report.objects > 0 && report.bytes > 0,
-        "{report:?}"
-    );
+    assert!(report.cold && report.objects > 0 && report.bytes > 0, "{report:?}");
     place.assert_nothing_left();
     assert!(sweep(&place.domain).unwrap().is_clean());
 }
@@ -380,9 +348,7 @@ fn a_start_waits_for_an_object_of_size_0_whose_creator_lives_and_then_gives_up()
     let answer = place.member().ask("join");
     assert!(answer.contains("cannot create a node"), "{answer}");
     drop(creator);
-    eventually("a start works", || {
-        place.member().ask("join").starts_with("ok")
-    });
+    eventually("a start works", || place.member().ask("join").starts_with("ok"));
     source.finish();
     place.assert_nothing_left();
 }
@@ -419,10 +385,7 @@ fn an_object_of_size_0_that_is_open_is_kept() {
     let creator = fs::File::create(&path).unwrap();
     std::thread::sleep(Duration::from_millis(800));
     assert!(path.exists(), "its creator may be slow");
-    assert_eq!(
-        inspect(&place.domain).unwrap().incomplete,
-        std::slice::from_ref(&path)
-    );
+    assert_eq!(inspect(&place.domain).unwrap().incomplete, std::slice::from_ref(&path));
     drop(creator);
     eventually("the object is removed", || !path.exists());
     member.finish();
@@ -494,16 +457,11 @@ fn answer_of(traced: &mut Member) -> String {
 }
 
 fn can_trace() -> bool {
-    let works = Command::new("strace")
-        .args(["-qq", "-e", "trace=none", "true"])
-        .output();
+    let works = Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output();
     let works = works.is_ok_and(|output| output.status.success());
     if !works {
         println!("skipped: needs strace with the right to trace");
-        assert!(
-            std::env::var_os("CI").is_none_or(|ci| ci != "true"),
-            "no strace"
-        );
+        assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "no strace");
     }
     works
 }
@@ -534,10 +492,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             let mut next = place.joined("worker");
             must(&mut source, "send 2");
             slowest = slowest.max(begin.elapsed());
-            assert!(
-                must(&mut next, "take").ends_with(":2"),
-                "killed at {call} {number}"
-            );
+            assert!(must(&mut next, "take").ends_with(":2"), "killed at {call} {number}");
             next.finish();
         }
     }
@@ -644,9 +599,7 @@ fn a_start_beside_a_cleanup_that_is_stopped_between_its_removals_keeps_its_files
             std::thread::sleep(Duration::from_millis(20));
             is_first && is_stopped(traced)
         };
-        eventually("it is stopped, or has cleaned up", || {
-            is_stopped() || services() == 0
-        });
+        eventually("it is stopped, or has cleaned up", || is_stopped() || services() == 0);
         if is_stopped() && services() > ended_at(".dynamic", place.objects()) {
             stopped_between += 1;
             let mut next = place.joined("source");
@@ -681,10 +634,7 @@ fn one_worker_per_fleet_and_the_second_gets_the_pid() {
     let answer = second.ask("lock");
     assert!(answer.contains(&format!("pid {}", first.pid())), "{answer}");
     assert_eq!(
-        inspect(&place.domain)
-            .unwrap()
-            .worker
-            .and_then(|owner| owner.pid),
+        inspect(&place.domain).unwrap().worker.and_then(|owner| owner.pid),
         Some(first.pid())
     );
     first.kill();
@@ -713,23 +663,14 @@ fn other_users_cannot_access_the_objects_of_members() {
 fn the_preflight_check_covers_the_shared_memory_used() {
     use std::os::unix::fs::MetadataExt;
     let place = Place::new();
-    let ports = Ports {
-        sources: 2,
-        workers: 1,
-        planners: 3,
-    };
+    let ports = Ports { sources: 2, workers: 1, planners: 3 };
     let needed = check_capacity(&limits(), ports).unwrap().needed_bytes;
-    let roles = [
-        "source", "source", "worker", "planner", "planner", "planner",
-    ];
+    let roles = ["source", "source", "worker", "planner", "planner", "planner"];
     let mut members = roles.map(|role| place.joined(role));
     must(&mut members[0], "send 64");
     must(&mut members[2], "tick 10");
-    let taken: u64 = place
-        .objects()
-        .iter()
-        .map(|object| fs::metadata(object).unwrap().blocks() * 512)
-        .sum();
+    let taken: u64 =
+        place.objects().iter().map(|object| fs::metadata(object).unwrap().blocks() * 512).sum();
     println!("needed {needed}, taken {taken} bytes");
     assert!(taken <= needed, "{taken} {needed}");
     assert!(needed < 4 * taken, "{taken} {needed}");

@@ -20,10 +20,7 @@ fn a_writer_that_is_faster_than_its_reader_does_not_keep_it_for_ever() {
     let mut ticks = 0;
     let mut send = || {
         ticks += 1;
-        let header = ForecastHeader {
-            tick: ticks,
-            ..ForecastHeader::default()
-        };
+        let header = ForecastHeader { tick: ticks, ..ForecastHeader::default() };
         writer.send(header, 1, |_| Forecast::default()).unwrap();
     };
     send();
@@ -60,11 +57,7 @@ fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_ch
             }
             let pid = std::process::id();
             match view.reader::<C>(limits).unwrap_err() {
-                OpenError::Places {
-                    service,
-                    allowed,
-                    holders,
-                } => {
+                OpenError::Places { service, allowed, holders } => {
                     assert_eq!((service, allowed), (name, open));
                     assert_eq!(holders, format!("page (pid {pid}), watch (pid {pid})"));
                 }
@@ -72,18 +65,15 @@ fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_ch
             }
             // All that the product itself may have at once: even two recorders and a link.
             let (recorder, link) = (join("recorder"), join("link"));
-            let mut owns: Vec<_> = [&recorder, &recorder, &link]
-                .map(|bus| bus.reader::<C>(limits))
-                .into();
+            let mut owns: Vec<_> =
+                [&recorder, &recorder, &link].map(|bus| bus.reader::<C>(limits)).into();
             if matches!(C::FLOW, Flow::Planners { .. }) {
                 owns.extend([&own, &own].map(|bus| bus.reader::<C>(limits)));
             } else if C::FLOW == Flow::Sources {
                 owns.push(own.reader::<C>(limits));
             }
             for reader in &owns {
-                reader
-                    .as_ref()
-                    .unwrap_or_else(|error| panic!("{name}: {error}"));
+                reader.as_ref().unwrap_or_else(|error| panic!("{name}: {error}"));
             }
             // A place that is given up is taken by the next.
             views.pop();
@@ -92,14 +82,8 @@ fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_ch
     }
     let root = format!("/dev/shm/joulebus-places-{}", std::process::id());
     let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
-    let limits = Limits {
-        max_planners: 3,
-        ..Limits::default()
-    };
-    let filling = Filling {
-        domain: &domain,
-        limits,
-    };
+    let limits = Limits { max_planners: 3, ..Limits::default() };
+    let filling = Filling { domain: &domain, limits };
     filling.channel::<Samples>();
     filling.channel::<Forecasts>();
     filling.channel::<Diagnostics>();
@@ -113,9 +97,7 @@ fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_ch
     let join = |name: &str| Bus::join(&domain, name).unwrap();
     let (view, link) = (join("watch"), join("link"));
     let open = limits.open_places(Forecasts::FLOW);
-    let waiters: Vec<_> = (0..open)
-        .map(|_| view.planner_waiter(&limits).unwrap())
-        .collect();
+    let waiters: Vec<_> = (0..open).map(|_| view.planner_waiter(&limits).unwrap()).collect();
     let refused = view.planner_waiter(&limits).unwrap_err();
     assert!(matches!(refused, OpenError::Places { .. }), "{refused}");
     let woken = link.planner_waiter(&limits).unwrap();

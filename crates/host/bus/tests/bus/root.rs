@@ -37,10 +37,7 @@ fn a_root_accessible_to_others_is_refused_with_its_mode() {
         fs::create_dir(&root.0).unwrap();
         fs::set_permissions(&root.0, fs::Permissions::from_mode(mode)).unwrap();
         let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
-        assert!(
-            matches!(error, RootError::Mode { found, .. } if found == mode),
-            "{error}"
-        );
+        assert!(matches!(error, RootError::Mode { found, .. } if found == mode), "{error}");
         assert!(error.to_string().contains("chmod 700"), "{error}");
         assert!(WorkerLock::acquire(&root.domain()).is_err());
     }
@@ -57,14 +54,7 @@ fn a_root_of_another_user_is_refused_with_both_uids() {
     fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
     chown(&root.0, Some(12_345), None).unwrap();
     let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
-    let told = matches!(
-        error,
-        RootError::Owner {
-            found: 12_345,
-            expected: 0,
-            ..
-        }
-    );
+    let told = matches!(error, RootError::Owner { found: 12_345, expected: 0, .. });
     assert!(told, "{error}");
 }
 
@@ -72,10 +62,7 @@ fn a_root_of_another_user_is_refused_with_both_uids() {
 fn a_symbolic_link_and_a_file_are_refused() {
     let root = Root::new();
     symlink("/dev/shm", &root.0).unwrap();
-    assert!(matches!(
-        joulebus_bus::prepare_domain(&root.domain()),
-        Err(RootError::Symlink { .. })
-    ));
+    assert!(matches!(joulebus_bus::prepare_domain(&root.domain()), Err(RootError::Symlink { .. })));
     fs::remove_file(&root.0).unwrap();
     fs::write(&root.0, "").unwrap();
     assert!(matches!(
@@ -90,19 +77,12 @@ fn a_fleet_below_a_private_root_must_be_private_too() {
     fs::create_dir(&root.0).unwrap();
     fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
     symlink("/tmp", root.0.join("test")).unwrap();
-    assert!(matches!(
-        joulebus_bus::prepare_domain(&root.domain()),
-        Err(RootError::Symlink { .. })
-    ));
+    assert!(matches!(joulebus_bus::prepare_domain(&root.domain()), Err(RootError::Symlink { .. })));
 }
 
 #[test]
 fn a_fleet_that_does_not_fit_is_refused_with_bytes_needed_and_free() {
-    let ports = Ports {
-        sources: 1_024,
-        workers: 1,
-        planners: 256,
-    };
+    let ports = Ports { sources: 1_024, workers: 1, planners: 256 };
     let huge = Limits {
         capacity: 1_000_000,
         max_sources: 1_024,
@@ -117,16 +97,9 @@ fn a_fleet_that_does_not_fit_is_refused_with_bytes_needed_and_free() {
     };
     assert!(needed > free && needed > 1 << 40, "{needed} {free}");
 
-    let one = Ports {
-        sources: 1,
-        workers: 1,
-        planners: 1,
-    };
+    let one = Ports { sources: 1, workers: 1, planners: 1 };
     let small = check_capacity(&Limits::default(), one).unwrap();
-    let ten_times = Limits {
-        capacity: 10_000,
-        ..Limits::default()
-    };
+    let ten_times = Limits { capacity: 10_000, ..Limits::default() };
     let big = check_capacity(&ten_times, one).unwrap();
     assert!(small.needed_bytes < big.needed_bytes / 5);
     assert!(small.descriptors_used > 2 && small.descriptors_used < small.descriptors_limit);

@@ -12,17 +12,11 @@ use joulebus_testkit::recordings::trials;
 fn rows(path: &Path) -> Vec<[f64; 4]> {
     let mut text = String::new();
     let file = std::fs::File::open(path).expect("a recording");
-    GzDecoder::new(file)
-        .read_to_string(&mut text)
-        .expect("gzip of text");
+    GzDecoder::new(file).read_to_string(&mut text).expect("gzip of text");
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
-    let columns = ["timestamp_s", "v_cmd_mps", "omega_cmd_radps", "power_mW"].map(|name| {
-        names
-            .iter()
-            .position(|found| *found == name)
-            .expect("the column")
-    });
+    let columns = ["timestamp_s", "v_cmd_mps", "omega_cmd_radps", "power_mW"]
+        .map(|name| names.iter().position(|found| *found == name).expect("the column"));
     lines
         .map(|line| {
             let fields: Vec<&str> = line.split(',').collect();
@@ -59,10 +53,7 @@ fn check_rows(platform: &Platform, rows: &[[f64; 4]], longest: &mut Longest, fil
         // NaN means not recorded: such a row carries no command.
         let allowed = |value: f64, max: f32| value.is_nan() || value.abs() <= f64::from(max);
         assert!(allowed(v_mps, platform.v_max_mps), "{file}: {v_mps} m/s");
-        assert!(
-            allowed(omega_radps, platform.omega_max_radps),
-            "{file}: {omega_radps} rad/s"
-        );
+        assert!(allowed(omega_radps, platform.omega_max_radps), "{file}: {omega_radps} rad/s");
         if power_w != before[3] {
             changed = time_s;
         }
@@ -92,16 +83,8 @@ fn no_recorded_row_is_out_of_its_platforms_limits() {
             check_rows(&platform, &rows, &mut longest, &path.to_string_lossy());
         }
         assert_eq!(count, expected, "{name}");
-        assert!(
-            longest.gap_ns < platform.stale_after_ns as f64,
-            "{name}: {} ns",
-            longest.gap_ns
-        );
-        assert!(
-            longest.gap_ns < platform.hold_max_ns as f64,
-            "{name}: {} ns",
-            longest.gap_ns
-        );
+        assert!(longest.gap_ns < platform.stale_after_ns as f64, "{name}: {} ns", longest.gap_ns);
+        assert!(longest.gap_ns < platform.hold_max_ns as f64, "{name}: {} ns", longest.gap_ns);
         assert!(
             longest.equal_ns < platform.stuck_after_ns as f64,
             "{name}: {} ns",

@@ -81,17 +81,10 @@ fn assert_refused(from: &str, to: &str, key: &str, expected: &[&str]) {
     let text = WHOLE.replace(from, to);
     let problem = problem(&text);
     assert_eq!(problem.key, key, "{problem}");
-    assert_eq!(
-        problem.line,
-        Some(line_of(&text, to.trim_end())),
-        "{problem}"
-    );
+    assert_eq!(problem.line, Some(line_of(&text, to.trim_end())), "{problem}");
     assert!(!problem.remedy.is_empty(), "{problem}");
     for part in expected {
-        assert!(
-            problem.to_string().contains(part),
-            "no {part:?} in: {problem}"
-        );
+        assert!(problem.to_string().contains(part), "no {part:?} in: {problem}");
     }
 }
 
@@ -112,25 +105,13 @@ fn of_many_problems_the_first_hundred_are_listed_and_long_texts_are_cut() {
     let long = "x".repeat(3 << 20);
     let platforms = "[[platform]]\nrobots = [\"a\"]\n".repeat(20_000);
     for (text, problems, named) in [
-        (
-            format!("{many}{WHOLE}"),
-            101,
-            "there are more than 100 problems",
-        ),
+        (format!("{many}{WHOLE}"), 101, "there are more than 100 problems"),
         (format!("{long} = 1\n{WHOLE}"), 1, "is not a known key"),
-        (
-            format!("[{long}]\nkey = 1\n{WHOLE}"),
-            1,
-            "is not a known section",
-        ),
+        (format!("[{long}]\nkey = 1\n{WHOLE}"), 1, "is not a known section"),
         (WHOLE.replace("on_frame", &long), 1, "xxx…"),
         (WHOLE.replace("\"lab\"", &format!("\"/{long}\"")), 1, "xxx…"),
         (WHOLE.replace("= 10.0", &format!("= \"{long}\"")), 3, "xxx…"),
-        (
-            format!("{WHOLE}{platforms}"),
-            1,
-            "is listed 20002 times, allowed are 256",
-        ),
+        (format!("{WHOLE}{platforms}"), 1, "is listed 20002 times, allowed are 256"),
     ] {
         let refused = parse(&text).unwrap_err();
         assert_eq!(refused.problems().len(), problems, "{named}");
@@ -156,12 +137,7 @@ fn what_replaced_mixture_and_adapt_is_named() {
         ("forecast = \"mixture\"", "platform.forecast"),
     ] {
         let before = format!("{line}\nresidual_std_w = 0.1");
-        assert_refused(
-            "residual_std_w = 0.1",
-            &before,
-            key,
-            &["\"online\", the default"],
-        );
+        assert_refused("residual_std_w = 0.1", &before, key, &["\"online\", the default"]);
     }
 }
 
@@ -271,28 +247,15 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
         assert_named(&text, key, line_of(&text, to), expected);
     });
     let fast = WHOLE.replace("rate_hz = 30.0\nstale", "rate_hz = 300.0\nstale");
-    assert!(
-        problem(&fast)
-            .what
-            .contains("`intake.max_samples_per_tick` = 8")
-    );
+    assert!(problem(&fast).what.contains("`intake.max_samples_per_tick` = 8"));
     let twice = WHOLE.replace("name = \"one\"", "name = \"rover\"");
-    assert!(
-        problem(&twice).what.contains("<config>:23"),
-        "{}",
-        problem(&twice)
-    );
+    assert!(problem(&twice).what.contains("<config>:23"), "{}", problem(&twice));
 }
 
 #[test]
 fn keys_set_twice_are_refused_with_both_lines() {
     let cases = [
-        (
-            "capacity = 100\n",
-            "capacity = 100\ncapacity = 100\n",
-            4,
-            "in line 3",
-        ),
+        ("capacity = 100\n", "capacity = 100\ncapacity = 100\n", 4, "in line 3"),
         ("[interval]\n", "[tick]\n[interval]\n", 15, "in line 7"),
     ];
     for (from, to, line, expected) in cases {
@@ -316,9 +279,8 @@ fn missing_keys_are_named() {
             None => unreachable!("every key has a section"),
         };
         let start = lines.iter().position(|line| *line == section).unwrap();
-        let offset = lines[start..]
-            .iter()
-            .position(|line| line.starts_with(&format!("{} =", key.name())));
+        let offset =
+            lines[start..].iter().position(|line| line.starts_with(&format!("{} =", key.name())));
         let mut lines = lines;
         lines.remove(start + offset.unwrap_or_else(|| panic!("{} is not set", key.path)));
         let refused = parse(&lines.join("\n")).expect_err(key.path);
@@ -344,19 +306,10 @@ fn all_errors_are_reported_at_once_in_order() {
         .replace("v_max_mps = 0.2", "v_max_mps = \"fast\"")
         .replace("robots = [\"30-39\"]", "robots = [9]");
     let refused = parse(&text).unwrap_err();
-    let keys: Vec<&str> = refused
-        .problems()
-        .iter()
-        .map(|problem| problem.key.as_str())
-        .collect();
+    let keys: Vec<&str> = refused.problems().iter().map(|problem| problem.key.as_str()).collect();
     assert_eq!(
         keys,
-        [
-            "fleet.capactiy",
-            "interval.coverage",
-            "platform.v_max_mps",
-            "platform.robots"
-        ]
+        ["fleet.capactiy", "interval.coverage", "platform.v_max_mps", "platform.robots"]
     );
     assert_eq!(refused.to_string().lines().count(), 4);
 }
@@ -365,20 +318,13 @@ fn all_errors_are_reported_at_once_in_order() {
 fn doubtful_values_are_accepted_with_a_warning() {
     for (from, to, key) in [
         ("capacity = 100", "capacity = 20", "fleet.capacity"),
-        (
-            "max_jump_s = 60.0",
-            "max_jump_s = 20.0",
-            "intake.max_jump_s",
-        ),
+        ("max_jump_s = 60.0", "max_jump_s = 20.0", "intake.max_jump_s"),
         ("cpus = \"1\"", "priority = 50", "worker.priority"),
         ("cpus = \"1\"", "if_refused = \"stop\"", "worker.if_refused"),
     ] {
         let config = parse(&WHOLE.replace(from, to)).unwrap_or_else(|error| panic!("{error}"));
-        let keys: Vec<&str> = config
-            .warnings()
-            .iter()
-            .map(|warning| warning.key.as_str())
-            .collect();
+        let keys: Vec<&str> =
+            config.warnings().iter().map(|warning| warning.key.as_str()).collect();
         assert_eq!(keys, [key]);
     }
 }

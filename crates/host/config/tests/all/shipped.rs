@@ -87,12 +87,7 @@ fn defaults_in_the_table_equal_those_of_missing_keys() {
     assert_eq!(defaults.prefix(), shipped.prefix());
     assert_eq!(defaults.checkpoint(), &Checkpoint::Auto);
     assert_eq!(defaults.tick_period_ns(), 33_333_333);
-    assert_eq!(
-        defaults.policy(),
-        Policy::OnFrame {
-            deadline_ns: 10_000_000
-        }
-    );
+    assert_eq!(defaults.policy(), Policy::OnFrame { deadline_ns: 10_000_000 });
     // Each default also as text: `config show` writes them from the values.
     for key in KEYS.iter().filter(|key| key.file == File::Fleet) {
         let Some(default) = explanations(Some(key.path)).unwrap().remove(0).default else {
@@ -162,10 +157,7 @@ fn the_demo_needs_only_its_own_file() {
 fn the_root_is_the_users_own() {
     let config = load("fleet.toml").unwrap();
     let uid = rustix::process::geteuid().as_raw();
-    assert_eq!(
-        config.root(),
-        Path::new(&format!("/dev/shm/joulebus-{uid}"))
-    );
+    assert_eq!(config.root(), Path::new(&format!("/dev/shm/joulebus-{uid}")));
 }
 
 #[test]
@@ -206,11 +198,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     .unwrap();
     let config = Config::load(at("own-fleet.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(config.checkpoint(), &Checkpoint::File(at("ledger.bin")));
-    assert_eq!(
-        config.settings().platforms[0].name,
-        "renamed",
-        "the fleet's file overrides"
-    );
+    assert_eq!(config.settings().platforms[0].name, "renamed", "the fleet's file overrides");
     let ModelSource::File(model) = &config.models()[0] else {
         panic!("{:?}", config.models());
     };
@@ -221,10 +209,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
     let foreign = at("elsewhere/fleet.toml");
     fs::create_dir(at("elsewhere")).unwrap();
-    for file in [
-        at("kinds/own.toml").display().to_string(),
-        "../kinds/own.toml".to_owned(),
-    ] {
+    for file in [at("kinds/own.toml").display().to_string(), "../kinds/own.toml".to_owned()] {
         fs::write(&foreign, fleet.replace("kinds/own.toml", &file)).unwrap();
         assert!(Config::load(&foreign).is_ok(), "{file}");
         let refused = Config::load_attached(&foreign).unwrap_err();
@@ -247,10 +232,7 @@ fn explanations_cover_keys_sections_and_everything() {
     assert_eq!(explanations(Some("tick")).unwrap().len(), 3);
     let text = explain(Some("tick.deadline_ms")).unwrap();
     says(&text, ["tick.deadline_ms", "ms; 0.1 to 10000; default 10"]);
-    assert!(
-        explain(Some("stale_after_s")).is_ok(),
-        "as written in a platform's file"
-    );
+    assert!(explain(Some("stale_after_s")).is_ok(), "as written in a platform's file");
     let unknown = explain(Some("tick.deadlin_ms")).unwrap_err();
     says(&unknown, ["`tick.deadline_ms`"]);
 }
@@ -263,34 +245,19 @@ fn a_root_invalid_for_shared_memory_is_refused_with_its_line() {
         prefix: "jb_".to_owned(),
         robots: 1,
     };
-    for root in [
-        "/dev/shm/a b",
-        "/dev/shm/0123456789-0123456789-0123456789-0123456789",
-    ] {
+    for root in ["/dev/shm/a b", "/dev/shm/0123456789-0123456789-0123456789-0123456789"] {
         let text = demo(root).toml();
-        let line = 1 + text
-            .lines()
-            .position(|line| line.starts_with("root ="))
-            .unwrap();
+        let line = 1 + text.lines().position(|line| line.starts_with("root =")).unwrap();
         let error = Config::parse(&text, Path::new("/nowhere")).unwrap_err();
         let problem = &error.problems()[0];
-        assert_eq!(
-            (problem.key.as_str(), problem.line),
-            ("domain.root", Some(line)),
-            "{error}"
-        );
+        assert_eq!((problem.key.as_str(), problem.line), ("domain.root", Some(line)), "{error}");
     }
 }
 
 #[test]
 fn the_robots_of_the_shipped_fleet_and_of_the_demo_have_the_battery_of_their_makers() {
     let root = PathBuf::from("/dev/shm/joulebus-demo-7");
-    let demo = Demo {
-        fleet: "demo".to_owned(),
-        root,
-        prefix: "jb_".to_owned(),
-        robots: 2,
-    };
+    let demo = Demo { fleet: "demo".to_owned(), root, prefix: "jb_".to_owned(), robots: 2 };
     let config = Config::parse(&demo.toml(), Path::new("/nowhere")).unwrap();
     for config in [config, load("fleet.toml").unwrap()] {
         let battery = config.settings().platforms[0].battery.unwrap();

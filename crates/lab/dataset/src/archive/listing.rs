@@ -136,14 +136,8 @@ pub(crate) fn each_table(
 /// Reads the listing at `path`.
 pub(crate) fn open(path: &Path) -> Result<Listing, TrialError> {
     Listing::read(path).map_err(|error| match error {
-        ListingError::Io(source) => TrialError::Io {
-            path: path.to_owned(),
-            source,
-        },
-        ListingError::Refused(detail) => TrialError::Archive {
-            path: path.to_owned(),
-            detail,
-        },
+        ListingError::Io(source) => TrialError::Io { path: path.to_owned(), source },
+        ListingError::Refused(detail) => TrialError::Archive { path: path.to_owned(), detail },
     })
 }
 
@@ -155,10 +149,7 @@ pub(crate) fn table(at: &Path, listing: &Listing, number: usize) -> Result<Table
     let trial = &listing.trials[number];
     let folder = at.parent().and_then(Path::parent);
     let path = folder.unwrap_or(Path::new("")).join(&trial.file);
-    let refused = |detail: String| TrialError::Archive {
-        path: path.clone(),
-        detail,
-    };
+    let refused = |detail: String| TrialError::Archive { path: path.clone(), detail };
     check_sum(&path, trial).map_err(|error| match error {
         ListingError::Io(source) if source.kind() == io::ErrorKind::NotFound => {
             let name = &listing.name;
@@ -174,9 +165,7 @@ pub(crate) fn table(at: &Path, listing: &Listing, number: usize) -> Result<Table
         ListingError::Refused(detail) => refused(detail),
     })?;
     let (table, head) = read::table(&path)?;
-    let Head {
-        recording, trial, ..
-    } = &head;
+    let Head { recording, trial, .. } = &head;
     if *recording != listing.name || *trial as usize != number {
         return Err(refused(format!(
             "is trial {trial} of {recording}; its listing has it as trial {number} of {}",

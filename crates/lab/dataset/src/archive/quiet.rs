@@ -51,11 +51,7 @@ mod tests {
         static PRINTED: AtomicUsize = AtomicUsize::new(0);
         const MARK: &str = "quiet's own panic";
         let count = |panic: &PanicHookInfo<'_>| {
-            if panic
-                .payload()
-                .downcast_ref::<String>()
-                .is_some_and(|text| text == MARK)
-            {
+            if panic.payload().downcast_ref::<String>().is_some_and(|text| text == MARK) {
                 PRINTED.fetch_add(1, Ordering::Relaxed);
             }
         };

@@ -33,9 +33,7 @@ struct Refused(String);
 
 impl From<ParquetError> for Refused {
     fn from(error: ParquetError) -> Self {
-        Self(format!(
-            "damaged or no Parquet file: {error}; export the recording again"
-        ))
+        Self(format!("damaged or no Parquet file: {error}; export the recording again"))
     }
 }
 
@@ -48,10 +46,7 @@ impl From<io::Error> for Refused {
 /// The trial of a file, with its metadata.
 pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
     let file = joulebus_files::open(path).map_err(TrialError::io(path))?;
-    let refused = |Refused(detail)| TrialError::Archive {
-        path: path.to_owned(),
-        detail,
-    };
+    let refused = |Refused(detail)| TrialError::Archive { path: path.to_owned(), detail };
     // The decoders of the crate check their input, but promise nothing for hostile input.
     let read = caught(|| columns(file));
     let (head, columns) = match read {
@@ -130,9 +125,7 @@ fn head(about: &FileMetaData) -> Result<Head, Refused> {
     let remedy = "allowed are files that `joulebus export` wrote; write others as CSV";
     match value(SCHEMA_KEY) {
         None => {
-            return Err(Refused(format!(
-                "a Parquet file of another program; {remedy}"
-            )));
+            return Err(Refused(format!("a Parquet file of another program; {remedy}")));
         }
         Some(found) if found != SCHEMA.to_string() => {
             return Err(Refused(format!(
@@ -173,12 +166,7 @@ fn difference(found: &Type, allowed: &Type) -> String {
     let mut pairs = found.zip(allowed.lines().skip(1));
     let shown = |line: &str| match line {
         "}" => "no further column".to_owned(),
-        line => line
-            .trim()
-            .trim_end_matches(';')
-            .chars()
-            .take(MAX_SHOWN)
-            .collect(),
+        line => line.trim().trim_end_matches(';').chars().take(MAX_SHOWN).collect(),
     };
     match pairs.find(|(found, allowed)| found != allowed) {
         Some((found, allowed)) => format!("found {}, allowed is {}", shown(found), shown(allowed)),
@@ -282,9 +270,7 @@ where
     let each: Option<Vec<T::T>> = each.collect();
     each.ok_or_else(|| {
         let name = field.name;
-        Refused(format!(
-            "{name}: fewer values than it states; export the recording again"
-        ))
+        Refused(format!("{name}: fewer values than it states; export the recording again"))
     })
 }
 
@@ -304,11 +290,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         is_turned: false,
         ..Table::default()
     };
-    let Values {
-        row,
-        timestamp_s,
-        of_trial,
-    } = values;
+    let Values { row, timestamp_s, of_trial } = values;
     for (row, time_s) in row.iter().zip(timestamp_s) {
         let row = *row as usize;
         table.push_time(Cell { path, row }, time_s)?;

@@ -72,17 +72,10 @@ pub struct Field {
 
 /// All columns, in the order of the files.
 pub fn fields() -> Vec<Field> {
-    let field = |name, kind, unit, is_nullable| Field {
-        name,
-        kind,
-        unit,
-        is_nullable,
-        column: None,
-    };
-    let mut fields = vec![
-        field("row", Kind::U32, "1", false),
-        field("timestamp_s", Kind::F64, "s", false),
-    ];
+    let field =
+        |name, kind, unit, is_nullable| Field { name, kind, unit, is_nullable, column: None };
+    let mut fields =
+        vec![field("row", Kind::U32, "1", false), field("timestamp_s", Kind::F64, "s", false)];
     fields.extend(Column::ALL.map(|column| Field {
         column: Some(column),
         ..field(column.name(), Kind::F64, column.unit(), true)
@@ -100,9 +93,7 @@ pub fn fields() -> Vec<Field> {
 
 /// The columns' units as JSON: `{"timestamp_s":"s",…}`.
 pub(super) fn units() -> String {
-    let units = fields()
-        .into_iter()
-        .map(|field| (field.name.to_owned(), field.unit.into()));
+    let units = fields().into_iter().map(|field| (field.name.to_owned(), field.unit.into()));
     serde_json::Value::Object(units.collect()).to_string()
 }
 
@@ -122,8 +113,5 @@ pub(super) fn schema() -> parquet::errors::Result<TypePtr> {
     };
     let fields = fields().into_iter().map(typed);
     let fields = fields.collect::<parquet::errors::Result<Vec<_>>>()?;
-    Type::group_type_builder("joulebus_trial")
-        .with_fields(fields)
-        .build()
-        .map(Arc::new)
+    Type::group_type_builder("joulebus_trial").with_fields(fields).build().map(Arc::new)
 }

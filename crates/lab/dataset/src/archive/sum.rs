@@ -21,18 +21,12 @@ pub(super) struct Sum {
 impl Sum {
     pub(super) fn of(bytes: u64, mut crc: Hasher, head: &str) -> Self {
         crc.update(head.as_bytes());
-        Self {
-            bytes,
-            crc32: crc.finalize(),
-        }
+        Self { bytes, crc32: crc.finalize() }
     }
 
     pub(super) fn parse(text: &str) -> Option<Self> {
         let (bytes, crc32) = text.split_once(' ')?;
-        Some(Self {
-            bytes: bytes.parse().ok()?,
-            crc32: u32::from_str_radix(crc32, 16).ok()?,
-        })
+        Some(Self { bytes: bytes.parse().ok()?, crc32: u32::from_str_radix(crc32, 16).ok()? })
     }
 }
 

@@ -59,11 +59,7 @@ pub fn write<W: Write + Send>(
     head: &Head,
     out: W,
 ) -> Result<Exported, WriteArchiveError> {
-    let out = Summed {
-        out,
-        bytes: 0,
-        crc: crc32fast::Hasher::new(),
-    };
+    let out = Summed { out, bytes: 0, crc: crc32fast::Hasher::new() };
     // A struct of text and numbers can always be written.
     let head_text = serde_json::to_string(head).unwrap_or_default();
     let properties = Arc::new(properties(&head_text));
@@ -89,10 +85,7 @@ pub fn write<W: Write + Send>(
     writer.append_key_value_metadata(KeyValue::new(SUM_KEY.to_owned(), sum.to_string()));
     let mut out = writer.into_inner()?;
     out.flush()?;
-    Ok(Exported {
-        bytes: out.bytes,
-        crc32: out.crc.finalize(),
-    })
+    Ok(Exported { bytes: out.bytes, crc32: out.crc.finalize() })
 }
 
 /// Without compression: readings repeat, and whole numbers rise evenly, so encodings leave little
@@ -139,29 +132,17 @@ fn write_column(
             let written = column.typed::<DoubleType>();
             return written.write_batch(values, None, None).map(|_| ());
         }
-        let levels: Vec<i16> = values
-            .iter()
-            .map(|value| i16::from(!value.is_nan()))
-            .collect();
-        let known: Vec<f64> = values
-            .iter()
-            .copied()
-            .filter(|value| !value.is_nan())
-            .collect();
+        let levels: Vec<i16> = values.iter().map(|value| i16::from(!value.is_nan())).collect();
+        let known: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
         let written = column.typed::<DoubleType>();
         return written.write_batch(&known, Some(&levels), None).map(|_| ());
     }
-    let numbers = rows
-        .clone()
-        .map(|row| number(field, (table, stamps, head), row));
+    let numbers = rows.clone().map(|row| number(field, (table, stamps, head), row));
     let numbers: Vec<Option<u64>> = numbers.collect();
     if numbers.iter().all(Option::is_none) {
         return nulls(column, field.kind, rows.len());
     }
-    let levels: Vec<i16> = numbers
-        .iter()
-        .map(|number| i16::from(number.is_some()))
-        .collect();
+    let levels: Vec<i16> = numbers.iter().map(|number| i16::from(number.is_some())).collect();
     let levels = field.is_nullable.then_some(levels.as_slice());
     let known = numbers.into_iter().flatten();
     if field.kind == Kind::U32 {
@@ -184,9 +165,7 @@ fn nulls(
     let levels = vec![0_i16; rows];
     let levels = Some(levels.as_slice());
     let written = match kind {
-        Kind::F64 => column
-            .typed::<DoubleType>()
-            .write_batch(&[], levels, None)?,
+        Kind::F64 => column.typed::<DoubleType>().write_batch(&[], levels, None)?,
         Kind::U32 => column.typed::<Int32Type>().write_batch(&[], levels, None)?,
         Kind::U64 | Kind::I64 => column.typed::<Int64Type>().write_batch(&[], levels, None)?,
     };
@@ -205,13 +184,13 @@ fn number(
         "row" => Some(table.file_row(row) as u64),
         "robot_id" => robot_id(head).map(u64::from),
         // A signed number: times beyond the year 2262 have no value.
-        "unix_ns" => stamp
-            .map(|stamp| stamp.unix_ns)
-            .filter(|unix_ns| i64::try_from(*unix_ns).is_ok()),
+        "unix_ns" => {
+            stamp.map(|stamp| stamp.unix_ns).filter(|unix_ns| i64::try_from(*unix_ns).is_ok())
+        }
         "stamp_ns" => stamp.map(|stamp| stamp.stamp_ns),
-        "measured_ns" => stamp
-            .map(|stamp| stamp.measured_ns)
-            .filter(|measured_ns| *measured_ns > 0),
+        "measured_ns" => {
+            stamp.map(|stamp| stamp.measured_ns).filter(|measured_ns| *measured_ns > 0)
+        }
         "seq" => stamp.map(|stamp| stamp.seq),
         "flags" => stamp.map(|stamp| u64::from(stamp.flags)),
         _ => None,

@@ -61,10 +61,8 @@ impl Check {
 /// `places` occurrences are kept, in the order of the files and rows. The result is the same for
 /// any number of threads.
 pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: usize) -> Check {
-    let looked: Vec<Looked> = files
-        .par_iter()
-        .map(|file| look(file, map, limits, places))
-        .collect();
+    let looked: Vec<Looked> =
+        files.par_iter().map(|file| look(file, map, limits, places)).collect();
     let mut all = Findings::new(places);
     let mut first_with = HashMap::new();
     for (file, looked) in files.iter().zip(&looked) {
@@ -86,11 +84,7 @@ pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: 
         trials: looked.iter().map(|looked| looked.digests.len()).sum(),
         robots: names.collect::<BTreeSet<_>>().len(),
         rows: looked.iter().map(|looked| looked.rows).sum(),
-        faults: findings
-            .iter()
-            .filter(|finding| finding.fault)
-            .map(|finding| finding.count)
-            .sum(),
+        faults: findings.iter().filter(|finding| finding.fault).map(|finding| finding.count).sum(),
         findings,
     }
 }
@@ -161,12 +155,7 @@ fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {
 fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
     let mut finding = Finding::new(kind);
     (finding.count, finding.files) = (1, 1);
-    finding.places = vec![Place {
-        file: file.to_owned(),
-        row: None,
-        column: None,
-        what,
-    }];
+    finding.places = vec![Place { file: file.to_owned(), row: None, column: None, what }];
     finding
 }
 
@@ -194,10 +183,7 @@ struct Findings {
 
 impl Findings {
     const fn new(places: usize) -> Self {
-        Self {
-            places,
-            kinds: BTreeMap::new(),
-        }
+        Self { places, kinds: BTreeMap::new() }
     }
 
     fn add(&mut self, kind: FindingKind, count: usize, place: impl FnOnce() -> Place) {
@@ -221,9 +207,7 @@ impl Findings {
         finding.count += other.count;
         finding.files += other.files;
         let room = self.places.saturating_sub(finding.places.len());
-        finding
-            .places
-            .extend(other.places.iter().take(room).cloned());
+        finding.places.extend(other.places.iter().take(room).cloned());
     }
 
     /// Faults first, each in the order of [`FindingKind`].
@@ -265,10 +249,7 @@ fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Place 
 }
 
 fn whole(trial: &Trial, column: Option<Column>, what: String) -> Place {
-    Place {
-        row: None,
-        ..at(trial, 0, column, what)
-    }
+    Place { row: None, ..at(trial, 0, column, what) }
 }
 
 fn check_times(trial: &Trial, found: &mut Findings) {
@@ -381,9 +362,7 @@ fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
     for row in 0..trial.rows() {
         let (power_w, product_w) = (power_w[row], voltage_v[row] * current_a[row]);
         let away_w = (power_w.abs() - product_w.abs()).abs();
-        let allowed_w = limits
-            .power_step_w
-            .max(limits.power_share * product_w.abs());
+        let allowed_w = limits.power_step_w.max(limits.power_share * product_w.abs());
         if away_w > allowed_w {
             found.add(FindingKind::PowerMismatch, 1, || {
                 let what = format!("{power_w:.4} W; voltage times current is {product_w:.4} W");
@@ -403,9 +382,7 @@ fn check_file(trial: &Trial, found: &mut Findings) {
         found.add(FindingKind::UnknownColumn, 1, || name(column));
     }
     for understood in &notes.understood {
-        found.add(FindingKind::Understood, 1, || {
-            whole(trial, None, understood.clone())
-        });
+        found.add(FindingKind::Understood, 1, || whole(trial, None, understood.clone()));
     }
     let left_out = &notes.left_out;
     for (row, what) in &left_out.first {
@@ -415,23 +392,14 @@ fn check_file(trial: &Trial, found: &mut Findings) {
         });
     }
     let others = left_out.lines - left_out.first.len();
-    found.add(FindingKind::NoRow, others, || {
-        whole(trial, None, String::new())
+    found.add(FindingKind::NoRow, others, || whole(trial, None, String::new()));
+    found.add(FindingKind::CutOff, usize::from(notes.no_final_line_break), || {
+        let last = trial.rows() - 1;
+        at(trial, last, None, "the last line has no newline".to_owned())
     });
-    found.add(
-        FindingKind::CutOff,
-        usize::from(notes.no_final_line_break),
-        || {
-            let last = trial.rows() - 1;
-            at(trial, last, None, "the last line has no newline".to_owned())
-        },
-    );
     found.add(FindingKind::UnnamedRow, notes.unnamed_rows, || {
         let robot = trial.robot_name().unwrap_or_default();
-        let what = format!(
-            "{} rows; the others name robot {robot:?}",
-            notes.unnamed_rows
-        );
+        let what = format!("{} rows; the others name robot {robot:?}", notes.unnamed_rows);
         whole(trial, None, what)
     });
 }

@@ -100,9 +100,7 @@ pub fn describe(trial: &Trial) -> TrialReport {
     let notes = trial.notes();
     let columns = Column::ALL.into_iter();
     let columns: Vec<_> = columns.filter_map(|column| report(trial, column)).collect();
-    let power = columns
-        .iter()
-        .find(|column| column.name == Column::Power.name());
+    let power = columns.iter().find(|column| column.name == Column::Power.name());
     let longest_ns = notes.gaps.iter().map(|gap| gap.length_ns).max();
     let last_ns = trial.offset_ns().iter().max().copied().unwrap_or_default();
     let file_name = trial.path().file_name().and_then(|name| name.to_str());

@@ -29,10 +29,7 @@ impl Found {
             Some(format!("{} {what}, the first {first}", files.len()))
         };
         let others = remark(&self.others, "other files in the directories are ignored");
-        let repeated = remark(
-            &self.repeated,
-            "files are named more than once; each is used once",
-        );
+        let repeated = remark(&self.repeated, "files are named more than once; each is used once");
         others.into_iter().chain(repeated)
     }
 }
@@ -147,9 +144,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
         take(&path, found)?;
     }
     if found.files.len() == before {
-        return Err(FindError::NoMatch {
-            pattern: pattern.to_owned(),
-        });
+        return Err(FindError::NoMatch { pattern: pattern.to_owned() });
     }
     Ok(())
 }
@@ -159,10 +154,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 /// have to be converted.
 pub fn is_recording(path: &Path) -> bool {
     let endings = ["parquet", "mat"];
-    let is_other = || {
-        path.extension()
-            .is_some_and(|found| endings.iter().any(|one| found == *one))
-    };
+    let is_other = || path.extension().is_some_and(|found| endings.iter().any(|one| found == *one));
     ((Form::of(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
 }
 
@@ -192,8 +184,5 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
 }
 
 fn io_error(path: &Path, source: io::Error) -> FindError {
-    FindError::Io {
-        path: path.to_owned(),
-        source,
-    }
+    FindError::Io { path: path.to_owned(), source }
 }

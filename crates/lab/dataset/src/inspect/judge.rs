@@ -55,9 +55,7 @@ pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implaus
         });
     }
     let found = judge.findings().into_iter();
-    found
-        .map(|finding| implausible(source, trial, finding))
-        .collect()
+    found.map(|finding| implausible(source, trial, finding)).collect()
 }
 
 fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
@@ -65,12 +63,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         let judged = JUDGED.iter().find(|(of, _)| *of == quantity);
         judged.map(|(_, column)| *column)
     });
-    let source = |column| {
-        trial
-            .sources()
-            .iter()
-            .find(|source| source.column == column)
-    };
+    let source = |column| trial.sources().iter().find(|source| source.column == column);
     let name = column.map(|column| match source(column) {
         Some(source) => source.name.clone(),
         // Power of voltage and current has no column.
@@ -89,11 +82,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         column: name,
         what: format!("{}; {}; {remedy}", finding.found, finding.allowed),
     };
-    Implausible {
-        finding,
-        remedy,
-        place,
-    }
+    Implausible { finding, remedy, place }
 }
 
 fn known(trial: &Trial, limits: &Limits) -> Known {
@@ -102,10 +91,7 @@ fn known(trial: &Trial, limits: &Limits) -> Known {
         if let Some(range) = limits.range(column) {
             known = known.within(quantity, range.least, range.greatest);
         }
-        let source = trial
-            .sources()
-            .iter()
-            .find(|source| source.column == column);
+        let source = trial.sources().iter().find(|source| source.column == column);
         if source.is_some_and(|source| !source.states_unit) {
             known = known.unstated(quantity);
         }

@@ -16,10 +16,7 @@ pub struct Range {
 impl Range {
     /// The range from `-greatest` to `greatest`.
     pub const fn within(greatest: f64) -> Self {
-        Self {
-            least: -greatest,
-            greatest,
-        }
+        Self { least: -greatest, greatest }
     }
 
     pub(super) fn holds(self, value: f64) -> bool {
@@ -64,16 +61,10 @@ impl Default for Limits {
             omega_radps: Range::within(50.0),
             position_m: Range::within(100_000.0),
             theta_rad: Range::within(1_000.0),
-            voltage_v: Range {
-                least: 0.0,
-                greatest: 1_000.0,
-            },
+            voltage_v: Range { least: 0.0, greatest: 1_000.0 },
             current_a: Range::within(1_000.0),
             power_w: Range::within(100_000.0),
-            soc: Range {
-                least: -0.05,
-                greatest: 1.05,
-            },
+            soc: Range { least: -0.05, greatest: 1.05 },
             power_share: 0.05,
             power_step_w: 0.03,
             stuck_s: 10.0,

@@ -121,14 +121,11 @@ impl Profiler {
         usual.sort_unstable_by(f64::total_cmp);
         let most_s = STUCK * usual[(usual.len() - 1) / 2];
         let trials = holds.len();
-        let (stuck, works): (Vec<_>, Vec<_>) = holds
-            .into_iter()
-            .partition(|([usual_s, _], _)| *usual_s > most_s);
-        let longest = works
-            .iter()
-            .fold([0.0_f64; 2], |[usual_s, longest_s], (hold, _)| {
-                [usual_s.max(hold[0]), longest_s.max(hold[1])]
-            });
+        let (stuck, works): (Vec<_>, Vec<_>) =
+            holds.into_iter().partition(|([usual_s, _], _)| *usual_s > most_s);
+        let longest = works.iter().fold([0.0_f64; 2], |[usual_s, longest_s], (hold, _)| {
+            [usual_s.max(hold[0]), longest_s.max(hold[1])]
+        });
         Some(Profile {
             trials,
             readings: readings.len(),

@@ -25,10 +25,7 @@ pub fn power_check(trial: &Trial) -> Option<PowerCheck> {
         .map(|(power_w, (voltage_v, current_a))| (power_w / (voltage_v * current_a)).abs())
         .filter(|ratio| ratio.is_finite())
         .collect();
-    Some(PowerCheck {
-        rows: ratios.len(),
-        median_ratio: median(&mut ratios)?,
-    })
+    Some(PowerCheck { rows: ratios.len(), median_ratio: median(&mut ratios)? })
 }
 
 /// Lower median.

@@ -86,12 +86,7 @@ pub struct Placed<'a> {
 impl<'a> Placed<'a> {
     /// A source in a part.
     pub fn new(source: &'a SourceInfo, part: &'static str) -> Self {
-        Self {
-            trial: &source.trial,
-            rows: source.rows,
-            digest: source.digest,
-            part,
-        }
+        Self { trial: &source.trial, rows: source.rows, digest: source.digest, part }
     }
 }
 

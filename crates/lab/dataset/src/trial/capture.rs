@@ -80,10 +80,7 @@ fn each_run_in<E: From<TrialError>>(
     in_memory: InMemory,
     mut take: impl FnMut(CaptureRun) -> Result<(), E>,
 ) -> Result<(), E> {
-    let refused = |detail: String| TrialError::Capture {
-        path: path.to_owned(),
-        detail,
-    };
+    let refused = |detail: String| TrialError::Capture { path: path.to_owned(), detail };
     let mut store = collect(path, in_memory)?;
     let several_fleets = {
         let mut fleets: Vec<&str> = store.robots.keys().map(|robot| robot.0.as_ref()).collect();
@@ -98,13 +95,8 @@ fn each_run_in<E: From<TrialError>>(
         };
         for (at, run) in runs.iter().copied().enumerate() {
             let next = runs.get(at + 1);
-            let is_part = [Some(&run), next]
-                .into_iter()
-                .flatten()
-                .any(|run| store.goes_on(*run));
-            let samples = store
-                .samples(run)
-                .map_err(|error| refused(spilled(&error)))?;
+            let is_part = [Some(&run), next].into_iter().flatten().any(|run| store.goes_on(*run));
+            let samples = store.samples(run).map_err(|error| refused(spilled(&error)))?;
             if samples.len() < 2 {
                 continue;
             }
@@ -112,11 +104,7 @@ fn each_run_in<E: From<TrialError>>(
             let (mut table, stamps) = table(path, &name, &samples)?;
             table.is_part = is_part;
             let fleet = fleet.to_string();
-            take(CaptureRun {
-                fleet,
-                table,
-                stamps,
-            })?;
+            take(CaptureRun { fleet, table, stamps })?;
         }
     }
     match found {
@@ -127,10 +115,7 @@ fn each_run_in<E: From<TrialError>>(
 
 /// Sorts the samples of a capture by run.
 fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
-    let refused = |detail: String| TrialError::Capture {
-        path: path.to_owned(),
-        detail,
-    };
+    let refused = |detail: String| TrialError::Capture { path: path.to_owned(), detail };
     let failed = |error: ReadError| refused(error.to_string());
     let mut reader = Reader::open(path).map_err(failed)?;
     let mut store = Store::default();
@@ -147,19 +132,14 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);
             let goes_on = is_same && !sample.has(flag::DISCONTINUITY);
-            let kept = Recorded {
-                sample,
-                unix_ns: entry.log_time_ns,
-            };
+            let kept = Recorded { sample, unix_ns: entry.log_time_ns };
             let run = store.run(robot, goes_on, in_memory.part_rows);
             // Ingest refuses a time that does not advance.
             let is_first = store.runs[run].rows == 0 && !store.runs[run].goes_on;
             if !is_first && sample.stamp_ns <= store.runs[run].stamp_ns {
                 continue;
             }
-            store
-                .push(run, kept)
-                .map_err(|error| refused(spilled(&error)))?;
+            store.push(run, kept).map_err(|error| refused(spilled(&error)))?;
             if store.runs[run].rows > in_memory.max_rows {
                 return Err(TrialError::TooManyRows {
                     path: path.to_owned(),
@@ -246,10 +226,7 @@ impl Store {
         if let Some(last) = own.last().copied().filter(has_room) {
             return last;
         }
-        let full = own
-            .last()
-            .filter(|_| goes_on)
-            .map(|last| self.runs[*last].stamp_ns);
+        let full = own.last().filter(|_| goes_on).map(|last| self.runs[*last].stamp_ns);
         own.push(self.runs.len());
         self.runs.push(Run {
             stamp_ns: full.unwrap_or_default(),
@@ -298,12 +275,7 @@ impl Store {
 
     /// The samples of a run, which is then empty.
     fn samples(&mut self, run: usize) -> io::Result<Vec<Recorded>> {
-        let Run {
-            blocks,
-            mut pending,
-            rows,
-            ..
-        } = std::mem::take(&mut self.runs[run]);
+        let Run { blocks, mut pending, rows, .. } = std::mem::take(&mut self.runs[run]);
         let mut samples = Vec::with_capacity(rows);
         for (place, count) in blocks {
             let mut bytes = vec![0; count * RECORDED_BYTES];
@@ -329,11 +301,8 @@ fn table(
     name: &str,
     samples: &[Recorded],
 ) -> Result<(Table, Vec<RowStamp>), TrialError> {
-    let mut table = Table {
-        path: path.to_owned(),
-        robot_name: Some(name.to_owned()),
-        ..Table::default()
-    };
+    let mut table =
+        Table { path: path.to_owned(), robot_name: Some(name.to_owned()), ..Table::default() };
     let start_ns = start_ns(samples);
     let mut command: Option<&Sample> = None;
     let mut stamp_ns = start_ns;

@@ -309,10 +309,7 @@ pub enum TrialError {
 impl TrialError {
     /// What a failed operation on a file becomes.
     pub(crate) fn io(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
-        move |source| Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        move |source| Self::Io { path: path.to_owned(), source }
     }
 
     /// Whether it concerns lines of a CSV, which can be left out.
@@ -330,9 +327,9 @@ impl TrialError {
     pub(super) fn of_the_line(&self) -> String {
         match self {
             Self::Line { what, .. } => what.clone(),
-            Self::FieldCount {
-                found, expected, ..
-            } => format!("found {found} fields, the header has {expected}"),
+            Self::FieldCount { found, expected, .. } => {
+                format!("found {found} fields, the header has {expected}")
+            }
             Self::Value { column, found, .. } => format!("found {found:?} in column {column}"),
             other => other.to_string(),
         }

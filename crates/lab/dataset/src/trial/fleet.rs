@@ -86,10 +86,7 @@ impl TrialFleet {
             .map(|(robot, trial)| Player::new(robot, &trial, playback))
             .collect::<Vec<_>>();
         players.sort_by_key(|player| player.robot);
-        if let Some(pair) = players
-            .windows(2)
-            .find(|pair| pair[0].robot == pair[1].robot)
-        {
+        if let Some(pair) = players.windows(2).find(|pair| pair[0].robot == pair[1].robot) {
             let robot = pair[0].robot;
             return Err(TrialFleetError::DuplicateRobot { robot });
         }
@@ -108,10 +105,7 @@ impl TrialFleet {
         let count = trials.len();
         let ids = (first..=u32::MAX).take(count).collect::<Vec<_>>();
         if ids.len() < count {
-            return Err(TrialFleetError::IdsExhausted {
-                first,
-                trials: count,
-            });
+            return Err(TrialFleetError::IdsExhausted { first, trials: count });
         }
         Self::new(ids.into_iter().zip(trials).collect(), playback)
     }

@@ -29,17 +29,11 @@ pub(super) struct InMemory {
 
 impl InMemory {
     /// The whole file.
-    pub(super) const WHOLE: Self = Self {
-        part_rows: usize::MAX,
-        max_rows: MAX_WHOLE_ROWS,
-    };
+    pub(super) const WHOLE: Self = Self { part_rows: usize::MAX, max_rows: MAX_WHOLE_ROWS };
 
     /// Parts of it, one after another.
     pub(super) const fn parts(part_rows: usize) -> Self {
-        Self {
-            part_rows,
-            max_rows: MAX_FILE_ROWS,
-        }
+        Self { part_rows, max_rows: MAX_FILE_ROWS }
     }
 }
 

@@ -53,9 +53,7 @@ pub(super) fn read(
         ),
     };
     if bytes.len() as u64 > MAX_BYTES {
-        return Err(refused(format!(
-            "of more than {MAX_BYTES} bytes, which are allowed"
-        )));
+        return Err(refused(format!("of more than {MAX_BYTES} bytes, which are allowed")));
     }
     let Some(found) = Variables::parse(&bytes) else {
         return Err(TrialError::Truncated {
@@ -69,12 +67,7 @@ pub(super) fn read(
         let others = note.unwrap_or_else(|| "it has no variables".to_owned());
         return Err(refused(format!("without vectors of numbers ({others})")));
     }
-    let source = Box::new(Text {
-        columns,
-        row: None,
-        line: Vec::new(),
-        taken: 0,
-    });
+    let source = Box::new(Text { columns, row: None, line: Vec::new(), taken: 0 });
     text::read(path, source, None, map, in_memory, &mut |mut table| {
         table.understood.extend(note.take());
         take(table)
@@ -103,10 +96,7 @@ impl Variables {
         let zipped_bytes = bytes.len() as u64;
         let mut room = (zipped_bytes * MAX_EXPANSION).clamp(FREE_TEXT_BYTES, MAX_BYTES);
         let mut found = Self::default();
-        let mut rest = Elements {
-            bytes: &bytes[HEAD_BYTES..],
-            is_big,
-        };
+        let mut rest = Elements { bytes: &bytes[HEAD_BYTES..], is_big };
         while !rest.bytes.is_empty() {
             match rest.next()? {
                 (COMPRESSED, zipped) => {
@@ -131,14 +121,8 @@ impl Variables {
         if matrix.is_empty() {
             return Some(());
         }
-        let mut rest = Elements {
-            bytes: matrix,
-            is_big,
-        };
-        let flags = Elements {
-            bytes: rest.next()?.1,
-            is_big,
-        };
+        let mut rest = Elements { bytes: matrix, is_big };
+        let flags = Elements { bytes: rest.next()?.1, is_big };
         let flags = flags.word(0)?;
         let class = flags & 0xff;
         let kind = match class {
@@ -150,16 +134,12 @@ impl Variables {
             5 => Some("a sparse matrix"),
             // Of an opaque object no dimensions follow.
             17 => {
-                self.others
-                    .push("a table, timetable or other object".to_owned());
+                self.others.push("a table, timetable or other object".to_owned());
                 return Some(());
             }
             _ => Some("an object"),
         };
-        let sizes = Elements {
-            bytes: rest.next()?.1,
-            is_big,
-        };
+        let sizes = Elements { bytes: rest.next()?.1, is_big };
         let dimensions = sizes.bytes.len() / 4;
         let name = String::from_utf8_lossy(rest.next()?.1);
         let plain = |letter: char| match letter.is_ascii_alphanumeric() {

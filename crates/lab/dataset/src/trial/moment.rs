@@ -45,20 +45,7 @@ fn days(date: &str) -> Option<f64> {
     }
     let [year, month, day] = [year, month, day].map(|part| digits(part).unwrap_or(0.0) as i64);
     let leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    let lengths = [
-        31,
-        if leap { 29 } else { 28 },
-        31,
-        30,
-        31,
-        30,
-        31,
-        31,
-        30,
-        31,
-        30,
-        31,
-    ];
+    let lengths = [31, if leap { 29 } else { 28 }, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
     let at = usize::try_from(month - 1).ok()?;
     let in_month = (1..=*lengths.get(at)?).contains(&day) && year >= 1;
     let before: i64 = lengths[..at].iter().sum();
@@ -97,9 +84,7 @@ pub(super) fn parse(text: &str) -> Option<(TimeForm, f64)> {
     }
     if let Some((days, rest)) = text.split_once(" day") {
         let clock = rest.trim_start_matches('s').trim_start_matches(',').trim();
-        let (sign, days) = days
-            .strip_prefix('-')
-            .map_or((1.0, days), |days| (-1.0, days));
+        let (sign, days) = days.strip_prefix('-').map_or((1.0, days), |days| (-1.0, days));
         let clock = clock.strip_prefix('+').unwrap_or(clock);
         let seconds = clock_s(clock).filter(|seconds| *seconds <= DAY_S)?;
         return Some((TimeForm::Delta, sign * digits(days)? * DAY_S + seconds));
@@ -124,10 +109,7 @@ pub(super) struct Midnights {
 
 impl Default for Midnights {
     fn default() -> Self {
-        Self {
-            days: 0,
-            before_s: f64::NAN,
-        }
+        Self { days: 0, before_s: f64::NAN }
     }
 }
 
@@ -198,10 +180,7 @@ mod tests {
     fn times_of_day_go_on_after_midnight() {
         let days = |times_s: &[f64]| -> Vec<f64> {
             let mut midnights = Midnights::default();
-            times_s
-                .iter()
-                .map(|time_s| (midnights.take(*time_s) - time_s) / 86_400.0)
-                .collect()
+            times_s.iter().map(|time_s| (midnights.take(*time_s) - time_s) / 86_400.0).collect()
         };
         for (times_s, expected) in [
             (

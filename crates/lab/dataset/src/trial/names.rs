@@ -37,19 +37,9 @@ const fn of(column: Column) -> Quantity {
     Quantity::Column(column)
 }
 
-const MPS: &[(&str, f64)] = &[
-    ("mps", 1.0),
-    ("m_s", 1.0),
-    ("mmps", 1e-3),
-    ("cmps", 1e-2),
-    ("", 1.0),
-];
-const RADPS: &[(&str, f64)] = &[
-    ("radps", 1.0),
-    ("rad_s", 1.0),
-    ("degps", PI / 180.0),
-    ("", 1.0),
-];
+const MPS: &[(&str, f64)] =
+    &[("mps", 1.0), ("m_s", 1.0), ("mmps", 1e-3), ("cmps", 1e-2), ("", 1.0)];
+const RADPS: &[(&str, f64)] = &[("radps", 1.0), ("rad_s", 1.0), ("degps", PI / 180.0), ("", 1.0)];
 const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
 
 /// Every quantity; the units of voltage, current and power have to be in the name, except where
@@ -192,9 +182,7 @@ const SPELLINGS: [Spelling; 14] = [
 ];
 
 fn spelling(quantity: Quantity) -> &'static Spelling {
-    let found = SPELLINGS
-        .iter()
-        .find(|spelling| spelling.quantity == quantity);
+    let found = SPELLINGS.iter().find(|spelling| spelling.quantity == quantity);
     // A test checks that every quantity is in the table.
     found.unwrap_or(&SPELLINGS[0])
 }
@@ -221,10 +209,7 @@ impl Spelling {
     fn mapped_factor(&self, name: &str) -> (f64, bool) {
         let name = plain(name);
         let by_unit = self.units.iter().find(|(unit, _)| {
-            !unit.is_empty()
-                && name
-                    .strip_suffix(unit)
-                    .is_some_and(|rest| rest.ends_with('_'))
+            !unit.is_empty() && name.strip_suffix(unit).is_some_and(|rest| rest.ends_with('_'))
         });
         let factor = by_unit.or(self.units.first());
         (factor.map_or(1.0, |(_, factor)| *factor), by_unit.is_some())
@@ -325,15 +310,10 @@ impl FromStr for MappedColumn {
     type Err = MapError;
 
     fn from_str(text: &str) -> Result<Self, MapError> {
-        let form = || MapError::Form {
-            found: text.to_owned(),
-        };
-        let sides = text
-            .split_once('=')
-            .map(|(left, right)| (left.trim(), right.trim()));
-        let (quantity, name) = sides
-            .filter(|(a, b)| !a.is_empty() && !b.is_empty())
-            .ok_or_else(form)?;
+        let form = || MapError::Form { found: text.to_owned() };
+        let sides = text.split_once('=').map(|(left, right)| (left.trim(), right.trim()));
+        let (quantity, name) =
+            sides.filter(|(a, b)| !a.is_empty() && !b.is_empty()).ok_or_else(form)?;
         let (quantity, is_constant) = match quantity.strip_suffix(':') {
             Some(quantity) => (quantity.trim_end(), true),
             None => (quantity, false),
@@ -348,9 +328,8 @@ impl FromStr for MappedColumn {
             let (factor, states_unit) = if wanted == spelling.name {
                 spelling.mapped_factor(name)
             } else {
-                let unit = wanted
-                    .strip_prefix(spelling.name)
-                    .and_then(|rest| rest.strip_prefix('_'));
+                let unit =
+                    wanted.strip_prefix(spelling.name).and_then(|rest| rest.strip_prefix('_'));
                 match spelling.units.iter().find(|(name, _)| Some(*name) == unit) {
                     Some((_, factor)) => (*factor, true),
                     None => continue,
@@ -401,10 +380,7 @@ pub struct ColumnMap {
 
 impl From<Vec<MappedColumn>> for ColumnMap {
     fn from(columns: Vec<MappedColumn>) -> Self {
-        Self {
-            columns,
-            ..Self::default()
-        }
+        Self { columns, ..Self::default() }
     }
 }
 
@@ -429,21 +405,14 @@ impl ColumnMap {
     /// Takes the columns from a platform's config. A file that has none of them is read without.
     #[must_use]
     pub fn configured(self, columns: Vec<MappedColumn>) -> Self {
-        Self {
-            columns,
-            is_configured: true,
-            ..self
-        }
+        Self { columns, is_configured: true, ..self }
     }
 
     /// Takes the sign of the current from a platform's config. Captures and archives, which
     /// joulebus wrote, are never turned by it.
     #[must_use]
     pub fn configured_discharge_negative(self, turned_as_configured: bool) -> Self {
-        Self {
-            turned_as_configured,
-            ..self
-        }
+        Self { turned_as_configured, ..self }
     }
 
     /// Leaves out lines of a CSV that are no whole rows, instead of refusing the file.
@@ -456,10 +425,7 @@ impl ColumnMap {
     /// default, [`MAX_ROWS`](super::MAX_ROWS).
     #[must_use]
     pub fn in_parts_of(self, rows: usize) -> Self {
-        Self {
-            part_rows: Some(rows),
-            ..self
-        }
+        Self { part_rows: Some(rows), ..self }
     }
 
     /// Rows in memory where a file is read in parts.
@@ -510,9 +476,7 @@ impl ColumnMap {
 
     /// Whether the caller names the column of a quantity.
     pub(super) fn maps(&self, quantity: Quantity) -> bool {
-        self.columns
-            .iter()
-            .any(|column| column.quantity == quantity)
+        self.columns.iter().any(|column| column.quantity == quantity)
     }
 
     /// The mapped columns: `(quantity, name in the file)`.
@@ -523,10 +487,8 @@ impl ColumnMap {
 
     /// The value that a quantity has in every row, with the factor to the layout's unit.
     pub(super) fn constant(&self, quantity: Quantity) -> Option<(&str, f64)> {
-        let found = self
-            .columns
-            .iter()
-            .find(|column| column.is_constant && column.quantity == quantity);
+        let found =
+            self.columns.iter().find(|column| column.is_constant && column.quantity == quantity);
         found.map(|column| (column.name.as_str(), column.factor))
     }
 
@@ -545,9 +507,7 @@ impl ColumnMap {
             Some((seconds, at, bare.trim_end_matches('_').to_owned()))
         };
         let pairs = plains.iter().enumerate().filter_map(pair);
-        pairs
-            .filter(|(.., name)| mapped.as_ref().is_none_or(|mapped| mapped == name))
-            .collect()
+        pairs.filter(|(.., name)| mapped.as_ref().is_none_or(|mapped| mapped == name)).collect()
     }
 
     /// Positions of a quantity among a file's columns, with the factor to the layout's unit: mapped
@@ -576,11 +536,7 @@ impl ColumnMap {
             each()
                 .filter(|(_, name)| !taken(name))
                 .filter_map(|(position, name)| {
-                    found(name).map(|(factor, states_unit)| Found {
-                        position,
-                        factor,
-                        states_unit,
-                    })
+                    found(name).map(|(factor, states_unit)| Found { position, factor, states_unit })
                 })
                 .collect()
         };
@@ -653,21 +609,14 @@ pub(super) fn suggestion(names: &[String], [time, power]: [bool; 2]) -> String {
         format!("{quantity}={}", name.unwrap_or(other))
     });
     let columns: Vec<String> = columns.collect();
-    format!(
-        "--map '{}' with the units that they have",
-        columns.join(",")
-    )
+    format!("--map '{}' with the units that they have", columns.join(","))
 }
 
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
     let spelling = spelling(quantity);
     let unit = spelling.units.first().map_or("", |(unit, _)| unit);
-    let mut names: Vec<String> = spelling
-        .layout
-        .iter()
-        .map(|name| (*name).to_owned())
-        .collect();
+    let mut names: Vec<String> = spelling.layout.iter().map(|name| (*name).to_owned()).collect();
     if let (Some(other), false) = (spelling.others.first(), unit.is_empty()) {
         names.push(format!("{other}_{}", shown(unit)));
     }
@@ -696,19 +645,9 @@ fn shown(unit: &str) -> &str {
 /// The table of accepted names, one line for each quantity.
 pub fn column_names() -> String {
     let mut table = String::new();
-    for Spelling {
-        name,
-        layout,
-        others,
-        units,
-        ..
-    } in &SPELLINGS
-    {
-        let listed: Vec<&str> = units
-            .iter()
-            .map(|(unit, _)| shown(unit))
-            .filter(|unit| !unit.is_empty())
-            .collect();
+    for Spelling { name, layout, others, units, .. } in &SPELLINGS {
+        let listed: Vec<&str> =
+            units.iter().map(|(unit, _)| shown(unit)).filter(|unit| !unit.is_empty()).collect();
         let mut line = format!("  {name:10} {}", layout.join(" "));
         if !others.is_empty() {
             line.push_str(&format!("; {}", others.join(" ")));
@@ -776,10 +715,7 @@ mod tests {
         let odometry = ["/odom/twist/twist/angular/z".to_owned()];
         assert!(map.positions(of(Column::Omega), &odometry).is_empty());
         // Neither watt nor milliwatt: not guessed.
-        assert!(
-            map.positions(of(Column::Power), &["power".to_owned()])
-                .is_empty()
-        );
+        assert!(map.positions(of(Column::Power), &["power".to_owned()]).is_empty());
     }
 
     #[test]
@@ -815,10 +751,7 @@ mod tests {
         let constant: MappedColumn = "voltage_V:=3.0".parse().expect("a constant");
         let map = ColumnMap::from(vec![constant]);
         assert_eq!(map.constant(of(Column::Voltage)), Some(("3.0", 1e3)));
-        assert!(
-            map.positions(of(Column::Voltage), &["voltage_mV".to_owned()])
-                .is_empty()
-        );
+        assert!(map.positions(of(Column::Voltage), &["voltage_mV".to_owned()]).is_empty());
         for wrong in [
             "power",
             "=a",

@@ -67,17 +67,11 @@ impl fmt::Display for TrialNotes {
         if let Some(longest) = self.gaps.iter().max_by_key(|gap| gap.length_ns) {
             let (count, row) = (self.gaps.len(), longest.row);
             let seconds = longest.length_ns as f64 / 1e9;
-            write!(
-                out,
-                ", {count} gaps, the longest {seconds:.3} s before row {row}"
-            )?;
+            write!(out, ", {count} gaps, the longest {seconds:.3} s before row {row}")?;
         }
         if let Some(first) = self.not_advancing.first() {
             let count = self.not_advancing.len();
-            write!(
-                out,
-                ", {count} rows whose time does not advance, the first {first}"
-            )?;
+            write!(out, ", {count} rows whose time does not advance, the first {first}")?;
         }
         if self.unnamed_rows > 0 {
             write!(out, ", {} rows without the robot's name", self.unnamed_rows)?;
@@ -90,10 +84,7 @@ impl fmt::Display for TrialNotes {
             write!(out, ", ignored {}", self.ignored_columns.join(" "))?;
         }
         if self.no_final_line_break {
-            write!(
-                out,
-                ", the last line has no newline: the file may be truncated"
-            )?;
+            write!(out, ", the last line has no newline: the file may be truncated")?;
         }
         for understood in &self.understood {
             write!(out, ", {understood}")?;
@@ -108,10 +99,7 @@ impl fmt::Display for TrialNotes {
 /// Time since the first row of each row, rounded to whole ns. The reader bounds the times.
 pub(super) fn offsets_ns(timestamp_s: &[f64]) -> Vec<i64> {
     let first_s = timestamp_s.first().copied().unwrap_or_default();
-    timestamp_s
-        .iter()
-        .map(|time_s| ((time_s - first_s) * 1e9).round() as i64)
-        .collect()
+    timestamp_s.iter().map(|time_s| ((time_s - first_s) * 1e9).round() as i64).collect()
 }
 
 /// Step from the latest time so far to each row after the first, ns.
@@ -160,9 +148,7 @@ pub(super) fn take(
         notes.held_readings += usize::from(is_held(columns, row));
         notes.missing_readings += usize::from(value(columns, Column::Power, row).is_none());
     }
-    notes.missing_columns = Column::ALL
-        .into_iter()
-        .filter(|column| columns[*column as usize].is_none())
-        .collect();
+    notes.missing_columns =
+        Column::ALL.into_iter().filter(|column| columns[*column as usize].is_none()).collect();
     notes
 }

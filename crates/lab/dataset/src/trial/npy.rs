@@ -43,11 +43,7 @@ pub(super) fn read(
         };
         let missing = format!("{missing} missing");
         if header.fortran_order || rows < 2 || !map.leaves_out() {
-            return Err(TrialError::Truncated {
-                path: path.to_owned(),
-                missing,
-                rows,
-            });
+            return Err(TrialError::Truncated { path: path.to_owned(), missing, rows });
         }
         left_out.add(rows + 1, missing);
         left_out.lines = stated_rows - rows;
@@ -107,19 +103,14 @@ fn refused(path: &Path, error: HeaderError) -> TrialError {
     let path = path.to_owned();
     match error {
         HeaderError::Io(source) => TrialError::Io { path, source },
-        HeaderError::Truncated { .. } => TrialError::Truncated {
-            path,
-            missing: error.to_string(),
-            rows: 0,
-        },
+        HeaderError::Truncated { .. } => {
+            TrialError::Truncated { path, missing: error.to_string(), rows: 0 }
+        }
         HeaderError::Magic => TrialError::Kind {
             path,
             found: "a file named .npy that is not a NumPy array".to_owned(),
         },
-        HeaderError::Records => TrialError::ElementType {
-            path,
-            found: "record".to_owned(),
-        },
+        HeaderError::Records => TrialError::ElementType { path, found: "record".to_owned() },
         HeaderError::Shape { found } => TrialError::Shape { path, found },
         HeaderError::Malformed { detail, .. } => TrialError::NpyHeader { path, detail },
     }
@@ -133,20 +124,14 @@ fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError>
         "<f4" | ">f4" => 4,
         "<f8" | ">f8" => 8,
         element => {
-            return Err(TrialError::ElementType {
-                path: path(),
-                found: format!("'{element}'"),
-            });
+            return Err(TrialError::ElementType { path: path(), found: format!("'{element}'") });
         }
     };
     match *header.shape {
         [rows, WIDTH] if rows >= 2 => Ok((rows, item_bytes)),
         ref shape => {
             let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
-            Err(TrialError::Shape {
-                path: path(),
-                found: sizes.join(", "),
-            })
+            Err(TrialError::Shape { path: path(), found: sizes.join(", ") })
         }
     }
 }
@@ -163,11 +148,7 @@ fn take_row(
         return Err(cell.refuse("robot_id", robot.to_string(), "NaN or a finite number"));
     }
     if robot.to_bits() != last.0.to_bits() {
-        let name = if robot.is_nan() {
-            String::new()
-        } else {
-            robot.to_string()
-        };
+        let name = if robot.is_nan() { String::new() } else { robot.to_string() };
         *last = (robot, name);
     }
     let table = tables.of(cell, &last.1)?;

@@ -91,14 +91,9 @@ impl Table {
         let io = TrialError::io(path);
         let mut file = joulebus_files::open(path).map_err(io)?;
         let mut head = Vec::new();
-        file.by_ref()
-            .take(foreign::HEAD_BYTES)
-            .read_to_end(&mut head)
-            .map_err(io)?;
+        file.by_ref().take(foreign::HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
         if head.is_empty() {
-            return Err(TrialError::Empty {
-                path: path.to_owned(),
-            });
+            return Err(TrialError::Empty { path: path.to_owned() });
         }
         let named_npy = path.extension().is_some_and(|extension| extension == "npy");
         if head.starts_with(crate::npy::MAGIC) || named_npy {

@@ -127,10 +127,7 @@ impl Spans {
         let longest_ns = (period_ns + period_ns / 2).cast_signed();
         let mut row = Vec::with_capacity(timestamp_s.len());
         for at in 0..timestamp_s.len() {
-            if row
-                .last()
-                .is_none_or(|last: &usize| offset_ns[at] > offset_ns[*last])
-            {
+            if row.last().is_none_or(|last: &usize| offset_ns[at] > offset_ns[*last]) {
                 row.push(at);
             }
         }
@@ -142,11 +139,7 @@ impl Spans {
                 _ => from_s[at] + period_ns as f64 * 1e-9,
             })
             .collect();
-        Self {
-            row,
-            from_s,
-            until_s,
-        }
+        Self { row, from_s, until_s }
     }
 
     fn end_s(&self) -> f64 {
@@ -168,10 +161,7 @@ struct Grid {
 impl Grid {
     /// The grid as the table of a file.
     fn of(self, path: &Path, robot_name: Option<&str>) -> Table {
-        let Self {
-            timestamp_s,
-            columns,
-        } = self;
+        let Self { timestamp_s, columns } = self;
         Table {
             path: path.to_owned(),
             robot_name: robot_name.map(str::to_owned),
@@ -197,30 +187,19 @@ fn resample(
     let duration_s = spans.end_s();
     let wanted = duration_s * rate_hz;
     if wanted + 2.0 > MAX_ROWS as f64 {
-        return Err(ResampleError::TooManyRows {
-            duration_s,
-            rate_hz,
-        });
+        return Err(ResampleError::TooManyRows { duration_s, rate_hz });
     }
     let parts = match method {
         Method::Hold => held(&spans, rate_hz),
         Method::Linear => between(&spans, rate_hz),
         Method::Mean => averaged(&spans, rate_hz),
     };
-    let emitted: Vec<&Part> = parts
-        .iter()
-        .filter(|part| !part.shares.is_empty())
-        .collect();
+    let emitted: Vec<&Part> = parts.iter().filter(|part| !part.shares.is_empty()).collect();
     if emitted.len() < 2 {
-        return Err(ResampleError::TooFewRows {
-            duration_s,
-            rate_hz,
-        });
+        return Err(ResampleError::TooFewRows { duration_s, rate_hz });
     }
     let first_s = timestamp_s.first().copied().unwrap_or_default();
-    let grid_s = emitted
-        .iter()
-        .map(|part| first_s + part.number as f64 / rate_hz);
+    let grid_s = emitted.iter().map(|part| first_s + part.number as f64 / rate_hz);
     let mut made: Columns = Default::default();
     for (column, (made, values)) in Column::ALL.into_iter().zip(made.iter_mut().zip(columns)) {
         *made = values.as_ref().map(|values| {
@@ -234,10 +213,7 @@ fn resample(
         not_advancing: timestamp_s.len() - spans.row.len(),
         in_gaps: parts.len() - emitted.len(),
     };
-    let grid = Grid {
-        timestamp_s: grid_s.collect(),
-        columns: made,
-    };
+    let grid = Grid { timestamp_s: grid_s.collect(), columns: made };
     Ok((grid, counts))
 }
 
@@ -262,10 +238,7 @@ impl Part {
 /// Summed relative to the first value, so that equal values give that value to the bit.
 fn weighted(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
     let first = shares.next().map_or(f64::NAN, |(value, _)| value);
-    first
-        + shares
-            .map(|(value, share)| (value - first) * share)
-            .sum::<f64>()
+    first + shares.map(|(value, share)| (value - first) * share).sum::<f64>()
 }
 
 /// The same for angles: each difference along the shorter arc.
@@ -274,16 +247,9 @@ fn angle(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
     let first = shares.next().map_or(f64::NAN, |(value, _)| value);
     let turn = |value: f64| {
         let away = value - first;
-        if away.abs() > PI {
-            away - TAU * (away / TAU).round()
-        } else {
-            away
-        }
+        if away.abs() > PI { away - TAU * (away / TAU).round() } else { away }
     };
-    first
-        + shares
-            .map(|(value, share)| turn(value) * share)
-            .sum::<f64>()
+    first + shares.map(|(value, share)| turn(value) * share).sum::<f64>()
 }
 
 /// Times of the grid up to `end_s`, plus `more` of a period.
@@ -296,20 +262,14 @@ fn held(spans: &Spans, rate_hz: f64) -> Vec<Part> {
     let near_s = AT_THE_SAME_TIME / rate_hz;
     let mut at = 0;
     let part = |(number, time_s): (usize, f64)| {
-        while spans
-            .from_s
-            .get(at + 1)
-            .is_some_and(|next| *next <= time_s + near_s)
-        {
+        while spans.from_s.get(at + 1).is_some_and(|next| *next <= time_s + near_s) {
             at += 1;
         }
         let counts = spans.is_followed(at) || time_s < spans.until_s[at];
         let shares = if counts { vec![(at, 1.0)] } else { Vec::new() };
         Part { number, shares }
     };
-    grid(spans.end_s(), rate_hz, AT_THE_SAME_TIME)
-        .map(part)
-        .collect()
+    grid(spans.end_s(), rate_hz, AT_THE_SAME_TIME).map(part).collect()
 }
 
 fn between(spans: &Spans, rate_hz: f64) -> Vec<Part> {
@@ -330,9 +290,7 @@ fn between(spans: &Spans, rate_hz: f64) -> Vec<Part> {
         };
         Part { number, shares }
     };
-    grid(spans.end_s(), rate_hz, AT_THE_SAME_TIME)
-        .map(part)
-        .collect()
+    grid(spans.end_s(), rate_hz, AT_THE_SAME_TIME).map(part).collect()
 }
 
 fn averaged(spans: &Spans, rate_hz: f64) -> Vec<Part> {
@@ -365,8 +323,5 @@ fn averaged(spans: &Spans, rate_hz: f64) -> Vec<Part> {
         Part { number, shares }
     };
     // The first row is at time 0, so the first full period ends one period later.
-    grid(end_s, rate_hz, ROUNDING / 2.0)
-        .skip(1)
-        .map(part)
-        .collect()
+    grid(end_s, rate_hz, ROUNDING / 2.0).skip(1).map(part).collect()
 }

@@ -41,26 +41,11 @@ impl Trial {
                     sample.flags |= flag;
                 }
             };
-            set(
-                &mut sample.voltage_v,
-                sample_flag::VOLTAGE,
-                Column::Voltage,
-                row,
-            );
-            set(
-                &mut sample.current_a,
-                sample_flag::CURRENT,
-                Column::Current,
-                row,
-            );
+            set(&mut sample.voltage_v, sample_flag::VOLTAGE, Column::Voltage, row);
+            set(&mut sample.current_a, sample_flag::CURRENT, Column::Current, row);
             set(&mut sample.soc, sample_flag::SOC, Column::Soc, row);
             set(&mut sample.v_mps, sample_flag::V, Column::V, row + 1);
-            set(
-                &mut sample.omega_radps,
-                sample_flag::OMEGA,
-                Column::Omega,
-                row + 1,
-            );
+            set(&mut sample.omega_radps, sample_flag::OMEGA, Column::Omega, row + 1);
             sample
         })
     }
@@ -69,9 +54,9 @@ impl Trial {
     fn issued_ns(&self, row: usize, base_ns: u64) -> u64 {
         match self.offset_ns.get(row + 1) {
             Some(next_ns) => base_ns.saturating_add_signed(*next_ns),
-            None => base_ns
-                .saturating_add_signed(self.offset_ns[row])
-                .saturating_add(self.period_ns),
+            None => {
+                base_ns.saturating_add_signed(self.offset_ns[row]).saturating_add(self.period_ns)
+            }
         }
     }
 }

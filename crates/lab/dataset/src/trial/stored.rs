@@ -31,10 +31,7 @@ impl Stored {
     /// # Errors
     /// [`TrialError`]: a listing of an archive that cannot be read. Other files are not opened.
     pub fn find(path: &Path, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
-        let stored = |place| Self {
-            path: path.to_owned(),
-            place,
-        };
+        let stored = |place| Self { path: path.to_owned(), place };
         if !archive::is_listing(path) {
             return Ok(vec![stored(Place::File(map.clone(), 0))]);
         }
@@ -103,10 +100,9 @@ impl Stored {
     /// Rows that it has, or the most that a file of its size has.
     pub fn most_rows(&self) -> u64 {
         match &self.place {
-            Place::File(..) => self
-                .path
-                .metadata()
-                .map_or(0, |about| about.len().div_ceil(BYTES_A_ROW)),
+            Place::File(..) => {
+                self.path.metadata().map_or(0, |about| about.len().div_ceil(BYTES_A_ROW))
+            }
             Place::Listed(listing, number, _) => listing.trials[*number].rows,
         }
     }

@@ -93,20 +93,12 @@ impl Column {
 
     /// Converts a value of a file to SI units.
     pub(super) const fn si(self, recorded: f64) -> f64 {
-        if self.is_milli() {
-            recorded / 1000.0
-        } else {
-            recorded
-        }
+        if self.is_milli() { recorded / 1000.0 } else { recorded }
     }
 
     /// Converts a value in SI units to the unit of files.
     pub(super) const fn recorded(self, value: f64) -> f64 {
-        if self.is_milli() {
-            value * 1000.0
-        } else {
-            value
-        }
+        if self.is_milli() { value * 1000.0 } else { value }
     }
 
     const fn is_milli(self) -> bool {
@@ -187,11 +179,7 @@ impl LeftOut {
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "{} lines that are no whole rows were left out",
-            self.lines
-        )?;
+        write!(out, "{} lines that are no whole rows were left out", self.lines)?;
         match self.first.first() {
             Some((row, what)) => write!(out, ", the first in row {row}: {what}"),
             None => Ok(()),
@@ -310,19 +298,13 @@ impl Table {
         let [power, current] = [Column::Power, Column::Current].map(|column| self.column(column));
         let agrees = match (power, current) {
             (Some(power), Some(current)) => {
-                let products = power
-                    .iter()
-                    .zip(current)
-                    .map(|(power, current)| power * current);
+                let products = power.iter().zip(current).map(|(power, current)| power * current);
                 products.filter(|product| !product.is_nan()).sum::<f64>() >= 0.0
             }
             _ => true,
         };
-        let turned = if agrees {
-            &[Column::Power, Column::Current][..]
-        } else {
-            &[Column::Current]
-        };
+        let turned =
+            if agrees { &[Column::Power, Column::Current][..] } else { &[Column::Current] };
         for column in turned {
             for value in self.columns[*column as usize].iter_mut().flatten() {
                 // 0 stays 0, and NaN keeps its bits.
@@ -476,23 +458,15 @@ impl Tables {
         path: &Path,
         in_memory: InMemory,
     ) -> Result<Option<Vec<Table>>, TrialError> {
-        let InMemory {
-            part_rows,
-            max_rows,
-        } = in_memory;
+        let InMemory { part_rows, max_rows } = in_memory;
         if self.rows > max_rows {
-            return Err(TrialError::TooManyRows {
-                path: path.to_owned(),
-                allowed: max_rows,
-            });
+            return Err(TrialError::TooManyRows { path: path.to_owned(), allowed: max_rows });
         }
         if self.rows <= part_rows {
             return Ok(None);
         }
         let most_rows = (part_rows / 2).max(1);
-        let kept_rows = KEPT_ROWS
-            .min(part_rows / (8 * self.tables.len().max(1)))
-            .max(2);
+        let kept_rows = KEPT_ROWS.min(part_rows / (8 * self.tables.len().max(1))).max(2);
         let mut parts = Vec::new();
         for table in &mut self.tables {
             while table.rows() > 2 * kept_rows {
@@ -537,16 +511,10 @@ impl Tables {
             return Err(cell.refuse(ROBOT_NAMES[0], name, allowed));
         }
         if at == MAX_ROBOTS {
-            return Err(TrialError::TooManyRobots {
-                path: cell.path.to_owned(),
-            });
+            return Err(TrialError::TooManyRobots { path: cell.path.to_owned() });
         }
         let robot_name = (!name.is_empty()).then(|| name.to_owned());
-        self.tables.push(Table {
-            path: cell.path.to_owned(),
-            robot_name,
-            ..Table::default()
-        });
+        self.tables.push(Table { path: cell.path.to_owned(), robot_name, ..Table::default() });
         if !name.is_empty() {
             self.by_name.insert(name.to_owned(), at);
         }
@@ -561,10 +529,7 @@ impl Tables {
         no_final_line_break: bool,
     ) -> Vec<Table> {
         if self.tables.is_empty() {
-            self.tables.push(Table {
-                path: path.to_owned(),
-                ..Table::default()
-            });
+            self.tables.push(Table { path: path.to_owned(), ..Table::default() });
         }
         for table in &mut self.tables {
             table.ignored_columns = ignored_columns.to_vec();

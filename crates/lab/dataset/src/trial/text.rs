@@ -45,14 +45,7 @@ pub(super) fn read(
         last: b'\n',
     };
     let start = Start::find(path, &mut meter, zipped, map)?;
-    let Start {
-        separator,
-        layout,
-        sources,
-        ignored_columns,
-        decimal_comma,
-        understood,
-    } = start;
+    let Start { separator, layout, sources, ignored_columns, decimal_comma, understood } = start;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)
@@ -62,24 +55,15 @@ pub(super) fn read(
         Ok(header) => header.clone(),
         Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
     };
-    let mut numbers = Numbers {
-        separator,
-        decimal_comma,
-    };
+    let mut numbers = Numbers { separator, decimal_comma };
     let mut times = Times::default();
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
     let (mut rows, mut broken) = (0, 0);
-    let mut notes = Notes {
-        understood,
-        left_out: LeftOut::default(),
-    };
+    let mut notes = Notes { understood, left_out: LeftOut::default() };
     let mut refused = None;
     loop {
-        let cell = Cell {
-            path,
-            row: rows + 1,
-        };
+        let cell = Cell { path, row: rows + 1 };
         let taken = match reader.read_byte_record(&mut record) {
             Ok(false) => break,
             Ok(true) => {
@@ -87,11 +71,9 @@ pub(super) fn read(
                 let cut = meter.ended && !meter.ends_in_line_break();
                 let cut = cut && (map.leaves_out() || record.len() < header.len());
                 match no_row(&record, &header, layout.robot, cell.row, cut) {
-                    Some(what) => Err(TrialError::Line {
-                        path: path.to_owned(),
-                        row: cell.row,
-                        what,
-                    }),
+                    Some(what) => {
+                        Err(TrialError::Line { path: path.to_owned(), row: cell.row, what })
+                    }
                     None => layout.take_row(cell, &record, &mut numbers, &mut times, &mut tables),
                 }
             }
@@ -174,9 +156,7 @@ fn no_row(
         is_missing(field) || !text.contains(|letter: char| letter.is_ascii_digit())
     };
     if nul_bytes > 0 {
-        Some(format!(
-            "{nul_bytes} NUL bytes, as a loss of power leaves them"
-        ))
+        Some(format!("{nul_bytes} NUL bytes, as a loss of power leaves them"))
     } else if record == header {
         Some("the header again: a second recording was appended".to_owned())
     } else if is_comment(first) && (robot != Some(0) || record.len() != header.len()) {
@@ -232,10 +212,7 @@ impl Start {
             return Err(explain(path, zipped, meter, 0, error.into()));
         }
         if meter.head.len() as u64 >= MAX_ROW_BYTES && !meter.head.contains(&b'\n') {
-            return Err(TrialError::RowTooLong {
-                path: path.to_owned(),
-                rows: 0,
-            });
+            return Err(TrialError::RowTooLong { path: path.to_owned(), rows: 0 });
         }
         meter.drop_preamble();
         let mut first = None;
@@ -257,9 +234,7 @@ impl Start {
             }
         }
         // A loop that found no header has an error.
-        Err(first.unwrap_or_else(|| TrialError::Empty {
-            path: path.to_owned(),
-        }))
+        Err(first.unwrap_or_else(|| TrialError::Empty { path: path.to_owned() }))
     }
 
     /// Reads the header at the beginning of the text.
@@ -271,19 +246,13 @@ impl Start {
             let (layout, sources, ignored_columns) = match layout {
                 Ok(found) => found,
                 Err(error) => {
-                    if best
-                        .as_ref()
-                        .is_none_or(|(fields, _)| header.len() > *fields)
-                    {
+                    if best.as_ref().is_none_or(|(fields, _)| header.len() > *fields) {
                         best = Some((header.len(), error));
                     }
                     continue;
                 }
             };
-            let mut numbers = Numbers {
-                separator,
-                decimal_comma: None,
-            };
+            let mut numbers = Numbers { separator, decimal_comma: None };
             let is_plain = separator == b',';
             let understood = (!is_plain)
                 .then(|| format!("its fields are separated by {:?}", char::from(separator)));
@@ -300,12 +269,7 @@ impl Start {
             });
         }
         // There are four separators, and each has an error.
-        Err(best.map_or_else(
-            || TrialError::Empty {
-                path: path.to_owned(),
-            },
-            |(_, error)| error,
-        ))
+        Err(best.map_or_else(|| TrialError::Empty { path: path.to_owned() }, |(_, error)| error))
     }
 }
 
@@ -424,12 +388,8 @@ impl Times {
             let found = String::from_utf8_lossy(field);
             cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)
         };
-        let allowed = || {
-            format!(
-                "a number of seconds within ±4e9, or a time such as {}",
-                moment::ALLOWED
-            )
-        };
+        let allowed =
+            || format!("a number of seconds within ±4e9, or a time such as {}", moment::ALLOWED);
         let (position, factor, states_unit) = match layout.time {
             TimeColumns::One(found) => (found.position, found.factor, found.states_unit),
             TimeColumns::Pair(seconds, nanoseconds) => {
@@ -491,11 +451,7 @@ impl Times {
             return Err(row.refuse(name, found, either(name)));
         }
         if self.is_epoch {
-            let all = || {
-                tables
-                    .iter()
-                    .flat_map(|table| table.timestamp_s.iter().copied())
-            };
+            let all = || tables.iter().flat_map(|table| table.timestamp_s.iter().copied());
             let of_unit = |(_, per_second): &(&str, f64)| {
                 let mut times_s = all().map(|time| time / per_second);
                 step / per_second <= MAX_STEP_S
@@ -524,19 +480,15 @@ impl Times {
     fn note_midnights(&self, name: &str, understood: &mut Vec<String>) {
         let days = self.midnights.days;
         if days > 0 {
-            understood.push(format!(
-                "the times of {name} have no date and pass midnight {days} times"
-            ));
+            understood
+                .push(format!("the times of {name} have no date and pass midnight {days} times"));
         }
     }
 }
 
 /// Units of times since 1970, with their number in a second.
-const EPOCHS: [(&str, f64); 3] = [
-    ("milliseconds", 1e3),
-    ("microseconds", 1e6),
-    ("nanoseconds", 1e9),
-];
+const EPOCHS: [(&str, f64); 3] =
+    [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)];
 /// Times that may be taken for such: the years 1997 to 2096.
 const MIN_EPOCH_S: f64 = 8.6e8;
 const MAX_EPOCH_S: f64 = 4e9;
@@ -594,11 +546,7 @@ impl Meter {
             // A header may be longer.
             let is_cut =
                 matches!(&read, Ok(read) if *read as u64 == room) && !self.head.contains(&b'\n');
-            room = if is_cut {
-                MAX_ROW_BYTES.saturating_sub(self.head.len() as u64)
-            } else {
-                0
-            };
+            room = if is_cut { MAX_ROW_BYTES.saturating_sub(self.head.len() as u64) } else { 0 };
             self.failed = read.err();
         }
         if self.head.starts_with(b"\xef\xbb\xbf") {
@@ -685,11 +633,7 @@ fn explain(
         _ if !meter.is_too_long() => {}
         _ if meter.bytes <= allowed => return TrialError::RowTooLong { path, rows },
         Some(found) if allowed < MAX_TEXT_BYTES => {
-            return TrialError::Expands {
-                path,
-                found,
-                allowed,
-            };
+            return TrialError::Expands { path, found, allowed };
         }
         _ => return TrialError::TooLong { path },
     }
@@ -700,16 +644,12 @@ fn explain(
         other => io::Error::other(format!("{other:?}")),
     };
     match source.kind() {
-        ErrorKind::UnexpectedEof if zipped => TrialError::Truncated {
-            path,
-            missing: "the gzip stream has no end".to_owned(),
-            rows,
-        },
-        ErrorKind::InvalidInput | ErrorKind::InvalidData if zipped => TrialError::Gzip {
-            path,
-            rows,
-            detail: source.to_string(),
-        },
+        ErrorKind::UnexpectedEof if zipped => {
+            TrialError::Truncated { path, missing: "the gzip stream has no end".to_owned(), rows }
+        }
+        ErrorKind::InvalidInput | ErrorKind::InvalidData if zipped => {
+            TrialError::Gzip { path, rows, detail: source.to_string() }
+        }
         _ => TrialError::Io { path, source },
     }
 }
@@ -758,10 +698,7 @@ impl Layout {
             .collect::<Vec<_>>();
         let shown = || names.join(", ").chars().take(400).collect::<String>();
         if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
-            return Err(TrialError::NoHeader {
-                path: path.to_owned(),
-                found: shown(),
-            });
+            return Err(TrialError::NoHeader { path: path.to_owned(), found: shown() });
         }
         let map = map.of_file(&names);
         let pairs = map.time_pairs(&names);
@@ -769,9 +706,8 @@ impl Layout {
             let is_pair = *quantity == Quantity::Time && !pairs.is_empty();
             !is_pair && names.iter().all(|found| found != name)
         });
-        let absent: Vec<String> = absent
-            .map(|(quantity, name)| format!("{quantity}={name}"))
-            .collect();
+        let absent: Vec<String> =
+            absent.map(|(quantity, name)| format!("{quantity}={name}")).collect();
         if !absent.is_empty() {
             return Err(TrialError::MissingColumns {
                 path: path.to_owned(),
@@ -795,9 +731,7 @@ impl Layout {
             [first, second, ..] => Err(twice(first.position, second.position)),
         };
         let robot = find(Quantity::Robot)?.map(|found| found.position);
-        let robot_name = map
-            .constant(Quantity::Robot)
-            .map(|(name, _)| name.to_owned());
+        let robot_name = map.constant(Quantity::Robot).map(|(name, _)| name.to_owned());
         let (mut columns, mut sources) = (Vec::new(), Vec::new());
         for column in Column::ALL {
             let quantity = Quantity::Column(column);
@@ -810,38 +744,25 @@ impl Layout {
                 }
                 (None, Some(found)) => {
                     let name = names[found.position].clone();
-                    (
-                        Source::Position(found.position),
-                        found.factor,
-                        name,
-                        found.states_unit,
-                    )
+                    (Source::Position(found.position), found.factor, name, found.states_unit)
                 }
                 (None, None) => continue,
             };
             columns.push((column, source, factor, name.clone()));
-            sources.push(SourceColumn {
-                column,
-                name,
-                states_unit,
-                is_mapped: map.maps(quantity),
-            });
+            sources.push(SourceColumn { column, name, states_unit, is_mapped: map.maps(quantity) });
         }
         let in_pairs = |position: usize| {
             let mut pairs = pairs.iter();
             pairs.any(|(seconds, nanoseconds, _)| [*seconds, *nanoseconds].contains(&position))
         };
         let alone = map.positions(Quantity::Time, &names);
-        let alone: Vec<Found> = alone
-            .into_iter()
-            .filter(|found| !in_pairs(found.position))
-            .collect();
+        let alone: Vec<Found> =
+            alone.into_iter().filter(|found| !in_pairs(found.position)).collect();
         let (time, time_name) = match (alone.as_slice(), pairs.as_slice()) {
             ([one], _) => (Some(TimeColumns::One(*one)), names[one.position].clone()),
-            ([], [(seconds, nanoseconds, _)]) => (
-                Some(TimeColumns::Pair(*seconds, *nanoseconds)),
-                names[*seconds].clone(),
-            ),
+            ([], [(seconds, nanoseconds, _)]) => {
+                (Some(TimeColumns::Pair(*seconds, *nanoseconds)), names[*seconds].clone())
+            }
             ([], []) => {
                 let index = index_with_times(&names, sample);
                 (index.map(TimeColumns::One), "the first column".to_owned())
@@ -1007,10 +928,6 @@ fn robot_name(field: &[u8]) -> String {
 fn index_with_times(names: &[String], sample: &[ByteRecord]) -> Option<Found> {
     let is_index = matches!(names.first()?.as_str(), "" | "Unnamed: 0" | "index");
     let first = std::str::from_utf8(sample.first()?.get(0)?).ok()?;
-    let found = Found {
-        position: 0,
-        factor: 1.0,
-        states_unit: true,
-    };
+    let found = Found { position: 0, factor: 1.0, states_unit: true };
     (is_index && moment::parse(first).is_some()).then_some(found)
 }

@@ -37,10 +37,7 @@ impl Trial {
             ..Table::default()
         };
         for (number, row) in rows.into_iter().enumerate() {
-            let cell = Cell {
-                path,
-                row: number + 1,
-            };
+            let cell = Cell { path, row: number + 1 };
             table.push_time(cell, row.timestamp_s)?;
             for (column, value) in Column::ALL.into_iter().zip(row.values) {
                 table.push_si(cell, column, value)?;
@@ -79,13 +76,12 @@ impl Trial {
             values.get_or_insert_with(|| vec![f64::NAN; self.rows()]);
         }
         let is_zipped = path.extension().is_some_and(|extension| extension == "gz");
-        create(path, |file| {
-            if is_zipped {
-                table.write_zipped(file)
-            } else {
-                table.write_text(file)
-            }
-        })
+        create(
+            path,
+            |file| {
+                if is_zipped { table.write_zipped(file) } else { table.write_text(file) }
+            },
+        )
     }
 }
 
@@ -116,9 +112,7 @@ impl Form {
     /// The format of a file name's extension, if it is one of these.
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?;
-        Self::ALL
-            .into_iter()
-            .find(|form| name.ends_with(form.ending()))
+        Self::ALL.into_iter().find(|form| name.ends_with(form.ending()))
     }
 }
 
@@ -184,9 +178,7 @@ impl Table {
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         let written = match Form::of(path) {
             None => {
-                return Err(WriteError::Ending {
-                    path: path.to_owned(),
-                });
+                return Err(WriteError::Ending { path: path.to_owned() });
             }
             Some(Form::Csv) => create(path, |file| self.write_text(file)),
             Some(Form::CsvGz) => create(path, |file| self.write_zipped(file)),
@@ -195,10 +187,7 @@ impl Table {
                 create(path, |file| self.write_array(file, robot))
             }
         };
-        written.map_err(|source| WriteError::Io {
-            path: path.to_owned(),
-            source,
-        })
+        written.map_err(|source| WriteError::Io { path: path.to_owned(), source })
     }
 
     fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -233,10 +222,7 @@ impl Table {
     /// Whether the array layout can represent the table; returns the robot as the number stored.
     fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
         if self.rows() < 2 {
-            return Err(WriteError::TooFewRows {
-                path: path.to_owned(),
-                rows: self.rows(),
-            });
+            return Err(WriteError::TooFewRows { path: path.to_owned(), rows: self.rows() });
         }
         let robot = match self.robot_name() {
             None => f64::NAN,
@@ -261,17 +247,12 @@ impl Table {
         if outside.is_empty() {
             return Ok(robot);
         }
-        Err(WriteError::NoSuchColumns {
-            path: path.to_owned(),
-            found: outside.join(" "),
-        })
+        Err(WriteError::NoSuchColumns { path: path.to_owned(), found: outside.join(" ") })
     }
 
     fn write_array(&self, out: &mut dyn Write, robot: f64) -> io::Result<()> {
         let columns = Column::ALL[..Column::LAYOUT].iter();
-        let columns = columns
-            .map(|column| self.column(*column))
-            .collect::<Vec<_>>();
+        let columns = columns.map(|column| self.column(*column)).collect::<Vec<_>>();
         out.write_all(&npy::header("<f8", &[self.rows(), 2 + Column::LAYOUT]))?;
         for (row, time_s) in self.timestamp_s.iter().enumerate() {
             out.write_all(&robot.to_le_bytes())?;
@@ -318,15 +299,8 @@ mod tests {
             values[Column::V as usize] = 0.1 * step.sin();
             values[Column::Power as usize] = 3.0 + step / 7.0;
             values[Column::Voltage as usize] = 11.1;
-            values[Column::Current as usize] = if number % 9 == 0 {
-                f64::NAN
-            } else {
-                step / 30.0
-            };
-            Row {
-                timestamp_s: step / 30.0,
-                values,
-            }
+            values[Column::Current as usize] = if number % 9 == 0 { f64::NAN } else { step / 30.0 };
+            Row { timestamp_s: step / 30.0, values }
         });
         let trial = Trial::from_rows(Path::new("rows"), "a, \"b\"", rows).expect("rows are sound");
         let directory = tempfile::tempdir().expect("a directory");
@@ -341,18 +315,12 @@ mod tests {
             for column in Column::ALL {
                 let (Some(read), Some(written)) = (again.column(column), trial.column(column))
                 else {
-                    assert_eq!(
-                        again.column(column).is_some(),
-                        trial.column(column).is_some()
-                    );
+                    assert_eq!(again.column(column).is_some(), trial.column(column).is_some());
                     continue;
                 };
                 for (read, written) in read.iter().zip(written) {
                     let close = (read - written).abs() <= 1e-12 * written.abs();
-                    assert!(
-                        close || read.is_nan() && written.is_nan(),
-                        "{read} {written}"
-                    );
+                    assert!(close || read.is_nan() && written.is_nan(), "{read} {written}");
                 }
             }
         }

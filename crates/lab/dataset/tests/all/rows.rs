@@ -20,11 +20,7 @@ fn gaps_missing_readings_and_times_that_do_not_advance_empty_the_window() {
         let sample = Sample::new(1, seq, stamp_ns);
         let sample = sample.reading(3.0 + seq as f32, stamp_ns);
         Sample {
-            flags: if power {
-                sample.flags
-            } else {
-                sample.flags & !sample_flag::POWER
-            },
+            flags: if power { sample.flags } else { sample.flags & !sample_flag::POWER },
             ..sample
         }
     };
@@ -34,14 +30,8 @@ fn gaps_missing_readings_and_times_that_do_not_advance_empty_the_window() {
     assert_eq!(rows(&whole), [4, 5, 6, 7, 8, 9, 10]);
 
     let mut late = whole.clone();
-    late[6..]
-        .iter_mut()
-        .for_each(|sample| sample.stamp_ns += PERIOD_NS);
-    assert_eq!(
-        rows(&late),
-        [4, 10],
-        "sample 5 has no reading after it, 6 to 9 no window"
-    );
+    late[6..].iter_mut().for_each(|sample| sample.stamp_ns += PERIOD_NS);
+    assert_eq!(rows(&late), [4, 10], "sample 5 has no reading after it, 6 to 9 no window");
     let mut missing = whole.clone();
     missing[6] = sample(6, 7 * PERIOD_NS, false);
     assert_eq!(rows(&missing), [4]);
@@ -49,10 +39,7 @@ fn gaps_missing_readings_and_times_that_do_not_advance_empty_the_window() {
     still[6].stamp_ns = still[5].stamp_ns;
     assert_eq!(rows(&still), [4], "the step after it is two periods long");
     assert_eq!(sample_rows(&late, PERIOD_NS).without_window, 8);
-    assert!(
-        rows(&whole[..5]).is_empty(),
-        "a full window, but no reading after it"
-    );
+    assert!(rows(&whole[..5]).is_empty(), "a full window, but no reading after it");
 }
 
 fn sources(trials: usize, rows: usize) -> Vec<Source> {
@@ -92,11 +79,7 @@ fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
     let mut refused = 0;
     for by in [By::Trial, By::Robot, By::Group, By::Time] {
         for seed in 0..20 {
-            let wanted = Split {
-                by,
-                seed,
-                ..Split::default()
-            };
+            let wanted = Split { by, seed, ..Split::default() };
             match split(&sources, wanted, "x") {
                 Ok((dataset, _)) => {
                     let [training, validation, held_out] =
@@ -117,16 +100,10 @@ fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
         }
     }
     assert!((1..60).contains(&refused), "{refused} of 60");
-    let wanted = Split {
-        by: By::Group,
-        ..Split::default()
-    };
+    let wanted = Split { by: By::Group, ..Split::default() };
     let error = assign_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
     let text = error.to_string();
-    says(
-        &text,
-        "t2 and copy | held out | 80 rows | leave one of them out".split(" | "),
-    );
+    says(&text, "t2 and copy | held out | 80 rows | leave one of them out".split(" | "));
 }
 
 /// The unit of a row, encoded in its readings.
@@ -196,10 +173,7 @@ fn held_source(rows: usize, hold: usize) -> Source {
             Sample::new(0, seq, stamp_ns).reading(read_at as f32, stamp_ns)
         })
         .collect();
-    Source {
-        rows: sample_rows(&samples, PERIOD_NS),
-        ..sources(1, 1).remove(0)
-    }
+    Source { rows: sample_rows(&samples, PERIOD_NS), ..sources(1, 1).remove(0) }
 }
 
 proptest! {
@@ -292,10 +266,7 @@ fn rows_are_exported_as_arrays_of_single_precision() {
 #[test]
 fn only_units_named_are_held_out() {
     let sources = sources(12, 20);
-    let wanted = Split {
-        by: By::Group,
-        ..Split::default()
-    };
+    let wanted = Split { by: By::Group, ..Split::default() };
     let assignment =
         assign_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
     for (source, ranges) in sources.iter().zip(&assignment.ranges) {
@@ -313,19 +284,9 @@ fn only_units_named_are_held_out() {
 fn shares_and_units_that_leave_a_part_empty_are_refused() {
     let sources = sources(2, 20);
     let error = split(&sources, Split::default(), "x").expect_err("two trials");
-    assert_eq!(
-        error,
-        SplitError::TooFew {
-            by: By::Trial,
-            found: 2
-        }
-    );
+    assert_eq!(error, SplitError::TooFew { by: By::Trial, found: 2 });
     for (validation, held_out) in [(0.0, 0.2), (0.2, 0.0), (0.5, 0.5), (f64::NAN, 0.2)] {
-        let wanted = Split {
-            validation,
-            held_out,
-            ..Split::default()
-        };
+        let wanted = Split { validation, held_out, ..Split::default() };
         let error = split(&sources, wanted, "x").expect_err("no such shares");
         assert!(error.to_string().contains("come to less than 1"), "{error}");
     }
@@ -335,10 +296,7 @@ fn shares_and_units_that_leave_a_part_empty_are_refused() {
 fn a_group_is_the_file_name_without_its_number() {
     for (name, group) in [
         ("ICE_03.csv.gz", "ICE"),
-        (
-            "one_surface_type_brown_surface_exp205.csv.gz",
-            "one_surface_type_brown_surface_exp",
-        ),
+        ("one_surface_type_brown_surface_exp205.csv.gz", "one_surface_type_brown_surface_exp"),
         ("trial1.npy", "trial"),
         ("7.csv", "7"),
         ("plain", "plain"),

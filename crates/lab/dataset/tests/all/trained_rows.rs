@@ -25,10 +25,7 @@ impl Recorded {
             power_w = 0.9 * power_w + 3.0 + (noise.below(2_001) as f32 - 1_000.0) * 1e-3;
             power_w
         };
-        Self {
-            powers_w: (0..rows).map(|_| next()).collect(),
-            gaps,
-        }
+        Self { powers_w: (0..rows).map(|_| next()).collect(), gaps }
     }
 
     /// A robot that rests: a monitor of 10 mW, polled at a third of the rate, moves between two
@@ -42,10 +39,7 @@ impl Recorded {
             }
             power_w
         };
-        Self {
-            powers_w: (0..rows).map(&mut next).collect(),
-            gaps: Vec::new(),
-        }
+        Self { powers_w: (0..rows).map(&mut next).collect(), gaps: Vec::new() }
     }
 
     fn rows(&self) -> TrialRows {
@@ -155,9 +149,8 @@ proptest! {
 
 #[test]
 fn resting_robots_with_a_coarse_monitor_are_not_confused() {
-    let training: Vec<TrialRows> = (0..40)
-        .map(|seed| Recorded::resting(seed, 3_000).rows())
-        .collect();
+    let training: Vec<TrialRows> =
+        (0..40).map(|seed| Recorded::resting(seed, 3_000).rows()).collect();
     let trained = trained_rows(&dataset(&training)).unwrap();
     let others = (1_000..1_020).map(|seed| Recorded::resting(seed, 3_000).rows());
     let wrong: usize = others
@@ -184,8 +177,7 @@ fn the_number_of_hashes_is_bounded_and_large_data_are_recognised() {
         assert!(seen.iter().all(|trained| *trained));
     }
     // Too many separate runs are stated as unknown, not in part.
-    let short: Vec<TrialRows> = (0..9_000)
-        .map(|seed| Recorded::driving(seed, 30, Vec::new()).rows())
-        .collect();
+    let short: Vec<TrialRows> =
+        (0..9_000).map(|seed| Recorded::driving(seed, 30, Vec::new()).rows()).collect();
     assert_eq!(trained_rows(&dataset(&short)), None);
 }

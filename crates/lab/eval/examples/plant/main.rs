@@ -4,10 +4,7 @@
 //! `docs/plant.md`; `-- fit` searches for the parameters and prints improvements. `name=value`
 //! after either overrides a parameter, as in `-- table burst_w=0.4`.
 
-#[allow(
-    dead_code,
-    reason = "the test uses some of it, the example other parts"
-)]
+#[allow(dead_code, reason = "the test uses some of it, the example other parts")]
 mod statistics;
 
 use std::process::ExitCode;
@@ -30,9 +27,7 @@ const PARTS: [(&str, Part); 23] = [
     ("processor_time_s", |p| &mut p.processor_time_s),
     ("friction_w_per_mps", |p| &mut p.friction_w_per_mps),
     ("losses_w_per_m2ps2", |p| &mut p.losses_w_per_m2ps2),
-    ("acceleration_w_per_m2ps3", |p| {
-        &mut p.acceleration_w_per_m2ps3
-    }),
+    ("acceleration_w_per_m2ps3", |p| &mut p.acceleration_w_per_m2ps3),
     ("friction_spread", |p| &mut p.friction_spread),
     ("roughness", |p| &mut p.roughness),
     ("roughness_time_s", |p| &mut p.roughness_time_s),
@@ -43,9 +38,7 @@ const PARTS: [(&str, Part); 23] = [
     ("bursts_per_neighbour_s", |p| &mut p.bursts_per_neighbour_s),
     ("burst_w", |p| &mut p.burst_w),
     ("burst_time_s", |p| &mut p.burst_time_s),
-    ("burst_cut_per_neighbour", |p| {
-        &mut p.burst_cut_per_neighbour
-    }),
+    ("burst_cut_per_neighbour", |p| &mut p.burst_cut_per_neighbour),
     ("stall_chance", |p| &mut p.stall_chance),
     ("stall_w", |p| &mut p.stall_w),
     ("monitor_noise_w", |p| &mut p.monitor_noise_w),
@@ -141,23 +134,18 @@ fn fit(mut parts: Parts) {
     let mut steps = FREE.map(|(_, step)| step);
     for _ in 0..SWEEPS {
         for ((name, _), step) in FREE.iter().zip(&mut steps) {
-            let (_, part) = PARTS
-                .iter()
-                .find(|(known, _)| known == name)
-                .expect("a part");
-            let helped = [1.0 + *step, 1.0 / (1.0 + *step)]
-                .into_iter()
-                .any(|factor| {
-                    let mut tried = parts;
-                    *part(&mut tried) *= factor;
-                    let found = misfit(tried, false);
-                    let helps = found < best;
-                    if helps {
-                        (parts, best) = (tried, found);
-                        eprintln!("misfit {best:.2}: {name} {:.4}", *part(&mut tried));
-                    }
-                    helps
-                });
+            let (_, part) = PARTS.iter().find(|(known, _)| known == name).expect("a part");
+            let helped = [1.0 + *step, 1.0 / (1.0 + *step)].into_iter().any(|factor| {
+                let mut tried = parts;
+                *part(&mut tried) *= factor;
+                let found = misfit(tried, false);
+                let helps = found < best;
+                if helps {
+                    (parts, best) = (tried, found);
+                    eprintln!("misfit {best:.2}: {name} {:.4}", *part(&mut tried));
+                }
+                helps
+            });
             *step *= if helped { 1.3 } else { 0.5 };
         }
     }

@@ -38,11 +38,7 @@ pub(crate) const TARGETS: [Target; 13] = [
     target("power, standard deviation (mW)", 375.0, 8.0),
     target("power, lowest (mW)", 3000.0, 40.0),
     target("lag-1 autocorrelation, mean", 0.95, 0.002),
-    target(
-        "lag-1 autocorrelation, deviation between trials",
-        0.005,
-        0.004,
-    ),
+    target("lag-1 autocorrelation, deviation between trials", 0.005, 0.004),
     target("R², velocities alone", 0.16, 0.01),
     target("R², velocities and one lag", 0.90, 0.004),
     target("network, R², trial 6", 0.92, 0.01),
@@ -131,8 +127,7 @@ impl Figure {
 
     /// Whether the figure lies in its band; true without a band.
     pub(crate) fn holds(&self) -> bool {
-        self.held
-            .is_none_or(|(low, high)| (low..=high).contains(&self.found))
+        self.held.is_none_or(|(low, high)| (low..=high).contains(&self.found))
     }
 }
 
@@ -171,9 +166,7 @@ fn mean_and_std(values: &[f64]) -> (f64, f64) {
 /// Autocorrelation at lag 1.
 fn rho1(values: &[f64]) -> f64 {
     let (mean, std) = mean_and_std(values);
-    let products = values
-        .windows(2)
-        .map(|pair| (pair[0] - mean) * (pair[1] - mean));
+    let products = values.windows(2).map(|pair| (pair[0] - mean) * (pair[1] - mean));
     products.sum::<f64>() / (values.len() as f64 * std * std)
 }
 
@@ -209,10 +202,7 @@ impl Basics {
             std_w,
             min_w: power_w.iter().copied().fold(f64::INFINITY, f64::min),
             max_w: power_w.iter().copied().fold(f64::NEG_INFINITY, f64::max),
-            rho1: trials
-                .iter()
-                .map(|trial| rho1(column(trial, Column::Power)))
-                .collect(),
+            rho1: trials.iter().map(|trial| rho1(column(trial, Column::Power))).collect(),
             r2_velocities: r2(&linear(Terms::VELOCITIES)),
             r2_one_lag: r2(&linear(Terms::velocities_and_lags(1))),
             ar_q05_q95_w: (quantile(&ar_w, 0.05), quantile(&ar_w, 0.95)),
@@ -225,17 +215,13 @@ impl Basics {
 
 fn residuals(rows: &[Row], forecasts_w: &[f64]) -> Vec<f64> {
     let pairs = rows.iter().zip(forecasts_w);
-    pairs
-        .map(|(row, forecast_w)| f64::from(row.target_w) - forecast_w)
-        .collect()
+    pairs.map(|(row, forecast_w)| f64::from(row.target_w) - forecast_w).collect()
 }
 
 /// The six trials of a seed and their rows.
 pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
-    let trials: Vec<Trial> = Protocol::ALL
-        .iter()
-        .map(|&protocol| drive_with(protocol, parts, seed, SAMPLES))
-        .collect();
+    let trials: Vec<Trial> =
+        Protocol::ALL.iter().map(|&protocol| drive_with(protocol, parts, seed, SAMPLES)).collect();
     let rows = trials.iter().map(|trial| trial_rows(trial).rows).collect();
     (trials, rows)
 }
@@ -290,10 +276,7 @@ pub(crate) fn score(network: &Network, rows: &[Row], step_s: f64) -> Score {
         tally.add(f64::from(row.target_w), f64::from(*forecast_w), step_s);
     }
     let forecasts_w: Vec<f64> = forecasts_w.iter().map(|w| f64::from(*w)).collect();
-    Score {
-        tally,
-        residuals_w: sorted(residuals(rows, &forecasts_w)),
-    }
+    Score { tally, residuals_w: sorted(residuals(rows, &forecasts_w)) }
 }
 
 /// Everything measured on one seed.
@@ -328,10 +311,7 @@ pub(crate) fn measure(
     });
     Ok(Measured {
         basics: Basics::of(&trials, &rows),
-        trials: rows
-            .iter()
-            .map(|rows| score(&network, rows, step_s))
-            .collect(),
+        trials: rows.iter().map(|rows| score(&network, rows, step_s)).collect(),
         robots: robots.collect(),
         robots_w: run
             .trials
@@ -348,9 +328,7 @@ impl Measured {
         let lines: Vec<&str> = PAPER.trim().lines().collect();
         assert_eq!(lines.len(), found.len(), "every figure is measured");
         let figures = lines.iter().zip(found);
-        figures
-            .map(|(line, found)| Figure::of(line, found))
-            .collect()
+        figures.map(|(line, found)| Figure::of(line, found)).collect()
     }
 
     fn of_power(&self) -> Vec<f64> {
@@ -372,10 +350,7 @@ impl Measured {
         let mut found: Vec<f64> = self.trials.iter().map(|score| score.tally.r2()).collect();
         let mean = mean_and_std(&found).0;
         found.insert(found.len() - 1, mean);
-        let held_out_w = self
-            .trials
-            .last()
-            .map_or(f64::NAN, |score| score.tally.mae_w());
+        let held_out_w = self.trials.last().map_or(f64::NAN, |score| score.tally.mae_w());
         let (low_w, high_w) = (quantile(&residuals_w, 0.05), quantile(&residuals_w, 0.95));
         found.extend([held_out_w, bias_w, low_w, high_w].map(|w| w * 1e3));
         found
@@ -383,10 +358,7 @@ impl Measured {
 
     fn of_robots(&self) -> Vec<f64> {
         let of = |figure: fn(&Tally) -> f64| -> Vec<f64> {
-            self.robots
-                .iter()
-                .map(|robot| figure(&robot.tally))
-                .collect()
+            self.robots.iter().map(|robot| figure(&robot.tally)).collect()
         };
         let (r2_mean, r2_std) = mean_and_std(&of(Tally::r2));
         let (mae, _) = mean_and_std(&of(|tally| tally.mae_w() * 1e3));
@@ -425,10 +397,7 @@ impl Averaged {
         let averaged = |place: usize| {
             let values: Vec<f64> = seeds.iter().map(|figures| figures[place].found).collect();
             let (found, std) = mean_and_std(&values);
-            let figure = Figure {
-                found,
-                ..seeds[0][place].clone()
-            };
+            let figure = Figure { found, ..seeds[0][place].clone() };
             Self { figure, std }
         };
         (0..count).map(averaged).collect()
@@ -438,23 +407,14 @@ impl Averaged {
 impl fmt::Display for Averaged {
     /// A line of the table in the docs.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Figure {
-            name,
-            paper,
-            found,
-            held,
-            role,
-        } = &self.figure;
+        let Figure { name, paper, found, held, role } = &self.figure;
         let places = self.figure.places();
         let band = match held {
             None => "–".to_owned(),
             Some((low, high)) => format!("{low:.places$} to {high:.places$}"),
         };
         let std = self.std;
-        write!(
-            out,
-            "| {name} | {paper} | {found:.places$} ± {std:.places$} | {band} | {role} |"
-        )
+        write!(out, "| {name} | {paper} | {found:.places$} ± {std:.places$} | {band} | {role} |")
     }
 }
 

@@ -84,29 +84,21 @@ pub(super) fn ablation(
         vec![Terms::lags(1), Terms::lags(window)]
     };
     wanted.dedup();
-    let rows = Rows {
-        view,
-        ranges,
-        has_velocities,
-    };
+    let rows = Rows { view, ranges, has_velocities };
     let (moments, mut unusable_rows) = rows.fitted(&wanted)?;
-    let mut forecasters = vec![Forecaster {
-        name: "persistence".to_owned(),
-        of: Of::Line(Linear::persistence()),
-    }];
+    let mut forecasters =
+        vec![Forecaster { name: "persistence".to_owned(), of: Of::Line(Linear::persistence()) }];
     for terms in wanted {
         match moments.fit(terms) {
-            Ok(line) => forecasters.push(Forecaster {
-                name: terms.to_string(),
-                of: Of::Line(line),
-            }),
+            Ok(line) => {
+                forecasters.push(Forecaster { name: terms.to_string(), of: Of::Line(line) })
+            }
             Err(error) => skipped.push(format!("{terms}: {error}")),
         }
     }
-    forecasters.extend(models.iter().map(|(name, model)| Forecaster {
-        name: name.clone(),
-        of: Of::Model(model),
-    }));
+    forecasters.extend(
+        models.iter().map(|(name, model)| Forecaster { name: name.clone(), of: Of::Model(model) }),
+    );
     let (tallies, left_out) = rows.held_out(&forecasters)?;
     unusable_rows += left_out;
     let [new, held] = tallies[0];
@@ -119,9 +111,7 @@ pub(super) fn ablation(
     for (Forecaster { name, of }, parts) in forecasters.into_iter().zip(tallies) {
         // A line is fitted on usable rows, so it has a forecast of each.
         if matches!(of, Of::Model(_)) && both(parts).unscored() > 0 {
-            skipped.push(format!(
-                "{name}: it reads velocities, which are not recorded"
-            ));
+            skipped.push(format!("{name}: it reads velocities, which are not recorded"));
             continue;
         }
         members.push(member(name, parts));
@@ -140,9 +130,7 @@ pub(super) fn ablation(
 
 /// Whether all velocities of a row are known.
 pub(super) fn velocities_known(features: &Features) -> bool {
-    Terms::VELOCITIES
-        .features()
-        .all(|feature| features[feature].is_finite())
+    Terms::VELOCITIES.features().all(|feature| features[feature].is_finite())
 }
 
 /// A forecaster and its name.
@@ -196,9 +184,7 @@ impl Rows<'_> {
 
     /// Moments of the rows to fit on, and the number of those that are unusable.
     fn fitted(&self, wanted: &[Terms]) -> Result<(Moments, usize), AnalyzeError> {
-        let any = wanted
-            .iter()
-            .fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let any = wanted.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
         let (mut moments, mut unusable) = (Moments::new(any), 0);
         self.view.each(
             |at, contents| {
@@ -255,9 +241,7 @@ impl Rows<'_> {
         for batch in usable.chunks(BATCH_ROWS) {
             let rows: Vec<Row> = batch.iter().map(|at| contents.rows.rows[*at]).collect();
             let seqs = batch.iter().map(|at| contents.rows.sample_seq[*at]);
-            let held: Vec<bool> = seqs
-                .map(|seq| target_is_held(&contents.trial, seq))
-                .collect();
+            let held: Vec<bool> = seqs.map(|seq| target_is_held(&contents.trial, seq)).collect();
             for (forecaster, tallies) in forecasters.iter().zip(&mut tallies) {
                 let forecasts_w = forecaster.forecasts_w(&rows);
                 for ((row, forecast_w), held) in rows.iter().zip(forecasts_w).zip(&held) {
@@ -281,22 +265,13 @@ fn member(name: String, [new, held]: Tallies) -> Member {
         all: Part::of(&all),
         held: Part::of(&held),
         new: Part::of(&new),
-        held_share_of_gain: if total_w2 > 0.0 {
-            gain_w2[1] / total_w2
-        } else {
-            f64::NAN
-        },
+        held_share_of_gain: if total_w2 > 0.0 { gain_w2[1] / total_w2 } else { f64::NAN },
     }
 }
 
 impl Part {
     fn of(tally: &Tally) -> Self {
-        Self {
-            rows: tally.count(),
-            r2: tally.r2(),
-            mae_w: tally.mae_w(),
-            rmse_w: tally.rmse_w(),
-        }
+        Self { rows: tally.count(), r2: tally.r2(), mae_w: tally.mae_w(), rmse_w: tally.rmse_w() }
     }
 }
 

@@ -77,9 +77,7 @@ impl LagSums {
             readings,
             mean_w,
             sum_w: known().map(|value| value - mean_w).sum(),
-            sum_squares_w2: known()
-                .map(|value| (value - mean_w) * (value - mean_w))
-                .sum(),
+            sum_squares_w2: known().map(|value| (value - mean_w) * (value - mean_w)).sum(),
             lags: (1..=lags).map(pairs).collect(),
         }
     }
@@ -105,11 +103,8 @@ impl LagSums {
     /// About the mean of all readings of some trials.
     pub(super) fn pooled(all: &[Self], lags: usize) -> Autocorrelation {
         let readings: usize = all.iter().map(|one| one.readings).sum();
-        let mean_w = all
-            .iter()
-            .map(|one| one.mean_w * one.readings as f64)
-            .sum::<f64>()
-            / readings as f64;
+        let mean_w =
+            all.iter().map(|one| one.mean_w * one.readings as f64).sum::<f64>() / readings as f64;
         // Deviations from another mean, `apart_w` below the trial's own.
         let squares = all.iter().map(|one| {
             let apart_w = one.mean_w - mean_w;
@@ -125,11 +120,7 @@ impl LagSums {
             (known(sums.sum::<f64>() / count as f64 / variance), count)
         };
         let (at_lag, pairs) = (0..lags).map(at_lag).unzip();
-        Autocorrelation {
-            at_lag,
-            pairs,
-            readings,
-        }
+        Autocorrelation { at_lag, pairs, readings }
     }
 }
 

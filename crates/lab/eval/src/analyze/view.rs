@@ -16,18 +16,12 @@ pub(super) struct View<'a> {
 impl<'a> View<'a> {
     /// The recordings as they were made.
     pub(super) fn native(recordings: &'a [Recording]) -> Self {
-        Self {
-            recordings: recordings.iter().collect(),
-            grid: None,
-        }
+        Self { recordings: recordings.iter().collect(), grid: None }
     }
 
     /// The recordings on a grid. Those that do not fit are left out.
     pub(super) fn on(recordings: &'a [Recording], grid: Resample) -> Self {
-        Self {
-            grid: Some(grid),
-            ..Self::native(recordings)
-        }
+        Self { grid: Some(grid), ..Self::native(recordings) }
     }
 
     pub(super) fn recordings(&self) -> &[&'a Recording] {
@@ -37,8 +31,7 @@ impl<'a> View<'a> {
     /// Leaves out the recordings at the indices where `is_left_out` is true.
     pub(super) fn without(mut self, is_left_out: &[bool]) -> Self {
         let mut left_out = is_left_out.iter();
-        self.recordings
-            .retain(|_| !left_out.next().copied().unwrap_or_default());
+        self.recordings.retain(|_| !left_out.next().copied().unwrap_or_default());
         self
     }
 

@@ -49,24 +49,16 @@ pub(super) fn shown(first: &Curves, second: &Curves, request: &Request) -> Optio
     };
     let furthest = STEPS as isize;
     let offset = (-furthest..=furthest).rev().take_while(allows).last()?;
-    Some(steps(offset).map(|(kind, step)| Chosen {
-        value: limit(kind, step),
-        basis: Basis::Shown,
-    }))
+    Some(steps(offset).map(|(kind, step)| Chosen { value: limit(kind, step), basis: Basis::Shown }))
 }
 
 const fn kept(value: f64) -> Chosen {
-    Chosen {
-        value,
-        basis: Basis::Kept,
-    }
+    Chosen { value, basis: Basis::Kept }
 }
 
 /// The lowest step from which on alarms are as rare as allowed, a robot and hour.
 fn balanced(curves: &Curves, kind: usize, allowed: f64) -> usize {
-    let rare = (0..STEPS)
-        .rev()
-        .take_while(|step| curves.rate(kind, *step) <= allowed);
+    let rare = (0..STEPS).rev().take_while(|step| curves.rate(kind, *step) <= allowed);
     rare.last().unwrap_or(STEPS - 1)
 }
 
@@ -90,9 +82,7 @@ pub(super) fn extrapolated(
         check(&tail, second, kind)?;
         let allowed = request.per_robot_h() / KINDS as f64;
         let silent = first.0.iter().filter_map(|curve| curve.peak(kind)).max();
-        let step = tail
-            .step_for(allowed)
-            .max(silent.map_or(0, |peak| peak + 1));
+        let step = tail.step_for(allowed).max(silent.map_or(0, |peak| peak + 1));
         if step >= STEPS {
             return Err(CalibrateError::Tail {
                 key: KEYS[kind],
@@ -102,10 +92,7 @@ pub(super) fn extrapolated(
                 wanted: allowed,
             });
         }
-        *chosen = Chosen {
-            value: limit(kind, step),
-            basis: Basis::Extrapolated,
-        };
+        *chosen = Chosen { value: limit(kind, step), basis: Basis::Extrapolated };
     }
     Ok(chosen)
 }
@@ -175,20 +162,12 @@ mod tests {
     }
 
     fn request(per_robot_h: f64) -> Request {
-        Request {
-            fleet_per_h: 10.0 * per_robot_h,
-            robots: 10,
-            confidence: 0.95,
-            extrapolate: true,
-        }
+        Request { fleet_per_h: 10.0 * per_robot_h, robots: 10, confidence: 0.95, extrapolate: true }
     }
 
     #[test]
     fn what_is_shown_holds_in_at_least_its_share_of_draws() {
-        for differ in [
-            |_: &mut Noise| 1.0,
-            |noise: &mut Noise| 0.5 + noise.uniform(),
-        ] {
+        for differ in [|_: &mut Noise| 1.0, |noise: &mut Noise| 0.5 + noise.uniform()] {
             let (mut noise, mut holds, mut uses) = (Noise::new(3, 0), 0, 0.0);
             for _ in 0..200 {
                 let halves = [0, 1].map(|_| drawn(&mut noise, 16, differ));
@@ -216,10 +195,7 @@ mod tests {
             }
         }
         assert!(refused <= 10, "{refused} of 200");
-        assert!(
-            holds >= (200 - refused) * 19 / 20,
-            "{holds} of 200, {refused} refused"
-        );
+        assert!(holds >= (200 - refused) * 19 / 20, "{holds} of 200, {refused} refused");
     }
 
     #[test]
@@ -230,9 +206,6 @@ mod tests {
             curve.raised[STEPS - 5..].fill([1; KINDS]);
         }
         let refused = extrapolated(&first, &second, [1.0; KINDS], &request(0.01));
-        assert!(
-            matches!(refused, Err(CalibrateError::Refuted { found: 5, .. })),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(CalibrateError::Refuted { found: 5, .. })), "{refused:?}");
     }
 }

@@ -114,9 +114,7 @@ impl Thresholds {
 }
 
 fn power_w(sample: &Sample) -> Option<f64> {
-    sample
-        .has(sample_flag::POWER)
-        .then_some(sample.power_w.into())
+    sample.has(sample_flag::POWER).then_some(sample.power_w.into())
 }
 
 /// The voltage, negative.

@@ -92,9 +92,7 @@ fn load(sample: &mut Sample, added_w: f64, v_per_w: f64) {
 }
 
 fn readings(samples: &[Sample]) -> impl Iterator<Item = (f64, f64)> {
-    let known = samples
-        .iter()
-        .filter(|sample| sample.has(sample_flag::POWER));
+    let known = samples.iter().filter(|sample| sample.has(sample_flag::POWER));
     known.map(|sample| (f64::from(sample.power_w), f64::from(sample.voltage_v)))
 }
 
@@ -114,9 +112,5 @@ fn slope(samples: &[Sample]) -> f64 {
         both += (power_w - mean_w) * (voltage_v - mean_v);
         squares += (power_w - mean_w) * (power_w - mean_w);
     }
-    if squares > 0.0 {
-        (both / squares).min(0.0)
-    } else {
-        0.0
-    }
+    if squares > 0.0 { (both / squares).min(0.0) } else { 0.0 }
 }

@@ -15,11 +15,7 @@ pub(super) const STEPS: usize = 40;
 /// A limit at a step: from the least that is allowed to the greatest, in equal ratios, rounded to
 /// three significant digits.
 pub(super) fn limit(kind: usize, step: usize) -> f64 {
-    let allowed = [
-        bounds::CUSUM_LIMIT,
-        bounds::NOISE_LIMIT,
-        bounds::MISMATCH_LIMIT,
-    ];
+    let allowed = [bounds::CUSUM_LIMIT, bounds::NOISE_LIMIT, bounds::MISMATCH_LIMIT];
     let (least, greatest) = allowed[kind].clone().into_inner();
     let share = step as f64 / (STEPS - 1) as f64;
     let exact = least * libm::pow(greatest / least, share);
@@ -36,12 +32,7 @@ pub(super) fn limits([bias, noise, mismatch]: [f64; KINDS]) -> AlarmLimits {
 }
 
 pub(super) fn values(limits: AlarmLimits) -> [f64; KINDS] {
-    [
-        limits.cusum_limit,
-        limits.noise_limit,
-        limits.mismatch_limit,
-    ]
-    .map(f64::from)
+    [limits.cusum_limit, limits.noise_limit, limits.mismatch_limit].map(f64::from)
 }
 
 /// A recording at the steps of the grid.
@@ -101,12 +92,7 @@ impl Curves {
 
     /// Upper bound of the alarms of some kinds together, each at a step, a robot and hour.
     pub(super) fn at_most(&self, steps: &[(usize, usize)], confidence: f64) -> f64 {
-        let alarms = |curve: &Curve| {
-            steps
-                .iter()
-                .map(|(kind, step)| curve.at(*kind, *step))
-                .sum()
-        };
+        let alarms = |curve: &Curve| steps.iter().map(|(kind, step)| curve.at(*kind, *step)).sum();
         let counts: Vec<u64> = self.0.iter().map(alarms).collect();
         let hours: Vec<f64> = self.0.iter().map(|curve| curve.hours).collect();
         upper_rate(&counts, &hours, confidence)

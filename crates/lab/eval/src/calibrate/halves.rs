@@ -20,11 +20,7 @@ const PIECE_NS: u64 = 600_000_000_000;
 pub(super) fn halves(trials: &[Trial]) -> Result<[Vec<Vec<Sample>>; 2], CalibrateError> {
     let mut units: Vec<Vec<Vec<Sample>>> = trials.iter().map(pieces).collect();
     if units.len() == 1 {
-        units = units
-            .into_iter()
-            .flatten()
-            .map(|piece| vec![piece])
-            .collect();
+        units = units.into_iter().flatten().map(|piece| vec![piece]).collect();
     }
     if units.len() < 2 {
         return Err(CalibrateError::Recordings { found: units.len() });

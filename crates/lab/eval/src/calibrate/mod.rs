@@ -52,10 +52,7 @@ pub fn calibrate(
     let before = grid::values(robot.limits());
     let chosen = choose(&curves, before, request)?;
     let calibrated = robot.limited(grid::limits(chosen.map(|chosen| chosen.value)));
-    let [chosen_on, stated_on] = [
-        Half::of(&calibrated, first)?,
-        Half::of(&calibrated, second)?,
-    ];
+    let [chosen_on, stated_on] = [Half::of(&calibrated, first)?, Half::of(&calibrated, second)?];
     let bound = stated_on.at_most(request.confidence);
     let is_shown = chosen.iter().any(|chosen| chosen.basis == Basis::Shown);
     let is_extrapolated = bound > request.per_robot_h();
@@ -156,11 +153,7 @@ impl Half {
     }
 
     fn at_most(&self, confidence: f64) -> f64 {
-        let counts: Vec<u64> = self
-            .played
-            .iter()
-            .map(|it| it.raised.iter().sum())
-            .collect();
+        let counts: Vec<u64> = self.played.iter().map(|it| it.raised.iter().sum()).collect();
         let hours: Vec<f64> = self.played.iter().map(|it| it.watched_s / 3600.0).collect();
         upper_rate(&counts, &hours, confidence)
     }
@@ -176,12 +169,7 @@ impl Half {
 
     fn too_many(&self, at_most: f64, request: &Request) -> CalibrateError {
         let Evidence { alarms, hours, .. } = self.evidence();
-        CalibrateError::Alarms {
-            alarms,
-            hours,
-            at_most,
-            wanted: request.per_robot_h(),
-        }
+        CalibrateError::Alarms { alarms, hours, at_most, wanted: request.per_robot_h() }
     }
 }
 
@@ -189,9 +177,7 @@ impl Half {
 fn digest(trials: &[Trial]) -> u64 {
     let rows = trials.iter().flat_map(|trial| {
         let samples = trial.to_samples(play::ROBOT, halves::BASE_NS);
-        samples
-            .into_iter()
-            .map(|it| (it.stamp_ns, it.power_w.to_bits()))
+        samples.into_iter().map(|it| (it.stamp_ns, it.power_w.to_bits()))
     });
     fnv1a(rows.flat_map(|(stamp_ns, bits)| {
         let stamp = stamp_ns.to_le_bytes().into_iter();

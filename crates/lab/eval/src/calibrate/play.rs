@@ -13,12 +13,8 @@ pub(super) const ROBOT: u32 = 0;
 /// Alarms that no limit of the residuals sets.
 pub(super) const OTHERS: [Alarm; 3] = [Alarm::StuckSensor, Alarm::HeldTooLong, Alarm::OutOfRange];
 /// Alarms with a limit, and the limit's index.
-const LIMITED: [(Alarm, usize); 4] = [
-    (Alarm::BiasHigh, 0),
-    (Alarm::BiasLow, 0),
-    (Alarm::NoiseHigh, 1),
-    (Alarm::ModelMismatch, 2),
-];
+const LIMITED: [(Alarm, usize); 4] =
+    [(Alarm::BiasHigh, 0), (Alarm::BiasLow, 0), (Alarm::NoiseHigh, 1), (Alarm::ModelMismatch, 2)];
 
 /// A robot of the platform, alone in a fleet.
 #[derive(Debug, Clone)]
@@ -49,11 +45,7 @@ impl Robot {
         own.robots = vec![ROBOT..=ROBOT];
         let finds = LIMITED.into_iter().map(|(alarm, _)| alarm).chain(OTHERS);
         Self {
-            settings: FleetSettings {
-                capacity: 1,
-                platforms: vec![own],
-                ..settings.clone()
-            },
+            settings: FleetSettings { capacity: 1, platforms: vec![own], ..settings.clone() },
             model: model.clone(),
             finds: finds.fold(AlarmSet::default(), AlarmSet::with),
         }
@@ -61,10 +53,7 @@ impl Robot {
 
     /// The limits that the config has.
     pub(super) fn limits(&self) -> AlarmLimits {
-        self.settings
-            .alarms
-            .of(&self.settings.platforms[0])
-            .limits()
+        self.settings.alarms.of(&self.settings.platforms[0]).limits()
     }
 
     pub(super) const fn settle_samples(&self) -> usize {
@@ -92,9 +81,7 @@ impl Robot {
             clear_samples: 1,
             ..robot.settings.alarms
         };
-        robot.finds = AlarmSet::default()
-            .with(Alarm::BiasHigh)
-            .with(Alarm::BiasLow);
+        robot.finds = AlarmSet::default().with(Alarm::BiasHigh).with(Alarm::BiasLow);
         robot
     }
 

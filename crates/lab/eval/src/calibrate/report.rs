@@ -159,12 +159,7 @@ impl Calibration {
     }
 
     fn write_delays(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Thresholds {
-            power_w,
-            voltage_v,
-            power_false,
-            voltage_false,
-        } = self.thresholds;
+        let Thresholds { power_w, voltage_v, power_false, voltage_false } = self.thresholds;
         writeln!(
             out,
             "\nFaults put into {} recordings of the second half, {:.0} s (median) before their end:\n\
@@ -196,17 +191,9 @@ impl Calibration {
         )?;
         for delays in &self.delays {
             let name = delays.fault.name();
-            let [calibrated, textbook, power, voltage] = [
-                delays.calibrated,
-                delays.textbook,
-                delays.power,
-                delays.voltage,
-            ]
-            .map(cell);
-            writeln!(
-                out,
-                "{name:<18} {calibrated:>20} {textbook:>20} {power:>20} {voltage:>20}"
-            )?;
+            let [calibrated, textbook, power, voltage] =
+                [delays.calibrated, delays.textbook, delays.power, delays.voltage].map(cell);
+            writeln!(out, "{name:<18} {calibrated:>20} {textbook:>20} {power:>20} {voltage:>20}")?;
         }
         Ok(())
     }
@@ -229,10 +216,7 @@ impl fmt::Display for Calibration {
         }
         self.write_limits(out)?;
         if self.delays.is_empty() {
-            return writeln!(
-                out,
-                "no recording of the second half is long enough for faults"
-            );
+            return writeln!(out, "no recording of the second half is long enough for faults");
         }
         self.write_delays(out)
     }

@@ -47,9 +47,7 @@ impl From<&RobotEvaluation> for LiveTrial {
             forecast: robot.forecast,
             notes: robot.notes.to_string(),
             accepted: robot.accepted,
-            dropped: drops
-                .map(|(reason, count)| (reason.name().to_owned(), count))
-                .collect(),
+            dropped: drops.map(|(reason, count)| (reason.name().to_owned(), count)).collect(),
             qualities,
             scores: robot.scores,
             coverage: robot.coverage,

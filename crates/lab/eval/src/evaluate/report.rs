@@ -209,15 +209,7 @@ impl fmt::Display for EvaluationReport {
         )?;
         for robot in &self.robots {
             let scores = ScoreColumns(&robot.scores);
-            let RobotReport {
-                robot,
-                file,
-                platform,
-                model,
-                forecast,
-                drawn_j,
-                ..
-            } = robot;
+            let RobotReport { robot, file, platform, model, forecast, drawn_j, .. } = robot;
             writeln!(
                 out,
                 "{robot:>8}  {platform:<16} {model:<20} {forecast:<11} {scores}  {drawn_j:>8.1} J {file}"
@@ -233,22 +225,12 @@ impl fmt::Display for EvaluationReport {
                 )?;
             }
             for (reason, count) in &robot.dropped {
-                writeln!(
-                    out,
-                    "robot {}: {count} samples dropped: {reason}",
-                    robot.robot
-                )?;
+                writeln!(out, "robot {}: {count} samples dropped: {reason}", robot.robot)?;
             }
         }
         for platform in &self.platforms {
             let scores = ScoreColumns(&platform.scores);
-            let PlatformReport {
-                platform,
-                model,
-                forecast,
-                trials,
-                ..
-            } = platform;
+            let PlatformReport { platform, model, forecast, trials, .. } = platform;
             let forecast = forecast.map(|forecast| forecast.to_string());
             let forecast = forecast.unwrap_or_default();
             writeln!(
@@ -267,14 +249,7 @@ struct ScoreColumns<'a>(&'a ScoreReport);
 
 impl fmt::Display for ScoreColumns<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ScoreReport {
-            scored,
-            mae_w,
-            r2,
-            persistence_mae_w,
-            persistence_r2,
-            skill,
-        } = self.0;
+        let ScoreReport { scored, mae_w, r2, persistence_mae_w, persistence_r2, skill } = self.0;
         write!(
             out,
             "{scored:>8} {mae_w:>7.3} {r2:>7.4} {persistence_mae_w:>19.3} {persistence_r2:>7.4} {skill:>7.4}"

@@ -28,9 +28,7 @@ impl Series {
             {
                 series.time_s.push(step.stamp_ns as f64 * 1e-9);
                 series.reading_w.push(reading_w.into());
-                series
-                    .forecast_w
-                    .push(f64::from(reading_w) - f64::from(residual_w));
+                series.forecast_w.push(f64::from(reading_w) - f64::from(residual_w));
                 series.lo_w.push(interval[0]);
                 series.hi_w.push(interval[1]);
             }

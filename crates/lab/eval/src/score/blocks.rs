@@ -84,20 +84,10 @@ impl Draws {
         let centre_w = if centre_w.is_finite() { centre_w } else { 0.0 };
         let mut sums = Vec::with_capacity(blocks.len() * (forecasters + intervals));
         for block in blocks {
-            sums.extend(
-                block
-                    .forecasters
-                    .iter()
-                    .map(|tally| tally.additive(centre_w)),
-            );
+            sums.extend(block.forecasters.iter().map(|tally| tally.additive(centre_w)));
             sums.extend(block.intervals.iter().map(CoverageTally::additive));
         }
-        Self {
-            centre_w,
-            forecasters,
-            each: forecasters + intervals,
-            sums,
-        }
+        Self { centre_w, forecasters, each: forecasters + intervals, sums }
     }
 
     /// The sum of some blocks, possibly repeated.

@@ -185,10 +185,7 @@ impl Names {
     fn skills(&self, of: usize, estimates: &mut impl Iterator<Item = Estimate>) -> Vec<Skill> {
         let against = self.references().filter(|reference| *reference != of);
         let named = against.map(|reference| self.forecasters[reference].clone());
-        named
-            .zip(estimates)
-            .map(|(against, skill)| Skill { against, skill })
-            .collect()
+        named.zip(estimates).map(|(against, skill)| Skill { against, skill }).collect()
     }
 }
 
@@ -267,10 +264,7 @@ pub(crate) fn cell(
         unscored: first.unscored(),
         reading_mean_w: first.reading_mean_w(),
         reading_std_w: first.reading_std_w(),
-        blocks: Blocks {
-            count: blocks.len(),
-            whole_trials,
-        },
+        blocks: Blocks { count: blocks.len(), whole_trials },
         forecasters,
     })
 }
@@ -289,11 +283,7 @@ pub(crate) fn horizon_cell(
         let trials: Vec<&HorizonSums> = tallied.horizon(set, place).collect();
         horizon(&trials, ticks, period_s, names, &options.bootstrap)
     });
-    HorizonCell {
-        name: set.name.clone(),
-        trials: set.trials(),
-        horizons: horizons.collect(),
-    }
+    HorizonCell { name: set.name.clone(), trials: set.trials(), horizons: horizons.collect() }
 }
 
 fn horizon(
@@ -317,12 +307,7 @@ fn horizon(
         let (powers, energies) = drawn.split_at(drawn.len() / 2);
         let mut found = Vec::with_capacity(8 * drawn.len());
         for (at, (power, energy)) in powers.iter().zip(energies).enumerate() {
-            found.extend([
-                power.r2(),
-                power.rmse_w(),
-                power.mae_w(),
-                energy.energy_error(),
-            ]);
+            found.extend([power.r2(), power.rmse_w(), power.mae_w(), energy.energy_error()]);
             push_skills(&mut found, powers, at, names);
         }
         found

@@ -60,12 +60,7 @@ impl Common {
         options: &Options,
         lines: &Lines,
     ) -> Result<Self, ScoreError> {
-        let Subject {
-            models,
-            recordings,
-            design,
-            ..
-        } = subject;
+        let Subject { models, recordings, design, .. } = subject;
         let names = names(subject, options);
         let settings = FleetSettings {
             platforms: subject.platform.into_iter().cloned().collect(),
@@ -77,9 +72,7 @@ impl Common {
         Ok(Self {
             platform: platform.unwrap_or_else(|| "recorded".to_owned()),
             settings: settings.fingerprint(),
-            models: evaluated
-                .map(|at| Evaluated::of(at, subject, &names, &recognised))
-                .collect(),
+            models: evaluated.map(|at| Evaluated::of(at, subject, &names, &recognised)).collect(),
             scored_rows: design.scored_rows(&recognised),
             design: design.report(),
             baselines: baselines(options, lines),
@@ -126,11 +119,7 @@ impl Evaluated {
 fn names(subject: Subject<'_>, options: &Options) -> Names {
     let models = subject.models;
     let base = |model: &Model| {
-        let is_twice = models
-            .iter()
-            .filter(|other| other.name() == model.name())
-            .count()
-            > 1;
+        let is_twice = models.iter().filter(|other| other.name() == model.name()).count() > 1;
         match is_twice {
             true => format!("{} {:08x}", model.name(), model.hash() >> 32),
             false => model.name().to_owned(),
@@ -142,10 +131,7 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
             forecast => format!("{} ({forecast})", base(model)),
         });
         let baselines = options.baselines.iter().map(ToString::to_string);
-        named
-            .chain(["persistence".to_owned()])
-            .chain(baselines)
-            .collect()
+        named.chain(["persistence".to_owned()]).chain(baselines).collect()
     };
     let mut forecasters = of(&|model| subject.forecast(model));
     let members = Member::of(subject).into_iter();
@@ -163,9 +149,7 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
 /// Names of the members of a model's forecast.
 fn members(at: usize, subject: Subject<'_>, names: &Names) -> Vec<String> {
     let first = names.models + names.baselines;
-    let all = Member::of(subject)
-        .into_iter()
-        .zip(&names.forecasters[first..]);
+    let all = Member::of(subject).into_iter().zip(&names.forecasters[first..]);
     let own = all.filter(|((model, _), _)| *model == at);
     let own: Vec<String> = own.map(|(_, name)| name.clone()).collect();
     match own.is_empty() {

@@ -171,21 +171,13 @@ impl Verdict {
 /// # Panics
 /// If the subject has not exactly two models.
 pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, ScoreError> {
-    assert!(
-        subject.models.len() == 2,
-        "{} models, two are compared",
-        subject.models.len()
-    );
-    let options = Options {
-        baselines: Vec::new(),
-        ..options.clone()
-    };
+    assert!(subject.models.len() == 2, "{} models, two are compared", subject.models.len());
+    let options = Options { baselines: Vec::new(), ..options.clone() };
     let (report, blocks) = tallied(subject, &options)?;
     let differences = |sets: Vec<Set>| -> Vec<Difference> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };
         let each = sets.par_iter();
-        each.map(|set| difference(&blocks, set, &options.bootstrap))
-            .collect()
+        each.map(|set| difference(&blocks, set, &options.bootstrap)).collect()
     };
     // Two models were scored, so there are two reports.
     let [old, new] = [OLD, NEW].map(|at| report.models[at].clone());
@@ -218,10 +210,7 @@ fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference
     let (blocks, _) = tallied.blocks(set, bootstrap);
     let draws = Draws::new(&blocks);
     let estimates = bootstrap.estimate(blocks.len(), |drawn| {
-        let Block {
-            forecasters,
-            intervals,
-        } = draws.merged(drawn);
+        let Block { forecasters, intervals } = draws.merged(drawn);
         let (old, new) = (&forecasters[OLD], &forecasters[NEW]);
         vec![
             new.r2() - old.r2(),
@@ -264,10 +253,8 @@ fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
     let all = tallied.all();
     let each = options.horizons.iter().enumerate();
     each.map(|(place, &ticks)| {
-        let reaching: Vec<&HorizonSums> = tallied
-            .horizon(&all, place)
-            .filter(|sums| sums.power[OLD].count() > 0)
-            .collect();
+        let reaching: Vec<&HorizonSums> =
+            tallied.horizon(&all, place).filter(|sums| sums.power[OLD].count() > 0).collect();
         let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
         let draws = Draws::new(&blocks);
         let estimates = options.bootstrap.estimate(blocks.len(), |drawn| {

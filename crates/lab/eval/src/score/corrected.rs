@@ -64,9 +64,7 @@ pub(super) fn one<T>(
     let live = live.into_iter().filter(|_| !parts.is_empty()).map(keep);
     let live = live.collect();
     let members = Member::of(subject).into_iter();
-    let members: Vec<Vec<f32>> = members
-        .map(|(_, member)| member.forecasts_w(contents))
-        .collect();
+    let members: Vec<Vec<f32>> = members.map(|(_, member)| member.forecasts_w(contents)).collect();
     let sums_of = |parts: &[(usize, Range<usize>)]| {
         let mut sums = Sums::default();
         for (fold, rows) in parts.iter().filter(|(_, rows)| !rows.is_empty()) {
@@ -119,10 +117,7 @@ fn live(subject: Subject<'_>, id: u32, trial: &Trial) -> Result<Vec<RobotEvaluat
         Some(platform) => platform.clone(),
         None => recorded_platform(id, trial),
     };
-    let mut settings = FleetSettings {
-        platforms: vec![platform],
-        ..subject.settings.clone()
-    };
+    let mut settings = FleetSettings { platforms: vec![platform], ..subject.settings.clone() };
     // A longer silence frees a robot's slot; here no other robot needs it.
     let stale_after_ns = settings.platforms[0].stale_after_ns;
     let leave_after_ns = &mut settings.intake.leave_after_ns;
@@ -172,20 +167,14 @@ fn add_rows(
             let row = &contents.rows.rows[at];
             forecasts_w.clear();
             forecasts_w.extend(columns.iter().map(|column| f64::from(column.power_w[at])));
-            let all_known = forecasts_w
-                .iter()
-                .all(|forecast_w: &f64| forecast_w.is_finite());
+            let all_known = forecasts_w.iter().all(|forecast_w: &f64| forecast_w.is_finite());
             forecasts_w.push(f64::from(row.features[FeatureSet::PowerOnly.first()]));
             let predict =
                 |line: &Option<Linear>| line.as_ref().map(|line| line.predict(&row.features));
             forecasts_w.extend(lines.iter().map(|line| predict(line).unwrap_or(f64::NAN)));
             forecasts_w.extend(members.iter().map(|member_w| f64::from(member_w[at])));
             // A row without a forecast of each model is scored for no forecaster.
-            let reading_w = if all_known {
-                f64::from(row.target_w)
-            } else {
-                f64::NAN
-            };
+            let reading_w = if all_known { f64::from(row.target_w) } else { f64::NAN };
             for (place, forecast_w) in forecasts_w.iter().enumerate() {
                 block.forecasters[place].add(reading_w, *forecast_w, contents.step_s[at]);
                 let residual_w = (reading_w - forecast_w) as f32;
@@ -206,11 +195,7 @@ fn row_blocks(rows: Range<usize>, length: usize) -> impl Iterator<Item = Range<u
     let count = ((rows.len() + length / 2) / length).max(1);
     (0..count).map(move |at| {
         let start = rows.start + at * length;
-        let end = if at + 1 == count {
-            rows.end
-        } else {
-            start + length
-        };
+        let end = if at + 1 == count { rows.end } else { start + length };
         start..end
     })
 }

@@ -119,13 +119,7 @@ impl Design {
                 "no split: all trials; baselines are fitted on the other trials, {count} folds"
             ),
         };
-        Self {
-            description,
-            split: None,
-            folds,
-            units: names(recordings),
-            others: Vec::new(),
-        }
+        Self { description, split: None, folds, units: names(recordings), others: Vec::new() }
     }
 
     /// Evaluates every row; baselines are fitted on other recordings.
@@ -137,10 +131,7 @@ impl Design {
             trained_on: Vec::new(),
         };
         Self {
-            description: format!(
-                "all trials; baselines are fitted on {} named ones",
-                others.len()
-            ),
+            description: format!("all trials; baselines are fitted on {} named ones", others.len()),
             split: None,
             folds: vec![fold],
             units: names(recordings),
@@ -150,11 +141,7 @@ impl Design {
 
     /// Refuses recordings that lack rows of the design.
     pub(super) fn check(&self, recordings: &[Recording]) -> Result<(), ScoreError> {
-        let all: Vec<usize> = recordings
-            .iter()
-            .chain(&self.others)
-            .map(Recording::rows)
-            .collect();
+        let all: Vec<usize> = recordings.iter().chain(&self.others).map(Recording::rows).collect();
         let parts = self
             .folds
             .iter()
@@ -210,12 +197,8 @@ impl Design {
             let parts = self.folds.iter().flat_map(of);
             parts.map(|part| part.1.len()).sum()
         };
-        let evaluated: HashSet<usize> = self
-            .folds
-            .iter()
-            .flat_map(|fold| &fold.evaluated)
-            .map(|part| part.0)
-            .collect();
+        let evaluated: HashSet<usize> =
+            self.folds.iter().flat_map(|fold| &fold.evaluated).map(|part| part.0).collect();
         DesignReport {
             description: self.description.clone(),
             split: self.split,
@@ -283,11 +266,7 @@ fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
 
 /// The earlier parts of a long recording, and the later ones.
 fn in_two(recordings: &[Recording]) -> Vec<Fold> {
-    let parts: Vec<_> = recordings
-        .iter()
-        .map(|part| 0..part.rows())
-        .enumerate()
-        .collect();
+    let parts: Vec<_> = recordings.iter().map(|part| 0..part.rows()).enumerate().collect();
     let (earlier, later) = parts.split_at(parts.len() / 2);
     let fold = |evaluated: &[(usize, Range<usize>)], fitted: &[(usize, Range<usize>)]| Fold {
         evaluated: evaluated.to_vec(),
@@ -301,10 +280,7 @@ fn in_two(recordings: &[Recording]) -> Vec<Fold> {
 fn in_halves(rows: usize) -> Vec<Fold> {
     let middle = rows / 2;
     let (first, second) = (0..middle, middle..rows);
-    let (until, from) = (
-        middle.saturating_sub(PAUSE_ROWS),
-        (middle + PAUSE_ROWS).min(rows),
-    );
+    let (until, from) = (middle.saturating_sub(PAUSE_ROWS), (middle + PAUSE_ROWS).min(rows));
     let fold = |evaluated: Range<usize>, fitted: Range<usize>| Fold {
         evaluated: vec![(0, evaluated)],
         fitted: vec![(0, fitted)],
@@ -331,18 +307,11 @@ pub(super) fn fit_lines(
     let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
     parts.sort_unstable_by_key(|part| key(part));
     parts.dedup();
-    let fitted = Fitted {
-        all: recordings.iter().chain(&design.others).collect(),
-        parts,
-    };
+    let fitted = Fitted { all: recordings.iter().chain(&design.others).collect(), parts };
     let terms = |asked: &[Terms]| -> Result<Vec<(Terms, Vec<usize>)>, ScoreError> {
-        let any = asked
-            .iter()
-            .fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let any = asked.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
         let known = fitted.map(any.count() > 0, |rows| KnownFeatures::of(rows, any))?;
-        let known = known
-            .into_iter()
-            .fold(KnownFeatures::NONE, KnownFeatures::or);
+        let known = known.into_iter().fold(KnownFeatures::NONE, KnownFeatures::or);
         Ok(asked.iter().map(|terms| known.split(*terms)).collect())
     };
     let terms = terms(baselines)?;
@@ -381,9 +350,7 @@ struct Fitted<'a> {
 
 impl Fitted<'_> {
     fn place(&self, part: &Part) -> Option<usize> {
-        let found = self
-            .parts
-            .binary_search_by_key(&key(part), |part| key(part));
+        let found = self.parts.binary_search_by_key(&key(part), |part| key(part));
         found.ok()
     }
 

@@ -22,12 +22,7 @@ pub(super) struct Kept {
 
 impl Default for Kept {
     fn default() -> Self {
-        Self {
-            max_in_memory: MAX_IN_MEMORY,
-            file: None,
-            in_file: 0,
-            memory: Vec::new(),
-        }
+        Self { max_in_memory: MAX_IN_MEMORY, file: None, in_file: 0, memory: Vec::new() }
     }
 }
 
@@ -64,19 +59,13 @@ impl Kept {
         const BYTES: usize = size_of::<f32>();
         let mut bytes = vec![0; READ_AT_ONCE * BYTES];
         let mut at = range.start;
-        while let Some(file) = self
-            .file
-            .as_ref()
-            .filter(|_| at < range.end.min(self.in_file))
-        {
+        while let Some(file) = self.file.as_ref().filter(|_| at < range.end.min(self.in_file)) {
             let left = range.end.min(self.in_file) - at;
             let count = usize::try_from(left).map_or(READ_AT_ONCE, |left| left.min(READ_AT_ONCE));
             let bytes = &mut bytes[..count * BYTES];
             file.read_exact_at(bytes, at * BYTES as u64)?;
             let (numbers, _) = bytes.as_chunks::<BYTES>();
-            numbers
-                .iter()
-                .for_each(|bytes| take(f32::from_ne_bytes(*bytes)));
+            numbers.iter().for_each(|bytes| take(f32::from_ne_bytes(*bytes)));
             at += count as u64;
         }
         let [from, to] = [at, range.end].map(|place| place.saturating_sub(self.in_file) as usize);
@@ -93,10 +82,7 @@ mod tests {
     #[test]
     fn numbers_are_read_as_they_were_kept_wherever_they_are() {
         for max_in_memory in [0, 3, 1_000, 10 * READ_AT_ONCE] {
-            let mut kept = Kept {
-                max_in_memory,
-                ..Kept::default()
-            };
+            let mut kept = Kept { max_in_memory, ..Kept::default() };
             let lists: Vec<Vec<f32>> = [0, 1, 5, 0, READ_AT_ONCE + 3, 2, 3 * READ_AT_ONCE, 1]
                 .map(|count| (0..count).map(|n| n as f32 * 0.5 - 7.0).collect())
                 .to_vec();

@@ -62,9 +62,8 @@ fn read(id: u32, place: &Stored, left: &AtomicU64) -> Result<Vec<Recording>, Tri
     let (mut recordings, mut waits) = (Vec::new(), None);
     place.each(|place, trial| {
         let rows = trial.rows() as u64;
-        let room = left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
-            left.checked_sub(rows)
-        });
+        let room =
+            left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(rows));
         let is_part = trial.is_part();
         let recording = Recording::new(id, trial);
         recordings.push(match (is_part, room) {
@@ -136,14 +135,8 @@ mod tests {
     fn groups_hold_all_in_order_and_at_most_the_rows_that_memory_has_room_for() {
         let all = [3, ROWS_AT_ONCE, 1, ROWS_AT_ONCE - 1, 1, u64::MAX, 2, 2];
         let groups: Vec<Vec<u64>> = in_groups(&all, |rows| *rows).map(<[u64]>::to_vec).collect();
-        let expected: [&[u64]; 6] = [
-            &[3],
-            &[ROWS_AT_ONCE],
-            &[1, ROWS_AT_ONCE - 1],
-            &[1],
-            &[u64::MAX],
-            &[2, 2],
-        ];
+        let expected: [&[u64]; 6] =
+            [&[3], &[ROWS_AT_ONCE], &[1, ROWS_AT_ONCE - 1], &[1], &[u64::MAX], &[2, 2]];
         assert_eq!(groups, expected);
         assert_eq!(in_groups(&[], |rows: &u64| *rows).count(), 0);
     }

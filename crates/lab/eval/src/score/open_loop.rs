@@ -134,10 +134,7 @@ impl Rollout<'_> {
 
     fn unknown(&self) -> Trace {
         let places = self.horizons.len() * self.starts.len();
-        Trace {
-            power_w: vec![f64::NAN; places],
-            energy_j: vec![f64::NAN; places],
-        }
+        Trace { power_w: vec![f64::NAN; places], energy_j: vec![f64::NAN; places] }
     }
 
     /// Origin by origin: `forecast` computes the next forecast, W, from a row and the last readings
@@ -183,9 +180,7 @@ impl Rollout<'_> {
                 if model.needs_freshness() {
                     // Sensor behaviour after the origin is unknown: the reading age continues by
                     // the schedule.
-                    self.reading_ages[start]
-                        .after(step as u64)
-                        .fill(&mut inputs);
+                    self.reading_ages[start].after(step as u64).fill(&mut inputs);
                 }
                 inputs
             }));
@@ -221,9 +216,7 @@ impl Rollout<'_> {
                 continue;
             }
             let at = place * self.starts.len() + origin;
-            let known = traces[..models]
-                .iter()
-                .all(|trace| trace.power_w[at].is_finite());
+            let known = traces[..models].iter().all(|trace| trace.power_w[at].is_finite());
             let of = |value: f64| if known { value } else { f64::NAN };
             for (forecaster, trace) in traces.iter().enumerate() {
                 let (power, energy) = (&mut sums.power[forecaster], &mut sums.energy[forecaster]);

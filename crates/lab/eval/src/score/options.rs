@@ -135,10 +135,7 @@ impl From<TrialError> for ScoreError {
 impl ScoreError {
     /// Wraps an error of the temporary file.
     pub(super) fn kept(error: &io::Error) -> Self {
-        Self::Kept {
-            folder: std::env::temp_dir().display().to_string(),
-            detail: error.to_string(),
-        }
+        Self::Kept { folder: std::env::temp_dir().display().to_string(), detail: error.to_string() }
     }
 }
 
@@ -151,12 +148,7 @@ impl Options {
             }
             before = found;
         }
-        let Bootstrap {
-            resamples,
-            confidence,
-            block_rows,
-            ..
-        } = self.bootstrap;
+        let Bootstrap { resamples, confidence, block_rows, .. } = self.bootstrap;
         let (rows, every) = (block_rows as f64, self.origins_every as f64);
         let is_share = 0.0 < confidence && confidence < 1.0;
         let few = resamples <= MAX_RESAMPLES;
@@ -167,11 +159,7 @@ impl Options {
             ("confidence", confidence, is_share, "above 0 and below 1"),
         ] {
             if !fine {
-                return Err(ScoreError::Option {
-                    what,
-                    found,
-                    allowed,
-                });
+                return Err(ScoreError::Option { what, found, allowed });
             }
         }
         Ok(())

@@ -69,10 +69,7 @@ pub fn score_portion(
         });
         Ok(())
     })?;
-    Ok(Portion {
-        recordings,
-        common: prepared.common,
-    })
+    Ok(Portion { recordings, common: prepared.common })
 }
 
 impl Portion {
@@ -90,11 +87,7 @@ impl Portion {
     /// a single run.
     pub(crate) fn merged(portions: Vec<Self>) -> Result<Result<Reported, ScoreError>, Misfit> {
         let mut portions = portions.into_iter();
-        let Some(Self {
-            common,
-            mut recordings,
-        }) = portions.next()
-        else {
+        let Some(Self { common, mut recordings }) = portions.next() else {
             return Ok(Err(ScoreError::NoRecording));
         };
         for other in portions {

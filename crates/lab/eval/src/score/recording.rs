@@ -71,11 +71,7 @@ impl Contents {
             let at = *seq as usize;
             (offset_ns[at + 1] - offset_ns[at]) as f64 * 1e-9
         });
-        Self {
-            step_s: step_s.collect(),
-            rows,
-            trial,
-        }
+        Self { step_s: step_s.collect(), rows, trial }
     }
 }
 
@@ -118,10 +114,7 @@ impl Recording {
 
     /// The same recording, read again from its source when its rows are needed.
     pub(super) fn stored(self, place: Stored) -> Self {
-        Self {
-            held: Held::Stored(place),
-            ..self
-        }
+        Self { held: Held::Stored(place), ..self }
     }
 
     /// The trial and its rows; read from the file if they are not in memory.
@@ -150,10 +143,7 @@ impl Recording {
     /// # Errors
     /// As [`Recording::contents`].
     pub fn loaded(&self) -> Result<Self, TrialError> {
-        Ok(Self {
-            held: Held::Memory(self.contents()?),
-            ..self.clone()
-        })
+        Ok(Self { held: Held::Memory(self.contents()?), ..self.clone() })
     }
 
     /// The trial and its rows, if they are in memory.

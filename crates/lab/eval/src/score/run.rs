@@ -148,12 +148,7 @@ impl<'a> Prepared<'a> {
             return Err(ScoreError::NoModel);
         }
         let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
-        Ok(Self {
-            subject,
-            options,
-            common: Common::of(subject, options, &lines)?,
-            lines,
-        })
+        Ok(Self { subject, options, common: Common::of(subject, options, &lines)?, lines })
     }
 
     /// Runs some recordings in parallel. `take` gets their indices and results in the order of
@@ -166,10 +161,8 @@ impl<'a> Prepared<'a> {
         mut take: impl FnMut(usize, Found<T>) -> Result<(), ScoreError>,
     ) -> Result<(), ScoreError> {
         let done = AtomicUsize::new(0);
-        let recordings: Vec<&Recording> = places
-            .iter()
-            .filter_map(|at| self.subject.recordings.get(*at))
-            .collect();
+        let recordings: Vec<&Recording> =
+            places.iter().filter_map(|at| self.subject.recordings.get(*at)).collect();
         let one = |place: usize| {
             let at = places[place];
             let found = corrected::one(self.subject, self.options, &self.lines, at, &keep)?;
@@ -199,12 +192,8 @@ impl SumsOfAll {
         trained_on: Sums,
         energy: Vec<EnergyScores>,
     ) -> Result<(), ScoreError> {
-        for (all, one) in [
-            (&mut self.evaluated, evaluated),
-            (&mut self.trained_on, trained_on),
-        ] {
-            all.push(listed, one)
-                .map_err(|error| ScoreError::kept(&error))?;
+        for (all, one) in [(&mut self.evaluated, evaluated), (&mut self.trained_on, trained_on)] {
+            all.push(listed, one).map_err(|error| ScoreError::kept(&error))?;
         }
         if self.energy.len() < energy.len() {
             self.energy.resize_with(energy.len(), Default::default);

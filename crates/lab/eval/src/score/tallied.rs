@@ -83,11 +83,7 @@ impl Tallied {
     /// # Errors
     /// Its residuals cannot be kept in a temporary file.
     pub(crate) fn push(&mut self, listed: &Listed, sums: Sums) -> io::Result<()> {
-        let Sums {
-            mut blocks,
-            residuals_w,
-            horizons,
-        } = sums;
+        let Sums { mut blocks, residuals_w, horizons } = sums;
         if blocks.is_empty() {
             return Ok(());
         }
@@ -97,12 +93,7 @@ impl Tallied {
         let residuals = residuals_w.iter().map(|own| self.residuals.push(own));
         let residuals = residuals.collect::<io::Result<_>>()?;
         self.blocks += blocks.len();
-        self.recordings.push(Named {
-            listed: listed.clone(),
-            blocks,
-            horizons,
-            residuals,
-        });
+        self.recordings.push(Named { listed: listed.clone(), blocks, horizons, residuals });
         // A recording keeps one block, however many there are.
         while self.blocks > MAX_BLOCKS.max(2 * self.recordings.len()) {
             self.joined += 1;
@@ -127,19 +118,12 @@ impl Tallied {
     }
 
     pub(crate) fn all(&self) -> Set {
-        Set {
-            name: "all".to_owned(),
-            places: (0..self.recordings.len()).collect(),
-        }
+        Set { name: "all".to_owned(), places: (0..self.recordings.len()).collect() }
     }
 
     pub(crate) fn trials(&self) -> Vec<Set> {
         let each = self.recordings.iter().enumerate();
-        each.map(|(at, named)| Set {
-            name: named.listed.name.clone(),
-            places: vec![at],
-        })
-        .collect()
+        each.map(|(at, named)| Set { name: named.listed.name.clone(), places: vec![at] }).collect()
     }
 
     pub(crate) fn groups(&self) -> Vec<Set> {
@@ -156,11 +140,7 @@ impl Tallied {
             sets.entry(name(named)).or_default().push(at);
         }
         let sets = sets.into_iter();
-        sets.map(|(name, places)| Set {
-            name: name.clone(),
-            places,
-        })
-        .collect()
+        sets.map(|(name, places)| Set { name: name.clone(), places }).collect()
     }
 
     fn of<'a>(&'a self, set: &'a Set) -> impl Iterator<Item = &'a Named> {
@@ -186,9 +166,7 @@ impl Tallied {
     /// The temporary file cannot be read.
     pub(crate) fn residuals(&self, set: &Set, forecaster: usize) -> io::Result<ResidualQuantiles> {
         residual_quantiles(|take| {
-            let mut ranges = self
-                .of(set)
-                .filter_map(|named| named.residuals.get(forecaster));
+            let mut ranges = self.of(set).filter_map(|named| named.residuals.get(forecaster));
             ranges.try_for_each(|range| self.residuals.each(range, take))
         })
     }
@@ -199,7 +177,6 @@ impl Tallied {
         set: &'a Set,
         place: usize,
     ) -> impl Iterator<Item = &'a HorizonSums> {
-        self.of(set)
-            .filter_map(move |named| named.horizons.get(place))
+        self.of(set).filter_map(move |named| named.horizons.get(place))
     }
 }

@@ -122,21 +122,12 @@ impl fmt::Display for Number {
 }
 
 fn write_design(out: &mut Formatter<'_>, design: &DesignReport, platform: &str) -> fmt::Result {
-    let DesignReport {
-        trials,
-        rows,
-        trained_on_rows,
-        description,
-        ..
-    } = design;
+    let DesignReport { trials, rows, trained_on_rows, description, .. } = design;
     let apart = match trained_on_rows {
         0 => String::new(),
         rows => format!(", besides {rows} that a model was trained on"),
     };
-    writeln!(
-        out,
-        "data: {trials} trials, {rows} rows{apart} of platform {platform}; {description}"
-    )
+    writeln!(out, "data: {trials} trials, {rows} rows{apart} of platform {platform}; {description}")
 }
 
 fn between(estimate: &Estimate, scale: f64, digits: usize) -> String {
@@ -196,12 +187,7 @@ fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fm
             let (value, spread) = (skill.skill.value, between(&skill.skill, 1.0, 3));
             format!("{} {spread} against {against}", Number(value, 0, 4))
         });
-        writeln!(
-            out,
-            "{}: skill {}",
-            one.name,
-            skills.collect::<Vec<_>>().join("; ")
-        )?;
+        writeln!(out, "{}: skill {}", one.name, skills.collect::<Vec<_>>().join("; "))?;
         let scores = &interval.scores;
         writeln!(
             out,
@@ -221,11 +207,7 @@ fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fm
         cell.rows, cell.reading_mean_w, cell.reading_std_w
     )?;
     if cell.unscored > 0 {
-        write!(
-            out,
-            "; {} rows left out, a model has no forecast for them",
-            cell.unscored
-        )?;
+        write!(out, "; {} rows left out, a model has no forecast for them", cell.unscored)?;
     }
     writeln!(out)?;
     write_blocks(out, cell, bootstrap)
@@ -242,10 +224,7 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
         format!("blocks of {} rows", bootstrap.block_rows)
     };
     if count < MIN_BLOCKS {
-        return writeln!(
-            out,
-            "no confidence intervals: {count} {block}, {MIN_BLOCKS} are needed"
-        );
+        return writeln!(out, "no confidence intervals: {count} {block}, {MIN_BLOCKS} are needed");
     }
     writeln!(
         out,
@@ -271,12 +250,7 @@ fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Resu
     writeln!(out)?;
     write_headings(
         out,
-        &format!(
-            "{:width$} {:>6} {:>7}",
-            format!("By {what}"),
-            "trials",
-            "rows"
-        ),
+        &format!("{:width$} {:>6} {:>7}", format!("By {what}"), "trials", "rows"),
         compared(first).map(|one| one.name.as_str()),
         "skill vs persistence        inside %",
     )?;
@@ -328,9 +302,7 @@ fn write_line(out: &mut Formatter<'_>, cell: &Cell, width: usize) -> fmt::Result
     }
     for one in cell.forecasters.iter().filter(|one| one.interval.is_some()) {
         write_skill(out, &one.skill)?;
-        let coverage = one
-            .interval
-            .map_or(f64::NAN, |interval| interval.scores.coverage);
+        let coverage = one.interval.map_or(f64::NAN, |interval| interval.scores.coverage);
         write!(out, " {}", Number(100.0 * coverage, 6, 1))?;
     }
     writeln!(out)
@@ -374,11 +346,7 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
         "skill vs persistence        energy %",
     )?;
     for horizon in &cell.horizons {
-        write!(
-            out,
-            "{:>6} {:>7.2} {:>8}",
-            horizon.ticks, horizon.seconds, horizon.origins
-        )?;
+        write!(out, "{:>6} {:>7.2} {:>8}", horizon.ticks, horizon.seconds, horizon.origins)?;
         for one in &horizon.forecasters {
             write_accuracy(out, one.r2, one.mae_w)?;
         }
@@ -390,10 +358,7 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
     }
     let unscored: u64 = cell.horizons.iter().map(|horizon| horizon.unscored).sum();
     if unscored > 0 {
-        writeln!(
-            out,
-            "{unscored} rollouts left out, a model has no forecast in them"
-        )?;
+        writeln!(out, "{unscored} rollouts left out, a model has no forecast in them")?;
     }
     writeln!(
         out,
@@ -433,11 +398,9 @@ impl fmt::Display for Comparison {
             let (r2, mae_w) = (Number(member.r2, 0, 4), Number(member.mae_w, 0, 4));
             writeln!(out, "beside them: {}, R² {r2}, MAE {mae_w} W", member.name)?;
         }
-        for (what, differences) in [
-            ("group", &self.groups),
-            ("robot", &self.robots),
-            ("trial", &self.trials),
-        ] {
+        for (what, differences) in
+            [("group", &self.groups), ("robot", &self.robots), ("trial", &self.trials)]
+        {
             write_differences(out, what, differences)?;
         }
         self.write_open_loop(out)?;
@@ -484,34 +447,15 @@ impl Comparison {
 /// Scores of both models, one score per line.
 fn write_sides(out: &mut Formatter<'_>, all: &Difference) -> fmt::Result {
     let nothing = Estimate::alone(f64::NAN);
-    writeln!(
-        out,
-        "\n{:20} {:>10} {:>10} {:>10}",
-        "", "old", "new", "new − old"
-    )?;
+    writeln!(out, "\n{:20} {:>10} {:>10} {:>10}", "", "old", "new", "new − old")?;
     for (name, old, new, difference) in [
         ("R²", all.old.r2, all.new.r2, &all.r2),
         ("RMSE W", all.old.rmse_w, all.new.rmse_w, &all.rmse_w),
         ("MAE W", all.old.mae_w, all.new.mae_w, &all.mae_w),
         ("bias W", all.old.bias_w, all.new.bias_w, &nothing),
-        (
-            "inside interval",
-            all.old.coverage,
-            all.new.coverage,
-            &all.coverage,
-        ),
-        (
-            "interval width W",
-            all.old.width_w,
-            all.new.width_w,
-            &nothing,
-        ),
-        (
-            "skill vs persistence",
-            all.old.skill_persistence,
-            all.new.skill_persistence,
-            &nothing,
-        ),
+        ("inside interval", all.old.coverage, all.new.coverage, &all.coverage),
+        ("interval width W", all.old.width_w, all.new.width_w, &nothing),
+        ("skill vs persistence", all.old.skill_persistence, all.new.skill_persistence, &nothing),
     ] {
         writeln!(
             out,
@@ -524,18 +468,10 @@ fn write_sides(out: &mut Formatter<'_>, all: &Difference) -> fmt::Result {
     }
     let spread = between(&all.skill, 1.0, 4);
     let skill = Number(all.skill.value, 0, 4);
-    writeln!(
-        out,
-        "new against old: skill {skill} {spread}: {}",
-        all.verdict
-    )?;
+    writeln!(out, "new against old: skill {skill} {spread}: {}", all.verdict)?;
     write!(out, "{} rows", all.rows)?;
     if all.unscored > 0 {
-        write!(
-            out,
-            "; {} left out, one of the models has no forecast for them",
-            all.unscored
-        )?;
+        write!(out, "; {} left out, one of the models has no forecast for them", all.unscored)?;
     }
     writeln!(out)
 }

@@ -116,8 +116,7 @@ fn stretches(mask: &[bool]) -> Vec<Range<usize>> {
         end += stretch.len();
         (stretch[0], start..end)
     });
-    all.filter_map(|(is_trained, range)| is_trained.then_some(range))
-        .collect()
+    all.filter_map(|(is_trained, range)| is_trained.then_some(range)).collect()
 }
 
 fn overlap(one: &Range<usize>, other: &Range<usize>) -> usize {
@@ -151,11 +150,7 @@ impl Design {
                 for stretch in trained[part].chunk_by(|a, b| a == b) {
                     let start = end;
                     end += stretch.len();
-                    let to = if stretch[0] {
-                        &mut fold.trained_on
-                    } else {
-                        &mut evaluated
-                    };
+                    let to = if stretch[0] { &mut fold.trained_on } else { &mut evaluated };
                     to.push((at, start..end));
                 }
             }

@@ -35,18 +35,14 @@ fn play_as(online: bool, seed: u64, robots: u32, seconds: f64, planted: &[Plante
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/fleet.toml");
     let config = Config::load(file).expect("the shipped configuration");
     let (_, file) = builtin_model("gternal-sim").expect("it ships");
-    let models = vec![Model::Network(
-        Network::from_safetensors(file).expect("it is sound"),
-    )];
+    let models = vec![Model::Network(Network::from_safetensors(file).expect("it is sound"))];
     let period_ns = config.settings().platforms[0].period_ns;
     let mut settings = config.settings().clone();
     settings.platforms[0].online = online;
     let mut fleet = Fleet::new(settings, models).expect("its settings");
     let mut plant = Plant::new(seed, robots as usize);
     for (robot, fault, from_s, _) in planted {
-        plant = plant
-            .with_fault(*robot, *fault, *from_s)
-            .expect("a robot of the fleet");
+        plant = plant.with_fault(*robot, *fault, *from_s).expect("a robot of the fleet");
     }
     let mut raised = Raised::default();
     let mut before = vec![AlarmSet::default(); robots as usize];
@@ -106,18 +102,8 @@ fn total(runs: &[Raised]) -> (u32, f64) {
 /// The demo's two faults and one more, each in a robot of its own.
 fn faults(from_s: f64) -> [Planted<'static>; 3] {
     [
-        (
-            0,
-            Fault::ExtraLoad { power_w: 3.0 },
-            from_s,
-            &[Alarm::BiasHigh],
-        ),
-        (
-            1,
-            Fault::Noise { std_w: 1.0 },
-            from_s,
-            &[Alarm::NoiseHigh, Alarm::ModelMismatch],
-        ),
+        (0, Fault::ExtraLoad { power_w: 3.0 }, from_s, &[Alarm::BiasHigh]),
+        (1, Fault::Noise { std_w: 1.0 }, from_s, &[Alarm::NoiseHigh, Alarm::ModelMismatch]),
         (2, Fault::StuckSensor, from_s, &[Alarm::StuckSensor]),
     ]
 }
@@ -137,12 +123,8 @@ fn found_after_s(planted: &[Planted<'_>], run: &Raised) -> Vec<f64> {
 fn in_ten_hours_at_most_one_healthy_robot_raises_an_alarm() {
     let runs = [1, 2, 3].map(|seed| play(seed, 100, 120.0, &[]));
     let raised: Vec<_> = runs.iter().map(|run| &run.first_s).collect();
-    let robots = |run: &Raised| {
-        run.first_s
-            .keys()
-            .map(|(robot, _)| *robot)
-            .collect::<BTreeSet<_>>()
-    };
+    let robots =
+        |run: &Raised| run.first_s.keys().map(|(robot, _)| *robot).collect::<BTreeSet<_>>();
     let count: usize = runs.iter().map(|run| robots(run).len()).sum();
     assert!(count <= 1, "{raised:?}");
 }
@@ -155,11 +137,7 @@ fn planted_faults_are_found_in_seconds_even_from_the_start() {
             let found_s = found_after_s(&planted, &play(seed, 5, from_s + 20.0, &planted));
             // The monitor must repeat itself for ten seconds. What was there from the start is no
             // change, and the alarms settle for five seconds.
-            let within_s = if from_s > 0.0 {
-                [3.0, 10.0, 11.5]
-            } else {
-                [12.0, 15.0, 11.5]
-            };
+            let within_s = if from_s > 0.0 { [3.0, 10.0, 11.5] } else { [12.0, 15.0, 11.5] };
             let in_time = found_s.iter().zip(within_s).all(|(s, most_s)| *s <= most_s);
             assert!(in_time, "from {from_s} s, seed {seed}: {found_s:.1?}");
         }
@@ -172,11 +150,7 @@ fn what_is_published_does_not_change_what_is_alarmed() {
     let planted = faults(10.0);
     let [online, network] = [true, false].map(|online| play_as(online, 5, 5, 40.0, &planted));
     assert_eq!(online.first_s, network.first_s);
-    assert!(
-        online.first_s.contains_key(&(0, Alarm::BiasHigh.name())),
-        "{:?}",
-        online.first_s
-    );
+    assert!(online.first_s.contains_key(&(0, Alarm::BiasHigh.name())), "{:?}", online.first_s);
 }
 
 /// Figures of many seeds and long runs.

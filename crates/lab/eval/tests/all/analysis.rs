@@ -14,9 +14,7 @@ use proptest::prelude::*;
 
 /// Uniform on [−1, 1), from a simple reference generator.
 fn noise(state: &mut u64) -> f64 {
-    *state = state
-        .wrapping_mul(6_364_136_223_846_793_005)
-        .wrapping_add(1_442_695_040_888_963_407);
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
@@ -29,10 +27,7 @@ fn trial(name: &str, rows: impl Iterator<Item = (f64, f64)>) -> Trial {
             values[Column::V as usize] = v_mps;
             values[Column::Omega as usize] = -v_mps / 2.0;
         }
-        Row {
-            timestamp_s: number as f64 / 30.0,
-            values,
-        }
+        Row { timestamp_s: number as f64 / 30.0, values }
     });
     Trial::from_rows(Path::new(name), "robot", rows).unwrap()
 }
@@ -54,8 +49,7 @@ fn kept(name: &str, rows: usize, keep: f64, hold: usize, seed: u64) -> Trial {
 
 fn recordings(trials: &[Trial]) -> Vec<Recording> {
     let each = (0..).zip(trials);
-    each.map(|(id, trial)| Recording::new(id, trial.clone()))
-        .collect()
+    each.map(|(id, trial)| Recording::new(id, trial.clone())).collect()
 }
 
 /// AR(1) trials of these rows, as [`kept`].
@@ -66,10 +60,7 @@ fn six(rows: usize, keep: f64, hold: usize) -> Vec<Trial> {
 
 /// The usual settings with this change, and without grids.
 fn settings(change: impl FnOnce(&mut AnalysisSettings)) -> AnalysisSettings {
-    let mut settings = AnalysisSettings {
-        grids: Vec::new(),
-        ..AnalysisSettings::default()
-    };
+    let mut settings = AnalysisSettings { grids: Vec::new(), ..AnalysisSettings::default() };
     change(&mut settings);
     settings
 }
@@ -237,10 +228,7 @@ fn the_robotino_scores_equal_the_reference() {
     let Some(paths) = trials("robotino") else {
         return;
     };
-    let trials: Vec<Trial> = paths
-        .iter()
-        .map(|path| Trial::read(path).unwrap())
-        .collect();
+    let trials: Vec<Trial> = paths.iter().map(|path| Trial::read(path).unwrap()).collect();
     let settings = settings(|it| it.grids.extend(grid(Method::Linear, 30.0)));
     let found = analyze(&recordings(&trials), &settings, &[]).unwrap();
     let wanted = [(0.888, 0.819, 0.03, 0.860), (0.928, 0.895, 0.03, 0.909)];

@@ -20,12 +20,8 @@ use joulebus_wire::{Alarm, SCHEMA_VERSION, Sample, SampleHeader};
 const FLEET: &str =
     "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-99\"]\n";
 
-const WANTED: Request = Request {
-    fleet_per_h: 240.0,
-    robots: 20,
-    confidence: 0.95,
-    extrapolate: false,
-};
+const WANTED: Request =
+    Request { fleet_per_h: 240.0, robots: 20, confidence: 0.95, extrapolate: false };
 
 fn settings() -> FleetSettings {
     let config = Config::parse(FLEET, Path::new("fleet.toml")).unwrap();
@@ -52,10 +48,9 @@ fn asked(trials: &[Trial], request: &Request) -> Result<Calibration, CalibrateEr
 /// Computed by the fleet's core, without `calibrate`'s code.
 fn raised_ns(limits: AlarmLimits, samples: &[Sample], from_ns: u64) -> (Vec<u64>, f64) {
     let mut settings = settings();
-    settings.alarms = settings.alarms.of(&joulebus_settings::Platform {
-        alarms: Some(limits),
-        ..settings.platforms[0].clone()
-    });
+    settings.alarms = settings
+        .alarms
+        .of(&joulebus_settings::Platform { alarms: Some(limits), ..settings.platforms[0].clone() });
     let settles = u64::from(settings.alarms.settle_samples);
     let mut fleet = Fleet::new(settings, vec![model()]).unwrap();
     let (mut raised, mut before, mut watched) = (Vec::new(), 0, 0);
@@ -73,12 +68,7 @@ fn raised_ns(limits: AlarmLimits, samples: &[Sample], from_ns: u64) -> (Vec<u64>
         fleet.take(&header, std::slice::from_ref(sample), sample.stamp_ns);
         fleet.tick(sample.stamp_ns, false);
         let alarms = fleet.diagnostic(0).alarms();
-        let residual = [
-            Alarm::BiasHigh,
-            Alarm::BiasLow,
-            Alarm::NoiseHigh,
-            Alarm::ModelMismatch,
-        ];
+        let residual = [Alarm::BiasHigh, Alarm::BiasLow, Alarm::NoiseHigh, Alarm::ModelMismatch];
         let now = residual.iter().filter(|alarm| alarms.has(**alarm)).count();
         if now > before && sample.stamp_ns >= from_ns {
             raised.push(sample.stamp_ns);
@@ -91,11 +81,7 @@ fn raised_ns(limits: AlarmLimits, samples: &[Sample], from_ns: u64) -> (Vec<u64>
 
 fn limits(found: &Calibration) -> AlarmLimits {
     let [bias, noise, mismatch] = found.limits.map(|limit| limit.value as f32);
-    AlarmLimits {
-        cusum_limit: bias,
-        noise_limit: noise,
-        mismatch_limit: mismatch,
-    }
+    AlarmLimits { cusum_limit: bias, noise_limit: noise, mismatch_limit: mismatch }
 }
 
 fn delays_of(found: &Calibration, fault: Fault) -> Delays {
@@ -105,15 +91,9 @@ fn delays_of(found: &Calibration, fault: Fault) -> Delays {
 #[test]
 fn what_recordings_cannot_show_is_refused_with_the_hours_needed() {
     let trials = trials(1..2);
-    let rare = Request {
-        fleet_per_h: 1.0 / 24.0,
-        ..WANTED
-    };
+    let rare = Request { fleet_per_h: 1.0 / 24.0, ..WANTED };
     let refused = asked(&trials, &rare).unwrap_err();
-    let CalibrateError::Hours {
-        hours, needed_h, ..
-    } = refused
-    else {
+    let CalibrateError::Hours { hours, needed_h, .. } = refused else {
         panic!("six trials of 99 s cannot show an alarm in 480 hours: {refused}");
     };
     // Two halves without an alarm, 3.0 expected at 95 %.
@@ -158,11 +138,7 @@ fn limits_keep_their_rate_on_robots_that_did_not_choose_them_and_find_faults_as_
         "{false_alarms} in {hours} h"
     );
     // 90 % were stated, of as many recordings.
-    assert!(
-        in_time * 100 >= others.len() * 80,
-        "{in_time} of {}",
-        others.len()
-    );
+    assert!(in_time * 100 >= others.len() * 80, "{in_time} of {}", others.len());
 }
 
 #[test]
@@ -191,10 +167,7 @@ fn the_table_of_faults_tells_a_load_from_a_sensor_and_both_from_chance() {
 #[test]
 fn the_same_recordings_give_the_same_result_and_others_another_digest() {
     let mut trials = trials(1..3);
-    let lax = Request {
-        fleet_per_h: 2_000.0,
-        ..WANTED
-    };
+    let lax = Request { fleet_per_h: 2_000.0, ..WANTED };
     let once = asked(&trials, &lax).unwrap();
     let json = |found: &Calibration| serde_json::to_string(found).unwrap();
     assert_eq!(json(&asked(&trials, &lax).unwrap()), json(&once));
@@ -206,10 +179,7 @@ fn the_same_recordings_give_the_same_result_and_others_another_digest() {
 fn a_single_long_recording_is_divided_into_pieces() {
     // 25 minutes of one robot: three pieces of at most ten.
     let long = drive_with(Protocol::RandomWalk, Parts::default(), 5, 45_000);
-    let lax = Request {
-        fleet_per_h: 2_000.0,
-        ..WANTED
-    };
+    let lax = Request { fleet_per_h: 2_000.0, ..WANTED };
     let found = asked(std::slice::from_ref(&long), &lax).unwrap();
     let pieces = found.chosen_on.recordings + found.stated_on.recordings;
     assert_eq!(pieces, 3, "{found}");

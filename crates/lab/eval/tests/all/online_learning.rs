@@ -24,10 +24,7 @@ fn trials(terrain: &str, count: usize) -> Option<Vec<Trial>> {
 }
 
 fn rows(trials: &[Trial]) -> Vec<Row> {
-    trials
-        .iter()
-        .flat_map(|trial| trial_rows(trial).rows)
-        .collect()
+    trials.iter().flat_map(|trial| trial_rows(trial).rows).collect()
 }
 
 /// A network trained on asphalt and flooring, tested on some trials of another terrain.
@@ -45,14 +42,9 @@ fn judged(terrain: &str) -> Option<Judged> {
         max_epochs: 15,
         ..TrainSettings::new("husky", "recordings", FeatureSet::Full, 1)
     };
-    let network = train(&dataset, &recipe, |_| ())
-        .expect("sound rows")
-        .network;
+    let network = train(&dataset, &recipe, |_| ()).expect("sound rows").network;
     let tested = trials(terrain, 6)?;
-    let platform = Platform {
-        power_resolution_w: 0.24,
-        ..recorded_platform(0, &tested[0])
-    };
+    let platform = Platform { power_resolution_w: 0.24, ..recorded_platform(0, &tested[0]) };
     let tested: Vec<&Trial> = tested.iter().collect();
     Some(judge(&network, &platform, &settings(), &tested).expect("settings that agree"))
 }
@@ -68,22 +60,12 @@ fn check(terrain: &str) -> Option<Judged> {
         both.forecasts.r2()
     );
     let mixed = both.forecasts.r2();
-    assert!(
-        mixed >= judged.best_member_r2() - 0.005,
-        "{terrain}: {mixed}"
-    );
+    assert!(mixed >= judged.best_member_r2() - 0.005, "{terrain}: {mixed}");
     for variant in &judged.variants {
-        assert!(
-            !variant.coverage.is_empty(),
-            "no trial of {FEWEST_READINGS} readings"
-        );
+        assert!(!variant.coverage.is_empty(), "no trial of {FEWEST_READINGS} readings");
         for coverage in &variant.coverage {
             let apart = (coverage - 0.9).abs();
-            assert!(
-                apart <= TOLERANCE + 1e-9,
-                "{terrain}: {:?}",
-                variant.coverage
-            );
+            assert!(apart <= TOLERANCE + 1e-9, "{terrain}: {:?}", variant.coverage);
         }
     }
     Some(judged)

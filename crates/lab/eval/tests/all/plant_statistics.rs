@@ -1,9 +1,6 @@
 //! The simulated robots against the paper's figures.
 
-#[allow(
-    dead_code,
-    reason = "the test uses some of it, the example other parts"
-)]
+#[allow(dead_code, reason = "the test uses some of it, the example other parts")]
 #[path = "../../examples/plant/statistics.rs"]
 mod statistics;
 
@@ -61,9 +58,6 @@ fn the_fit_holds_for_other_seeds() {
     ];
     for (name, found, paper, tolerance) in figures {
         println!("{name}: {found:.4}, the paper {paper}");
-        assert!(
-            (found - paper).abs() <= tolerance,
-            "{name}: {found}, the paper {paper}"
-        );
+        assert!((found - paper).abs() <= tolerance, "{name}: {found}, the paper {paper}");
     }
 }

@@ -117,11 +117,9 @@ impl Found {
         let card = data.card(self.feature_set, score, origin, candidate.convention);
         let network = network(candidate, card)?;
         let (margin_r2, blocks_won, excess) = match scored.as_slice() {
-            [(_, best), (_, next), ..] => (
-                best.r2 - next.r2,
-                best.blocks_won(next),
-                best.excess_of(next),
-            ),
+            [(_, best), (_, next), ..] => {
+                (best.r2 - next.r2, best.blocks_won(next), best.excess_of(next))
+            }
             _ => (f64::INFINITY, score.blocks(), f64::INFINITY),
         };
         let choice = Choice {
@@ -222,10 +220,7 @@ impl Found {
                 scored.iter().position(same).ok_or_else(|| {
                     let allowed = scored.iter().map(|(candidate, _)| candidate.convention);
                     let allowed: Vec<String> = allowed.map(|c| c.to_string()).collect();
-                    ChooseError::NotACandidate {
-                        asked,
-                        allowed: allowed.join(", "),
-                    }
+                    ChooseError::NotACandidate { asked, allowed: allowed.join(", ") }
                 })?
             }
         };
@@ -270,13 +265,8 @@ impl Found {
                 for &(lags, _) in places {
                     for &(derivative, _) in derivatives {
                         for &(magnitude, _) in magnitudes {
-                            let convention = Convention {
-                                unit,
-                                order,
-                                lags,
-                                derivative,
-                                magnitude,
-                            };
+                            let convention =
+                                Convention { unit, order, lags, derivative, magnitude };
                             let candidate = self.candidate(statistics, convention, step_s);
                             let same = |other: &Candidate| {
                                 (&other.parameters, other.centre)
@@ -312,11 +302,7 @@ impl Found {
             feature_std[feature] = std as f32;
         }
         let inputs = self.feature_set.inputs();
-        let mut layers: Vec<Layer> = self
-            .layers
-            .iter()
-            .map(|found| found.layer.clone())
-            .collect();
+        let mut layers: Vec<Layer> = self.layers.iter().map(|found| found.layer.clone()).collect();
         if let Some(first) = layers.first_mut() {
             let rows = first.weights.chunks(inputs);
             let reordered =
@@ -324,10 +310,7 @@ impl Found {
             first.weights = reordered.collect();
         }
         // Layers that do not fit were refused earlier. A missing one has no shape.
-        let nothing = || Layer {
-            weights: Vec::new(),
-            bias: Vec::new(),
-        };
+        let nothing = || Layer { weights: Vec::new(), bias: Vec::new() };
         let layers = padded(&layers).unwrap_or_else(|| std::array::from_fn(|_| nothing()));
         Candidate {
             convention,
@@ -354,12 +337,7 @@ impl Found {
         convention: &Convention,
         step_s: f64,
     ) -> impl Fn(usize, usize) -> (f64, f64) {
-        let Convention {
-            unit,
-            derivative,
-            magnitude,
-            ..
-        } = *convention;
+        let Convention { unit, derivative, magnitude, .. } = *convention;
         let scale_w = match unit {
             PowerUnit::Milliwatt => 1e-3,
             PowerUnit::Watt => 1.0,
@@ -470,10 +448,8 @@ fn file_place(feature: usize, set: FeatureSet, convention: &Convention) -> usize
 }
 
 fn network(candidate: &Candidate, card: ModelCard) -> Result<Network, ChooseError> {
-    Network::new(candidate.parameters.clone(), card).map_err(|source| ChooseError::Model {
-        convention: candidate.convention,
-        source,
-    })
+    Network::new(candidate.parameters.clone(), card)
+        .map_err(|source| ChooseError::Model { convention: candidate.convention, source })
 }
 
 /// A card for a network under evaluation.

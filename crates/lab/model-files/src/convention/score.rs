@@ -71,11 +71,7 @@ impl Data {
             return Err(ChooseError::ConstantPower { rows: found });
         }
         let period_ns = trials.first().map_or(1, Trial::period_ns);
-        Ok(Data {
-            rows,
-            step_s: period_ns as f64 * 1e-9,
-            trials: trials.len(),
-        })
+        Ok(Data { rows, step_s: period_ns as f64 * 1e-9, trials: trials.len() })
     }
 
     pub(super) fn rows(&self) -> usize {
@@ -100,20 +96,15 @@ impl Data {
         let mut forecasts_w = vec![0.0; inputs.len()];
         network.predict(&inputs, &mut forecasts_w);
         let residuals = self.rows.iter().zip(&forecasts_w);
-        let residuals_w: Vec<f32> = residuals
-            .map(|(row, forecast_w)| row.target_w - forecast_w)
-            .collect();
+        let residuals_w: Vec<f32> =
+            residuals.map(|(row, forecast_w)| row.target_w - forecast_w).collect();
         self.score_of(residuals_w)
     }
 
     /// Mean and deviation of each feature, and of the readings that are forecast.
     pub(super) fn spreads(&self) -> (Vec<Spread>, Spread) {
         let of = |feature: usize| {
-            Spread::of(
-                self.rows
-                    .iter()
-                    .map(move |row| f64::from(row.features[feature])),
-            )
+            Spread::of(self.rows.iter().map(move |row| f64::from(row.features[feature])))
         };
         let target = Spread::of(self.rows.iter().map(|row| f64::from(row.target_w)));
         ((0..FEATURES).map(of).collect(), target)
@@ -185,11 +176,7 @@ fn residual(residuals_w: &[f32]) -> ResidualStats {
     let mut sorted = residuals_w.to_vec();
     sorted.sort_by(f32::total_cmp);
     let quantile = |share: f64| sorted[(share * (count - 1.0)).round() as usize];
-    ResidualStats {
-        std_w: variance.sqrt() as f32,
-        q05_w: quantile(0.05),
-        q95_w: quantile(0.95),
-    }
+    ResidualStats { std_w: variance.sqrt() as f32, q05_w: quantile(0.05), q95_w: quantile(0.95) }
 }
 
 /// The rows of a trial: the command of a row, the derivative over the step before, the readings of
@@ -198,11 +185,7 @@ fn residual(residuals_w: &[f32]) -> ResidualStats {
 fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
     let missing: &[f64] = &[];
     let column = |column| trial.column(column).unwrap_or(missing);
-    let (v, omega, power) = (
-        column(Column::V),
-        column(Column::Omega),
-        column(Column::Power),
-    );
+    let (v, omega, power) = (column(Column::V), column(Column::Omega), column(Column::Power));
     let at = |column: &[f64], row: usize| column.get(row).map_or(f32::NAN, |value| *value as f32);
     let longest_s = trial.period_ns() as f64 * 1e-9 * MAX_STEP;
     let step_s = |row: usize| {

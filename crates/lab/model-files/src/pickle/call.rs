@@ -11,11 +11,7 @@ const MAX_DIMENSIONS: usize = 8;
 impl Foreign {
     /// What a call of it would make.
     fn made_of(&self, function: Id, arguments: Id) -> Foreign {
-        Foreign {
-            at: self.at,
-            name: self.name.clone(),
-            parts: vec![function, arguments],
-        }
+        Foreign { at: self.at, name: self.name.clone(), parts: vec![function, arguments] }
     }
 }
 
@@ -81,19 +77,17 @@ impl Machine<'_> {
                 let dtype = *dtype;
                 let order = state.get(1).map(|&order| self.value(order));
                 match order {
-                    Some(Value::Text(order)) => Value::DType(DType {
-                        big_endian: &**order == ">",
-                        ..dtype
-                    }),
+                    Some(Value::Text(order)) => {
+                        Value::DType(DType { big_endian: &**order == ">", ..dtype })
+                    }
                     _ => return Err(self.wrong(Global::DType, "has no byte order".to_owned())),
                 }
             }
             // Attributes of a dict, such as the versions of a state dict's layers, are irrelevant.
             (Value::Dict(_), Value::Dict(_)) => return Ok(()),
-            (&Value::Layer { class, .. }, Value::Dict(_)) => Value::Layer {
-                class,
-                attributes: Some(state),
-            },
+            (&Value::Layer { class, .. }, Value::Dict(_)) => {
+                Value::Layer { class, attributes: Some(state) }
+            }
             (object, state) => {
                 let (object, state) = (object.kind(), state.kind());
                 return Err(self.refuse("BUILD", format!("gives {state} to {object}")));
@@ -234,21 +228,16 @@ impl Machine<'_> {
             },
         };
         let big_endian = false;
-        self.add(Value::DType(DType {
-            element,
-            big_endian,
-        }))
+        self.add(Value::DType(DType { element, big_endian }))
     }
 
     fn scalar(&mut self, dtype: Id, bytes: Id) -> Result<Id, PickleError> {
         let value = match (self.value(dtype), self.value(bytes)) {
-            (
-                Value::DType(DType {
-                    element: Some(element),
-                    big_endian,
-                }),
-                Value::Bytes(bytes),
-            ) if bytes.len() == element.size() => element.decode(bytes, *big_endian),
+            (Value::DType(DType { element: Some(element), big_endian }), Value::Bytes(bytes))
+                if bytes.len() == element.size() =>
+            {
+                element.decode(bytes, *big_endian)
+            }
             (dtype, bytes) => {
                 let detail = format!("is made of {} and {}", dtype.kind(), bytes.kind());
                 return Err(self.wrong(Global::Scalar, detail));
@@ -292,9 +281,7 @@ impl Machine<'_> {
                     Value::List(items) => format!("a list of {}", items.len()),
                     other => other.kind().to_owned(),
                 };
-                wrong(&format!(
-                    "has the shape {shape:?} of {element}, but {found} of contents"
-                ))
+                wrong(&format!("has the shape {shape:?} of {element}, but {found} of contents"))
             }
         }
     }
@@ -325,12 +312,7 @@ impl Machine<'_> {
             );
             return Err(self.wrong(Global::RebuildTensor, detail));
         };
-        self.add(Value::Tensor(Box::new(Tensor {
-            storage,
-            offset,
-            shape,
-            strides,
-        })))
+        self.add(Value::Tensor(Box::new(Tensor { storage, offset, shape, strides })))
     }
 
     /// A shape or strides.
@@ -368,19 +350,13 @@ impl Machine<'_> {
             Global::Storage(_) => "torch's storage",
             Global::Layer(layer) => layer,
         };
-        PickleError::Call {
-            at: self.opcode_at,
-            function,
-            detail,
-        }
+        PickleError::Call { at: self.opcode_at, function, detail }
     }
 }
 
 /// Number of elements; `None` on overflow.
 pub(crate) fn product(shape: &[usize]) -> Option<usize> {
-    shape
-        .iter()
-        .try_fold(1_usize, |product, &size| product.checked_mul(size))
+    shape.iter().try_fold(1_usize, |product, &size| product.checked_mul(size))
 }
 
 /// Whether a view lies within a storage of `count` elements and has no more elements than that.

@@ -77,11 +77,7 @@ pub enum PickleError {
 /// A name from a file, escaped for terminals.
 pub(super) fn shown(name: &str) -> String {
     let plain = |character: char| {
-        if character.is_control() {
-            char::REPLACEMENT_CHARACTER
-        } else {
-            character
-        }
+        if character.is_control() { char::REPLACEMENT_CHARACTER } else { character }
     };
     name.chars().map(plain).take(200).collect()
 }

@@ -39,10 +39,9 @@ fn read(bytes: &[u8]) -> Result<Vec<u8>, String> {
     let file = Checkpoint::read(bytes).map_err(|error| error.to_string())?;
     match file.network {
         Some(network) => Ok(network.hash().to_le_bytes().to_vec()),
-        None => file
-            .find(None, None)
-            .map(|found| digest(&found))
-            .map_err(|error| error.to_string()),
+        None => {
+            file.find(None, None).map(|found| digest(&found)).map_err(|error| error.to_string())
+        }
     }
 }
 
@@ -50,11 +49,7 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
     let before = counting::bytes();
     let read = read(bytes);
     let allocated = counting::bytes() - before;
-    assert!(
-        allocated < MAX_BYTES,
-        "{}: {allocated} bytes allocated",
-        what()
-    );
+    assert!(allocated < MAX_BYTES, "{}: {allocated} bytes allocated", what());
     match read {
         Ok(read) if read == whole => Outcome::Same,
         Ok(_) => Outcome::Other,
@@ -70,20 +65,14 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
 
 /// The files, each with whether it has checksums of its numbers.
 fn files() -> Vec<(&'static str, Vec<u8>, bool)> {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../configs/models/gternal-sim.safetensors"
-    );
+    let path =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/models/gternal-sim.safetensors");
     let own = std::fs::read(path).unwrap();
     let exported = to_npz(&Network::from_safetensors(&own).unwrap()).unwrap();
     vec![
         ("flat.npy", fixture("flat.npy"), false),
         ("state_dict.pt", fixture("state_dict.pt"), true),
-        (
-            "state_dict_legacy.pt",
-            fixture("state_dict_legacy.pt"),
-            false,
-        ),
+        ("state_dict_legacy.pt", fixture("state_dict_legacy.pt"), false),
         ("compressed.npz", fixture("compressed.npz"), true),
         ("exported.npz", exported, true),
         ("gternal-sim.safetensors", own, true),
@@ -102,10 +91,7 @@ fn places(bytes: &[u8]) -> impl Iterator<Item = usize> {
 fn structure(bytes: &[u8]) -> Vec<bool> {
     let mut structure = vec![false; bytes.len()];
     let is_word = |window: &[u8]| window.iter().all(u8::is_ascii_graphic);
-    let words = bytes
-        .windows(4)
-        .enumerate()
-        .filter(|(_, window)| is_word(window));
+    let words = bytes.windows(4).enumerate().filter(|(_, window)| is_word(window));
     let mut mark = |from: usize, to: usize| {
         let to = to.min(bytes.len());
         structure[from.min(to)..to].fill(true);
@@ -123,15 +109,10 @@ fn every_truncation_is_an_error_with_its_location() {
     for (name, bytes, _) in files() {
         let whole = read(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
         for length in 0..bytes.len() {
-            let cut = outcome(&bytes[..length], &whole, || {
-                format!("{name}, {length} bytes")
-            });
+            let cut = outcome(&bytes[..length], &whole, || format!("{name}, {length} bytes"));
             assert_eq!(cut, Outcome::Refused, "{name}, {length} bytes");
         }
-        println!(
-            "figure: {name}: {} truncations, all refused, 0 panics",
-            bytes.len()
-        );
+        println!("figure: {name}: {} truncations, all refused, 0 panics", bytes.len());
     }
 }
 
@@ -143,9 +124,7 @@ fn every_flipped_byte_is_an_error_with_its_location_or_changes_the_hash() {
         for at in places(&bytes.clone()) {
             for mask in [0xff, 1 << (at % 8)] {
                 bytes[at] ^= mask;
-                match outcome(&bytes, &whole, || {
-                    format!("{name}, byte {at}, mask {mask:#x}")
-                }) {
+                match outcome(&bytes, &whole, || format!("{name}, byte {at}, mask {mask:#x}")) {
                     Outcome::Refused => refused += 1,
                     Outcome::Same => same += 1,
                     Outcome::Other => other += 1,
@@ -155,10 +134,7 @@ fn every_flipped_byte_is_an_error_with_its_location_or_changes_the_hash() {
         }
         // Checksums detect every changed number. Changed names may still change which network is
         // found.
-        assert!(
-            !has_checksums || name.ends_with("npz") || other == 0,
-            "{name}: {other} differ"
-        );
+        assert!(!has_checksums || name.ends_with("npz") || other == 0, "{name}: {other} differ");
         assert!(refused > 0, "{name}");
         println!(
             "figure: {name}: flipped bytes: {refused} refused, {same} without effect, {other} change the hash, 0 panics"

@@ -22,16 +22,11 @@ const FIXTURES: Convention = Convention {
     derivative: Derivative::NormalisedPerSecond,
     magnitude: Magnitude::AsVelocity,
 };
-const ORIGIN: Origin<'_> = Origin {
-    name: "fixture",
-    file: "fixture.npy",
-    sha256: "00",
-};
+const ORIGIN: Origin<'_> = Origin { name: "fixture", file: "fixture.npy", sha256: "00" };
 
 fn found(name: &str) -> Found {
     let file = Checkpoint::read(&fixture(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
-    file.find(None, None)
-        .unwrap_or_else(|error| panic!("{name}: {error}"))
+    file.find(None, None).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
 /// GELU by the error function.
@@ -47,9 +42,7 @@ fn evaluated(found: &Found, mut values: Vec<f64>) -> f64 {
             let products = row.iter().zip(&values).map(|(w, x)| f64::from(*w) * x);
             f64::from(*bias) + products.sum::<f64>()
         });
-        values = sums
-            .map(|sum| if number < 3 { gelu(sum) } else { sum })
-            .collect();
+        values = sums.map(|sum| if number < 3 { gelu(sum) } else { sum }).collect();
     }
     values[0]
 }
@@ -105,9 +98,7 @@ fn file_features(
 fn recorded(found: &Found, convention: &Convention, rows: usize, moving: bool) -> Trial {
     let mut seed = 7_u64;
     let mut uniform = || {
-        seed = seed
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (seed >> 40) as f64 / f64::from(1 << 24) * 2.0 - 1.0
     };
     let mut csv = "robot_id,timestamp_s,v_cmd_mps,omega_cmd_radps,power_mW\n".to_owned();
@@ -234,18 +225,10 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
 #[test]
 fn a_convention_that_the_worker_cannot_compute_is_named_and_not_imported() {
     let found = found("flat.npy");
-    let convention = Convention {
-        magnitude: Magnitude::OfNormalised,
-        ..FIXTURES
-    };
+    let convention = Convention { magnitude: Magnitude::OfNormalised, ..FIXTURES };
     let trial = recorded(&found, &convention, 1_500, true);
     match chosen(&found, &trial, None) {
-        Err(ChooseError::CannotRun {
-            convention: named,
-            r2,
-            runner_up,
-            ..
-        }) => {
+        Err(ChooseError::CannotRun { convention: named, r2, runner_up, .. }) => {
             assert_eq!(named, convention);
             assert!(r2 > 0.99);
             assert!(chosen(&found, &trial, Some(runner_up)).is_ok());
@@ -320,9 +303,7 @@ fn exported_arrays_divide_by_no_zero_and_ignore_what_the_network_ignores() {
             .chunks(values.len())
             .zip(bias)
             .map(|(row, bias)| bias + row.iter().zip(&values).map(|(w, x)| w * x).sum::<f64>());
-        values = sums
-            .map(|sum| if layer < 3 { gelu(sum) } else { sum })
-            .collect();
+        values = sums.map(|sum| if layer < 3 { gelu(sum) } else { sum }).collect();
     }
     let power_w = values[0] * array("power_std_w")[0] + array("power_mean_w")[0];
     let own = network.predict_reference_f64(&row);
@@ -392,10 +373,8 @@ fn an_exported_array_that_contradicts_the_metadata_is_refused_by_name() {
 }
 
 fn shipped() -> Network {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../configs/models/gternal-sim.safetensors"
-    );
+    let path =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/models/gternal-sim.safetensors");
     Network::from_safetensors(&std::fs::read(path).unwrap()).unwrap()
 }
 
@@ -426,10 +405,7 @@ fn files_of_other_formats_are_refused_with_what_was_found() {
         (&b""[..], "empty"),
         (b"robot_id,timestamp_s\n", "72, 6f"),
         (b"\x89HDF\r\n\x1a\n", "found an HDF5 file"),
-        (
-            b"version https://git-lfs.github.com/spec/v1\n",
-            "git lfs pull",
-        ),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
         (b"\x93NUMPY\x01\x00", "header"),
     ] {
         let error = Checkpoint::read(bytes).unwrap_err().to_string();

@@ -15,11 +15,7 @@ use joulebus_testkit::says;
 use joulebus_testkit_networks::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
-const ORIGIN: Origin<'_> = Origin {
-    name: "fixture",
-    file: "fixture.safetensors",
-    sha256: "00",
-};
+const ORIGIN: Origin<'_> = Origin { name: "fixture", file: "fixture.safetensors", sha256: "00" };
 const CONVENTION: &str = "W+newest-first+lags-last+d-own-per-second+abs-own";
 /// Statistics of the eleven features of a robot of some 49 W, per second.
 const MEAN: [f64; 11] = [0.3, 0.1, 0.01, 0.0, 0.35, 0.4, 49.0, 49.0, 49.0, 49.0, 49.0];
@@ -273,21 +269,10 @@ fn an_array_that_may_belong_to_a_layer_is_not_left_out() {
     // Weights as a product of direction and length.
     tensors.truncate(2 * plain.len());
     "net.0.parametrizations.weight.original1".clone_into(&mut tensors[0].0);
-    tensors.push((
-        "net.0.parametrizations.weight.original0".to_owned(),
-        vec![24, 1],
-        vec![0; 96],
-    ));
+    tensors.push(("net.0.parametrizations.weight.original0".to_owned(), vec![24, 1], vec![0; 96]));
     let read = Checkpoint::read(&serialized(&tensors, Dtype::F32, &[])).unwrap();
     let error = read.find(None, None).unwrap_err().to_string();
-    says(
-        &error,
-        [
-            "net.0.parametrizations",
-            "weight_norm",
-            "remove_parametrizations",
-        ],
-    );
+    says(&error, ["net.0.parametrizations", "weight_norm", "remove_parametrizations"]);
 }
 
 #[test]
@@ -296,9 +281,7 @@ fn halves_and_doubles_are_read_as_the_numbers_that_they_are() {
     for dtype in [Dtype::F16, Dtype::BF16, Dtype::F64] {
         let mut layers = layers(&[11, 48, 20, 1], 4);
         // Numbers that each of the types holds exactly.
-        let both = layers
-            .iter_mut()
-            .flat_map(|(weights, bias)| [weights, bias]);
+        let both = layers.iter_mut().flat_map(|(weights, bias)| [weights, bias]);
         for value in both.flatten() {
             *value = (*value * 64.0).round() / 64.0;
         }
@@ -336,12 +319,8 @@ fn the_files_own_statistics_rule_conventions_out_before_recordings_decide() {
     }
     let last = layers.last_mut().unwrap();
     last.0.iter_mut().for_each(|weight| *weight *= 0.5);
-    let trial = recorded(3_000, 0.02, |features| {
-        unpadded(&layers, Activation::Relu, features)
-    });
-    let found = read(&layers, Dtype::F32, Some("relu"))
-        .find(None, None)
-        .unwrap();
+    let trial = recorded(3_000, 0.02, |features| unpadded(&layers, Activation::Relu, features));
+    let found = read(&layers, Dtype::F32, Some("relu")).find(None, None).unwrap();
     assert_eq!(found.normalisation.from, StatisticsFrom::File);
     let choice = chosen(&found, &trial, None).unwrap();
     assert_eq!(choice.convention.to_string(), CONVENTION);
@@ -363,22 +342,12 @@ fn conventions_that_forecast_alike_are_named_and_none_is_chosen() {
             *weight = mean * (1.0 + 0.001 * lag as f32);
         }
     }
-    layers
-        .last_mut()
-        .unwrap()
-        .0
-        .iter_mut()
-        .for_each(|weight| *weight *= 0.4);
-    let trial = recorded(3_000, 0.3, |features| {
-        unpadded(&layers, Activation::GeluErf, features)
-    });
+    layers.last_mut().unwrap().0.iter_mut().for_each(|weight| *weight *= 0.4);
+    let trial = recorded(3_000, 0.3, |features| unpadded(&layers, Activation::GeluErf, features));
     let found = read(&layers, Dtype::F32, None).find(None, None).unwrap();
     let error = chosen(&found, &trial, None).unwrap_err();
     let text = error.to_string();
-    assert!(
-        matches!(error, ChooseError::Indistinguishable { .. }),
-        "{text}"
-    );
+    assert!(matches!(error, ChooseError::Indistinguishable { .. }), "{text}");
     says(&text, ["newest-first", "oldest-first", "--convention"]);
     assert!(chosen(&found, &trial, Some(CONVENTION)).is_ok());
 }
@@ -398,13 +367,6 @@ fn constants_of_the_published_robot_are_not_taken_for_a_larger_one() {
     found.normalisation.from = StatisticsFrom::Recordings;
     let choice = chosen(&found, &trial, Some(CONVENTION)).unwrap();
     let normalisation = choice.network().parameters().normalisation;
-    assert!(
-        (40.0..60.0).contains(&normalisation.power_mean_w),
-        "{normalisation:?}"
-    );
-    assert!(
-        normalisation.feature_std[..FEATURES]
-            .iter()
-            .all(|std| *std > 0.0)
-    );
+    assert!((40.0..60.0).contains(&normalisation.power_mean_w), "{normalisation:?}");
+    assert!(normalisation.feature_std[..FEATURES].iter().all(|std| *std > 0.0));
 }

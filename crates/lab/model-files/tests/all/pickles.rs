@@ -157,41 +157,21 @@ fn harmless_pickles_in_the_same_containers_are_read() {
 
 #[test]
 fn foreign_objects_are_opaque_where_no_network_can_be_and_refused_where_one_could() {
-    let text = |text: &str| {
-        [
-            &b"X"[..],
-            &(text.len() as u32).to_le_bytes(),
-            text.as_bytes(),
-        ]
-        .concat()
-    };
+    let text =
+        |text: &str| [&b"X"[..], &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     // {"a": 7, "path": OBJECT}
     let beside = |object: &[u8]| {
-        let items = [
-            b"\x80\x02}(".to_vec(),
-            text("a"),
-            b"K\x07".to_vec(),
-            text("path"),
-            object.to_vec(),
-        ];
+        let items =
+            [b"\x80\x02}(".to_vec(), text("a"), b"K\x07".to_vec(), text("path"), object.to_vec()];
         [items.concat(), b"u.".to_vec()].concat()
     };
     let path = [&b"cpathlib\nPurePosixPath\n"[..], &text("logs"), b"\x85R"].concat();
-    let namespace = [
-        &b"cargparse\nNamespace\n)\x81}"[..],
-        &text("lr"),
-        b"K\x01sb",
-    ]
-    .concat();
+    let namespace = [&b"cargparse\nNamespace\n)\x81}"[..], &text("lr"), b"K\x01sb"].concat();
     let command = [&b"cposix\nsystem\n"[..], &text("touch canary"), b"\x85R"].concat();
     let dtype = b"ctorch\nfloat32\n".to_vec();
     let items = b"ccollections\nCounter\n)\x81(K\x01K\x02u".to_vec();
     for object in [&path, &namespace, &command, &dtype, &items] {
-        for file in [
-            in_npy(&beside(object)),
-            in_zip(&beside(object)),
-            beside(object),
-        ] {
+        for file in [in_npy(&beside(object)), in_zip(&beside(object)), beside(object)] {
             let read = Checkpoint::read(&file).unwrap();
             let paths: Vec<&str> = read.entries.iter().map(|entry| &*entry.path).collect();
             assert_eq!(paths, ["a", "path"]);
@@ -211,26 +191,14 @@ fn foreign_objects_are_opaque_where_no_network_can_be_and_refused_where_one_coul
             of(b"c__main__\nModel\n)\x81K\x01", b"s"),
             of(b"c__main__\nOuter\nc__main__\nModel\n", b"\x85R\x85R"),
         ] {
-            let error = Checkpoint::read(&in_npy(&beside(&object)))
-                .unwrap_err()
-                .to_string();
+            let error = Checkpoint::read(&in_npy(&beside(&object))).unwrap_err().to_string();
             says(&error, ["__main__.", "nothing was run", "\"path\""]);
         }
     }
     // Objects that hold themselves a million times take no time and no memory.
-    let within = [
-        &b"c__main__\nA\n)\x81q\x00("[..],
-        &b"h\x00".repeat(50_000),
-        b"e",
-    ]
-    .concat();
-    let error = Checkpoint::read(&in_npy(&beside(&within)))
-        .unwrap_err()
-        .to_string();
-    assert!(
-        error.contains("more entries") || error.contains("nested deeper"),
-        "{error}"
-    );
+    let within = [&b"c__main__\nA\n)\x81q\x00("[..], &b"h\x00".repeat(50_000), b"e"].concat();
+    let error = Checkpoint::read(&in_npy(&beside(&within))).unwrap_err().to_string();
+    assert!(error.contains("more entries") || error.contains("nested deeper"), "{error}");
 }
 
 #[test]
@@ -238,9 +206,8 @@ fn a_bare_pickle_of_arrays_is_read() {
     let array = b"\x80\x02}X\x01\x00\x00\x00w](K\x01K\x02es.";
     let read = Checkpoint::read(array).unwrap();
     assert_eq!((read.container, read.entries.len()), (Container::Pickle, 1));
-    let error = Checkpoint::read(b"\x80\x04\x8c\x07sklearn\x8c\x03MLP\x93)\x81.")
-        .unwrap_err()
-        .to_string();
+    let error =
+        Checkpoint::read(b"\x80\x04\x8c\x07sklearn\x8c\x03MLP\x93)\x81.").unwrap_err().to_string();
     says(&error, ["sklearn.MLP", "state_dict"]);
 }
 
@@ -249,11 +216,7 @@ fn archives_of_other_programs_are_named() {
     for (members, said) in [
         (&["config.json", "model.weights.h5"][..], "numpy.savez"),
         (
-            &[
-                "m/archive_format",
-                "m/models/model.json",
-                "m/data/weights/weight_0",
-            ],
+            &["m/archive_format", "m/models/model.json", "m/data/weights/weight_0"],
             "torch.export.load",
         ),
         (&["notes.txt"], "a zip archive with \"notes.txt\""),
@@ -291,13 +254,7 @@ fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     };
     let huge = b"J\xff\xff\xff\x7f";
     let pair: Vec<u8> = [&huge[..], huge, b"\x86"].concat();
-    let nested = [
-        &b"\x80\x02"[..],
-        &vec![b']'; 5_000],
-        &vec![b'a'; 4_999],
-        b".",
-    ]
-    .concat();
+    let nested = [&b"\x80\x02"[..], &vec![b']'; 5_000], &vec![b'a'; 4_999], b"."].concat();
     // Each list holds the one before it ten times: 10^12 values in all.
     let mut laughs = b"\x80\x02]q\x00".to_vec();
     for level in 0..12_u8 {
@@ -311,11 +268,7 @@ fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     }
     laughs.push(b'.');
     vec![
-        (
-            "text of 4 GB",
-            b"\x80\x02X\xff\xff\xff\xff".to_vec(),
-            "needs 4294967295 bytes",
-        ),
+        ("text of 4 GB", b"\x80\x02X\xff\xff\xff\xff".to_vec(), "needs 4294967295 bytes"),
         (
             "bytes of 16 EB",
             b"\x80\x04\x8e\xff\xff\xff\xff\xff\xff\xff\xff".to_vec(),
@@ -326,54 +279,22 @@ fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
             b"\x80\x04\x95\x99\x00\x00\x00\x00\x00\x00\x00N.".to_vec(),
             "FRAME",
         ),
-        (
-            "an array larger than its bytes",
-            array(&pair),
-            "8 bytes of contents",
-        ),
+        ("an array larger than its bytes", array(&pair), "8 bytes of contents"),
         (
             "a shape whose product wraps around",
             array(&[&b"("[..], &huge.repeat(5), b"t"].concat()),
             "impossible shape",
         ),
-        (
-            "a view larger than its storage",
-            tensor(&pair, &pair, 0),
-            "no part of a storage",
-        ),
-        (
-            "a view without strides",
-            tensor(&pair, b"K\x00K\x00\x86", 0),
-            "no part of a storage",
-        ),
-        (
-            "a view past the end",
-            tensor(b"K\x02\x85", b"K\x02\x85", 2),
-            "no part of a storage",
-        ),
-        (
-            "lists nested five thousand deep",
-            nested,
-            "nested deeper than",
-        ),
+        ("a view larger than its storage", tensor(&pair, &pair, 0), "no part of a storage"),
+        ("a view without strides", tensor(&pair, b"K\x00K\x00\x86", 0), "no part of a storage"),
+        ("a view past the end", tensor(b"K\x02\x85", b"K\x02\x85", 2), "no part of a storage"),
+        ("lists nested five thousand deep", nested, "nested deeper than"),
         ("a billion laughs", laughs, ""),
-        (
-            "a list in itself",
-            b"\x80\x02]q\x00h\x00a.".to_vec(),
-            "nested deeper than",
-        ),
-        (
-            "an entry that was never stored",
-            b"\x80\x02h\x07.".to_vec(),
-            "entry 7",
-        ),
+        ("a list in itself", b"\x80\x02]q\x00h\x00a.".to_vec(), "nested deeper than"),
+        ("an entry that was never stored", b"\x80\x02h\x07.".to_vec(), "entry 7"),
         ("an empty stack", b"\x80\x02.".to_vec(), "STOP"),
         ("no MARK", b"\x80\x02t.".to_vec(), "no MARK"),
-        (
-            "a key without a value",
-            b"\x80\x02}(Nu.".to_vec(),
-            "key without a value",
-        ),
+        ("a key without a value", b"\x80\x02}(Nu.".to_vec(), "key without a value"),
         ("values left over", b"\x80\x02NN.".to_vec(), "values over"),
         (
             "a hundred thousand values",
@@ -404,10 +325,7 @@ fn claimed_sizes_cause_neither_allocation_nor_recursion() {
 #[test]
 fn a_claimed_number_of_members_causes_no_allocation() {
     let archive = in_zip(b"\x80\x02N.");
-    let end = archive
-        .windows(4)
-        .rposition(|window| window == b"PK\x05\x06")
-        .unwrap();
+    let end = archive.windows(4).rposition(|window| window == b"PK\x05\x06").unwrap();
     let mut many = archive.clone();
     many[end + 8..end + 12].copy_from_slice(&[0xfe; 4]);
     // The ZIP64 record, and its locator.
@@ -429,10 +347,7 @@ fn a_claimed_number_of_members_causes_no_allocation() {
         let before = counting::bytes();
         let error = Checkpoint::read(&file).unwrap_err().to_string();
         let allocated = counting::bytes() - before;
-        assert!(
-            error.contains("members, allowed") || error.contains("directory"),
-            "{error}"
-        );
+        assert!(error.contains("members, allowed") || error.contains("directory"), "{error}");
         assert!(allocated < 1 << 20, "{allocated} bytes allocated");
     }
 }
@@ -440,9 +355,7 @@ fn a_claimed_number_of_members_causes_no_allocation() {
 #[test]
 fn a_member_that_decompresses_to_far_more_than_its_size_is_refused() {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    archive
-        .start_file("bomb.npy", SimpleFileOptions::default())
-        .unwrap();
+    archive.start_file("bomb.npy", SimpleFileOptions::default()).unwrap();
     for _ in 0..40 {
         archive.write_all(&vec![0; 1 << 20]).unwrap();
     }

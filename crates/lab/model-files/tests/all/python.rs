@@ -50,10 +50,7 @@ fn python() -> Option<String> {
         tried.is_ok_and(|tried| tried.status.success())
     });
     if found.is_none() {
-        assert!(
-            std::env::var_os("CI").is_none(),
-            "no Python with NumPy; run tools/python.sh"
-        );
+        assert!(std::env::var_os("CI").is_none(), "no Python with NumPy; run tools/python.sh");
         eprintln!("skipped: no Python with NumPy; run tools/python.sh");
     }
     found
@@ -62,10 +59,7 @@ fn python() -> Option<String> {
 fn with(network: &Network, activation: Activation) -> Network {
     let mut parameters = network.parameters().clone();
     parameters.activation = activation;
-    let card = ModelCard {
-        step_s: Some(PERIOD_S),
-        ..network.card().clone()
-    };
+    let card = ModelCard { step_s: Some(PERIOD_S), ..network.card().clone() };
     Network::new(parameters, card).unwrap()
 }
 
@@ -89,12 +83,9 @@ fn expected(network: &Network, commands: &[(f32, f32)], measured_w: &[Option<f32
 fn an_exported_module_forecasts_what_the_network_does() {
     let Some(python) = python() else { return };
     let mut noise = random::Noise(5);
-    let commands: Vec<(f32, f32)> = (0..60)
-        .map(|_| (noise.next_f32(), noise.next_f32()))
-        .collect();
-    let measured_w: Vec<Option<f32>> = (0..60)
-        .map(|at| (at % 7 != 3).then(|| 3.0 + noise.next_f32()))
-        .collect();
+    let commands: Vec<(f32, f32)> = (0..60).map(|_| (noise.next_f32(), noise.next_f32())).collect();
+    let measured_w: Vec<Option<f32>> =
+        (0..60).map(|at| (at % 7 != 3).then(|| 3.0 + noise.next_f32())).collect();
     let milliwatt = |power_w: &Option<f32>| power_w.map(|power_w| 1e3 * f64::from(power_w));
     let asked = serde_json::json!({
         "initial": 3500.0,
@@ -105,11 +96,8 @@ fn an_exported_module_forecasts_what_the_network_does() {
         for activation in Activation::ALL {
             let network = with(&random::network(7, set), activation);
             let place = tempfile::tempdir().unwrap();
-            std::fs::write(
-                place.path().join("predictor.py"),
-                to_python(&network).unwrap(),
-            )
-            .unwrap();
+            std::fs::write(place.path().join("predictor.py"), to_python(&network).unwrap())
+                .unwrap();
             std::fs::write(place.path().join("model.npz"), to_npz(&network).unwrap()).unwrap();
             std::fs::write(place.path().join("asked.json"), asked.to_string()).unwrap();
             let run = Command::new(&python)
@@ -117,11 +105,7 @@ fn an_exported_module_forecasts_what_the_network_does() {
                 .stdin(std::fs::File::open(place.path().join("asked.json")).unwrap())
                 .output()
                 .unwrap();
-            assert!(
-                run.status.success(),
-                "{}",
-                String::from_utf8_lossy(&run.stderr)
-            );
+            assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
             let found: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
             let open = expected(&network, &commands, &[]);
             let corrected = expected(&network, &commands, &measured_w);
@@ -151,10 +135,7 @@ fn a_network_that_reads_the_age_of_readings_is_refused() {
 fn a_models_name_cannot_add_code() {
     let mut card = random::network(7, FeatureSet::Full).card().clone();
     card.name = "a\"\"\"\nimport os\n@MODEL@\\".to_owned();
-    let network = Network::new(
-        random::network(7, FeatureSet::Full).parameters().clone(),
-        card,
-    );
+    let network = Network::new(random::network(7, FeatureSet::Full).parameters().clone(), card);
     let text = to_python(&network.unwrap()).unwrap();
     assert!(text.starts_with(
         "\"\"\"Forecasts of a robot's power, by the joulebus model aimportosMODEL, hash "
@@ -171,9 +152,6 @@ fn the_period_is_that_of_the_training_data_or_demanded() {
     let stated = with(&unknown, Activation::Relu);
     for (network, period) in [(&unknown, "None"), (&stated, "0.033")] {
         let text = to_python(network).unwrap();
-        assert!(
-            text.contains(&format!("\nPERIOD_S = {period}\n")),
-            "{period}"
-        );
+        assert!(text.contains(&format!("\nPERIOD_S = {period}\n")), "{period}");
     }
 }

@@ -25,10 +25,7 @@ pub(crate) fn in_npy(pickle: &[u8]) -> Vec<u8> {
 
 /// A PyTorch file that contains a pickle.
 pub(crate) fn in_zip(pickle: &[u8]) -> Vec<u8> {
-    zipped(&[
-        ("archive/data.pkl", pickle),
-        ("archive/byteorder", b"little"),
-    ])
+    zipped(&[("archive/data.pkl", pickle), ("archive/byteorder", b"little")])
 }
 
 /// An archive of members, uncompressed.
@@ -46,13 +43,6 @@ pub(crate) fn zipped(members: &[(&str, &[u8])]) -> Vec<u8> {
 pub(crate) fn in_legacy(pickle: &[u8]) -> [Vec<u8>; 2] {
     let [magic, version, system] = LEGACY;
     // A complete pickle is followed by an empty list of storages.
-    let keys: &[u8] = if pickle.ends_with(b".") {
-        b"\x80\x02]."
-    } else {
-        b""
-    };
-    [
-        [magic, version, system, pickle, keys].concat(),
-        [magic, pickle].concat(),
-    ]
+    let keys: &[u8] = if pickle.ends_with(b".") { b"\x80\x02]." } else { b"" };
+    [[magic, version, system, pickle, keys].concat(), [magic, pickle].concat()]
 }

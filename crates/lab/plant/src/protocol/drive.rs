@@ -25,12 +25,7 @@ impl Driver {
             ..Pose::default()
         };
         let motion = Motion::new(protocol, 0);
-        let driver = Self {
-            protocol,
-            motion,
-            noise,
-            scale: (1.0, 1.0),
-        };
+        let driver = Self { protocol, motion, noise, scale: (1.0, 1.0) };
         (driver, pose)
     }
 

@@ -78,23 +78,14 @@ impl Motion {
     }
 
     fn set_goal(&mut self, noise: &mut Noise) {
-        let (x_m, y_m) = (
-            HALF_ARENA_M.0 - GOAL_MARGIN_M,
-            HALF_ARENA_M.1 - GOAL_MARGIN_M,
-        );
-        self.goal_m = Some(Vector::new(
-            noise.between(-x_m, x_m),
-            noise.between(-y_m, y_m),
-        ));
+        let (x_m, y_m) = (HALF_ARENA_M.0 - GOAL_MARGIN_M, HALF_ARENA_M.1 - GOAL_MARGIN_M);
+        self.goal_m = Some(Vector::new(noise.between(-x_m, x_m), noise.between(-y_m, y_m)));
         self.segment.phase = 1;
     }
 
     /// The command, with v reversed for the rest of the segment once it leads out of the arena.
     fn kept_inside(&mut self, command: Command, pose: Pose) -> Command {
-        let reversed = Command {
-            v_mps: (-command.v_mps).max(BACKWARD_MPS),
-            ..command
-        };
+        let reversed = Command { v_mps: (-command.v_mps).max(BACKWARD_MPS), ..command };
         let wanted = if self.turned_back { reversed } else { command };
         let velocity = direction(pose.theta_rad) * wanted.v_mps;
         let leads_out = |at_m: f64, half_m: f64, speed_mps: f64| {

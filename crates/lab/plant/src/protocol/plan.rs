@@ -46,34 +46,19 @@ const fn held(phase: u32, v_mps: f64, omega_radps: f64, time_s: f64) -> Segment 
 }
 
 const fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Segment {
-    Segment {
-        phase,
-        from,
-        to,
-        course: Course::Straight,
-        time_s,
-    }
+    Segment { phase, from, to, course: Course::Straight, time_s }
 }
 
 /// A ramp of v from one velocity to another.
 const fn ramp_v(phase: u32, from_mps: f64, to_mps: f64, time_s: f64) -> Segment {
-    let from = Command {
-        v_mps: from_mps,
-        omega_radps: 0.0,
-    };
-    let to = Command {
-        v_mps: to_mps,
-        omega_radps: 0.0,
-    };
+    let from = Command { v_mps: from_mps, omega_radps: 0.0 };
+    let to = Command { v_mps: to_mps, omega_radps: 0.0 };
     ramp(phase, from, to, time_s)
 }
 
 /// One period of a sinusoidal path.
 const fn sine(phase: u32, v_mps: f64, most_radps: f64, time_s: f64) -> Segment {
-    Segment {
-        course: Course::Sine(most_radps),
-        ..held(phase, v_mps, 0.0, time_s)
-    }
+    Segment { course: Course::Sine(most_radps), ..held(phase, v_mps, 0.0, time_s) }
 }
 
 /// The velocity of a quarter turn in a second, rad/s.
@@ -217,10 +202,7 @@ fn random_walk(before: Command, noise: &mut Noise) -> Segment {
         true => Command::default(),
         false => Command { v_mps, omega_radps },
     };
-    Segment {
-        course: Course::Smooth,
-        ..ramp(u32::from(!rests), before, to, time_s)
-    }
+    Segment { course: Course::Smooth, ..ramp(u32::from(!rests), before, to, time_s) }
 }
 
 /// Phases number the segments: rests, circles, turns on the spot. Each lasts about a thermal time

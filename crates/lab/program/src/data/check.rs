@@ -59,11 +59,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut check = check_files(&files, &map, &limits, args.places);
     check.accept(&accept.accept);
     let sound = check.is_sound();
-    output.report(&CheckReport {
-        sound,
-        check,
-        limits,
-    })?;
+    output.report(&CheckReport { sound, check, limits })?;
     Ok(Outcome::unless_lost(!sound))
 }
 
@@ -88,14 +84,7 @@ impl Args {
 
 impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Check {
-            files,
-            trials,
-            robots,
-            rows,
-            faults,
-            findings,
-        } = &self.check;
+        let Check { files, trials, robots, rows, faults, findings } = &self.check;
         for finding in findings.iter().filter(|finding| finding.fault) {
             write_finding(out, "fault", finding)?;
         }
@@ -116,9 +105,7 @@ impl fmt::Display for CheckReport {
 }
 
 fn write_finding(out: &mut fmt::Formatter<'_>, word: &str, finding: &Finding) -> fmt::Result {
-    let Finding {
-        kind, count, files, ..
-    } = finding;
+    let Finding { kind, count, files, .. } = finding;
     writeln!(out, "{word}: {kind}: {count} in {files} files")?;
     for place in &finding.places {
         writeln!(out, "  {place}")?;

@@ -141,9 +141,7 @@ impl Args {
             return Err(UsageError(what.to_owned()));
         }
         let known = Column::ALL.into_iter();
-        Ok(known
-            .filter(|column| self.drop.iter().any(|name| name == column.name()))
-            .collect())
+        Ok(known.filter(|column| self.drop.iter().any(|name| name == column.name())).collect())
     }
 
     /// The output file of each table.
@@ -159,10 +157,7 @@ impl Args {
             return Ok(vec![self.out.clone()]);
         };
         std::fs::create_dir_all(&self.out).map_err(|error| {
-            UsageError(format!(
-                "{} is not a directory: {error}",
-                self.out.display()
-            ))
+            UsageError(format!("{} is not a directory: {error}", self.out.display()))
         })?;
         let targets: Vec<PathBuf> = tables
             .iter()
@@ -172,11 +167,7 @@ impl Args {
                 self.out.join(file_name(table.path(), robot, to.into()))
             })
             .collect();
-        match targets
-            .iter()
-            .enumerate()
-            .find(|(at, file)| targets[..*at].contains(file))
-        {
+        match targets.iter().enumerate().find(|(at, file)| targets[..*at].contains(file)) {
             None => Ok(targets),
             Some((at, file)) => {
                 let (from, file) = (tables[at].path().display(), file.display());
@@ -201,11 +192,7 @@ fn file_name(path: &Path, robot: Option<&str>, form: Form) -> String {
         None => format!("{stem}{ending}"),
         Some(robot) => {
             let plain = |c: char| {
-                if c.is_alphanumeric() || c == '-' || c == '.' {
-                    c
-                } else {
-                    '_'
-                }
+                if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }
             };
             let robot: String = robot.chars().map(plain).collect();
             format!("{stem}_robot_{robot}{ending}")
@@ -230,10 +217,7 @@ fn drop_columns(
     known: &[Column],
     asked: &[String],
 ) -> Result<Vec<String>, UsageError> {
-    let unnamed = table
-        .ignored_columns()
-        .iter()
-        .find(|name| !asked.contains(name));
+    let unnamed = table.ignored_columns().iter().find(|name| !asked.contains(name));
     if let Some(name) = unnamed {
         let file = table.path().display();
         let what = format!("{file}: the column {name:?} is unknown");
@@ -255,12 +239,7 @@ impl fmt::Display for ConvertReport {
             let (from, file, rows) = (written.from.display(), written.file.display(), written.rows);
             writeln!(out, "{from} to {file}: {rows} rows")?;
             if let Some(counts) = &written.resampled {
-                let Resampled {
-                    rows_before,
-                    not_advancing,
-                    in_gaps,
-                    ..
-                } = counts;
+                let Resampled { rows_before, not_advancing, in_gaps, .. } = counts;
                 writeln!(
                     out,
                     "  resampled from {rows_before} rows; {in_gaps} times of the grid lie in gaps, \

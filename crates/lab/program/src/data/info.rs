@@ -65,12 +65,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let sums = Sums::of(&trials);
     let (columns, short) = (args.columns, args.short);
-    output.report(&DataInfoReport {
-        trials,
-        sums,
-        columns,
-        short,
-    })?;
+    output.report(&DataInfoReport { trials, sums, columns, short })?;
     Ok(Outcome::Done)
 }
 
@@ -111,26 +106,15 @@ impl fmt::Display for DataInfoReport {
 }
 
 fn write_sums(out: &mut fmt::Formatter<'_>, sums: &Sums) -> fmt::Result {
-    let Sums {
-        trials,
-        rows,
-        duration_s,
-        energy_j,
-        gaps,
-        held_readings,
-        missing_readings,
-        ..
-    } = sums;
+    let Sums { trials, rows, duration_s, energy_j, gaps, held_readings, missing_readings, .. } =
+        sums;
     writeln!(
         out,
         "{trials} trials of {} robots in {} groups: {rows} rows, {duration_s:.0} s, {energy_j:.0} J",
         sums.robots.len(),
         sums.groups.len()
     )?;
-    writeln!(
-        out,
-        "  readings held {held_readings}, missing {missing_readings}; {gaps} gaps"
-    )?;
+    writeln!(out, "  readings held {held_readings}, missing {missing_readings}; {gaps} gaps")?;
     writeln!(out, "  groups: {}", some(&sums.groups))
 }
 
@@ -152,23 +136,15 @@ fn write_trial(out: &mut fmt::Formatter<'_>, trial: &TrialReport) -> fmt::Result
         "  {rows} rows at {rate:.2} Hz, {duration:.1} s; nine of ten steps {least_ms:.1} to \
          {greatest_ms:.1} ms"
     )?;
-    if let (Some(mean), Some(least), Some(greatest)) = (
-        trial.mean_power_w,
-        trial.least_power_w,
-        trial.greatest_power_w,
-    ) {
+    if let (Some(mean), Some(least), Some(greatest)) =
+        (trial.mean_power_w, trial.least_power_w, trial.greatest_power_w)
+    {
         let energy = trial.energy_j;
-        writeln!(
-            out,
-            "  power {mean:.2} W, {least:.2} to {greatest:.2} W; energy {energy:.1} J"
-        )?;
+        writeln!(out, "  power {mean:.2} W, {least:.2} to {greatest:.2} W; energy {energy:.1} J")?;
     }
     if let Some(check) = &trial.power_check {
         let (ratio, rows) = (check.median_ratio, check.rows);
-        writeln!(
-            out,
-            "  power is {ratio:.4} times voltage times current (median of {rows} rows)"
-        )?;
+        writeln!(out, "  power is {ratio:.4} times voltage times current (median of {rows} rows)")?;
     }
     write_holds(out, &trial.holds, trial.missing_readings)?;
     if let Some(longest) = trial.longest_gap_s {
@@ -190,31 +166,18 @@ fn write_trial(out: &mut fmt::Formatter<'_>, trial: &TrialReport) -> fmt::Result
         writeln!(out, "  {what}: {names}")?;
     }
     if trial.no_final_line_break {
-        writeln!(
-            out,
-            "  the last line has no newline: the file may be truncated"
-        )?;
+        writeln!(out, "  the last line has no newline: the file may be truncated")?;
     }
     Ok(())
 }
 
 fn write_holds(out: &mut fmt::Formatter<'_>, holds: &Holds, missing: usize) -> fmt::Result {
     let (held, share) = (holds.held, 100.0 * holds.share);
-    write!(
-        out,
-        "  readings held {held} ({share:.1} %), missing {missing}"
-    )?;
+    write!(out, "  readings held {held} ({share:.1} %), missing {missing}")?;
     if holds.held == 0 {
         return writeln!(out);
     }
-    let Holds {
-        usual_rows,
-        new_hz,
-        longest_rows,
-        longest_at_row,
-        longest_s,
-        ..
-    } = holds;
+    let Holds { usual_rows, new_hz, longest_rows, longest_at_row, longest_s, .. } = holds;
     let usual = 100.0 * holds.usual_share;
     writeln!(
         out,

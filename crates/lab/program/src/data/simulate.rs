@@ -96,16 +96,8 @@ impl fmt::Display for SimulateReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "simulated, seed {}:", self.seed)?;
         for file in &self.files {
-            let FileReport {
-                file,
-                robot,
-                rows,
-                duration_s,
-            } = file;
-            writeln!(
-                out,
-                "  {file}: robot {robot}, {rows} rows, {duration_s:.0} s"
-            )?;
+            let FileReport { file, robot, rows, duration_s } = file;
+            writeln!(out, "  {file}: robot {robot}, {rows} rows, {duration_s:.0} s")?;
         }
         writeln!(
             out,

@@ -94,12 +94,7 @@ struct PartReport {
 
 impl fmt::Display for PartReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            partition,
-            recordings,
-            of,
-            file,
-        } = self;
+        let Self { partition, recordings, of, file } = self;
         writeln!(
             out,
             "part {partition}: {recordings} of {of} recordings in {file}; with all parts: joulebus eval --merge FILE…"

@@ -170,13 +170,7 @@ impl Selection {
                 let map = self.trials.map_of(config, place)?;
                 let accept = self.accept.or_configured(config, [place])?;
                 let recordings = open_with_ids(&own, &map)?;
-                sections.push(section(
-                    Some(platform.clone()),
-                    place,
-                    recordings,
-                    map,
-                    accept,
-                ));
+                sections.push(section(Some(platform.clone()), place, recordings, map, accept));
             }
         }
         match files.first() {

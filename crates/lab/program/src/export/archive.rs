@@ -73,9 +73,7 @@ impl Archive {
         let listings = folder.join(LISTINGS);
         if !archive::is_archive(folder) {
             let left = |entry: &Result<fs::DirEntry, std::io::Error>| {
-                entry
-                    .as_ref()
-                    .is_ok_and(|entry| entry.file_name() != LISTINGS)
+                entry.as_ref().is_ok_and(|entry| entry.file_name() != LISTINGS)
             };
             if let Some(other) = fs::read_dir(folder).with_context(failed)?.find(left) {
                 let other = other.with_context(failed)?.path();
@@ -124,10 +122,7 @@ impl Archive {
         }
         let text = joulebus_files::read_to_string(path, 1 << 16).with_context(failed)?;
         if text.is_empty() {
-            let contents = Mark {
-                format: "joulebus archive".to_owned(),
-                schema: SCHEMA,
-            };
+            let contents = Mark { format: "joulebus archive".to_owned(), schema: SCHEMA };
             mark.write_all(serde_json::to_string(&contents)?.as_bytes())
                 .and_then(|()| mark.sync_all())
                 .with_context(failed)?;
@@ -159,10 +154,7 @@ impl Archive {
                 bail!("{}: its name is no number; remove it", path.display());
             };
             let Some(after) = number.checked_add(1) else {
-                bail!(
-                    "{}: allowed are numbers below {number}; give it another",
-                    path.display()
-                );
+                bail!("{}: allowed are numbers below {number}; give it another", path.display());
             };
             self.next = self.next.max(after);
             self.recordings.insert(listing.name, number);
@@ -189,9 +181,8 @@ impl Archive {
             let is_its = |trial: &ListedTrial| {
                 let found = fs::symlink_metadata(self.folder.join(&trial.file));
                 let before = draft_of(&trial.file);
-                let is_own = before
-                    .file_name()
-                    .is_some_and(|name| is_draft(&name.to_string_lossy()));
+                let is_own =
+                    before.file_name().is_some_and(|name| is_draft(&name.to_string_lossy()));
                 // The draft is gone, so the file got its final name.
                 let has_moved = fs::symlink_metadata(self.folder.join(&before)).is_err();
                 is_own
@@ -275,11 +266,7 @@ impl Archive {
 
     /// Begins to add a recording.
     pub(crate) fn add(&mut self, name: &str) -> Adding<'_> {
-        Adding {
-            archive: self,
-            name: name.to_owned(),
-            trials: Vec::new(),
-        }
+        Adding { archive: self, name: name.to_owned(), trials: Vec::new() }
     }
 }
 
@@ -330,12 +317,7 @@ impl Adding<'_> {
         drop(buffered);
         out.sync_all().with_context(failed)?;
         let rows = table.rows() as u64;
-        self.trials.push(ListedTrial {
-            file,
-            rows,
-            bytes: written.bytes,
-            crc32: written.crc32,
-        });
+        self.trials.push(ListedTrial { file, rows, bytes: written.bytes, crc32: written.crc32 });
         Ok((rows, written.bytes))
     }
 
@@ -344,18 +326,10 @@ impl Adding<'_> {
     /// # Errors
     /// It cannot be written.
     pub(crate) fn finish(self) -> anyhow::Result<usize> {
-        let Self {
-            archive,
-            name,
-            trials,
-        } = self;
+        let Self { archive, name, trials } = self;
         let root = &archive.folder;
         let failed = || format!("cannot write to {}", root.display());
-        let listing = Listing {
-            schema: SCHEMA,
-            name: name.clone(),
-            trials,
-        };
+        let listing = Listing { schema: SCHEMA, name: name.clone(), trials };
         let listings = root.join(LISTINGS);
         let path = listings.join(format!("{:06}{LISTING_ENDING}", archive.next));
         let draft = archive.draft();

@@ -168,21 +168,13 @@ fn name(file: &Path) -> anyhow::Result<&str> {
         let what = format!("{file} is of an archive; copy the folder, or name recordings");
         return Err(UsageError(what).into());
     }
-    file.to_str()
-        .with_context(|| format!("{}: its name is no UTF-8; rename it", file.display()))
+    file.to_str().with_context(|| format!("{}: its name is no UTF-8; rename it", file.display()))
 }
 
 impl fmt::Display for ExportReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            folder,
-            recordings_before,
-            recordings,
-            trials,
-            rows,
-            bytes,
-            left_out_lines,
-        } = self;
+        let Self { folder, recordings_before, recordings, trials, rows, bytes, left_out_lines } =
+            self;
         let all = recordings_before + recordings;
         writeln!(
             out,

@@ -22,10 +22,7 @@ impl Levels {
     /// Those of a file in an archive.
     pub(crate) fn of_file(file: &Path) -> Self {
         let text = file.to_string_lossy();
-        Self(NAMES.map(|name| {
-            text.split('/')
-                .any(|part| part.starts_with(&format!("{name}=")))
-        }))
+        Self(NAMES.map(|name| text.split('/').any(|part| part.starts_with(&format!("{name}=")))))
     }
 
     /// Its names, for messages.
@@ -102,10 +99,7 @@ mod tests {
         assert_eq!(robot.levels().names(), "robot");
         let nothing = Partition::of(None, None, Some(""));
         assert_eq!(nothing.folder(nothing.levels()), PathBuf::new());
-        assert_eq!(
-            nothing.levels(),
-            Levels::of_file(Path::new("000000-0000.parquet"))
-        );
+        assert_eq!(nothing.levels(), Levels::of_file(Path::new("000000-0000.parquet")));
         let folder = nothing.folder(Levels::ALL);
         assert!(is_of_nothing(&folder) && !is_of_nothing(Path::new(wanted)));
         assert_eq!(folder.components().count(), 3);

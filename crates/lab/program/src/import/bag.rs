@@ -44,11 +44,7 @@ fn ends_in(path: &Path, extension: &str) -> bool {
 /// Nothing of it can be read, or the mapping does not fit it.
 pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result<BagRead> {
     let mut left_out = Vec::new();
-    let paths = if path.is_dir() {
-        files_of(path, &mut left_out)?
-    } else {
-        vec![path.to_owned()]
-    };
+    let paths = if path.is_dir() { files_of(path, &mut left_out)? } else { vec![path.to_owned()] };
     let mut files = Vec::new();
     for part in &paths {
         let opened = match ends_in(part, "db3") {
@@ -91,9 +87,7 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
                 left_out.push(format!("{name}: is compressed; first `zstd -d {name}`"));
             }
         } else if ends_in(&path, "mcap") && is_capture(&path) {
-            left_out.push(format!(
-                "{name}: is a capture of joulebus; import it by its own name"
-            ));
+            left_out.push(format!("{name}: is a capture of joulebus; import it by its own name"));
         } else if ends_in(&path, "db3") || ends_in(&path, "mcap") {
             files.push(path);
         }
@@ -103,17 +97,13 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         let own = unpacked(&listed).unwrap_or(&listed);
         let is_there = |name: &str| folder.join(name).exists();
         if !is_there(own) && !is_there(&format!("{own}.zstd")) {
-            left_out.push(format!(
-                "{listed}: metadata.yaml lists it, and it is missing"
-            ));
+            left_out.push(format!("{listed}: metadata.yaml lists it, and it is missing"));
         }
     }
     left_out.sort();
     files.sort();
     if files.is_empty() {
-        let why = left_out
-            .first()
-            .map_or_else(String::new, |why| format!(" ({why})"));
+        let why = left_out.first().map_or_else(String::new, |why| format!(" ({why})"));
         bail!("{}: no .db3 or .mcap file is in this folder{why}", named());
     }
     Ok(files)
@@ -148,23 +138,13 @@ fn listed_files(folder: &Path) -> Vec<String> {
 fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
     let named = bag.display().to_string();
     let program = find_program(READER).with_context(|| named.clone())?;
-    let failed = || {
-        format!(
-            "cannot make a temporary file in {}",
-            env::temp_dir().display()
-        )
-    };
+    let failed = || format!("cannot make a temporary file in {}", env::temp_dir().display());
     let mut out = tempfile::tempfile().with_context(failed)?;
     let own = out.try_clone().with_context(failed)?;
     let mut command = Command::new(&program);
-    command
-        .args(["--exit-with-stdin", "-o", "-", "--"])
-        .arg(bag);
+    command.args(["--exit-with-stdin", "-o", "-", "--"]).arg(bag);
     // Its input closes when this process ends.
-    command
-        .stdin(Stdio::piped())
-        .stdout(own)
-        .stderr(Stdio::piped());
+    command.stdin(Stdio::piped()).stdout(own).stderr(Stdio::piped());
     let ended = command.spawn().and_then(output_of);
     let ended = ended.with_context(|| format!("cannot run {}", program.display()))?;
     let message = String::from_utf8_lossy(&ended.stderr);
@@ -175,9 +155,7 @@ fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
             left_out.extend(lines.map(|line| format!("{named}: {line}")));
         }
         _ => {
-            let why: Vec<&str> = lines
-                .map(|line| line.trim_start_matches("error: "))
-                .collect();
+            let why: Vec<&str> = lines.map(|line| line.trim_start_matches("error: ")).collect();
             let why = why.join("; ");
             bail!("{named}: {READER} ended with {}: {why}", ended.status);
         }

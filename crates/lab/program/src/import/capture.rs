@@ -26,14 +26,9 @@ pub(super) fn write(
     first_robot: Option<u32>,
     recordings: Vec<Recording>,
 ) -> anyhow::Result<Written> {
-    let starts = recordings
-        .iter()
-        .filter_map(|recording| recording.start_unix_ns);
+    let starts = recordings.iter().filter_map(|recording| recording.start_unix_ns);
     let start_unix_ns = starts.min().unwrap_or_else(clock::unix_ns);
-    let names: Vec<String> = recordings
-        .iter()
-        .map(|recording| recording.name.clone())
-        .collect();
+    let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
     let trials = numbered(config, first_robot, recordings)?;
     let ids: Vec<u32> = trials.iter().map(|(robot, _)| *robot).collect();
     let clock = Clock {
@@ -41,16 +36,10 @@ pub(super) fn write(
         offset_ns: start_unix_ns.wrapping_sub(BASE_NS) as i64,
     };
     let mut attachments = attach(std::slice::from_ref(config), clock)?;
-    let robots = ids
-        .iter()
-        .zip(&names)
-        .map(|(id, name)| format!("{id} {name}"));
+    let robots = ids.iter().zip(&names).map(|(id, name)| format!("{id} {name}"));
     attachments.describe("imported", robots.collect::<Vec<_>>().join(", "));
-    let playback = Playback {
-        base_ns: BASE_NS,
-        frame_period_ns: config.tick_period_ns(),
-        repeat: false,
-    };
+    let playback =
+        Playback { base_ns: BASE_NS, frame_period_ns: config.tick_period_ns(), repeat: false };
     let fleet = TrialFleet::new(trials, playback)?;
     let of = (config.fleet(), clock, start_unix_ns);
     let written = joulebus_files::create(path, |file| {
@@ -85,10 +74,7 @@ fn samples(
         header.intended_ns = sent_ns;
         header.sent_ns = sent_ns;
         header.sent_unix_ns = clock.unix_ns(sent_ns);
-        let times = Times {
-            log_ns: header.sent_unix_ns,
-            publish_ns: header.sent_unix_ns,
-        };
+        let times = Times { log_ns: header.sent_unix_ns, publish_ns: header.sent_unix_ns };
         let message = Message::of::<Samples>(header, std::mem::take(&mut frame));
         writer.write(fleet_name, times, &message)?;
         if let Ok(written) = message.into_frame::<Samples>() {
@@ -111,10 +97,7 @@ fn numbered(
     let ranges = platforms.iter().flat_map(|platform| &platform.robots);
     let lowest = || ranges.map(|range| *range.start()).min();
     let mut next = first_robot.or_else(lowest).unwrap_or(0);
-    let mut taken: BTreeSet<u32> = recordings
-        .iter()
-        .filter_map(|recording| recording.id)
-        .collect();
+    let mut taken: BTreeSet<u32> = recordings.iter().filter_map(|recording| recording.id).collect();
     let mut trials = Vec::new();
     for recording in recordings {
         let id = match recording.id {

@@ -89,9 +89,7 @@ impl ImportArguments {
         if let Some(battery) = &self.battery {
             mapping.robots = vec![self.robot(battery, mapping.current)];
         }
-        mapping
-            .check()
-            .map_err(|error| UsageError(error.to_string()))?;
+        mapping.check().map_err(|error| UsageError(error.to_string()))?;
         Ok(mapping)
     }
 

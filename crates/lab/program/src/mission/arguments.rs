@@ -44,11 +44,7 @@ pub(crate) struct Args {
 
 fn within(text: &str, lo: f64, hi: f64) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if lo <= number && number <= hi {
-        Ok(number)
-    } else {
-        Err(format!("allowed is {lo} to {hi}"))
-    }
+    if lo <= number && number <= hi { Ok(number) } else { Err(format!("allowed is {lo} to {hi}")) }
 }
 
 fn hours(text: &str) -> Result<f64, String> {

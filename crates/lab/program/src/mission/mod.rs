@@ -66,9 +66,9 @@ fn all(
         })
         .collect::<Result<_, _>>()?;
     let of = |place: usize| outcomes.iter().skip(place).step_by(policies.len()).cloned();
-    let runs = policies.iter().enumerate().map(|(place, policy)| Runs {
-        policy: *policy,
-        outcomes: of(place).collect(),
-    });
+    let runs = policies
+        .iter()
+        .enumerate()
+        .map(|(place, policy)| Runs { policy: *policy, outcomes: of(place).collect() });
     Ok(runs.collect())
 }

@@ -56,9 +56,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         warn(&comparison.warnings);
         comparisons.push(comparison);
     }
-    let worse = comparisons
-        .iter()
-        .any(|one| one.all.verdict == Verdict::Worse);
+    let worse = comparisons.iter().any(|one| one.all.verdict == Verdict::Worse);
     report(output, &CompareReport { comparisons }, implausible)?;
     Ok(Outcome::unless_lost(args.fail_worse && worse))
 }

@@ -158,13 +158,7 @@ struct ExportReport {
 
 impl fmt::Display for ExportReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            file,
-            model,
-            model_hash,
-            bytes,
-            ..
-        } = self;
+        let Self { file, model, model_hash, bytes, .. } = self;
         writeln!(out, "{file}: {model}, hash {model_hash}, {bytes} bytes")
     }
 }

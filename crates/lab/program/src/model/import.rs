@@ -87,9 +87,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         })?;
         return Ok(Outcome::Done);
     }
-    let mut found = checkpoint
-        .find(args.part.as_deref(), args.activation)
-        .with_context(|| file.clone())?;
+    let mut found =
+        checkpoint.find(args.part.as_deref(), args.activation).with_context(|| file.clone())?;
     match (args.normalisation, found.normalisation.from) {
         (None, _) => {}
         (Some(_), StatisticsFrom::File) => {
@@ -100,31 +99,16 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         (Some(Constants::Recordings), _) => found.normalisation.from = StatisticsFrom::Recordings,
     }
     let trials = trials(&args.data, &args.columns.map())?;
-    let usual = args
-        .file
-        .file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned());
+    let usual = args.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let origin = Origin {
-        name: args
-            .name
-            .as_deref()
-            .or(usual.as_deref())
-            .unwrap_or("imported"),
+        name: args.name.as_deref().or(usual.as_deref()).unwrap_or("imported"),
         file: &args.file.file_name().unwrap_or_default().to_string_lossy(),
         sha256: &checkpoint.sha256,
     };
-    let choice = found
-        .choose(&trials, args.convention, &origin)
-        .with_context(|| file.clone())?;
+    let choice = found.choose(&trials, args.convention, &origin).with_context(|| file.clone())?;
     write(&args.out, &choice.network().to_safetensors()?)?;
     let kind = checkpoint.container.to_string();
-    output.report(&ImportReport::new(
-        file,
-        &args.out,
-        kind,
-        FoundReport::new(&found),
-        &choice,
-    ))?;
+    output.report(&ImportReport::new(file, &args.out, kind, FoundReport::new(&found), &choice))?;
     Ok(Outcome::Done)
 }
 
@@ -136,11 +120,7 @@ fn trials(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
     }
     let mut trials = Vec::new();
     for path in paths {
-        let files = if path.is_dir() {
-            recordings(path)?
-        } else {
-            vec![path.clone()]
-        };
+        let files = if path.is_dir() { recordings(path)? } else { vec![path.clone()] };
         for file in files {
             trials.extend(Trial::read_mapped(file, map)?);
         }
@@ -159,16 +139,8 @@ struct OwnReport {
 
 impl fmt::Display for OwnReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            file,
-            out: written,
-            kind,
-            model_hash,
-        } = self;
-        writeln!(
-            out,
-            "{file} ({kind}): a joulebus model, hash {model_hash}; written to {written}"
-        )
+        let Self { file, out: written, kind, model_hash } = self;
+        writeln!(out, "{file} ({kind}): a joulebus model, hash {model_hash}; written to {written}")
     }
 }
 
@@ -237,11 +209,7 @@ impl fmt::Display for ImportReport {
         let (file, kind, hash) = (&self.file, &self.kind, &self.model_hash);
         writeln!(out, "{file} ({kind}), written to {} as {hash}", self.out)?;
         write!(out, "{}", self.found)?;
-        let how = match (
-            self.forced,
-            self.ruled_out_by_statistics.len(),
-            self.ranking.len(),
-        ) {
+        let how = match (self.forced, self.ruled_out_by_statistics.len(), self.ranking.len()) {
             (true, ..) => "as requested",
             (false, 0, _) => "found on the recordings",
             (false, _, 1) => "the only one that fits the file's statistics",
@@ -264,17 +232,8 @@ impl fmt::Display for ImportReport {
             )?;
         }
         writeln!(out, "on            {}", self.scores)?;
-        writeln!(
-            out,
-            "\n{:>9} {:>9}  of {} conventions",
-            "R²", "MAE W", self.conventions_tried
-        )?;
-        for RankedReport {
-            convention,
-            r2,
-            mae_w,
-        } in self.ranking.iter().take(SHOWN)
-        {
+        writeln!(out, "\n{:>9} {:>9}  of {} conventions", "R²", "MAE W", self.conventions_tried)?;
+        for RankedReport { convention, r2, mae_w } in self.ranking.iter().take(SHOWN) {
             writeln!(out, "{r2:9.5} {mae_w:9.5}  {convention}")?;
         }
         Ok(())

@@ -41,11 +41,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let report = ForeignReport::new(file, &checkpoint, args);
     output.report(&report)?;
-    Ok(if report.problem.is_none() {
-        Outcome::Done
-    } else {
-        Outcome::Failed
-    })
+    Ok(if report.problem.is_none() { Outcome::Done } else { Outcome::Failed })
 }
 
 /// A joulebus model.
@@ -123,13 +119,7 @@ impl ScoreReport {
 
 impl fmt::Display for ScoreReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            rows,
-            r2,
-            mae_w,
-            persistence_r2,
-            persistence_mae_w,
-        } = self;
+        let Self { rows, r2, mae_w, persistence_r2, persistence_mae_w } = self;
         write!(
             out,
             "{rows} rows: MAE {mae_w:.4} W, R² {r2:.4}; persistence: MAE {persistence_mae_w:.4} W, \
@@ -172,10 +162,7 @@ impl OwnReport {
             seed: card.seed,
             feature_set: set.name(),
             activation: parameters.activation.name(),
-            parameters: layers
-                .iter()
-                .map(|layer| (layer.inputs + 1) * layer.outputs)
-                .sum(),
+            parameters: layers.iter().map(|layer| (layer.inputs + 1) * layer.outputs).sum(),
             layers,
             features: set.range().map(feature).collect(),
             power_mean_w: normalisation.power_mean_w,
@@ -221,33 +208,16 @@ impl fmt::Display for OwnReport {
             "power         mean {:.4} W, deviation {:.4} W",
             self.power_mean_w, self.power_std_w
         )?;
-        let ResidualReport {
-            std_w,
-            q05_w,
-            q95_w,
-        } = self.residual;
-        writeln!(
-            out,
-            "residuals     deviation {std_w:.4} W, 90 % in {q05_w:.4} to {q95_w:.4} W"
-        )?;
+        let ResidualReport { std_w, q05_w, q95_w } = self.residual;
+        writeln!(out, "residuals     deviation {std_w:.4} W, 90 % in {q05_w:.4} to {q95_w:.4} W")?;
         writeln!(out, "scores        {}", self.scores)?;
         writeln!(
             out,
             "\n{:16} {:>12} {:>12} {:>12} {:>12}",
             "feature", "mean", "deviation", "min", "max"
         )?;
-        for FeatureReport {
-            name,
-            mean,
-            std,
-            min,
-            max,
-        } in &self.features
-        {
-            writeln!(
-                out,
-                "{name:16} {mean:12.5} {std:12.5} {min:12.5} {max:12.5}"
-            )?;
+        for FeatureReport { name, mean, std, min, max } in &self.features {
+            writeln!(out, "{name:16} {mean:12.5} {std:12.5} {min:12.5} {max:12.5}")?;
         }
         Ok(())
     }
@@ -331,28 +301,13 @@ impl FoundReport {
 impl fmt::Display for FoundReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (number, layer) in self.layers.iter().enumerate() {
-            let FoundLayerReport {
-                inputs,
-                outputs,
-                weight,
-                bias,
-            } = layer;
-            writeln!(
-                out,
-                "layer {number}       {inputs}→{outputs}: {weight:?}, {bias:?}"
-            )?;
+            let FoundLayerReport { inputs, outputs, weight, bias } = layer;
+            writeln!(out, "layer {number}       {inputs}→{outputs}: {weight:?}, {bias:?}")?;
         }
         let rows = if self.transposed { "input" } else { "output" };
         let by = self.biases_paired_by;
-        writeln!(
-            out,
-            "matrices      a row for each {rows}; biases paired by {by}"
-        )?;
-        writeln!(
-            out,
-            "activation    {}, {}",
-            self.activation, self.activation_from
-        )?;
+        writeln!(out, "matrices      a row for each {rows}; biases paired by {by}")?;
+        writeln!(out, "activation    {}, {}", self.activation, self.activation_from)?;
         writeln!(out, "normalisation from {}", self.normalisation_from)?;
         let by_recordings = self.normalisation_from.starts_with("the recordings");
         for source in self.normalisation.iter().filter(|_| !by_recordings) {
@@ -394,19 +349,12 @@ fn entry(entry: &Entry) -> EntryReport {
         EntryValue::Other(kind) => (*kind).to_owned(),
         _ => "something else".to_owned(),
     };
-    EntryReport {
-        path: entry.path.clone(),
-        what,
-    }
+    EntryReport { path: entry.path.clone(), what }
 }
 
 impl fmt::Display for ForeignReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "{} ({}), SHA-256 {}",
-            self.file, self.kind, self.file_sha256
-        )?;
+        writeln!(out, "{} ({}), SHA-256 {}", self.file, self.kind, self.file_sha256)?;
         for EntryReport { path, what } in self.entries.iter().take(SHOWN) {
             writeln!(out, "  {path:?}: {what}")?;
         }

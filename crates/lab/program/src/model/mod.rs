@@ -76,11 +76,7 @@ fn arrays(folder: &Path) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
             arrays.push((name.to_owned(), bytes(&path)?));
         }
     }
-    anyhow::ensure!(
-        !arrays.is_empty(),
-        "{} holds no .npy files",
-        folder.display()
-    );
+    anyhow::ensure!(!arrays.is_empty(), "{} holds no .npy files", folder.display());
     arrays.sort();
     Ok(arrays)
 }

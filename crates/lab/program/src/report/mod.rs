@@ -33,19 +33,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let pictures = args.out.join("figures");
     fs::create_dir_all(&pictures)
         .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
-    let (document, implausible) = if args.simulated {
-        (simulate(args)?, Vec::new())
-    } else {
-        evaluate(args)?
-    };
+    let (document, implausible) =
+        if args.simulated { (simulate(args)?, Vec::new()) } else { evaluate(args)? };
     say("rendering the report");
     for file in files(&document)? {
         write(&args.out.join(&file.path), &file.bytes)?;
     }
-    say(&format!(
-        "written: {}",
-        args.out.join("report.html").display()
-    ));
+    say(&format!("written: {}", args.out.join("report.html").display()));
     judgement::report(output, &document, implausible)?;
     Ok(Outcome::Done)
 }
@@ -67,13 +61,8 @@ fn simulate(args: &Args) -> anyhow::Result<Document> {
     if std::io::stderr().is_terminal() {
         say("");
     }
-    let SimulatedReport {
-        document, network, ..
-    } = report?;
-    write(
-        &args.out.join("network.safetensors"),
-        &network.to_safetensors()?,
-    )?;
+    let SimulatedReport { document, network, .. } = report?;
+    write(&args.out.join("network.safetensors"), &network.to_safetensors()?)?;
     Ok(document)
 }
 
@@ -87,9 +76,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
     let models = args.model.iter().map(|path| model(path));
     let models = models.collect::<anyhow::Result<Vec<_>>>()?;
     // The live path needs the platform of each robot: all of them belong to this one.
-    let first = kind
-        .and_then(|kind| kind.robots.first())
-        .map_or(0, |ids| *ids.start());
+    let first = kind.and_then(|kind| kind.robots.first()).map_or(0, |ids| *ids.start());
     let place = kind.and_then(|kind| settings.platforms.iter().position(|one| one == kind));
     let map = match place {
         Some(place) => args.columns.or_configured(&config, place)?,
@@ -103,11 +90,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         accept.recordings(&training)?;
         Ok(training)
     })?;
-    say(&format!(
-        "evaluating {} of {} recordings",
-        design.report().trials,
-        recordings.len()
-    ));
+    say(&format!("evaluating {} of {} recordings", design.report().trials, recordings.len()));
     let document = recorded(&Recorded {
         settings,
         platform: kind,
@@ -166,11 +149,7 @@ fn read(paths: &[PathBuf], robot: u32, map: &ColumnMap) -> anyhow::Result<Vec<Re
 
 /// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.
 fn progress(seed: u64, epoch: Epoch, max_epochs: u32) {
-    let Epoch {
-        number,
-        validation_loss,
-        ..
-    } = epoch;
+    let Epoch { number, validation_loss, .. } = epoch;
     let line =
         format!("seed {seed}, epoch {number:3} of at most {max_epochs}: loss {validation_loss:.5}");
     let mut stderr = std::io::stderr();

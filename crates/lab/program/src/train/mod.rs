@@ -95,12 +95,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     let Some(trained) = sim.run.train(&dataset, &settings)? else {
         return Ok(Outcome::Failed);
     };
-    output.report(&TrainReport::new(
-        Some(&sim.run.out),
-        &trained,
-        start.elapsed(),
-        None,
-    ))?;
+    output.report(&TrainReport::new(Some(&sim.run.out), &trained, start.elapsed(), None))?;
     Ok(Outcome::Done)
 }
 
@@ -117,11 +112,7 @@ pub(crate) fn train_recordings(
     full: bool,
     count: usize,
 ) -> anyhow::Result<Option<Split>> {
-    let features = if full {
-        FeatureChoice::Full
-    } else {
-        FeatureChoice::Power
-    };
+    let features = if full { FeatureChoice::Full } else { FeatureChoice::Power };
     trials::Args::of(paths, columns, out, features, count).train()
 }
 

@@ -43,11 +43,7 @@ pub(super) struct RunArguments {
 impl RunArguments {
     /// A run that writes this model.
     pub(super) fn new(out: &Path) -> Self {
-        Self {
-            out: out.to_owned(),
-            resume: false,
-            threads: 0,
-        }
+        Self { out: out.to_owned(), resume: false, threads: 0 }
     }
 
     /// Checks the paths of the model and its checkpoint before the training, not after minutes of
@@ -127,22 +123,14 @@ impl RunArguments {
         };
         let training = Training::resume(dataset, settings, self.threads, &saved)
             .with_context(|| format!("cannot continue from {at}"))?;
-        say(&format!(
-            "continuing after epoch {}",
-            training.epochs().len()
-        ));
+        say(&format!("continuing after epoch {}", training.epochs().len()));
         Ok(training)
     }
 }
 
 /// Prints one line per epoch; a terminal shows one line that is overwritten.
 fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
-    let Epoch {
-        number,
-        training_loss,
-        validation_loss,
-        best,
-    } = epoch;
+    let Epoch { number, training_loss, validation_loss, best } = epoch;
     let left = max_epochs.saturating_sub(number);
     let made = f64::from(number) - before as f64;
     let left_s = start.elapsed().as_secs_f64() / made * f64::from(left);

@@ -86,12 +86,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);
     };
-    let mut report = TrainReport::new(
-        Some(&args.run.out),
-        &trained,
-        start.elapsed(),
-        Some(summary),
-    );
+    let mut report =
+        TrainReport::new(Some(&args.run.out), &trained, start.elapsed(), Some(summary));
     report.next = args.next()?;
     judgement::report(output, &report, implausible)?;
     Ok(Outcome::Done)
@@ -223,10 +219,7 @@ mod tests {
 
     #[test]
     fn shipped_recipe_equals_the_default() {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../../../configs/recipes/paper.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/recipes/paper.toml");
         let recipe = read_recipe(Path::new(path)).expect("valid recipe");
         assert_eq!(recipe, Recipe::default());
         let text = std::fs::read_to_string(path).expect("readable file");

@@ -12,10 +12,7 @@ use crate::{export, export_mixed, files, joulebus, parquet};
 use joulebus_testkit::says;
 
 fn archive(place: &Path) -> PathBuf {
-    let recordings = [
-        full(place, "a.csv", 120, 1),
-        capture(place, "b.mcap", 120, 2),
-    ];
+    let recordings = [full(place, "a.csv", 120, 1), capture(place, "b.mcap", 120, 2)];
     let folder = place.join("archive");
     let paths: Vec<&Path> = recordings.iter().map(AsRef::as_ref).collect();
     export_mixed(&paths, &folder).exits(0);
@@ -56,13 +53,7 @@ fn pipes_folders_and_links_in_the_place_of_files_do_not_block_or_leave_the_archi
     let file = parquet(&folder).remove(0);
     let whole = fs::read(&file).unwrap();
     fs::remove_file(&file).unwrap();
-    assert!(
-        Command::new("mkfifo")
-            .arg(&file)
-            .status()
-            .unwrap()
-            .success()
-    );
+    assert!(Command::new("mkfifo").arg(&file).status().unwrap().success());
     assert!(refusal(&folder).contains("named pipe"));
     fs::remove_file(&file).unwrap();
     fs::create_dir(&file).unwrap();
@@ -82,10 +73,9 @@ fn pipes_folders_and_links_in_the_place_of_files_do_not_block_or_leave_the_archi
         let message = refusal(&folder);
         assert!(message.contains("not below the archive"), "{message}");
     }
-    for (text, part) in [
-        ("", "no listing"),
-        ("{\"schema\":9,\"name\":\"a\",\"trials\":[]}", "schema 9"),
-    ] {
+    for (text, part) in
+        [("", "no listing"), ("{\"schema\":9,\"name\":\"a\",\"trials\":[]}", "schema 9")]
+    {
         fs::write(&listing, text).unwrap();
         assert!(refusal(&folder).contains(part));
     }
@@ -108,10 +98,7 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
     assert!(Table::read(&alone).is_ok());
     // The schema's key, and its value after it.
     let key = b"joulebus.schema";
-    let at = whole
-        .windows(key.len())
-        .position(|bytes| bytes == key)
-        .unwrap();
+    let at = whole.windows(key.len()).position(|bytes| bytes == key).unwrap();
     let mut other = whole.clone();
     other[at] = b'x';
     let message = refused(&other);
@@ -125,17 +112,13 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
     // A column of another name.
     let name = b"voltage_mV";
     let mut other = whole.clone();
-    let places: Vec<usize> = (0..whole.len() - name.len())
-        .filter(|at| whole[*at..].starts_with(name))
-        .collect();
+    let places: Vec<usize> =
+        (0..whole.len() - name.len()).filter(|at| whole[*at..].starts_with(name)).collect();
     for at in places {
         other[at] = b'V';
     }
     let message = refused(&other);
-    says(
-        &message,
-        ["found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"],
-    );
+    says(&message, ["found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"]);
     let mut other = b"PAR1".to_vec();
     other.extend([0; 100]);
     refused(&other);
@@ -189,9 +172,7 @@ fn no_byte_that_is_changed_and_no_cut_ends_the_reader_or_changes_a_value() {
 fn a_name_that_is_hostile_stays_in_its_partition() {
     let place = tempfile::tempdir().unwrap();
     let recording = place.path().join("a.csv");
-    let rows: String = (0..20)
-        .map(|row| format!("../../../up\u{1b}[2J,{row},1.5\n"))
-        .collect();
+    let rows: String = (0..20).map(|row| format!("../../../up\u{1b}[2J,{row},1.5\n")).collect();
     fs::write(&recording, format!("robot_id,time_s,power_W\n{rows}")).unwrap();
     let before = files(place.path()).len();
     let folder = place.path().join("archive");
@@ -221,19 +202,11 @@ fn links_in_an_archive_are_not_followed_by_an_export_and_numbers_without_a_next_
         assert!(!ended.errors().contains("panicked"), "{}", ended.errors());
         assert_eq!(files(folder).len(), before, "{what}");
         assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 1, "{what}");
-        assert_eq!(
-            fs::read_to_string(elsewhere.join("letter")).unwrap(),
-            "dear",
-            "{what}"
-        );
+        assert_eq!(fs::read_to_string(elsewhere.join("letter")).unwrap(), "dear", "{what}");
     };
 
     let folder = begin("draft");
-    symlink(
-        elsewhere.join("letter"),
-        folder.join("_joulebus/000001.part"),
-    )
-    .unwrap();
+    symlink(elsewhere.join("letter"), folder.join("_joulebus/000001.part")).unwrap();
     refuses(&folder, "the draft of the listing");
 
     let folder = begin("partition");

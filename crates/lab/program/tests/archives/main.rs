@@ -59,6 +59,5 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 /// The Parquet files below a folder.
 fn parquet(folder: &Path) -> Vec<PathBuf> {
     let all = files(folder).into_iter();
-    all.filter(|path| path.extension().is_some_and(|ending| ending == "parquet"))
-        .collect()
+    all.filter(|path| path.extension().is_some_and(|ending| ending == "parquet")).collect()
 }

@@ -19,11 +19,7 @@ fn peak_bytes(pid: u32) -> Option<u64> {
 
 /// Largest resident set of a program, bytes, which must end well.
 fn peak_of(command: &mut Command) -> u64 {
-    let mut program = command
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut program = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let mut peak = 0;
     let ended = loop {
         peak = peak.max(peak_bytes(program.id()).unwrap_or_default());
@@ -47,19 +43,12 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     let run = recordings::capture(place.path(), "long.mcap", FRAMES, ROBOTS);
     let archive = place.path().join("archive");
     let mut command = Command::new(LAB);
-    command
-        .arg("export")
-        .arg(&run)
-        .args(["--to", "parquet"])
-        .arg(&archive);
+    command.arg("export").arg(&run).args(["--to", "parquet"]).arg(&archive);
     let peak = peak_of(&mut command);
     // One run of each robot, and another of the one that began again.
     assert_eq!(parquet(&archive).len(), ROBOTS as usize + 1);
     println!("figure: {samples} samples, {peak} bytes of memory at most");
-    assert!(
-        peak > 0 && peak < MAX_BYTES,
-        "{peak} bytes for {samples} samples"
-    );
+    assert!(peak > 0 && peak < MAX_BYTES, "{peak} bytes for {samples} samples");
 }
 
 /// An archive of some trials of as many rows each.
@@ -91,26 +80,9 @@ fn verbs_that_read_an_archive_hold_no_more_of_more_trials() {
     fs::write(&recipe, "[training]\nmax_epochs = 1\n").unwrap();
     let [out, recipe] = [&out, &recipe].map(|path| path.to_str().unwrap());
     let verbs: [&[&str]; 3] = [
-        &[
-            "eval",
-            "--resamples",
-            "0",
-            "--horizons",
-            "1",
-            "--model",
-            model,
-        ],
+        &["eval", "--resamples", "0", "--horizons", "1", "--model", model],
         &["analyze", "--model", model],
-        &[
-            "train",
-            "trials",
-            "--recipe",
-            recipe,
-            "--most-rows",
-            "20000",
-            "--out",
-            out,
-        ],
+        &["train", "trials", "--recipe", recipe, "--most-rows", "20000", "--out", out],
     ];
     let archives = [TRIALS, 2 * TRIALS].map(|trials| archive_of(trials, ROWS, place.path()));
     for verb in verbs {

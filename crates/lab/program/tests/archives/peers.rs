@@ -39,11 +39,7 @@ fn columns((_, table, stamps): &Recorded) -> Value {
     let rows = 0..table.rows();
     columns.insert(
         "timestamp_s".to_owned(),
-        table
-            .timestamp_s()
-            .iter()
-            .map(|time_s| bits(*time_s))
-            .collect(),
+        table.timestamp_s().iter().map(|time_s| bits(*time_s)).collect(),
     );
     for column in Column::ALL {
         let value = |row: usize| table.column(column).and_then(|values| bits(values[row]));
@@ -53,10 +49,7 @@ fn columns((_, table, stamps): &Recorded) -> Value {
     columns.insert("row".to_owned(), rows.clone().map(row).collect());
     let id: Option<u32> = table.robot_name().and_then(|name| name.parse().ok());
     let id = id.map(|id| id.to_string());
-    columns.insert(
-        "robot_id".to_owned(),
-        rows.clone().map(|_| id.clone()).collect(),
-    );
+    columns.insert("robot_id".to_owned(), rows.clone().map(|_| id.clone()).collect());
     let mut stamped = |name: &str, of: fn(&RowStamp) -> Option<u64>| {
         let number = |row: usize| {
             let stamp = stamps.as_ref().map(|stamps| stamps[row]);
@@ -66,9 +59,7 @@ fn columns((_, table, stamps): &Recorded) -> Value {
     };
     stamped("unix_ns", |stamp| Some(stamp.unix_ns));
     stamped("stamp_ns", |stamp| Some(stamp.stamp_ns));
-    stamped("measured_ns", |stamp| {
-        (stamp.measured_ns > 0).then_some(stamp.measured_ns)
-    });
+    stamped("measured_ns", |stamp| (stamp.measured_ns > 0).then_some(stamp.measured_ns));
     stamped("seq", |stamp| Some(stamp.seq));
     stamped("flags", |stamp| Some(u64::from(stamp.flags)));
     Value::Object(columns)
@@ -127,19 +118,14 @@ fn is_read(archive: &Path, levels: &[&str], is_mixed: bool) -> bool {
     }
     assert_eq!(trials.len(), parquet(archive).len());
     let kinds = fields().into_iter();
-    let kinds: serde_json::Map<String, Value> = kinds
-        .map(|field| (field.name.to_owned(), field.kind.name().into()))
-        .collect();
+    let kinds: serde_json::Map<String, Value> =
+        kinds.map(|field| (field.name.to_owned(), field.kind.name().into())).collect();
     let expected = archive.with_extension("json");
     let text = json!({ "trials": trials, "kinds": kinds, "levels": levels, "mixed": is_mixed })
         .to_string();
     fs::write(&expected, text).unwrap();
     let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/read_archive.py");
-    let ended = Command::new("python3")
-        .arg(tool)
-        .arg(archive)
-        .arg(&expected)
-        .output();
+    let ended = Command::new("python3").arg(tool).arg(archive).arg(&expected).output();
     let ended = ended.unwrap();
     let message = String::from_utf8_lossy(&ended.stderr);
     if ended.status.code() == Some(NO_PACKAGES) {
@@ -166,10 +152,7 @@ fn a_captures_integers_are_those_of_its_samples_and_its_day_that_of_its_first() 
     let [one, first, second] = &runs[..] else {
         panic!("{} runs", runs.len());
     };
-    assert_eq!(
-        (one.stamps.len(), first.stamps.len(), second.stamps.len()),
-        (90, 45, 45)
-    );
+    assert_eq!((one.stamps.len(), first.stamps.len(), second.stamps.len()), (90, 45, 45));
     for run in &runs {
         let from = if std::ptr::eq(run, second) { 45 } else { 0 };
         for (row, stamp) in run.stamps.iter().enumerate() {

@@ -38,11 +38,7 @@ pub(crate) fn full(folder: &Path, name: &str, rows: u64, seed: u64) -> PathBuf {
             14 => power_mw(row - 2, seed).to_string(),
             _ => power_mw(row, seed).to_string(),
         };
-        let soc = if row % 30 == 0 {
-            (1.0 - row as f64 / 1e5).to_string()
-        } else {
-            String::new()
-        };
+        let soc = if row % 30 == 0 { (1.0 - row as f64 / 1e5).to_string() } else { String::new() };
         text += &format!(
             "7,{time_s},{},{v},-0,{},,0.1,{},{},{power},{v},0,{soc},fine\n",
             row / 50,
@@ -80,12 +76,9 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
 pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> PathBuf {
     let path = folder.join(name);
     let settings = CaptureSettings::default();
-    let mut writer = Writer::new(
-        fs::File::create_new(&path).unwrap(),
-        settings,
-        &Attachments::default(),
-    )
-    .unwrap();
+    let mut writer =
+        Writer::new(fs::File::create_new(&path).unwrap(), settings, &Attachments::default())
+            .unwrap();
     let period_ns = 1_000_000_000 / 30;
     for frame in 0..frames {
         let stamp_ns = 5_000_000_000 + frame * period_ns;
@@ -98,10 +91,7 @@ pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> Pa
             ..SampleHeader::default()
         };
         let at_ns = BEGIN_NS + frame * period_ns;
-        let times = Times {
-            log_ns: at_ns,
-            publish_ns: at_ns,
-        };
+        let times = Times { log_ns: at_ns, publish_ns: at_ns };
         let samples = (0..robots).map(sample).collect();
         let message = Message::of::<Samples>(header, samples);
         writer.write("yard 3", times, &message).unwrap();

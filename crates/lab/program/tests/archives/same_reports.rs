@@ -25,12 +25,7 @@ fn same(words: &str, from: &Path, archive: &Path, more: &[&Path]) {
     };
     let (recordings, read) = (of(from), of(archive));
     assert!(!recordings.1.is_empty(), "{words}: {}", recordings.2);
-    assert_eq!(
-        (read.0, &read.1),
-        (recordings.0, &recordings.1),
-        "{words}: {}",
-        read.2
-    );
+    assert_eq!((read.0, &read.1), (recordings.0, &recordings.1), "{words}: {}", read.2);
 }
 
 fn model() -> PathBuf {
@@ -55,9 +50,7 @@ fn tables_of_an_archive_are_those_of_the_recordings_in_all_that_they_have() {
             let (read, original) = (read.into_trial().unwrap(), original.into_trial().unwrap());
             let bits = |trial: &Trial| -> Vec<u32> {
                 let samples = trial.to_samples(1, 5).into_iter();
-                samples
-                    .flat_map(|one| [one.omega_radps.to_bits(), one.power_w.to_bits()])
-                    .collect()
+                samples.flat_map(|one| [one.omega_radps.to_bits(), one.power_w.to_bits()]).collect()
             };
             assert_eq!(bits(&read), bits(&original));
         }
@@ -74,10 +67,7 @@ fn eval_and_analyze_of_an_archive_report_the_same_bytes() {
     let archive = exported(&from, place.path());
     let model = model();
     let words = "eval --format json --resamples 50 --energy --model";
-    for words in [
-        words,
-        "eval --resamples 0 --split time --horizons 1,3 --model",
-    ] {
+    for words in [words, "eval --resamples 0 --split time --horizons 1,3 --model"] {
         let with = |folder: &Path| joulebus(words, &[&model, folder]);
         let (recordings, read) = (with(&from), with(&archive));
         assert_eq!(recordings.code(), Some(0), "{}", recordings.errors());
@@ -140,11 +130,7 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
 fn real_recordings_report_the_same_from_an_archive() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     if !data.is_dir() {
-        assert!(
-            std::env::var("CI").as_deref() != Ok("true"),
-            "{}",
-            data.display()
-        );
+        assert!(std::env::var("CI").as_deref() != Ok("true"), "{}", data.display());
         println!("skipped: {} is missing", data.display());
         return;
     }
@@ -158,13 +144,8 @@ fn real_recordings_report_the_same_from_an_archive() {
         ("ase_rover", "baseline_on_track_0"),
     ] {
         let all = crate::files(&data.join(folder)).into_iter();
-        let begins = |path: &PathBuf| {
-            path.file_name()
-                .unwrap()
-                .to_str()
-                .unwrap()
-                .starts_with(begin)
-        };
+        let begins =
+            |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(begin);
         for path in all.filter(begins).take(3) {
             fs::copy(&path, from.join(path.file_name().unwrap())).unwrap();
         }

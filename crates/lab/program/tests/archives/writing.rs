@@ -36,10 +36,7 @@ fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
     assert_eq!(ended.json()["recordings_before"], 1);
     // In the order in which they were exported.
     let info = joulebus("data info --format json", &[&folder]).text();
-    assert!(
-        info.find("b.csv").unwrap() < info.find("a.csv").unwrap(),
-        "{info}"
-    );
+    assert!(info.find("b.csv").unwrap() < info.find("a.csv").unwrap(), "{info}");
     let before = files(&folder);
     let again = export(&[&second], &folder).exits(2);
     assert!(again.errors().contains("already"), "{}", again.errors());
@@ -60,10 +57,7 @@ fn recordings_before_one_that_cannot_be_read_are_whole_and_of_it_nothing_is_read
     export_mixed(&[&first, &run], &folder).exits(1);
     assert_eq!(listings(&folder).unwrap().len(), 1);
     assert_eq!(joulebus("data info", &[&folder]).code(), Some(0));
-    assert_eq!(
-        export(&[&full(place.path(), "c.csv", 50, 1)], &folder).code(),
-        Some(0)
-    );
+    assert_eq!(export(&[&full(place.path(), "c.csv", 50, 1)], &folder).code(), Some(0));
     assert_eq!(parquet(&folder).len(), 2);
 }
 
@@ -77,11 +71,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
     for files_first in [1, 3, 6] {
         let folder = place.path().join(format!("killed-{files_first}"));
         let mut command = std::process::Command::new(LAB);
-        command
-            .arg("export")
-            .arg(&from)
-            .args(["--mixed", "--to", "parquet"])
-            .arg(&folder);
+        command.arg("export").arg(&from).args(["--mixed", "--to", "parquet"]).arg(&folder);
         let mut export_process = Child::spawn("export", command);
         while export_process.is_running()
             && (!folder.exists() || files(&folder).len() < files_first)
@@ -100,18 +90,15 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
             .map(|path| joulebus_dataset::archive::Listing::read(path).unwrap().name)
             .collect();
         let missing = files(&from).into_iter();
-        let missing: Vec<_> = missing
-            .filter(|path| !names.contains(&path.display().to_string()))
-            .collect();
+        let missing: Vec<_> =
+            missing.filter(|path| !names.contains(&path.display().to_string())).collect();
         if !missing.is_empty() {
             let missing: Vec<&Path> = missing.iter().map(AsRef::as_ref).collect();
             export_mixed(&missing, &folder).exits(0);
         }
         let contents = |archive: &Path| -> Vec<Vec<u8>> {
-            let mut all: Vec<_> = parquet(archive)
-                .iter()
-                .map(|path| fs::read(path).unwrap())
-                .collect();
+            let mut all: Vec<_> =
+                parquet(archive).iter().map(|path| fs::read(path).unwrap()).collect();
             all.sort();
             all
         };
@@ -145,12 +132,8 @@ fn the_same_recordings_give_the_same_bytes() {
         let folder = place.path().join(name);
         assert_eq!(export_mixed(&[&from], &folder).code(), Some(0));
         let all = files(&folder).into_iter();
-        let all = all.map(|path| {
-            (
-                path.strip_prefix(&folder).unwrap().to_owned(),
-                fs::read(path).unwrap(),
-            )
-        });
+        let all = all
+            .map(|path| (path.strip_prefix(&folder).unwrap().to_owned(), fs::read(path).unwrap()));
         all.collect::<Vec<_>>()
     });
     assert!(one == other);
@@ -188,15 +171,7 @@ fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_m
     ] {
         let before = files(&folder(archive));
         let refused = export(&[other], &folder(archive)).exits(2);
-        says(
-            &refused.errors(),
-            [
-                said,
-                "another folder",
-                "--map robot:=NAME",
-                "pandas and Dask",
-            ],
-        );
+        says(&refused.errors(), [said, "another folder", "--map robot:=NAME", "pandas and Dask"]);
         assert_eq!(files(&folder(archive)), before);
         joulebus("data info", &[&folder(archive)]).exits(0);
     }
@@ -206,26 +181,16 @@ fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_m
     // Nor is a shallow one made deeper afterwards.
     export_mixed(&[&run], &folder("tables")).exits(2);
     // The way out for a robot without a name, and for engines that read nulls.
-    let named = [
-        "export",
-        "--map",
-        "robot:=r1",
-        "b.csv",
-        "--to",
-        "parquet",
-        "tables",
-    ]
-    .map(|word| match word {
-        "b.csv" | "tables" => folder(word),
-        word => word.into(),
-    });
+    let named = ["export", "--map", "robot:=r1", "b.csv", "--to", "parquet", "tables"].map(
+        |word| match word {
+            "b.csv" | "tables" => folder(word),
+            word => word.into(),
+        },
+    );
     run_lab(named).exits(0);
     assert!(folder("tables/robot=r1").exists());
     export_mixed(&[&run, &table, &unnamed], &folder("mixed")).exits(0);
-    assert_eq!(
-        parquet(&folder("mixed/fleet=__HIVE_DEFAULT_PARTITION__")).len(),
-        2
-    );
+    assert_eq!(parquet(&folder("mixed/fleet=__HIVE_DEFAULT_PARTITION__")).len(), 2);
     export(&[&full(place.path(), "c.csv", 50, 2)], &folder("mixed")).exits(0);
 }
 
@@ -240,18 +205,11 @@ fn wrong_words_are_refused_with_what_is_allowed() {
         (&["a.csv", "--to", "arrow", "/tmp/x"][..], "parquet"),
         (&["a.csv", "--to", "parquet"], "2 values"),
         (&["--to", "parquet", "/tmp/x"], "PATH"),
-        (
-            &["a.csv", "--to", "parquet", "/tmp/x", "--map", "nonsense"],
-            "nonsense",
-        ),
+        (&["a.csv", "--to", "parquet", "/tmp/x", "--map", "nonsense"], "nonsense"),
     ] {
         let ended = run(LAB, ["export"].iter().chain(words));
         assert_eq!(ended.code(), Some(2), "{words:?}: {}", ended.errors());
-        assert!(
-            ended.errors().contains(part),
-            "{words:?}: {}",
-            ended.errors()
-        );
+        assert!(ended.errors().contains(part), "{words:?}: {}", ended.errors());
     }
 }
 
@@ -260,12 +218,7 @@ fn the_documents_table_has_every_column_with_its_type_and_unit() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/datasets.md");
     let docs = fs::read_to_string(docs).unwrap();
     for field in fields() {
-        let row = format!(
-            "| `{}` | {} | {} |",
-            field.name,
-            field.kind.name(),
-            field.unit
-        );
+        let row = format!("| `{}` | {} | {} |", field.name, field.kind.name(), field.unit);
         assert!(docs.contains(&row), "docs/datasets.md lacks {row}");
     }
 }
@@ -304,18 +257,14 @@ fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
         currents.flatten().copied().collect()
     };
     let sum = |values: Vec<f64>| {
-        values
-            .into_iter()
-            .filter(|one| !one.is_nan())
-            .fold(0.0, |sum, one| sum + one)
+        values.into_iter().filter(|one| !one.is_nan()).fold(0.0, |sum, one| sum + one)
     };
     let own = ColumnMap::default();
     let original = sum(read(&run, &own));
     assert!(original > 0.0);
-    for (number, options, sign) in [
-        (0, &[][..], 1.0),
-        (1, &["--current", "discharge-negative"][..], -1.0),
-    ] {
+    for (number, options, sign) in
+        [(0, &[][..], 1.0), (1, &["--current", "discharge-negative"][..], -1.0)]
+    {
         let folder = place.path().join(format!("archive{number}"));
         export_as(options, &[&run], &folder).exits(0);
         let listing = listings(&folder).unwrap().remove(0);
@@ -333,11 +282,7 @@ fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
 fn lines_that_are_left_out_are_counted_and_the_exit_code_says_so() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("cut.csv");
-    fs::write(
-        &path,
-        "timestamp_s,power_mW\n0,4500\n1,4600\n2,4700\n3,\0\0\n",
-    )
-    .unwrap();
+    fs::write(&path, "timestamp_s,power_mW\n0,4500\n1,4600\n2,4700\n3,\0\0\n").unwrap();
     let folder = place.path().join("archive");
     let ended = export_as(&["--whole-rows"], &[&path], &folder).exits(3);
     assert_eq!(ended.json()["left_out_lines"], 1);

@@ -160,9 +160,7 @@ fn check_json(cell: &Cell, found: &Value, table: &Table) {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[test]
@@ -247,14 +245,7 @@ fn on<'a>(
     recordings: &'a [Recording],
     design: &'a Design,
 ) -> Recorded<'a> {
-    Recorded {
-        settings,
-        platform: None,
-        models,
-        recordings,
-        design,
-        published: false,
-    }
+    Recorded { settings, platform: None, models, recordings, design, published: false }
 }
 
 #[test]
@@ -271,10 +262,7 @@ fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
     let warning = document.warning.unwrap();
     assert!(warning.contains("trained on simulated robots"), "{warning}");
 
-    let published = Recorded {
-        published: true,
-        ..on(&settings, &models, &recordings, &design)
-    };
+    let published = Recorded { published: true, ..on(&settings, &models, &recordings, &design) };
     let document = recorded(&published).unwrap();
     assert!(document.to_string().contains("paper, trial 6"));
 }
@@ -287,10 +275,7 @@ fn one_short_recording_is_enough_and_none_is_refused() {
     html(&document).unwrap();
     let refused = recorded(&on(&settings, &models, &[], &Design::folds(&[]))).unwrap_err();
     assert!(matches!(refused, ReportError::Score(_)), "{refused}");
-    let short = Simulated {
-        samples: 99,
-        ..experiment()
-    };
+    let short = Simulated { samples: 99, ..experiment() };
     let refused = run(&short).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }

@@ -57,10 +57,7 @@ impl Bag {
         }
         let sql = "INSERT INTO message_definitions VALUES (1, 'geometry_msgs/msg/Twist', 'ros2msg', ?1, '')";
         sqlite.execute(sql, params![TWIST]).unwrap();
-        Self {
-            sqlite,
-            compress: false,
-        }
+        Self { sqlite, compress: false }
     }
 
     pub(crate) fn run(&mut self, sql: &str) {
@@ -79,9 +76,7 @@ impl Bag {
     pub(crate) fn raw(&self, topic: i64, time_ns: u64, data: &[u8]) {
         let sql = "INSERT INTO messages (timestamp, topic_id, data) VALUES (?1, ?2, ?3)";
         let time_ns = i64::try_from(time_ns).unwrap();
-        self.sqlite
-            .execute(sql, params![time_ns, topic, data])
-            .unwrap();
+        self.sqlite.execute(sql, params![time_ns, topic, data]).unwrap();
     }
 
     /// Ten steps a second of a robot that drives ever faster.
@@ -90,11 +85,7 @@ impl Bag {
         for step in steps {
             let time_ns = time_ns(step);
             self.message(2, time_ns - 20_000_000, &twist(f64::from(step) * 0.01));
-            self.message(
-                3,
-                time_ns - 10_000_000,
-                &odometry(time_ns - 10_000_000, step),
-            );
+            self.message(3, time_ns - 10_000_000, &odometry(time_ns - 10_000_000, step));
             self.message(1, time_ns, &battery(time_ns, step));
             self.raw(4, time_ns, &[7; 3_000]);
         }
@@ -139,10 +130,7 @@ fn battery(time_ns: u64, step: u32) -> BatteryState {
 
 fn twist(v_mps: f64) -> Twist {
     let vector = |x, z| Vector3 { x, y: 0.0, z };
-    Twist {
-        linear: vector(v_mps, 0.0),
-        angular: vector(0.0, 0.1),
-    }
+    Twist { linear: vector(v_mps, 0.0), angular: vector(0.0, 0.1) }
 }
 
 fn odometry(time_ns: u64, step: u32) -> Odometry {
@@ -151,24 +139,12 @@ fn odometry(time_ns: u64, step: u32) -> Odometry {
         child_frame_id: "base_link".to_owned(),
         pose: PoseWithCovariance {
             pose: Pose {
-                position: Vector3 {
-                    x: f64::from(step),
-                    y: 0.0,
-                    z: 0.0,
-                },
-                orientation: Quaternion {
-                    x: 0.0,
-                    y: 0.0,
-                    z: 0.0,
-                    w: 1.0,
-                },
+                position: Vector3 { x: f64::from(step), y: 0.0, z: 0.0 },
+                orientation: Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 },
             },
             covariance: [[0.0; 6]; 6],
         },
-        twist: TwistWithCovariance {
-            twist: twist(0.1),
-            covariance: [[0.0; 6]; 6],
-        },
+        twist: TwistWithCovariance { twist: twist(0.1), covariance: [[0.0; 6]; 6] },
     }
 }
 

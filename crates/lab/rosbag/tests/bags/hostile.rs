@@ -17,10 +17,7 @@ fn message(ended: &Output) -> String {
 fn code_of(bag: &Path) -> (i32, String) {
     let place = tempfile::tempdir().unwrap();
     let ended = convert(bag, &place.path().join("out.mcap"));
-    let code = ended
-        .status
-        .code()
-        .unwrap_or_else(|| panic!("killed: {ended:?}"));
+    let code = ended.status.code().unwrap_or_else(|| panic!("killed: {ended:?}"));
     assert!([0, 1, 3].contains(&code), "{ended:?}");
     assert_eq!(code == 0, message(&ended).is_empty(), "{ended:?}");
     (code, message(&ended))
@@ -97,10 +94,7 @@ fn only_tables_are_read_and_nothing_that_computes() {
     let endless = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) \
                    SELECT 1 AS topic_id, x AS timestamp, zeroblob(100000) AS data FROM n";
     for (what, sql) in [
-        (
-            "a view",
-            format!("DROP TABLE messages; CREATE VIEW messages AS {endless}"),
-        ),
+        ("a view", format!("DROP TABLE messages; CREATE VIEW messages AS {endless}")),
         (
             "a computed column",
             "DROP TABLE messages; CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, \
@@ -108,10 +102,7 @@ fn only_tables_are_read_and_nothing_that_computes() {
                 .to_owned(),
         ),
         ("no messages", "DROP TABLE messages".to_owned()),
-        (
-            "other columns",
-            "ALTER TABLE messages RENAME COLUMN data TO bytes".to_owned(),
-        ),
+        ("other columns", "ALTER TABLE messages RENAME COLUMN data TO bytes".to_owned()),
         (
             "a view of topics",
             "DROP TABLE topics; CREATE VIEW topics AS SELECT 1 AS id, 'a' AS name, 'b' AS type, \
@@ -127,10 +118,7 @@ fn only_tables_are_read_and_nothing_that_computes() {
         let began = Instant::now();
         let (code, message) = code_of(&path);
         assert_eq!(code, 1, "{what}: {message}");
-        assert!(
-            message.contains("is no bag of rosbag2"),
-            "{what}: {message}"
-        );
+        assert!(message.contains("is no bag of rosbag2"), "{what}: {message}");
         assert!(began.elapsed() < Duration::from_secs(100), "{what}");
     }
 }
@@ -169,10 +157,7 @@ fn a_message_larger_than_allowed_ends_the_bag_without_taking_its_memory() {
     bag.close();
     let (code, message) = code_of(&path);
     assert_eq!(code, 3, "{message}");
-    says(
-        &message,
-        ["this one and all after it: string or blob too big"],
-    );
+    says(&message, ["this one and all after it: string or blob too big"]);
 }
 
 /// An inner page of a table's tree, all of whose cells name the page `child`.

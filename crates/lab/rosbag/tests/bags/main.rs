@@ -170,9 +170,7 @@ fn a_bag_whose_recorder_was_killed_within_a_change_names_its_journal() {
     assert!(before == contents(&killed), "the bag was changed");
     // The message contains the remedy.
     let sqlite = rusqlite::Connection::open(&copy).unwrap();
-    sqlite
-        .query_row("PRAGMA quick_check", [], |row| row.get::<_, String>(0))
-        .unwrap();
+    sqlite.query_row("PRAGMA quick_check", [], |row| row.get::<_, String>(0)).unwrap();
     sqlite.close().unwrap();
     let imported = imported(&[&copy]);
     assert_eq!(imported.others["sensor_msgs/msg/Image"], 10);
@@ -189,10 +187,7 @@ fn a_journal_that_is_over_does_no_harm() {
     let journal = place.path().join("bag.db3-journal");
     assert!(fs::metadata(&journal).unwrap().len() > 0);
     assert_eq!(imported(&[&path]).robots[0].row_count, 10);
-    for head in [
-        &b"\xd9\xd5"[..],
-        b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7\0\0\0\0",
-    ] {
+    for head in [&b"\xd9\xd5"[..], b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7\0\0\0\0"] {
         fs::write(&journal, head).unwrap();
         assert_eq!(imported(&[&path]).robots[0].row_count, 10);
     }
@@ -235,20 +230,12 @@ fn standard_output_is_written_if_it_is_an_empty_file() {
     let to = |out: Stdio| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-rosbag"));
         command.arg(&path).args(["-o", "-"]).stdout(out);
-        command
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap()
-            .wait_with_output()
-            .unwrap()
+        command.stderr(Stdio::piped()).spawn().unwrap().wait_with_output().unwrap()
     };
     let ended = to(File::create(&redirected).unwrap().into());
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     assert!(fs::read(&named).unwrap() == fs::read(&redirected).unwrap());
-    for out in [
-        Stdio::piped(),
-        File::options().append(true).open(&named).unwrap().into(),
-    ] {
+    for out in [Stdio::piped(), File::options().append(true).open(&named).unwrap().into()] {
         let ended = to(out);
         assert_eq!(ended.status.code(), Some(1), "{ended:?}");
         assert!(ended.stdout.is_empty(), "{ended:?}");
@@ -284,25 +271,17 @@ fn an_import_that_is_ended_leaves_no_file_and_no_process() {
         let bag = place.path().join("bag.db3");
         fs::write(&bag, "").unwrap();
         let mut import = Command::new(slow_reader(place.path()));
-        import
-            .arg("import")
-            .arg(&bag)
-            .arg("-o")
-            .arg(place.path().join("out"));
+        import.arg("import").arg(&bag).arg("-o").arg(place.path().join("out"));
         let mut import = import.env("TMPDIR", &temporary).spawn().unwrap();
         let begun = place.path().join("begun");
         eventually("the reader has begun", || begun.exists());
         let reader = fs::read_to_string(&begun).unwrap();
-        let killed = Command::new("kill")
-            .args([signal, &import.id().to_string()])
-            .status();
+        let killed = Command::new("kill").args([signal, &import.id().to_string()]).status();
         assert!(killed.unwrap().success());
         assert_eq!(import.wait().unwrap().code(), None);
         // Empty once the reader has ended, even before its exit code is collected.
         let words = Path::new("/proc").join(reader.trim()).join("cmdline");
-        eventually("the reader has ended", || {
-            fs::read(&words).unwrap_or_default().is_empty()
-        });
+        eventually("the reader has ended", || fs::read(&words).unwrap_or_default().is_empty());
         assert_eq!(contents(&temporary), BTreeMap::new(), "{signal}");
     }
 }
@@ -367,10 +346,7 @@ fn joulebus_imports_files_and_folders() {
     let ended = import(&folder);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
-    says(
-        &message,
-        "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "),
-    );
+    says(&message, "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "));
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();
     let ended = import(&empty);
@@ -393,10 +369,7 @@ fn a_folder_of_mcap_files_is_one_recording() {
         assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     }
     let alone = File::open(folder.join("bag_0.mcap")).unwrap();
-    assert_eq!(
-        import(alone, "bag", &Mapping::default()).unwrap().robots[0].row_count,
-        20
-    );
+    assert_eq!(import(alone, "bag", &Mapping::default()).unwrap().robots[0].row_count, 20);
     let out = place.path().join("trials");
     let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
@@ -408,8 +381,5 @@ fn a_folder_of_mcap_files_is_one_recording() {
     let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
-    says(
-        &message,
-        ["45 rows of r1", "bag_2.mcap: byte 0: found an empty file"],
-    );
+    says(&message, ["45 rows of r1", "bag_2.mcap: byte 0: found an empty file"]);
 }

@@ -50,17 +50,11 @@ with writer:
 fn python() -> Option<String> {
     let named = std::env::var("JOULEBUS_PYTHON").ok();
     let python = named.unwrap_or_else(|| "python3".to_owned());
-    let works = Command::new(&python)
-        .args(["-c", "import rosbags.rosbag2, numpy"])
-        .output();
+    let works = Command::new(&python).args(["-c", "import rosbags.rosbag2, numpy"]).output();
     if works.is_ok_and(|output| output.status.success()) {
         return Some(python);
     }
-    assert_ne!(
-        std::env::var("CI").as_deref(),
-        Ok("true"),
-        "{python} lacks rosbags"
-    );
+    assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{python} lacks rosbags");
     eprintln!("SKIPPED: {python} lacks rosbags (JOULEBUS_PYTHON=$(tools/python.sh) has it)");
     None
 }
@@ -72,15 +66,9 @@ fn bags_of_another_writer_are_imported_with_its_values() {
     };
     let place = tempfile::tempdir().unwrap();
     for how in ["plain", "message", "mcap"] {
-        let (bag, out) = (
-            place.path().join(how),
-            place.path().join(format!("{how}.csv")),
-        );
+        let (bag, out) = (place.path().join(how), place.path().join(format!("{how}.csv")));
         let mut write = Command::new(&python);
-        let written = write
-            .args(["-c", WRITER, &text(&bag), how])
-            .output()
-            .unwrap();
+        let written = write.args(["-c", WRITER, &text(&bag), how]).output().unwrap();
         assert!(written.status.success(), "{how}: {written:?}");
         let ended = joulebus(&["import", &text(&bag), "-o", &text(&out)]);
         assert_eq!(ended.status.code(), Some(0), "{how}: {ended:?}");
@@ -93,16 +81,11 @@ fn bags_of_another_writer_are_imported_with_its_values() {
         let (power, v) = (column("power_mW"), column("v_cmd_mps"));
         let mut rows = 0;
         for (line, k) in lines.zip(0..) {
-            let values: Vec<f64> = line
-                .split(',')
-                .map(|cell| cell.parse().unwrap_or(f64::NAN))
-                .collect();
+            let values: Vec<f64> =
+                line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
             let power_mw = 11_500.0 * (2.0 + 0.1 * f64::from(k));
             assert!((values[power] - power_mw).abs() < 0.01, "{how}: {line}");
-            assert!(
-                (values[v] - 0.01 * f64::from(k)).abs() < 1e-9,
-                "{how}: {line}"
-            );
+            assert!((values[v] - 0.01 * f64::from(k)).abs() < 1e-9, "{how}: {line}");
             rows += 1;
         }
         assert_eq!(rows, 40, "{how}");
@@ -110,17 +93,9 @@ fn bags_of_another_writer_are_imported_with_its_values() {
     // A file that is compressed as a whole is named, with the remedy.
     let bag = place.path().join("file");
     let mut write = Command::new(&python);
-    let written = write
-        .args(["-c", WRITER, &text(&bag), "file"])
-        .output()
-        .unwrap();
+    let written = write.args(["-c", WRITER, &text(&bag), "file"]).output().unwrap();
     assert!(written.status.success(), "{written:?}");
-    let ended = joulebus(&[
-        "import",
-        &text(&bag),
-        "-o",
-        &text(&place.path().join("f.csv")),
-    ]);
+    let ended = joulebus(&["import", &text(&bag), "-o", &text(&place.path().join("f.csv"))]);
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
     let message = String::from_utf8(ended.stderr).unwrap();
     assert!(message.contains("zstd -d"), "{message}");

@@ -12,33 +12,19 @@ const TOLERANCE_MPS: f64 = 2e-5;
 /// Robots at random positions, some close together, and their desired velocities.
 fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
     let place = |half_m: f64| -half_m + 0.1..half_m - 0.1;
-    let robot = (
-        place(HALF_ARENA_M.0),
-        place(HALF_ARENA_M.1),
-        -0.2..0.2,
-        -0.2..0.2,
-    );
+    let robot = (place(HALF_ARENA_M.0), place(HALF_ARENA_M.1), -0.2..0.2, -0.2..0.2);
     (proptest::collection::vec(robot, 1..8), 0.2..1.0)
         .prop_map(|(robots, spread)| {
             let spread: f64 = spread;
             let point = |&(x, y, _, _): &(f64, f64, f64, f64)| Vector::new(x * spread, y * spread);
             let wanted = |&(_, _, x, y): &(f64, f64, f64, f64)| Vector::new(x, y);
-            (
-                robots.iter().map(point).collect(),
-                robots.iter().map(wanted).collect(),
-            )
+            (robots.iter().map(point).collect(), robots.iter().map(wanted).collect())
         })
-        .prop_filter(
-            "overlapping robots may have no allowed velocities",
-            |(points, _)| {
-                let points: &Vec<Vector> = points;
-                (1..points.len()).all(|i| {
-                    points[..i]
-                        .iter()
-                        .all(|other| (points[i] - other).norm() > 0.23)
-                })
-            },
-        )
+        .prop_filter("overlapping robots may have no allowed velocities", |(points, _)| {
+            let points: &Vec<Vector> = points;
+            (1..points.len())
+                .all(|i| points[..i].iter().all(|other| (points[i] - other).norm() > 0.23))
+        })
 }
 
 /// Hildreth's method: one multiplier at a time, until convergence.
@@ -83,10 +69,7 @@ fn projected(barrier: Barrier, points: &[Vector], wanted: &[Vector]) -> Vec<Vect
             break;
         }
     }
-    velocities
-        .chunks(2)
-        .map(Vector::from_column_slice)
-        .collect()
+    velocities.chunks(2).map(Vector::from_column_slice).collect()
 }
 
 fn furthest(a: &[Vector], b: &[Vector]) -> f64 {
@@ -118,10 +101,7 @@ proptest! {
 #[test]
 fn the_numbers_of_positions_and_velocities_must_be_equal() {
     let refused = Barrier::default().allowed(&[Vector::zeros(); 2], &[Vector::zeros()]);
-    let expected = BarrierError::Lengths {
-        points: 2,
-        wanted: 1,
-    };
+    let expected = BarrierError::Lengths { points: 2, wanted: 1 };
     assert_eq!(refused, Err(expected));
 }
 
@@ -142,11 +122,7 @@ fn seven_robots_meet_and_never_touch_or_leave_the_arena() {
             for (column, half_m) in [(Column::X, HALF_ARENA_M.0), (Column::Y, HALF_ARENA_M.1)] {
                 let places_m = trial.column(column).expect("poses are recorded");
                 let inside = |at_m: &f64| at_m.abs() <= half_m - ROBOT_M / 2.0;
-                assert!(
-                    places_m.iter().all(inside),
-                    "robot {:?}",
-                    trial.robot_name()
-                );
+                assert!(places_m.iter().all(inside), "robot {:?}", trial.robot_name());
             }
         }
     }

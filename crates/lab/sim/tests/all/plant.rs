@@ -99,10 +99,7 @@ fn the_robots_of_a_fleet_resemble_the_published_ones() {
     let std_w = mean(robots.iter().map(|(_, std_w)| *std_w));
     let mean_w = mean(robots.iter().map(|(mean_w, _)| *mean_w));
     let all = || series.iter().flat_map(|series| powers(series));
-    let (lowest_w, highest_w) = (
-        all().fold(f64::MAX, f64::min),
-        all().fold(f64::MIN, f64::max),
-    );
+    let (lowest_w, highest_w) = (all().fold(f64::MAX, f64::min), all().fold(f64::MIN, f64::max));
     let commands = |pick: fn(&SimReading) -> f32| {
         let values = series.iter().flatten();
         let values: Vec<f64> = values.map(|reading| f64::from(pick(reading))).collect();
@@ -235,10 +232,7 @@ fn a_fault_changes_its_robot_from_its_time_on_and_no_other() {
     assert!(ratio > 1.5, "{ratio}");
     let refused = Plant::new(8, 4).with_fault(4, Fault::StuckSensor, 0.0);
     let (robot, robots) = (4, 4);
-    assert_eq!(
-        refused.err(),
-        Some(PlantError::UnknownRobot { robot, robots })
-    );
+    assert_eq!(refused.err(), Some(PlantError::UnknownRobot { robot, robots }));
 }
 
 #[test]
@@ -295,17 +289,11 @@ fn the_six_trials_have_the_published_shape_and_stay_within_the_platform_limits()
 
 #[test]
 fn each_wheel_is_clamped_separately() {
-    let far = saturated(Command {
-        v_mps: 0.3,
-        omega_radps: 2.0,
-    });
+    let far = saturated(Command { v_mps: 0.3, omega_radps: 2.0 });
     let [left_mps, right_mps] = wheels_mps(far);
     assert!((left_mps - 0.19).abs() < 1e-12, "{left_mps} was possible");
     assert!((right_mps - 0.2).abs() < 1e-12, "{right_mps} is the most");
-    let near = Command {
-        v_mps: -0.05,
-        omega_radps: 1.5,
-    };
+    let near = Command { v_mps: -0.05, omega_radps: 1.5 };
     let kept = saturated(near);
     assert!((kept.v_mps - near.v_mps).abs() < 1e-12);
     assert!((kept.omega_radps - near.omega_radps).abs() < 1e-12);
@@ -314,9 +302,7 @@ fn each_wheel_is_clamped_separately() {
 #[test]
 fn the_same_seed_gives_the_same_trials() {
     let rows = |trial: &Trial| -> Vec<u64> {
-        let columns = Column::ALL
-            .into_iter()
-            .filter_map(|column| trial.column(column));
+        let columns = Column::ALL.into_iter().filter_map(|column| trial.column(column));
         columns.flatten().map(|value| value.to_bits()).collect()
     };
     for protocol in Protocol::ALL {
@@ -365,10 +351,7 @@ fn a_driven_robot_draws_what_its_monitor_shows() {
         let (mut shown_j, mut moved) = (0.0, 0.0);
         for step in 0..1_800 {
             let omega_radps = if step % 200 < 100 { 1.0 } else { -1.0 };
-            let command = Command {
-                v_mps: 0.1,
-                omega_radps,
-            };
+            let command = Command { v_mps: 0.1, omega_radps };
             let before = robot.pose().at_m;
             let driven = robot.drive(command, step_ns);
             let off = (driven.v_mps - 0.1).abs() + (driven.omega_radps - omega_radps).abs();
@@ -380,10 +363,7 @@ fn a_driven_robot_draws_what_its_monitor_shows() {
         }
         assert!((moved - 6.0).abs() < 0.05, "{moved}");
         let drawn_j = robot.drawn_j();
-        assert!(
-            (shown_j / drawn_j - 1.0).abs() < 0.002,
-            "{shown_j} {drawn_j}"
-        );
+        assert!((shown_j / drawn_j - 1.0).abs() < 0.002, "{shown_j} {drawn_j}");
         drawn_j
     };
     let (sound_j, faulty_j) = (shown(0.0), shown(2.0));

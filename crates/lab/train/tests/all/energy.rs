@@ -9,11 +9,7 @@ use joulebus_train::energy_model;
 const PERIOD_S: f32 = 0.1;
 
 fn commands<'a>(v_mps: &'a [f32], omega_radps: &'a [f32]) -> Commands<'a> {
-    Commands {
-        period_s: PERIOD_S,
-        v_mps,
-        omega_radps,
-    }
+    Commands { period_s: PERIOD_S, v_mps, omega_radps }
 }
 
 fn made(robots: &[Robot]) -> EnergyModel {
@@ -41,11 +37,7 @@ impl Robot {
             drift = 0.9 * drift + 0.01 * noise.normal() as f32;
             power_w.push(level * true_w(command) * (1.0 + drift));
         }
-        Self {
-            level,
-            commands,
-            power_w,
-        }
+        Self { level, commands, power_w }
     }
 
     fn rows(&self) -> Vec<Row> {
@@ -55,10 +47,7 @@ impl Robot {
                 let (v, omega) = self.commands[at];
                 let (v_before, omega_before) = self.commands[at - 1];
                 let previous = Some((v_before, omega_before, PERIOD_S));
-                Row {
-                    features: features(v, omega, previous, &lag_w),
-                    target_w: self.power_w[at],
-                }
+                Row { features: features(v, omega, previous, &lag_w), target_w: self.power_w[at] }
             })
             .collect()
     }
@@ -93,9 +82,7 @@ fn true_w((v_mps, omega_radps): (f32, f32)) -> f32 {
 }
 
 fn robots(numbers: std::ops::Range<u64>) -> Vec<Robot> {
-    numbers
-        .map(|number| Robot::new(number, 0.6 + 0.1 * (number % 9) as f32, 1_200))
-        .collect()
+    numbers.map(|number| Robot::new(number, 0.6 + 0.1 * (number % 9) as f32, 1_200)).collect()
 }
 
 fn dataset(robots: &[Robot]) -> Dataset {

@@ -8,20 +8,14 @@ use proptest::prelude::*;
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
 fn row(features: &[f32], target_w: f32) -> Row {
-    let mut row = Row {
-        features: [0.0; INPUTS],
-        target_w,
-    };
+    let mut row = Row { features: [0.0; INPUTS], target_w };
     row.features[..features.len()].copy_from_slice(features);
     row
 }
 
 fn rows(count: std::ops::Range<usize>) -> impl Strategy<Value = Vec<Row>> {
     let one = (prop::collection::vec(-2.0f32..2.0, FEATURES), -5.0f32..5.0);
-    prop::collection::vec(
-        one.prop_map(|(features, target_w)| row(&features, target_w)),
-        count,
-    )
+    prop::collection::vec(one.prop_map(|(features, target_w)| row(&features, target_w)), count)
 }
 
 /// The same by Gauss-Jordan elimination with full pivoting, on the plain columns and a column of
@@ -61,9 +55,7 @@ fn slow_fit(rows: &[Row], terms: Terms) -> Vec<f64> {
 
 fn squares(rows: &[Row], forecasts_w: &[f64]) -> f64 {
     let pairs = rows.iter().zip(forecasts_w);
-    pairs
-        .map(|(row, forecast_w)| (f64::from(row.target_w) - forecast_w).powi(2))
-        .sum()
+    pairs.map(|(row, forecast_w)| (f64::from(row.target_w) - forecast_w).powi(2)).sum()
 }
 
 proptest! {
@@ -137,15 +129,7 @@ fn rows_with_missing_numbers_are_left_out_and_counted() {
         .map(|i| {
             let x = f32::from(i);
             row(
-                &[
-                    x,
-                    (x * 0.7).sin(),
-                    (x * 1.3).cos(),
-                    x.sqrt(),
-                    x % 3.0,
-                    x % 7.0,
-                    3.0 + x % 5.0,
-                ],
+                &[x, (x * 0.7).sin(), (x * 1.3).cos(), x.sqrt(), x % 3.0, x % 7.0, 3.0 + x % 5.0],
                 1.0 + 2.0 * x,
             )
         })
@@ -158,10 +142,7 @@ fn rows_with_missing_numbers_are_left_out_and_counted() {
     assert_eq!((found.rows(), found.unusable_rows()), (50, 3));
     assert_eq!(found.coefficients(), whole.coefficients());
     assert!((found.predict(&rows[7].features) - 15.0).abs() < 1e-9);
-    assert!(
-        found.predict(&rows[50].features).is_nan(),
-        "NaN input must give NaN"
-    );
+    assert!(found.predict(&rows[50].features).is_nan(), "NaN input must give NaN");
 }
 
 #[test]
@@ -180,12 +161,7 @@ fn unrecorded_velocities_are_dropped_and_change_no_forecast() {
     let alone = Linear::fit(&rows, Terms::AR5).expect("the readings are there");
     assert_eq!(found.coefficients(), alone.coefficients());
     assert_eq!(found.dropped().len(), NEWEST);
-    assert!(
-        found
-            .dropped()
-            .iter()
-            .all(|(_, why)| *why == Dropped::Missing)
-    );
+    assert!(found.dropped().iter().all(|(_, why)| *why == Dropped::Missing));
     assert!(found.predict(&rows[3].features).is_finite());
     rows.truncate(0);
     let (known, missing) = known_terms(&[rows.as_slice()], Terms::AR5);
@@ -215,10 +191,7 @@ fn the_coefficients_of_a_linear_series_are_recovered() {
     assert!(report.dropped.contains(&("omega_radps", Dropped::Constant)));
     assert_eq!(report.terms, "AR(5) + velocities");
     let persistence = Linear::persistence();
-    assert_eq!(
-        persistence.predict(&rows[9].features),
-        f64::from(rows[9].features[NEWEST])
-    );
+    assert_eq!(persistence.predict(&rows[9].features), f64::from(rows[9].features[NEWEST]));
 }
 
 #[test]
@@ -231,15 +204,9 @@ fn too_few_rows_and_features_without_moments_are_refused() {
          recordings, or fewer features"
     );
     let taken = Moments::of(&few, Terms::AR5);
-    assert!(matches!(
-        taken.fit(Terms::VELOCITIES),
-        Err(LinearError::NotTaken { .. })
-    ));
+    assert!(matches!(taken.fit(Terms::VELOCITIES), Err(LinearError::NotTaken { .. })));
     let constant = taken.fit(Terms::of(&[])).expect("two rows have a mean");
     assert_eq!(constant.predict(&few[0].features), 1.5);
     assert_eq!(constant.terms().to_string(), "constant");
-    assert_eq!(
-        Terms::of(&[0, NEWEST, 99]).to_string(),
-        "v_mps + power_lag1_w"
-    );
+    assert_eq!(Terms::of(&[0, NEWEST, 99]).to_string(), "v_mps + power_lag1_w");
 }

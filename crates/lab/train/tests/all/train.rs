@@ -35,10 +35,7 @@ fn tiny_data() -> Dataset {
 }
 
 fn tiny_settings(feature_set: FeatureSet) -> TrainSettings {
-    TrainSettings {
-        max_epochs: 4,
-        ..TrainSettings::new("tiny", "simulation", feature_set, 12)
-    }
+    TrainSettings { max_epochs: 4, ..TrainSettings::new("tiny", "simulation", feature_set, 12) }
 }
 
 fn made(data: &Dataset, settings: &TrainSettings) -> Trained {
@@ -59,10 +56,9 @@ fn tiny(feature_set: FeatureSet) -> Trained {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_every_machine() {
-    for (feature_set, hash) in [
-        (FeatureSet::Full, FULL_HASH),
-        (FeatureSet::PowerOnly, POWER_ONLY_HASH),
-    ] {
+    for (feature_set, hash) in
+        [(FeatureSet::Full, FULL_HASH), (FeatureSet::PowerOnly, POWER_ONLY_HASH)]
+    {
         let [one, other] = [tiny(feature_set).network, tiny(feature_set).network];
         assert_eq!(bytes(&one), bytes(&other));
         let found = one.hash();
@@ -70,10 +66,7 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
         // models.
         assert_eq!(found, hash, "{found:#018x}");
     }
-    let settings = TrainSettings {
-        seed: 13,
-        ..tiny_settings(FeatureSet::Full)
-    };
+    let settings = TrainSettings { seed: 13, ..tiny_settings(FeatureSet::Full) };
     let other = made(&tiny_data(), &settings);
     assert_ne!(other.network.hash(), FULL_HASH);
 }
@@ -126,10 +119,7 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
 
     let mut short = data.clone();
     short.training.truncate(1);
-    says(
-        &refused(&short, &full),
-        ["training part has 1 usable rows (0 more"],
-    );
+    says(&refused(&short, &full), ["training part has 1 usable rows (0 more"]);
 
     let mut poisoned = data.clone();
     for row in &mut poisoned.validation {
@@ -196,10 +186,8 @@ fn unusable_rows_are_left_out_counted_and_change_nothing_else() {
     assert_eq!(found.findings.training_rows, clean.training.len());
     assert_eq!(found.network.parameters(), expected.network.parameters());
     // The file identifies recordings, whose unusable rows belong to them.
-    let card = |trained: &Trained| ModelCard {
-        trained_rows: None,
-        ..trained.network.card().clone()
-    };
+    let card =
+        |trained: &Trained| ModelCard { trained_rows: None, ..trained.network.card().clone() };
     assert_eq!(card(&found), card(&expected));
 }
 
@@ -229,10 +217,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
         assert!(refused.to_string().contains("to 256"), "{refused}");
     }
     for batch in [256, 33, 5_000] {
-        let settings = TrainSettings {
-            batch,
-            ..tiny_settings(FeatureSet::Full)
-        };
+        let settings = TrainSettings { batch, ..tiny_settings(FeatureSet::Full) };
         let bytes = [1, 2, 5].map(|threads| {
             let mut training = Training::new(&data, &settings, threads).expect("sound data");
             while !training.is_done() {
@@ -278,15 +263,9 @@ fn a_saved_run_resumes_only_with_its_own_data_and_recipe() {
     let mut other = data.clone();
     other.training[0].target_w += 0.5;
     assert!(refused(&other, &settings, &saved).contains("another data hash"));
-    let faster = TrainSettings {
-        learning_rate: 2e-3,
-        ..settings.clone()
-    };
+    let faster = TrainSettings { learning_rate: 2e-3, ..settings.clone() };
     assert!(refused(&data, &faster, &saved).contains("another recipe"));
-    let longer = TrainSettings {
-        max_epochs: 9,
-        ..settings.clone()
-    };
+    let longer = TrainSettings { max_epochs: 9, ..settings.clone() };
     // The number of epochs may be raised.
     assert!(Training::resume(&data, &longer, 1, &saved).is_ok());
     for cut in (0..saved.len()).step_by(97) {
@@ -326,11 +305,7 @@ fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
 /// The rows with all inputs of a network. At a robot's first samples the reading age is unknown.
 fn usable(dataset: &Dataset, feature_set: FeatureSet) -> Dataset {
     let known = |rows: &[Row]| -> Vec<Row> {
-        let read = |row: &&Row| {
-            row.features[feature_set.range()]
-                .iter()
-                .all(|x| x.is_finite())
-        };
+        let read = |row: &&Row| row.features[feature_set.range()].iter().all(|x| x.is_finite());
         rows.iter().filter(read).copied().collect()
     };
     Dataset {
@@ -364,11 +339,7 @@ fn the_shipped_models_state_that_they_come_from_this_simulation() {
         // The card was written by earlier kernels: their last bits may change, the model's may not.
         let close = |(found, stated): (f32, f32)| (found - stated).abs() <= 1e-5 * stated.abs();
         let figures = |scores: Scores, residual: ResidualStats| {
-            let ResidualStats {
-                std_w,
-                q05_w,
-                q95_w,
-            } = residual;
+            let ResidualStats { std_w, q05_w, q95_w } = residual;
             let network = [scores.network_r2, scores.network_mae_w];
             let persistence = [scores.persistence_r2, scores.persistence_mae_w];
             [&network[..], &persistence, &[std_w, q05_w, q95_w]].concat()
@@ -466,10 +437,8 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
         period_s: 0.0,
     };
     let trained = |set: FeatureSet| {
-        let settings = TrainSettings {
-            max_epochs: 30,
-            ..TrainSettings::new("swinging", "made up", set, 3)
-        };
+        let settings =
+            TrainSettings { max_epochs: 30, ..TrainSettings::new("swinging", "made up", set, 3) };
         made(&data, &settings)
     };
     let plain = trained(FeatureSet::PowerOnly);

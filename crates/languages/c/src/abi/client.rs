@@ -42,9 +42,7 @@ pub unsafe extern "C" fn joulebus_client_open(
         let connect = |text: String| Failure::new(joulebus_error::Connect, text);
         let config = Config::load(config_path).map_err(|error| connect(error.to_string()))?;
         let opened = PlanClient::with_config(&config, name);
-        client.set(handles::open(
-            opened.map_err(|error| connect(error.to_string()))?,
-        )?);
+        client.set(handles::open(opened.map_err(|error| connect(error.to_string()))?)?);
         Ok(())
     })
 }

@@ -40,11 +40,7 @@ pub unsafe extern "C" fn joulebus_predictor_open(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let (header, name, mut predictor) = unsafe {
-            let name = if model.is_null() {
-                DEFAULT
-            } else {
-                text("model", model)?
-            };
+            let name = if model.is_null() { DEFAULT } else { text("model", model)? };
             (text("header", header)?, name, out("predictor", predictor)?)
         };
         version::check(header)?;
@@ -77,17 +73,10 @@ pub unsafe extern "C" fn joulebus_predictor_predict(
         let model = model(predictor)?;
         check_width(&model, width)?;
         let values = product("features", &[rows, width])?;
-        check_apart(
-            ("features", features, values),
-            ("power_w", power_w.cast_const(), rows),
-        )?;
+        check_apart(("features", features, values), ("power_w", power_w.cast_const(), rows))?;
         // SAFETY: the caller's promises, in joulebus.h; both lie apart.
-        let (features, power_w) = unsafe {
-            (
-                array("features", features, values)?,
-                array_mut("power_w", power_w, rows)?,
-            )
-        };
+        let (features, power_w) =
+            unsafe { (array("features", features, values)?, array_mut("power_w", power_w, rows)?) };
         if width == INPUTS {
             model.predict(features.as_chunks().0, power_w);
             return Ok(());
@@ -142,10 +131,8 @@ pub unsafe extern "C" fn joulebus_predictor_rollout(
                 starts(&of, array("readings_w", of.readings_w, readings)?)?,
             )
         };
-        let (v_mps, omega_radps) = (
-            transposed(v_mps, lanes, of.steps),
-            transposed(omega_radps, lanes, of.steps),
-        );
+        let (v_mps, omega_radps) =
+            (transposed(v_mps, lanes, of.steps), transposed(omega_radps, lanes, of.steps));
         let rollouts = Rollouts {
             starts: &starts,
             candidates: of.candidates,
@@ -156,15 +143,10 @@ pub unsafe extern "C" fn joulebus_predictor_rollout(
         };
         let (mut energies, mut powers) = (zeros(lanes)?, zeros(traced)?);
         let powers_w = (!power_w.is_null()).then_some(powers.as_mut_slice());
-        model
-            .rollout(&rollouts, 0..lanes, &mut energies, powers_w)
-            .map_err(Failure::argument)?;
+        model.rollout(&rollouts, 0..lanes, &mut energies, powers_w).map_err(Failure::argument)?;
         // SAFETY: as above.
         let (energy_j, power_w) = unsafe {
-            (
-                array_mut("energy_j", energy_j, lanes)?,
-                array_mut("power_w", power_w, traced)?,
-            )
+            (array_mut("energy_j", energy_j, lanes)?, array_mut("power_w", power_w, traced)?)
         };
         energy_j.copy_from_slice(&energies);
         power_w.copy_from_slice(&transposed(&powers, of.steps, lanes));
@@ -253,9 +235,7 @@ fn check_width(model: &Model, width: usize) -> Result<(), Failure> {
     } else {
         "11, and 13 with the age of the newest reading"
     };
-    Err(Failure::argument(format!(
-        "width is {width}, allowed is {allowed}"
-    )))
+    Err(Failure::argument(format!("width is {width}, allowed is {allowed}")))
 }
 
 /// What each robot starts from.
@@ -272,9 +252,7 @@ unsafe fn starts(of: &joulebus_rollout, readings_w: &[f32]) -> Result<Vec<Rollou
     let (readings_w, _) = readings_w.as_chunks::<LAGS>();
     let (before, _) = before.as_chunks::<2>();
     let start = |(robot, lag_w): (usize, &[f32; LAGS])| RolloutStart {
-        command: before
-            .get(robot)
-            .map(|[v_mps, omega_radps]| (*v_mps, *omega_radps)),
+        command: before.get(robot).map(|[v_mps, omega_radps]| (*v_mps, *omega_radps)),
         lag_w: *lag_w,
         reading_age: ReadingAge::UNKNOWN,
     };

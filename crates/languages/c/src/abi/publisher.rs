@@ -47,9 +47,7 @@ pub unsafe extern "C" fn joulebus_publisher_open(
         let connect = |text: String| Failure::new(joulebus_error::Connect, text);
         let config = Config::load(config_path).map_err(|error| connect(error.to_string()))?;
         let port = Publisher::with_config(&config, source_name);
-        publisher.set(handles::open(
-            port.map_err(|error| connect(error.to_string()))?,
-        )?);
+        publisher.set(handles::open(port.map_err(|error| connect(error.to_string()))?)?);
         Ok(())
     })
 }
@@ -96,9 +94,7 @@ pub unsafe extern "C" fn joulebus_publisher_publish_samples(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let samples = unsafe { array("samples", samples, count) }?;
-        publish(publisher, sent, |publisher| {
-            publisher.publish_samples(due(intended_ns), samples)
-        })
+        publish(publisher, sent, |publisher| publisher.publish_samples(due(intended_ns), samples))
     })
 }
 

@@ -120,9 +120,8 @@ pub unsafe extern "C" fn joulebus_questions_platform(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut platform = unsafe { out("platform", platform) }?;
-        let found = handles::with(questions, |asker: &mut Questions| {
-            platform_of(&asker.planner, robot)
-        })?;
+        let found =
+            handles::with(questions, |asker: &mut Questions| platform_of(&asker.planner, robot))?;
         platform.set(found);
         Ok(())
     })
@@ -159,10 +158,7 @@ pub unsafe extern "C" fn joulebus_questions_what_if(
         let rows = ("answers", answers.cast_const(), candidates);
         let traces = ("power_w", power_w.cast_const(), powers);
         check_apart(rows, traces)?;
-        for column in [
-            ("v_mps", v_mps, commands),
-            ("omega_radps", omega_radps, commands),
-        ] {
+        for column in [("v_mps", v_mps, commands), ("omega_radps", omega_radps, commands)] {
             check_apart(column, rows)?;
             check_apart(column, traces)?;
         }
@@ -236,22 +232,13 @@ impl Questions {
         let found = view.robot(robot);
         let found = found.ok_or_else(|| refused(QuestionError::UnknownRobot { robot }))?;
         self.answers.clear();
-        self.answers
-            .try_reserve(plans.count())
-            .map_err(Failure::argument)?;
+        self.answers.try_reserve(plans.count()).map_err(Failure::argument)?;
         self.answers.resize(plans.count(), NO_ANSWER);
-        found
-            .what_if_into(plans, coverage, &mut self.answers)
-            .map_err(refused)?;
+        found.what_if_into(plans, coverage, &mut self.answers).map_err(refused)?;
         let turn_back_s = None;
         for (row, answer) in rows.iter_mut().zip(&self.answers) {
             let answer = *answer;
-            *row = Row {
-                robot,
-                answer,
-                turn_back_s,
-            }
-            .encode();
+            *row = Row { robot, answer, turn_back_s }.encode();
         }
         if !power_w.is_empty() {
             found.power_w(plans, power_w).map_err(refused)?;
@@ -275,10 +262,7 @@ fn platform_of(planner: &Planner, robot: u32) -> Result<joulebus_platform, Failu
         power_min_w: of.power_min_w,
         power_max_w: of.power_max_w,
         reserved: 0,
-        capacity_j: of
-            .battery
-            .as_ref()
-            .map_or(f64::NAN, |battery| battery.capacity_j),
+        capacity_j: of.battery.as_ref().map_or(f64::NAN, |battery| battery.capacity_j),
     })
 }
 

@@ -119,12 +119,8 @@ pub unsafe extern "C" fn joulebus_subscriber_readiness(
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
-        let (mut descriptor, mut look_within_ns) = unsafe {
-            (
-                out("descriptor", descriptor)?,
-                out("look_within_ns", look_within_ns)?,
-            )
-        };
+        let (mut descriptor, mut look_within_ns) =
+            unsafe { (out("descriptor", descriptor)?, out("look_within_ns", look_within_ns)?) };
         let found = handles::with(subscriber, |ports: &mut Ports| {
             let readiness = ports.subscriber.readiness().map_err(not_opened)?;
             // The subscriber keeps it open.
@@ -147,10 +143,7 @@ pub unsafe extern "C" fn joulebus_subscriber_latest(
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
         let found = handles::with(subscriber, |ports: &mut Ports| {
-            let found = ports
-                .subscriber
-                .latest()
-                .map_err(|error| read_failed(&error))?;
+            let found = ports.subscriber.latest().map_err(|error| read_failed(&error))?;
             Ok(found.as_ref().map_or(NO_FRAME, forecasts))
         })?;
         frame.set(found);
@@ -240,11 +233,7 @@ pub unsafe extern "C" fn joulebus_subscriber_diagnostics(
             Ok(parts(found))
         })?;
         let (header, robots, count) = found;
-        frame.set(joulebus_diagnostics {
-            header,
-            robots,
-            count,
-        });
+        frame.set(joulebus_diagnostics { header, robots, count });
         Ok(())
     })
 }
@@ -269,11 +258,7 @@ pub unsafe extern "C" fn joulebus_subscriber_budgets(
             Ok(parts(found))
         })?;
         let (header, robots, count) = found;
-        frame.set(joulebus_budgets {
-            header,
-            robots,
-            count,
-        });
+        frame.set(joulebus_budgets { header, robots, count });
         Ok(())
     })
 }
@@ -287,9 +272,7 @@ pub unsafe extern "C" fn joulebus_subscriber_get_status(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut status = unsafe { out("status", status) }?;
-        status.set(handles::with(subscriber, |ports: &mut Ports| {
-            Ok(seen(&ports.subscriber))
-        })?);
+        status.set(handles::with(subscriber, |ports: &mut Ports| Ok(seen(&ports.subscriber)))?);
         Ok(())
     })
 }
@@ -310,25 +293,16 @@ fn told(event: Event<'_>) -> joulebus_event {
         frame: NO_FRAME,
     };
     match event {
-        Event::Frame(frame) => joulebus_event {
-            kind: joulebus_event_kind::Frame,
-            frame: forecasts(&frame),
-            ..nothing
-        },
-        Event::Gone(end) => joulebus_event {
-            kind: joulebus_event_kind::Gone,
-            end: ended(end),
-            ..nothing
-        },
-        Event::Stale { age_ns } => joulebus_event {
-            kind: joulebus_event_kind::Stale,
-            age_ns,
-            ..nothing
-        },
-        Event::Interrupted => joulebus_event {
-            kind: joulebus_event_kind::Interrupted,
-            ..nothing
-        },
+        Event::Frame(frame) => {
+            joulebus_event { kind: joulebus_event_kind::Frame, frame: forecasts(&frame), ..nothing }
+        }
+        Event::Gone(end) => {
+            joulebus_event { kind: joulebus_event_kind::Gone, end: ended(end), ..nothing }
+        }
+        Event::Stale { age_ns } => {
+            joulebus_event { kind: joulebus_event_kind::Stale, age_ns, ..nothing }
+        }
+        Event::Interrupted => joulebus_event { kind: joulebus_event_kind::Interrupted, ..nothing },
         _ => nothing,
     }
 }

@@ -168,11 +168,7 @@ impl Installed {
         let (include, library) = (prefix.join("include"), prefix.join("lib"));
         let mut compile = Command::new(compiler);
         compile.args([standard, "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-I"]);
-        compile
-            .arg(include)
-            .arg(root().join(source))
-            .arg("-o")
-            .arg(&binary);
+        compile.arg(include).arg(root().join(source)).arg("-o").arg(&binary);
         compile.arg("-L").arg(&library).arg("-ljoulebus").args(more);
         compile.arg(format!("-Wl,-rpath,{}", library.display()));
         succeeds(&mut compile);
@@ -253,11 +249,7 @@ fn the_cpp_layer_works_beside_a_worker_and_its_forecasts_have_the_bits_of_rust()
             _ => 3.0 + 0.1 * ((row * feature) % 17) as f32,
         };
         let known = |row, feature| {
-            if feature < width {
-                value(row, feature)
-            } else {
-                f32::NAN
-            }
+            if feature < width { value(row, feature) } else { f32::NAN }
         };
         let row = |row| std::array::from_fn(|feature| known(row, feature));
         let rows: Vec<[f32; INPUTS]> = (0..150).map(row).collect();
@@ -277,17 +269,9 @@ fn the_examples_run_and_a_killed_worker_is_told() {
         return;
     };
     for (controller, planner, says) in [
-        (
-            "examples/c/controller.c",
-            "examples/c/planner.c",
-            "8 of 8 robots will draw",
-        ),
+        ("examples/c/controller.c", "examples/c/planner.c", "8 of 8 robots will draw"),
         // Which asks with its twentieth frame.
-        (
-            "examples/cpp/controller.cpp",
-            "examples/cpp/planner.cpp",
-            "a trip of",
-        ),
+        ("examples/cpp/controller.cpp", "examples/cpp/planner.cpp", "a trip of"),
     ] {
         let fleet = Fleet::new();
         let worker = fleet.worker();
@@ -320,10 +304,7 @@ fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
         let said = fleet.run(&adapter, &["7"]).stdout;
         let share = |line: &String| line.split(": ").nth(1)?.split(' ').next()?.parse().ok();
         let shares: Vec<f64> = said.iter().filter_map(share).collect();
-        shares.len() == 3
-            && shares
-                .windows(2)
-                .all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
+        shares.len() == 3 && shares.windows(2).all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
     });
     controller.stop();
     finished(&mut worker);

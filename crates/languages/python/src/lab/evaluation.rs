@@ -54,9 +54,7 @@ enum Told {
 
 /// Settings of the live path: those that the verbs have.
 pub(super) fn config() -> PyResult<Config> {
-    ConfigFile { config: None }
-        .read()
-        .map_err(|error| ConnectError::new_err(error.to_string()))
+    ConfigFile { config: None }.read().map_err(|error| ConnectError::new_err(error.to_string()))
 }
 
 /// An evaluation: its JSON, its text, and the live series of each model's trials. `remark` gets
@@ -73,11 +71,7 @@ pub(crate) fn evaluate<'py>(
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<(String, String, Vec<Bound<'py, PyDict>>)> {
-    let (inputs, fit, map) = (
-        Inputs::of(recordings)?,
-        Inputs::of(fit)?,
-        column_map(&columns)?,
-    );
+    let (inputs, fit, map) = (Inputs::of(recordings)?, Inputs::of(fit)?, column_map(&columns)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
@@ -106,13 +100,8 @@ pub(crate) fn evaluate<'py>(
         Told::Done(done, all) => progress.call1((done, all)).map(|_| ()),
     })?;
     let Scored { report, live, .. } = scored;
-    let live = Evaluation {
-        robots: live.into_iter().flat_map(|live| live.robots).collect(),
-    };
-    let series = live
-        .robots
-        .iter()
-        .map(|robot| series(py, robot, &recordings));
+    let live = Evaluation { robots: live.into_iter().flat_map(|live| live.robots).collect() };
+    let series = live.robots.iter().map(|robot| series(py, robot, &recordings));
     let series = series.collect::<PyResult<Vec<_>>>()?;
     let report = EvalReport::new(&live, vec![report]);
     Ok((json(&report)?, report.to_string(), series))

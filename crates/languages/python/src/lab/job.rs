@@ -48,10 +48,7 @@ where
     let (tell, mut messages) = channel();
     let (give, mut result) = channel();
     let is_ended = Arc::new(AtomicBool::new(false));
-    let teller = Teller {
-        tell: tell.clone(),
-        is_ended: Arc::clone(&is_ended),
-    };
+    let teller = Teller { tell: tell.clone(), is_ended: Arc::clone(&is_ended) };
     let compute = move || {
         let found = match rayon::ThreadPoolBuilder::new().build() {
             Ok(pool) => pool.install(|| work(&teller)),

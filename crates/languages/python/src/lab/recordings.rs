@@ -30,9 +30,7 @@ impl Inputs {
         for given in given.try_iter()? {
             let given = given?;
             if let Ok((name, robot, columns)) = given.extract::<Given<'_>>() {
-                found
-                    .trials
-                    .push(trial(&name, robot.as_deref().unwrap_or(""), &columns)?);
+                found.trials.push(trial(&name, robot.as_deref().unwrap_or(""), &columns)?);
             } else {
                 found.paths.push(given.extract()?);
             }
@@ -87,11 +85,8 @@ impl Inputs {
 fn implausible(recordings: &[Recording]) -> Vec<String> {
     let mut kinds = BTreeMap::new();
     for found in recordings.iter().flat_map(Recording::implausible) {
-        let first = kinds.entry((
-            found.finding.severity,
-            found.finding.kind,
-            found.finding.quantity,
-        ));
+        let first =
+            kinds.entry((found.finding.severity, found.finding.kind, found.finding.quantity));
         first.or_insert((found, 0_usize)).1 += 1;
     }
     let line = |(found, count): &(&Implausible, usize)| {
@@ -105,7 +100,5 @@ fn implausible(recordings: &[Recording]) -> Vec<String> {
 pub(super) fn column_map(columns: &[String]) -> PyResult<ColumnMap> {
     let columns = columns.iter().map(|column| column.parse::<MappedColumn>());
     let columns = columns.collect::<Result<Vec<_>, _>>();
-    columns
-        .map(ColumnMap::from)
-        .map_err(|error| PyValueError::new_err(error.to_string()))
+    columns.map(ColumnMap::from).map_err(|error| PyValueError::new_err(error.to_string()))
 }

@@ -46,10 +46,8 @@ impl Report {
     /// The files of a report's directory: paths below it, and contents.
     fn files<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
         let files = py.detach(|| files(&self.document)).map_err(drawing)?;
-        let mut files: Vec<_> = files
-            .into_iter()
-            .map(|file| (file.path, PyBytes::new(py, &file.bytes)))
-            .collect();
+        let mut files: Vec<_> =
+            files.into_iter().map(|file| (file.path, PyBytes::new(py, &file.bytes))).collect();
         if let Some(bytes) = self.network(py)? {
             files.push(("network.safetensors".to_owned(), bytes));
         }
@@ -83,11 +81,7 @@ pub(crate) fn report_recorded(
     asked: &str,
     remark: &Bound<'_, PyAny>,
 ) -> PyResult<Report> {
-    let (inputs, fit, map) = (
-        Inputs::of(recordings)?,
-        Inputs::of(fit)?,
-        column_map(&columns)?,
-    );
+    let (inputs, fit, map) = (Inputs::of(recordings)?, Inputs::of(fit)?, column_map(&columns)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
@@ -107,10 +101,7 @@ pub(crate) fn report_recorded(
             design: &design,
             published: asked.published,
         });
-        Ok(Report {
-            document: document.map_err(refused)?,
-            network: None,
-        })
+        Ok(Report { document: document.map_err(refused)?, network: None })
     };
     job::run(py, work, |text| remark.call1((text,)).map(|_| ()))
 }
@@ -134,17 +125,10 @@ pub(crate) fn report_simulated(
         let report = simulated(&experiment, config.settings(), |seed, epoch| {
             teller.tell((seed, epoch.number))
         });
-        let SimulatedReport {
-            document, network, ..
-        } = report.map_err(refused)?;
-        Ok(Report {
-            document,
-            network: Some(network),
-        })
+        let SimulatedReport { document, network, .. } = report.map_err(refused)?;
+        Ok(Report { document, network: Some(network) })
     };
-    job::run(py, work, |(seed, epoch)| {
-        progress.call1((seed, epoch)).map(|_| ())
-    })
+    job::run(py, work, |(seed, epoch)| progress.call1((seed, epoch)).map(|_| ()))
 }
 
 fn refused(error: ReportError) -> PyErr {

@@ -134,10 +134,7 @@ pub(crate) fn train_simulated<'py>(
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
     let asked: Asked = settings(asked)?;
-    let set = asked
-        .feature_set
-        .as_deref()
-        .map_or(Ok(FeatureSet::Full), feature_set)?;
+    let set = asked.feature_set.as_deref().map_or(Ok(FeatureSet::Full), feature_set)?;
     let seed = asked.seed.unwrap_or_default();
     let mut training = settings_for_sim(seed, set);
     asked.change(&mut training)?;

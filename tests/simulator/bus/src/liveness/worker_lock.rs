@@ -49,11 +49,7 @@ impl WorkerLock {
             return Err(WorkerLockError::Io { path, source });
         }
         let pid = host::current();
-        let owner = Owner {
-            pid,
-            since_unix_ns: clock::unix_ns(),
-            port_pid: pid,
-        };
+        let owner = Owner { pid, since_unix_ns: clock::unix_ns(), port_pid: pid };
         FILE.set(Some((owner, true)));
         Ok(Self { owner, path })
     }

@@ -41,13 +41,7 @@ impl LagLanes {
     #[inline(always)]
     fn lags_w(&self, lane: usize) -> [f32; LAGS] {
         let [first, second, third, fourth, fifth] = &self.lag_w;
-        [
-            first[lane],
-            second[lane],
-            third[lane],
-            fourth[lane],
-            fifth[lane],
-        ]
+        [first[lane], second[lane], third[lane], fourth[lane], fifth[lane]]
     }
 
     #[inline(always)]
@@ -103,10 +97,7 @@ impl Block for WindowLanes {
     #[inline(always)]
     fn get(&self, lane: usize) -> Window {
         Window {
-            open: Lags {
-                lag_w: self.open.lags_w(lane),
-                forecast_w: self.open.forecast_w[lane],
-            },
+            open: Lags { lag_w: self.open.lags_w(lane), forecast_w: self.open.forecast_w[lane] },
             ..self.closed.get(lane)
         }
     }

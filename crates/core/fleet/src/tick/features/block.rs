@@ -59,24 +59,11 @@ pub(crate) fn step_block(
     read_lasts(lasts, pending, mask, &elapsed_s, &network_w);
     let mut steps = StepLanes::NONE;
     let closed = &mut windows.closed;
-    read_windows(
-        context.required,
-        closed,
-        pending,
-        mask,
-        &elapsed_s,
-        &mut steps,
-    );
+    read_windows(context.required, closed, pending, mask, &elapsed_s, &mut steps);
     qualify(context.required, lasts, pending, mask, windows, &steps);
     store_expected(pending, mask, &steps);
     adapt_intervals(context, intervals, pending, &steps);
-    observe_energy(
-        context,
-        &mut columns.energy[block],
-        pending,
-        mask,
-        &elapsed_s,
-    );
+    observe_energy(context, &mut columns.energy[block], pending, mask, &elapsed_s);
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
@@ -121,11 +108,7 @@ fn learn(
             continue;
         }
         let mut robot = copy.get(lane);
-        robot.judge_first(
-            &members,
-            pending.samples.power_w[lane],
-            &windows.get(lane).lags_w(),
-        );
+        robot.judge_first(&members, pending.samples.power_w[lane], &windows.get(lane).lags_w());
         copy.set(lane, true, robot);
     }
     *online = copy;
@@ -145,11 +128,7 @@ fn observe_energy(
         let sample = pending.samples.get(lane);
         let command = sample.command();
         put(&mut v_mps[lane], command.is_some(), sample.v_mps);
-        put(
-            &mut omega_radps[lane],
-            command.is_some(),
-            sample.omega_radps,
-        );
+        put(&mut omega_radps[lane], command.is_some(), sample.omega_radps);
     }
     let samples = EnergySamples {
         power_w: &pending.samples.power_w,
@@ -227,11 +206,7 @@ fn qualify(
 fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
     for lane in 0..LANES {
         pending.mark(lane, mask[lane], PendingState::Absorbed);
-        put(
-            &mut pending.expected_w[lane],
-            mask[lane],
-            steps.expected_w[lane],
-        );
+        put(&mut pending.expected_w[lane], mask[lane], steps.expected_w[lane]);
     }
 }
 

@@ -60,9 +60,5 @@ pub(crate) fn gap(
     if elapsed_ns <= context.overdue_after_ns {
         return Gap::None;
     }
-    window.gap_before(
-        elapsed_ns,
-        context.platform.period_ns,
-        context.longest_steps,
-    )
+    window.gap_before(elapsed_ns, context.platform.period_ns, context.longest_steps)
 }

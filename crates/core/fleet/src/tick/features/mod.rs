@@ -36,18 +36,8 @@ pub(crate) fn build_rows(
     batch: &mut Batch,
     ticking: bool,
 ) -> Found {
-    let mut found = Found {
-        next: None,
-        oldest_ns: u64::MAX,
-    };
-    tick.simd_level.run(BuildRows {
-        tick,
-        platform,
-        columns,
-        batch,
-        ticking,
-        found: &mut found,
-    });
+    let mut found = Found { next: None, oldest_ns: u64::MAX };
+    tick.simd_level.run(BuildRows { tick, platform, columns, batch, ticking, found: &mut found });
     found
 }
 
@@ -76,10 +66,8 @@ impl SimdTask for BuildRows<'_, '_> {
                 continue;
             };
             if lanes::any(&waiting.in_sequence) {
-                let next = InSequence {
-                    mask: &waiting.in_sequence,
-                    elapsed_ns: &waiting.elapsed_ns,
-                };
+                let next =
+                    InSequence { mask: &waiting.in_sequence, elapsed_ns: &waiting.elapsed_ns };
                 step_block(context, self.columns, block, &next, self.batch);
             }
             // Gaps and missing readings differ between robots, so these are stepped one by one.

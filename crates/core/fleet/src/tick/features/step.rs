@@ -52,13 +52,7 @@ pub(crate) fn step(
         }
         last.read(pending, network_w, elapsed_s);
         let forecast_w = (forecast_w, gap == Gap::None);
-        let step = read(
-            context.required,
-            &mut window,
-            pending,
-            forecast_w,
-            elapsed_s,
-        );
+        let step = read(context.required, &mut window, pending, forecast_w, elapsed_s);
         let quality = quality(context.required, pending, window.have(), step.ready);
         (last.quality, last.quality_detail) = quality;
         step
@@ -85,11 +79,7 @@ pub(crate) fn step(
     pending_block.mark(
         lane,
         true,
-        if broken {
-            PendingState::Broken
-        } else {
-            PendingState::Absorbed
-        },
+        if broken { PendingState::Broken } else { PendingState::Absorbed },
     );
     pending_block.expected_w[lane] = step.expected_w;
     if !step.expected_w.is_nan() {
@@ -112,11 +102,7 @@ pub(crate) fn step(
 fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySample {
     let (v_mps, omega_radps) = pending.command().unwrap_or((f32::NAN, f32::NAN));
     EnergySample {
-        power_w: if pending.read() & on_time {
-            pending.power_w
-        } else {
-            f32::NAN
-        },
+        power_w: if pending.read() & on_time { pending.power_w } else { f32::NAN },
         elapsed_s: if pending.broken { 0.0 } else { elapsed_s },
         v_mps,
         omega_radps,
@@ -127,12 +113,7 @@ fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySamp
 fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
     window.miss(context.longest_steps);
     let (row, ready) = window.next_row(elapsed_s, pending.command(), context.required);
-    Step {
-        expected_w: f32::NAN,
-        due: false,
-        row,
-        ready,
-    }
+    Step { expected_w: f32::NAN, due: false, row, ready }
 }
 
 /// Quality of the forecast after a sample without a reading, as determined by the sample.
@@ -178,12 +159,7 @@ pub(crate) fn read(
     let due = window.due();
     window.read(pending.power_w, !pending.has(sample_flag::HELD));
     let (row, ready) = window.next_row(elapsed_s, pending.command(), required);
-    Step {
-        expected_w: if one_step { forecast_w } else { f32::NAN },
-        due,
-        row,
-        ready,
-    }
+    Step { expected_w: if one_step { forecast_w } else { f32::NAN }, due, row, ready }
 }
 
 #[inline(always)]
@@ -207,11 +183,7 @@ pub(crate) fn quality(
     let fresh = if held { HELD } else { FRESH };
     let missing = missing(required, pending);
     let full = if ready { fresh } else { missing };
-    if usize::from(have) == LAGS {
-        full
-    } else {
-        (WARMUP.0, have.into())
-    }
+    if usize::from(have) == LAGS { full } else { (WARMUP.0, have.into()) }
 }
 
 /// Why a full window yields no row.
@@ -219,9 +191,5 @@ pub(crate) fn quality(
 fn missing(required: RequiredInputs, pending: &Pending) -> (u16, u16) {
     const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();
     const FRESHNESS: (u16, u16) = Quality::Invalid(InvalidReason::NoFreshness).encode();
-    if required.command & pending.command().is_none() {
-        COMMAND
-    } else {
-        FRESHNESS
-    }
+    if required.command & pending.command().is_none() { COMMAND } else { FRESHNESS }
 }

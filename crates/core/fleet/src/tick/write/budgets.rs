@@ -41,26 +41,16 @@ impl<'a> Budgets<'a> {
             .filter(|_| remaining.battery)
             .map(|batteries| batteries.get(lane));
         let of_battery = |value: fn(&BatteryState) -> f64| {
-            canonical(
-                battery
-                    .as_ref()
-                    .map_or(f32::NAN, |battery| value(battery) as f32),
-            )
+            canonical(battery.as_ref().map_or(f32::NAN, |battery| value(battery) as f32))
         };
         Budget {
             robot: admission.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
                 | flag(admission.charged, budget_flag::CHARGED)
                 | flag(remaining.battery, budget_flag::BATTERY)
-                | flag(
-                    !remaining.time_to_empty_s.is_nan(),
-                    budget_flag::TIME_TO_EMPTY,
-                )
+                | flag(!remaining.time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY)
                 | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED)
-                | flag(
-                    battery.is_some_and(|it| it.is_contradicted()),
-                    budget_flag::CONTRADICTED,
-                ),
+                | flag(battery.is_some_and(|it| it.is_contradicted()), budget_flag::CONTRADICTED),
             charge_state: charge_state.code(),
             battery_changes: battery.map_or(0, |battery| battery.changes),
             drawn_uj: ledger.drawn_uj,
@@ -132,10 +122,7 @@ pub(crate) fn estimate(
     let mut at = At::of(&block.ledgers.get(lane));
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
     // On a charger the anchor is at the last sample. The time since then counts as silence.
-    let charging = Charging {
-        metered: false,
-        unmetered: robot.charging,
-    };
+    let charging = Charging { metered: false, unmetered: robot.charging };
     let mean_w = block.lasts.mean_power_w[lane];
     robot.after(counting, at, mean_w.into(), charging)
 }

@@ -50,10 +50,7 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             diagnostics.persistence_r2[lane] = scores.persistence_r2();
             diagnostics.skill[lane] = scores.skill();
             let coverage = block.intervals.get(lane).coverage(scores.share());
-            (
-                diagnostics.coverage[lane],
-                diagnostics.coverage_recent[lane],
-            ) = coverage;
+            (diagnostics.coverage[lane], diagnostics.coverage_recent[lane]) = coverage;
         }
         diagnostics
     }
@@ -66,11 +63,7 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         let context = &tick.platforms[usize::from(admission.platform)];
         let of_battery = battery_levels(tick, &self.block, lane);
         let raised = detectors.raised(lane).and(AlarmSet(of_battery));
-        let alarms = if tick.is_stale(admission) {
-            raised.with(Alarm::NoData)
-        } else {
-            raised
-        };
+        let alarms = if tick.is_stale(admission) { raised.with(Alarm::NoData) } else { raised };
         let (level, first) = most_important(alarms);
         let (learns, learned) = self.learned.get(&self.block, lane);
         let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =

@@ -49,14 +49,7 @@ impl<'a> Forecasts<'a> {
             let (code, _) = block.lasts.quality(lane);
             plain[lane] = is_read(code) & power_w[lane].is_finite() & (open_steps[lane] == 0);
         }
-        Self {
-            block,
-            power_w,
-            open_steps,
-            lo_w,
-            hi_w,
-            plain,
-        }
+        Self { block, power_w, open_steps, lo_w, hi_w, plain }
     }
 
     /// The forecast of the robot in a lane.
@@ -85,9 +78,7 @@ impl<'a> Forecasts<'a> {
             generation: admission.generation,
             sample_seq: last.seq,
             stamp_ns: admission.stamp_ns,
-            target_ns: admission
-                .stamp_ns
-                .saturating_add(ahead * platform.period_ns),
+            target_ns: admission.stamp_ns.saturating_add(ahead * platform.period_ns),
             reading_age_ns: admission.stamp_ns.saturating_sub(last.measured_ns),
             source_epoch: admission.source_epoch,
         }
@@ -101,17 +92,8 @@ impl<'a> Forecasts<'a> {
         let (code, detail) = self.block.lasts.quality(lane);
         let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
         let made = Quality::decode(code, detail);
-        let quality = quality_now(
-            tick,
-            &self.block.admissions[lane],
-            made,
-            power_w,
-            open_steps,
-        );
-        let known = matches!(
-            quality,
-            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
-        );
+        let quality = quality_now(tick, &self.block.admissions[lane], made, power_w, open_steps);
+        let known = matches!(quality, Quality::Fresh | Quality::Held | Quality::OpenLoop { .. });
         // A robot in open loop by the worker's clock is forecast further ahead.
         let read_steps = self.block.windows.get(lane).unread_steps;
         let ahead = 1 + u64::from(open_steps.saturating_sub(read_steps));

@@ -18,10 +18,7 @@ pub(crate) struct LearnedLanes {
 impl LearnedLanes {
     #[inline(always)]
     pub(crate) fn of(tick: &TickContext, block: &BlockRef<'_>) -> Self {
-        let mut learned = Self {
-            learns: [false; LANES],
-            weights: [Weights::NONE; LANES],
-        };
+        let mut learned = Self { learns: [false; LANES], weights: [Weights::NONE; LANES] };
         let Some(online) = block.online else {
             return learned;
         };

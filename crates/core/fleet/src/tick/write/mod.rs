@@ -71,11 +71,7 @@ impl SimdTask for WriteAccounts<'_, '_, '_> {
     #[inline(always)]
     fn run(self) {
         let (tick, columns) = (self.tick, self.columns);
-        let AccountPlaces {
-            diagnostics,
-            budgets,
-            plan_states,
-        } = self.places;
+        let AccountPlaces { diagnostics, budgets, plan_states } = self.places;
         for (block, lanes) in slots::blocks(columns.words) {
             prefetch_ahead(diagnostics.as_slice());
             prefetch_ahead(budgets.as_slice());

@@ -34,11 +34,8 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             & start.power_w.is_finite()
             & (start.steps == 0);
         let now = plain & admission.invalid.is_none() & !tick.is_stale(admission);
-        let (quality, quality_detail) = if now {
-            self.block.lasts.quality(lane)
-        } else {
-            self.otherwise(tick, lane, &start)
-        };
+        let (quality, quality_detail) =
+            if now { self.block.lasts.quality(lane) } else { self.otherwise(tick, lane, &start) };
         let (learns, learned) = self.learned.get(&self.block, lane);
         let [weight_last, weight_network, weight_stack] = learned.weights;
         let [_, held_weight_stack] = learned.held_weights;

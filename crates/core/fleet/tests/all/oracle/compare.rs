@@ -12,11 +12,8 @@ use super::robot::{Account, Scored};
 
 /// Every forecast, score and account after the tick at `now_ns`.
 pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(), TestCaseError> {
-    let drops: Vec<_> = fleet
-        .drops()
-        .iter()
-        .map(|(reason, count)| (reason.name(), count))
-        .collect();
+    let drops: Vec<_> =
+        fleet.drops().iter().map(|(reason, count)| (reason.name(), count)).collect();
     let mut expected: Vec<_> = oracle.drops.iter().map(|(name, n)| (*name, *n)).collect();
     expected.sort_by_key(|(name, _)| drops.iter().position(|drop| drop.0 == *name));
     prop_assert_eq!(drops, expected);
@@ -109,9 +106,7 @@ fn compare_forecast(
 ) -> Result<(), TestCaseError> {
     let found = world::forecast(fleet, id);
     let silent_ns = now_ns - member.received_ns;
-    let (mut quality, mut power_w) = member
-        .robot
-        .shown(&oracle.models[member.context], silent_ns);
+    let (mut quality, mut power_w) = member.robot.shown(&oracle.models[member.context], silent_ns);
     let stale = silent_ns > member.robot.platform.stale_after_ns;
     if let Some(reason) = member.invalid.filter(|_| !stale) {
         (quality, power_w) = (Quality::Invalid(reason), None);
@@ -129,10 +124,7 @@ fn compare_forecast(
         prop_assert!(inside, "robot {}: {:?}", id, found);
     }
     if let Some(last) = &member.robot.last {
-        prop_assert_eq!(
-            (found.sample_seq, found.stamp_ns),
-            (last.seq, last.stamp_ns)
-        );
+        prop_assert_eq!((found.sample_seq, found.stamp_ns), (last.seq, last.stamp_ns));
     }
     Ok(())
 }
@@ -256,20 +248,11 @@ fn compare_plan_state(
     };
     let lags_w = found.lags_w().expect("a forecast has a full window");
     let newest_first = run.powers_w.iter().rev().take(5);
-    prop_assert!(
-        newest_first
-            .zip(lags_w)
-            .all(|(a, b)| a.to_bits() == b.to_bits())
-    );
+    prop_assert!(newest_first.zip(lags_w).all(|(a, b)| a.to_bits() == b.to_bits()));
     prop_assert_eq!(found.command(), run.command, "robot {}", id);
     prop_assert_eq!(u64::from(found.open_steps), run.unread, "robot {}", id);
     let (age, interval) = (run.history.known_age(), run.history.interval());
-    prop_assert_eq!(
-        u64::from(found.age_steps),
-        age.unwrap_or(255),
-        "robot {}",
-        id
-    );
+    prop_assert_eq!(u64::from(found.age_steps), age.unwrap_or(255), "robot {}", id);
     prop_assert_eq!(u64::from(found.interval_steps), interval.unwrap_or(0));
     let is_known = found.flags & plan_state_flag::READING_AGE != 0;
     prop_assert_eq!(is_known, interval.is_some(), "robot {}", id);
@@ -279,14 +262,8 @@ fn compare_plan_state(
 fn compare_scores(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
     let found = world::diagnostic(fleet, id);
     let robot = &member.robot;
-    prop_assert!(
-        same(found.residual_w, robot.residual_w),
-        "robot {id}: {found:?}"
-    );
-    prop_assert_eq!(
-        found.flags & diagnostic_flag::RESIDUAL != 0,
-        robot.residual_w.is_some()
-    );
+    prop_assert!(same(found.residual_w, robot.residual_w), "robot {id}: {found:?}");
+    prop_assert_eq!(found.flags & diagnostic_flag::RESIDUAL != 0, robot.residual_w.is_some());
     prop_assert_eq!(found.refused, member.refused, "robot {}", id);
     let scored = &robot.scored;
     prop_assert_eq!(found.scored, scored.len() as u64, "robot {}", id);
@@ -302,32 +279,17 @@ fn compare_scores(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCas
     let mae_w = sum(&|s| f64::from(s.residual_w).abs()) * share;
     let persistence_mae_w = sum(&|s| step(s).abs()) * share;
     prop_assert_eq!(found.mae_w.to_bits(), mae_w.to_bits(), "robot {}", id);
-    prop_assert_eq!(
-        found.persistence_mae_w.to_bits(),
-        persistence_mae_w.to_bits()
-    );
+    prop_assert_eq!(found.persistence_mae_w.to_bits(), persistence_mae_w.to_bits());
     if steps > 0.0 {
-        prop_assert_eq!(
-            found.skill.to_bits(),
-            (1.0 - error * (1.0 / steps)).to_bits()
-        );
+        prop_assert_eq!(found.skill.to_bits(), (1.0 - error * (1.0 / steps)).to_bits());
     }
     let mean = sum(&|s| f64::from(s.reading_w)) * share;
     let scatter = sum(&|s| (f64::from(s.reading_w) - mean).powi(2));
     if scatter > 1e-6 {
         let r2 = 1.0 - error / scatter;
-        prop_assert!(
-            (found.r2 - r2).abs() <= 1e-9 * (1.0 + r2.abs()),
-            "{} {r2}",
-            found.r2
-        );
+        prop_assert!((found.r2 - r2).abs() <= 1e-9 * (1.0 + r2.abs()), "{} {r2}", found.r2);
     }
-    for value in [
-        found.bias_w,
-        found.cusum_up,
-        found.cusum_down,
-        found.noise_ratio,
-    ] {
+    for value in [found.bias_w, found.cusum_up, found.cusum_down, found.noise_ratio] {
         prop_assert!(value.is_finite(), "robot {}: {:?}", id, found);
     }
     Ok(())
@@ -341,12 +303,7 @@ fn compare_account(fleet: &Fleet, id: u32, account: &Account) -> Result<(), Test
     let expected_uj = account.expected.div_euclid(UNITS_PER_UJ);
     prop_assert_eq!(i128::from(found.forecast_uj), expected_uj, "robot {}", id);
     let times = (found.metered_ns, found.unmetered_ns);
-    prop_assert_eq!(
-        times,
-        (account.metered_ns, account.unmetered_ns),
-        "robot {}",
-        id
-    );
+    prop_assert_eq!(times, (account.metered_ns, account.unmetered_ns), "robot {}", id);
     prop_assert_eq!(found.metered_ns + found.unmetered_ns, account.elapsed_ns);
     prop_assert_eq!(found.stamp_ns(), account.last.map(|last| last.0));
     Ok(())

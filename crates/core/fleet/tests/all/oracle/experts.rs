@@ -122,9 +122,7 @@ impl Experts {
         });
         let (mean_w, change_w) = (known.mean_w, known.change_w);
         let level_w = level * change_w;
-        Some([
-            mean_w, change_w, last, network, stack, held, held_stack, p, n, m, level_w,
-        ])
+        Some([mean_w, change_w, last, network, stack, held, held_stack, p, n, m, level_w])
     }
 }
 
@@ -150,11 +148,7 @@ impl Stack {
         }
         for row in 0..4 {
             for column in row..4 {
-                let start = if row == column {
-                    self.variance[row]
-                } else {
-                    0.0
-                };
+                let start = if row == column { self.variance[row] } else { 0.0 };
                 let less = self.covariance[row][column] - product[row] * (product[column] * gain);
                 let pulled = less + 0.002 * (start - less);
                 (self.covariance[row][column], self.covariance[column][row]) = (pulled, pulled);
@@ -186,14 +180,8 @@ impl Knowledge {
             seen: 0,
             like_w,
             weights: [
-                Weights {
-                    learned: None,
-                    experts: 4.0,
-                },
-                Weights {
-                    learned: None,
-                    experts: 2.0,
-                },
+                Weights { learned: None, experts: 4.0 },
+                Weights { learned: None, experts: 2.0 },
             ],
         };
         for reading in readings {
@@ -221,12 +209,7 @@ impl Knowledge {
         let auto_w = terms.fold(bias_w, |sum, (weight, lag_w)| sum + weight * lag_w);
         let most_w = 30.0 * self.change_w;
         let from_auto = |watts: f32| (watts - auto_w).clamp(-most_w, most_w);
-        let u = [
-            from_auto(lag_w[0]),
-            from_auto(network_w),
-            from_auto(self.mean_w),
-            self.change_w,
-        ];
+        let u = [from_auto(lag_w[0]), from_auto(network_w), from_auto(self.mean_w), self.change_w];
         let stacks_w = [&self.confident, &self.sceptic].map(|stack| {
             let [a, b, c, d] = [0, 1, 2, 3].map(|term| stack.theta[term] * u[term]);
             auto_w + ((a + b) + (c + d))
@@ -300,9 +283,7 @@ impl Knowledge {
             (true, false) => [0.0, f32::INFINITY, 0.0, f32::INFINITY],
             (false, false) => [-40.0 * square, f32::INFINITY, 0.0, f32::INFINITY],
         };
-        self.weights[usize::from(!due)]
-            .learned
-            .unwrap_or((start, 2.0 * square))
+        self.weights[usize::from(!due)].learned.unwrap_or((start, 2.0 * square))
     }
 
     /// The confident stack's part of both stacks' weight where a measurement is due.
@@ -336,19 +317,13 @@ fn exp(x: f32) -> f32 {
     let whole = scaled.round_ties_even();
     let rest = (scaled - whole) * std::f32::consts::LN_2;
     let factors = [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
-    let series = factors
-        .iter()
-        .fold(1.0f32 / 720.0, |sum, factor| factor + rest * sum);
+    let series = factors.iter().fold(1.0f32 / 720.0, |sum, factor| factor + rest * sum);
     series * f32::from_bits(((whole as i32 + 127) as u32) << 23)
 }
 
 fn ln_ratio(a: f32, b: f32) -> f32 {
     let s = (a - b) / (a + b);
-    let factors = [
-        23.0f32, 21.0, 19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0,
-    ];
-    let series = factors
-        .iter()
-        .fold(1.0 / 25.0, |sum, odd| 1.0 / odd + s * s * sum);
+    let factors = [23.0f32, 21.0, 19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0];
+    let series = factors.iter().fold(1.0 / 25.0, |sum, odd| 1.0 / odd + s * s * sum);
     2.0 * s * series
 }

@@ -49,13 +49,8 @@ struct Speaker {
 
 impl Sender {
     pub(crate) fn new(id: u64, robots: &[u32], slow: bool, start_ns: u64) -> Self {
-        let speaker = |id: &u32| Speaker {
-            id: *id,
-            seq: 0,
-            step: 0,
-            measured: None,
-            silent_until_ns: 0,
-        };
+        let speaker =
+            |id: &u32| Speaker { id: *id, seq: 0, step: 0, measured: None, silent_until_ns: 0 };
         Self {
             source: Source::new(id, 10),
             period_ns: if slow { SLOW_NS } else { PERIOD_NS },
@@ -81,11 +76,7 @@ impl Sender {
             self.send(rates, noise);
         }
         let mut arrived = Vec::new();
-        while self
-            .in_flight
-            .front()
-            .is_some_and(|next| next.at_ns <= now_ns)
-        {
+        while self.in_flight.front().is_some_and(|next| next.at_ns <= now_ns) {
             arrived.extend(self.in_flight.pop_front());
         }
         arrived
@@ -94,11 +85,7 @@ impl Sender {
     fn send(&mut self, rates: Rates, noise: &mut Noise) {
         let now_ns = self.due_ns;
         // Mostly steady; sometimes up to the limit of a gap, and beyond.
-        let jitter_ns = if rarely(noise, 8) {
-            self.period_ns * 5 / 4
-        } else {
-            self.period_ns / 4
-        };
+        let jitter_ns = if rarely(noise, 8) { self.period_ns * 5 / 4 } else { self.period_ns / 4 };
         self.due_ns += self.period_ns - jitter_ns / 2 + noise.next_u64() % jitter_ns;
         if now_ns < self.silent_until_ns {
             return;
@@ -112,13 +99,7 @@ impl Sender {
         }
         let mut samples = std::mem::take(&mut self.overtaken);
         for at in 0..self.robots.len() {
-            self.publish(
-                at,
-                now_ns - self.clock_offset_ns,
-                rates,
-                noise,
-                &mut samples,
-            );
+            self.publish(at, now_ns - self.clock_offset_ns, rates, noise, &mut samples);
         }
         let header = self.source.frame(samples.len());
         if rarely(noise, rates.frame) {
@@ -127,19 +108,11 @@ impl Sender {
         }
         // The bus keeps the order of one source's frames.
         let not_before = self.in_flight.back().map_or(0, |frame| frame.at_ns);
-        let late_ns = if rarely(noise, rates.frame) {
-            8 * self.period_ns
-        } else {
-            self.period_ns / 4
-        };
+        let late_ns =
+            if rarely(noise, rates.frame) { 8 * self.period_ns } else { self.period_ns / 4 };
         let at_ns = not_before.max(now_ns + noise.next_u64() % late_ns);
         let mut deliver = |header, samples, lost| {
-            self.in_flight.push_back(Delivery {
-                at_ns,
-                header,
-                samples,
-                lost,
-            });
+            self.in_flight.push_back(Delivery { at_ns, header, samples, lost });
         };
         // Invalid frames: a duplicate, one from a replaced run, one of another schema.
         if let Some((before, again)) = self.last_sent.take() {
@@ -214,17 +187,9 @@ impl Sender {
 
 /// Applies one fault to a sample, from minor to absurd.
 fn spoil(mut sample: Sample, noise: &mut Noise) -> Sample {
-    let absurd = [
-        f32::NAN,
-        f32::INFINITY,
-        f32::NEG_INFINITY,
-        f32::MAX,
-        -f32::MAX,
-        1e-40,
-        -5.0,
-        20.0,
-        -0.0,
-    ][(noise.next_u64() % 9) as usize];
+    let absurd =
+        [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -f32::MAX, 1e-40, -5.0, 20.0, -0.0]
+            [(noise.next_u64() % 9) as usize];
     match noise.next_u64() % 16 {
         0 => sample.power_w = absurd,
         1 => sample.v_mps = absurd,

@@ -156,11 +156,7 @@ impl Oracle {
     }
 
     fn lose(&mut self, before: u64, accounted: u64) {
-        let reason = if accounted == 0 {
-            DropReason::BeforeJoin
-        } else {
-            DropReason::Overflow
-        };
+        let reason = if accounted == 0 { DropReason::BeforeJoin } else { DropReason::Overflow };
         self.drop(reason, before.saturating_sub(accounted));
     }
 
@@ -213,10 +209,7 @@ impl Oracle {
     ) -> Result<(), DropReason> {
         self.join(header, sample.robot, now_ns)?;
         let intake = self.settings.intake;
-        let member = self
-            .members
-            .get_mut(&sample.robot)
-            .expect("the robot has joined");
+        let member = self.members.get_mut(&sample.robot).expect("the robot has joined");
         if member.owner != header.source_id {
             return Err(DropReason::ForeignSource);
         }

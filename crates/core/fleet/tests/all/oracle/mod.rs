@@ -44,18 +44,9 @@ fn the_injector_produces_every_fault() {
     let mut drops = Vec::new();
     let mut qualities = Vec::new();
     for seed in 0..6 {
-        let rates = Rates {
-            sample: 8,
-            frame: 20,
-        };
-        let seen = simulate(
-            seed,
-            rates,
-            PERIOD_NS,
-            400,
-            (seed % 2 == 0, seed % 3 == 0, seed == 4),
-        )
-        .expect("equal to the oracle");
+        let rates = Rates { sample: 8, frame: 20 };
+        let seen = simulate(seed, rates, PERIOD_NS, 400, (seed % 2 == 0, seed % 3 == 0, seed == 4))
+            .expect("equal to the oracle");
         drops.extend(seen.0);
         qualities.extend(seen.1);
     }

@@ -23,9 +23,7 @@ impl History {
 
     /// A period without a reading: a due measurement is assumed to be made.
     fn pass(&mut self) {
-        let due = self
-            .interval()
-            .is_some_and(|interval| self.age() + 1 >= interval);
+        let due = self.interval().is_some_and(|interval| self.age() + 1 >= interval);
         self.periods.push((due, false));
     }
 
@@ -110,10 +108,7 @@ impl Run {
 
     /// Empties the window, without the state that is independent of forecasts.
     fn empty(&mut self) {
-        *self = Self {
-            history: std::mem::take(&mut self.history),
-            ..Self::default()
-        };
+        *self = Self { history: std::mem::take(&mut self.history), ..Self::default() };
     }
 
     /// The window after this many periods without a sample.
@@ -133,10 +128,7 @@ impl Run {
         let network_w = predict(by.model, &row)?;
         // If unknown, one is due.
         let due = row[12] != 0.0;
-        Some(
-            by.experts
-                .forecast(by.platform, by.model, &row, network_w, due),
-        )
+        Some(by.experts.forecast(by.platform, by.model, &row, network_w, due))
     }
 
     fn row(&self, command: Option<(f32, f32)>, dv: f32, domega: f32) -> Features {
@@ -233,9 +225,7 @@ impl Account {
                 _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
             }
         }
-        let last_ns = self
-            .last
-            .map_or(stamp_ns, |(last_ns, _)| last_ns.max(stamp_ns));
+        let last_ns = self.last.map_or(stamp_ns, |(last_ns, _)| last_ns.max(stamp_ns));
         self.last = Some((last_ns, power_w));
     }
 }
@@ -271,11 +261,7 @@ impl Robot {
     }
 
     fn by<'a>(&'a self, model: &'a Model) -> By<'a> {
-        By {
-            platform: &self.platform,
-            model,
-            experts: &self.experts,
-        }
+        By { platform: &self.platform, model, experts: &self.experts }
     }
 
     fn longest(&self) -> u64 {
@@ -292,20 +278,14 @@ impl Robot {
         if sample.has(sample_flag::DISCONTINUITY) {
             self.account.forget_reading();
         }
-        self.account
-            .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
+        self.account.meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
         let learned = self.run.forecasts.filter(|forecasts| forecasts.learns);
         let network_w = learned.map(|forecasts| forecasts.network_w);
         let judged_w = forecast_w.map(|forecast_w| network_w.unwrap_or(forecast_w));
         self.residual_w = reading_w.zip(judged_w).map(|(y, f)| y - f);
         // If it is unknown, a measurement counts as due.
         let due = self.run.history.features()[1] != 0.0;
-        let last_w = self
-            .run
-            .powers_w
-            .last()
-            .copied()
-            .filter(|_| self.run.unread == 0);
+        let last_w = self.run.powers_w.last().copied().filter(|_| self.run.unread == 0);
         if let (Some(reading_w), Some(forecast_w)) = (reading_w, scorable_w) {
             self.scored.push(Scored {
                 reading_w,
@@ -315,8 +295,7 @@ impl Robot {
         }
         if let Some(reading_w) = reading_w {
             let forecasts = self.run.forecasts.filter(|_| scorable_w.is_some());
-            self.experts
-                .learn(forecasts.as_ref(), last_w, due, reading_w);
+            self.experts.learn(forecasts.as_ref(), last_w, due, reading_w);
         }
         self.read(sample);
         self.forecast(sample, model);
@@ -338,11 +317,7 @@ impl Robot {
         let broken = sample.has(sample_flag::DISCONTINUITY);
         self.observed.push(EnergySample {
             power_w: if counted { sample.power_w } else { f32::NAN },
-            elapsed_s: if broken {
-                0.0
-            } else {
-                (elapsed_ns as f64 * 1e-9) as f32
-            },
+            elapsed_s: if broken { 0.0 } else { (elapsed_ns as f64 * 1e-9) as f32 },
             v_mps,
             omega_radps,
         });
@@ -429,15 +404,11 @@ impl Robot {
         }
         self.quality = match sample.freshness() {
             Freshness::Missing if !full => Quality::Invalid(InvalidReason::NoReading),
-            _ if !full => Quality::Warmup {
-                have: self.run.powers_w.len() as u16,
-            },
+            _ if !full => Quality::Warmup { have: self.run.powers_w.len() as u16 },
             _ if !known && model.needs_command() => Quality::Invalid(InvalidReason::NoCommand),
             _ if !runs => Quality::Invalid(InvalidReason::NoFreshness),
             _ if self.run.forecast_w.is_none() => Quality::Invalid(InvalidReason::ModelOutput),
-            Freshness::Missing => Quality::OpenLoop {
-                steps: self.run.unread as u16,
-            },
+            Freshness::Missing => Quality::OpenLoop { steps: self.run.unread as u16 },
             Freshness::Held => Quality::Held,
             Freshness::Fresh => Quality::Fresh,
         };
@@ -457,10 +428,8 @@ impl Robot {
         if silent_ns > self.platform.stale_after_ns {
             return (Quality::Invalid(InvalidReason::Stale), None);
         }
-        let fine = matches!(
-            self.quality,
-            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
-        );
+        let fine =
+            matches!(self.quality, Quality::Fresh | Quality::Held | Quality::OpenLoop { .. });
         if !fine {
             return (self.quality, None);
         }

@@ -15,9 +15,7 @@ use super::{CAPACITY, START_NS};
 fn moved(frames: &[Delivery], offset_ns: i64) -> Vec<Delivery> {
     let by = |stamp_ns: u64| match stamp_ns {
         0 => 0,
-        _ => stamp_ns
-            .checked_add_signed(offset_ns)
-            .expect("it can be moved"),
+        _ => stamp_ns.checked_add_signed(offset_ns).expect("it can be moved"),
     };
     let moved = |frame: &Delivery| {
         let header = SampleHeader {
@@ -33,12 +31,7 @@ fn moved(frames: &[Delivery], offset_ns: i64) -> Vec<Delivery> {
             sample.measured_ns = by(sample.measured_ns);
             sample
         });
-        Delivery {
-            at_ns: by(frame.at_ns),
-            header,
-            samples: samples.collect(),
-            lost: frame.lost,
-        }
+        Delivery { at_ns: by(frame.at_ns), header, samples: samples.collect(), lost: frame.lost }
     };
     frames.iter().map(moved).collect()
 }
@@ -144,13 +137,9 @@ fn frames_that_a_state_contains_are_known_and_no_others() {
     let bytes = encoded(&fleet);
     let mut other = world::fleet(CAPACITY);
     let state = FleetState::decode(&bytes).expect("its own state");
-    other
-        .restore_state(&state.shifted(77))
-        .expect("the same fleet");
-    let known: Vec<bool> = frames
-        .iter()
-        .map(|(header, _, now_ns)| other.has_accounted(header, now_ns + 77))
-        .collect();
+    other.restore_state(&state.shifted(77)).expect("the same fleet");
+    let known: Vec<bool> =
+        frames.iter().map(|(header, _, now_ns)| other.has_accounted(header, now_ns + 77)).collect();
     assert_eq!(known, [true, true, true, true, false, false]);
     let is_known = |source: &mut Source| {
         let (header, _, now_ns) = frame(source, 9);
@@ -164,9 +153,6 @@ fn frames_that_a_state_contains_are_known_and_no_others() {
             other.take(header, samples, *now_ns + 77);
         }
     }
-    let sent: u64 = frames
-        .iter()
-        .map(|(_, samples, _)| samples.len() as u64)
-        .sum();
+    let sent: u64 = frames.iter().map(|(_, samples, _)| samples.len() as u64).sum();
     assert_eq!(sent, other.accepted() + other.drops().total());
 }

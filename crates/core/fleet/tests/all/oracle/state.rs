@@ -11,10 +11,7 @@ use super::{CAPACITY, START_NS, senders};
 
 /// All frames of a run with faults, each with its tick, and the times of the ticks.
 pub(crate) fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
-    let rates = Rates {
-        sample: 8,
-        frame: 15,
-    };
+    let rates = Rates { sample: 8, frame: 15 };
     let mut noise = Noise(seed);
     let mut senders = senders();
     let mut now_ns = START_NS;
@@ -56,32 +53,12 @@ fn generations(fleet: &Fleet) -> Vec<(u32, u32)> {
 pub(crate) fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCaseError> {
     prop_assert_eq!(generations(one), generations(other), "tick {}", tick);
     for robot in 0..300 {
-        prop_assert_eq!(
-            bits(one, robot),
-            bits(other, robot),
-            "robot {}, tick {}",
-            robot,
-            tick
-        );
-        prop_assert_eq!(
-            one.ledger(robot),
-            other.ledger(robot),
-            "robot {}, tick {}",
-            robot,
-            tick
-        );
+        prop_assert_eq!(bits(one, robot), bits(other, robot), "robot {}, tick {}", robot, tick);
+        prop_assert_eq!(one.ledger(robot), other.ledger(robot), "robot {}, tick {}", robot, tick);
     }
     prop_assert_eq!(one.refusals(), other.refusals());
-    prop_assert_eq!(
-        (one.drops(), one.accepted()),
-        (other.drops(), other.accepted())
-    );
-    prop_assert_eq!(
-        encoded(one),
-        encoded(other),
-        "internal state, tick {}",
-        tick
-    );
+    prop_assert_eq!((one.drops(), one.accepted()), (other.drops(), other.accepted()));
+    prop_assert_eq!(encoded(one), encoded(other), "internal state, tick {}", tick);
     Ok(())
 }
 
@@ -190,24 +167,15 @@ fn another_fleets_state_is_refused_with_both_numbers() {
     };
     assert_eq!(
         refused(&mut world::fleet(CAPACITY + 1)),
-        StateError::Capacity {
-            found: CAPACITY,
-            expected: CAPACITY + 1
-        }
+        StateError::Capacity { found: CAPACITY, expected: CAPACITY + 1 }
     );
     assert_eq!(
         refused(&mut with(&|settings| settings.platforms.truncate(2))),
-        StateError::Platforms {
-            found: 3,
-            expected: 2
-        }
+        StateError::Platforms { found: 3, expected: 2 }
     );
     let sensitive =
         &|settings: &mut joulebus_settings::FleetSettings| settings.alarms.cusum_limit += 0.5;
-    assert!(matches!(
-        refused(&mut with(sensitive)),
-        StateError::FleetSettings { .. }
-    ));
+    assert!(matches!(refused(&mut with(sensitive)), StateError::FleetSettings { .. }));
     let mut models = world::models();
     models.swap(0, 2);
     let mut swapped = Fleet::new(world::settings(CAPACITY), models).expect("as many as platforms");
@@ -226,22 +194,13 @@ fn every_truncation_and_another_version_are_refused() {
     assert!(fleet.len() > 3, "{} robots", fleet.len());
     for length in 0..bytes.len() {
         let error = FleetState::decode(&bytes[..length]).expect_err("cut off");
-        let known = matches!(
-            error,
-            StateError::Version { .. } | StateError::Malformed { .. }
-        );
+        let known = matches!(error, StateError::Version { .. } | StateError::Malformed { .. });
         assert!(known, "{length}: {error}");
     }
     let mut longer = bytes.clone();
     longer.push(0);
-    assert!(matches!(
-        FleetState::decode(&longer),
-        Err(StateError::Malformed { .. })
-    ));
+    assert!(matches!(FleetState::decode(&longer), Err(StateError::Malformed { .. })));
     let mut newer = bytes;
     newer[7] += 1;
-    assert!(matches!(
-        FleetState::decode(&newer),
-        Err(StateError::Version { .. })
-    ));
+    assert!(matches!(FleetState::decode(&newer), Err(StateError::Version { .. })));
 }

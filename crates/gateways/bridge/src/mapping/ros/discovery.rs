@@ -58,11 +58,7 @@ mod tests {
         for (topic, kind, expected) in [
             ("rt/fleet/r1/cmd_vel", twist, None),
             ("rt/fleet/r9/cmd_vel", twist, Some(("unknown_robot", "r9"))),
-            (
-                "rt/fleet/r1/cmd_vel",
-                "x::Stamped_",
-                Some(("wrong_type", "x::Stamped_ of r1")),
-            ),
+            ("rt/fleet/r1/cmd_vel", "x::Stamped_", Some(("wrong_type", "x::Stamped_ of r1"))),
             ("rt/fleet/r9/odom", twist, None),
             ("rq/fleet/r9/cmd_vel", twist, None),
         ] {

@@ -83,11 +83,7 @@ impl RosRoute {
             Ok(message) => message,
             Err(error) => {
                 let is_encoding = matches!(error, RosError::Encapsulation { .. });
-                let reason = if is_encoding {
-                    Reason::WrongEncoding
-                } else {
-                    Reason::NotCdr
-                };
+                let reason = if is_encoding { Reason::WrongEncoding } else { Reason::NotCdr };
                 count(reason, robot);
                 return None;
             }
@@ -126,13 +122,8 @@ impl BatteryFields {
         };
         let voltage_v = measured(state.voltage, "voltage");
         let current_a = measured(state.current, "current");
-        let current_a = current_a.map(|current_a| {
-            if self.discharge_is_positive {
-                current_a
-            } else {
-                -current_a
-            }
-        });
+        let current_a = current_a
+            .map(|current_a| if self.discharge_is_positive { current_a } else { -current_a });
         let soc = measured(state.percentage, "percentage");
         let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
         // It is judged with the others of its robot, and in no sample.
@@ -152,15 +143,7 @@ impl BatteryFields {
         let power = product(voltage_v, current_a)
             .zip(self.power_of)
             .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
-        Observation {
-            power,
-            voltage_v,
-            current_a,
-            soc,
-            charging,
-            full,
-            ..Observation::default()
-        }
+        Observation { power, voltage_v, current_a, soc, charging, full, ..Observation::default() }
     }
 }
 
@@ -173,10 +156,7 @@ fn motion(twist: &Twist, refused: &mut impl FnMut(Reason, &str)) -> Observation 
         }
         value
     };
-    let (x, y) = (
-        finite(twist.linear.x, "linear.x"),
-        finite(twist.linear.y, "linear.y"),
-    );
+    let (x, y) = (finite(twist.linear.x, "linear.x"), finite(twist.linear.y, "linear.y"));
     let omega = finite(twist.angular.z, "angular.z");
     let v_mps = if y == 0.0 { x } else { x.hypot(y) };
     Observation {
@@ -210,10 +190,7 @@ mod tests {
     }
 
     fn header() -> Header {
-        Header {
-            stamp: Time::default(),
-            frame_id: "base".to_owned(),
-        }
+        Header { stamp: Time::default(), frame_id: "base".to_owned() }
     }
 
     fn battery() -> BatteryState {
@@ -239,10 +216,7 @@ mod tests {
 
     fn twist(x: f64, y: f64, z: f64) -> Twist {
         let vector = |x, y, z| Vector3 { x, y, z };
-        Twist {
-            linear: vector(x, y, 0.0),
-            angular: vector(0.0, 0.0, z),
-        }
+        Twist { linear: vector(x, y, 0.0), angular: vector(0.0, 0.0, z) }
     }
 
     fn body(message: &impl Serialize) -> Vec<u8> {
@@ -255,10 +229,7 @@ mod tests {
     ) -> (Option<Observation>, Vec<(&'static str, String)>) {
         let mut account = Account::default();
         let seen = route.read("r1", received, &mut account);
-        let refused = account
-            .records()
-            .into_iter()
-            .map(|it| (it.reason, it.names.join(",")));
+        let refused = account.records().into_iter().map(|it| (it.reason, it.names.join(",")));
         (seen, refused.collect())
     }
 
@@ -274,10 +245,7 @@ mod tests {
         let (seen, refused) = read_battery(&route(RosType::BatteryState), &battery());
         let seen = seen.unwrap();
         assert_eq!(refused, []);
-        assert_eq!(
-            (seen.voltage_v, seen.current_a, seen.soc),
-            (Some(24.0), Some(2.0), Some(0.5))
-        );
+        assert_eq!((seen.voltage_v, seen.current_a, seen.soc), (Some(24.0), Some(2.0), Some(0.5)));
         let power = seen.power.unwrap();
         assert_eq!((power.power_w, power.of), (48.0, PowerOf::Battery));
         assert_eq!((seen.charging, seen.full), (Some(false), Some(false)));
@@ -291,11 +259,7 @@ mod tests {
             percentage: Quantity::Share.unit("%").unwrap(),
             power_of: Some(PowerOf::Load),
         };
-        let state = BatteryState {
-            current: 2.0,
-            percentage: 50.0,
-            ..battery()
-        };
+        let state = BatteryState { current: 2.0, percentage: 50.0, ..battery() };
         let seen = read_battery(&other, &state).0.unwrap();
         let power = seen.power.unwrap();
         assert_eq!((power.power_w, power.of), (48.0, PowerOf::Load));
@@ -313,14 +277,8 @@ mod tests {
             (3, Some(false), Some(false)),
             (4, Some(true), Some(true)),
         ] {
-            let state = BatteryState {
-                power_supply_status: status,
-                current: 3.0,
-                ..battery()
-            };
-            let seen = read_battery(&route(RosType::BatteryState), &state)
-                .0
-                .unwrap();
+            let state = BatteryState { power_supply_status: status, current: 3.0, ..battery() };
+            let seen = read_battery(&route(RosType::BatteryState), &state).0.unwrap();
             assert_eq!((seen.charging, seen.full), (charging, full), "{status}");
             assert_eq!(seen.power.unwrap().power_w, -72.0);
         }
@@ -329,11 +287,7 @@ mod tests {
     #[test]
     fn nan_is_unknown_and_what_is_out_of_range_is_named() {
         let route = route(RosType::BatteryState);
-        let unknown = BatteryState {
-            current: f32::NAN,
-            percentage: f32::NAN,
-            ..battery()
-        };
+        let unknown = BatteryState { current: f32::NAN, percentage: f32::NAN, ..battery() };
         let (seen, refused) = read_battery(&route, &unknown);
         let seen = seen.unwrap();
         assert_eq!((seen.power, seen.current_a, seen.soc), (None, None, None));
@@ -347,25 +301,16 @@ mod tests {
         let (seen, refused) = read_battery(&route, &wrong);
         let seen = seen.unwrap();
         // A percentage is left out of samples with all others of its robot.
-        assert_eq!(
-            (seen.voltage_v, seen.power, seen.soc),
-            (None, None, Some(50.0))
-        );
+        assert_eq!((seen.voltage_v, seen.power, seen.soc), (None, None, Some(50.0)));
         assert_eq!(seen.current_a, Some(2.0), "the others count");
         assert_eq!(
             refused,
             [
                 ("not_finite", "voltage of r1".to_owned()),
-                (
-                    "out_of_range",
-                    "percentage of r1,power_supply_status of r1".to_owned()
-                )
+                ("out_of_range", "percentage of r1,power_supply_status of r1".to_owned())
             ]
         );
-        let absent = BatteryState {
-            present: false,
-            ..battery()
-        };
+        let absent = BatteryState { present: false, ..battery() };
         let (seen, refused) = read_battery(&route, &absent);
         assert_eq!((seen, refused[0].0), (None, "nothing_mapped"));
     }
@@ -373,17 +318,12 @@ mod tests {
     #[test]
     fn velocities_come_from_commands_and_odometry() {
         for (x, y, v) in [(0.3, 0.0, 0.3), (-0.3, 0.0, -0.3), (0.3, 0.4, 0.5)] {
-            let stamped = TwistStamped {
-                header: header(),
-                twist: twist(x, y, -0.2),
-            };
+            let stamped = TwistStamped { header: header(), twist: twist(x, y, -0.2) };
             for (kind, bytes) in [
                 (RosType::Twist, body(&twist(x, y, -0.2))),
                 (RosType::TwistStamped, body(&stamped)),
             ] {
-                let seen = read(&route(kind), &Received::new([0, 1], &bytes))
-                    .0
-                    .unwrap();
+                let seen = read(&route(kind), &Received::new([0, 1], &bytes)).0.unwrap();
                 assert_eq!((seen.v_mps, seen.omega_radps), (Some(v), Some(-0.2)));
             }
         }
@@ -417,9 +357,7 @@ mod tests {
         // The length of `frame_id`.
         huge[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
         let mut cells = battery.clone();
-        let at = cells
-            .windows(4)
-            .position(|four| four == 4.0_f32.to_le_bytes());
+        let at = cells.windows(4).position(|four| four == 4.0_f32.to_le_bytes());
         let at = at.unwrap() - 4;
         cells[at..at + 4].copy_from_slice(&0x7fff_ffff_u32.to_le_bytes());
         let longer: Vec<u8> = battery.iter().copied().chain([0; 40]).collect();
@@ -441,14 +379,8 @@ mod tests {
             assert_eq!(seen, None, "{encapsulation:?}");
             assert_eq!(refused, [(reason, "r1".to_owned())], "{encapsulation:?}");
         }
-        let nothing = Received {
-            length: 0,
-            bytes: Vec::new(),
-        };
-        assert_eq!(
-            read(&route(RosType::Twist), &nothing).1[0].0,
-            "wrong_encoding"
-        );
+        let nothing = Received { length: 0, bytes: Vec::new() };
+        assert_eq!(read(&route(RosType::Twist), &nothing).1[0].0, "wrong_encoding");
     }
 
     proptest! {

@@ -31,9 +31,7 @@ pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
     let found = TYPES.iter().find(|(_, usual)| is_it(usual));
     found.map(|(kind, _)| *kind).ok_or_else(|| {
         let all: Vec<&str> = TYPES.iter().map(|(_, name)| *name).collect();
-        NameError::Type {
-            allowed: all.join(", "),
-        }
+        NameError::Type { allowed: all.join(", ") }
     })
 }
 
@@ -55,8 +53,7 @@ pub(crate) fn dds_topic(topic: &str) -> String {
 
 /// The ROS 2 topic with the DDS name `dds`. `None` for services, actions and other DDS topics.
 pub(crate) fn ros_topic(dds: &str) -> Option<&str> {
-    dds.strip_prefix("rt")
-        .filter(|topic| topic.starts_with('/'))
+    dds.strip_prefix("rt").filter(|topic| topic.starts_with('/'))
 }
 
 /// Refuses a text that is no absolute topic.
@@ -70,9 +67,7 @@ pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
     };
     let parts = topic.strip_prefix('/').filter(|_| topic.len() <= MAX_BYTES);
     let is_topic = parts.is_some_and(|parts| parts.split('/').all(is_part));
-    is_topic.then_some(()).ok_or_else(|| NameError::Topic {
-        found: topic.to_owned(),
-    })
+    is_topic.then_some(()).ok_or_else(|| NameError::Topic { found: topic.to_owned() })
 }
 
 #[cfg(test)]
@@ -86,9 +81,9 @@ mod tests {
             assert_eq!(ros_topic(&dds_topic(topic)), Some(topic));
         }
         let long = format!("/{}", "x".repeat(250));
-        for topic in [
-            "", "/", "a", "/a/", "//a", "/7", "/a/7b", "/a-b", "/a b", "/a__b", "/ä", "~/a", &long,
-        ] {
+        for topic in
+            ["", "/", "a", "/a/", "//a", "/7", "/a/7b", "/a-b", "/a b", "/a__b", "/ä", "~/a", &long]
+        {
             assert!(check_topic(topic).is_err(), "{topic:?}");
         }
         for dds in ["rq/a/b", "rta", "ros_discovery_info", ""] {
@@ -100,10 +95,9 @@ mod tests {
     fn types_have_one_name_in_dds() {
         let battery = "sensor_msgs::msg::dds_::BatteryState_";
         let twist = "geometry_msgs::msg::dds_::TwistStamped_";
-        for (name, dds) in [
-            ("sensor_msgs/msg/BatteryState", battery),
-            ("geometry_msgs/TwistStamped", twist),
-        ] {
+        for (name, dds) in
+            [("sensor_msgs/msg/BatteryState", battery), ("geometry_msgs/TwistStamped", twist)]
+        {
             assert_eq!(dds_type(read_type(name).unwrap()), dds);
         }
         let refused = read_type("std_msgs/msg/Float64").unwrap_err().to_string();

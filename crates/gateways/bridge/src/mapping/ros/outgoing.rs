@@ -81,19 +81,14 @@ pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> B
     let current_a = voltage_v
         .filter(|voltage_v| *voltage_v > 0.0)
         .map_or(f64::NAN, |voltage_v| -power_w / f64::from(voltage_v));
-    BatteryState {
-        current: current_a as f32,
-        ..battery(name, "target_unix_ns", values, voltage_v)
-    }
+    BatteryState { current: current_a as f32, ..battery(name, "target_unix_ns", values, voltage_v) }
 }
 
 /// The energy left in a robot's battery.
 pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let usable_ah = voltage_v
         .filter(|voltage_v| *voltage_v > 0.0)
-        .map_or(f64::NAN, |voltage_v| {
-            number(values, "usable_j") / 3_600.0 / f64::from(voltage_v)
-        });
+        .map_or(f64::NAN, |voltage_v| number(values, "usable_j") / 3_600.0 / f64::from(voltage_v));
     BatteryState {
         percentage: number(values, "soc") as f32,
         charge: usable_ah as f32,
@@ -117,11 +112,7 @@ pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
         _ => STALE,
     };
     let alarms = values.get("alarms").and_then(Value::as_array);
-    let alarms: Vec<&str> = alarms
-        .into_iter()
-        .flatten()
-        .filter_map(Value::as_str)
-        .collect();
+    let alarms: Vec<&str> = alarms.into_iter().flatten().filter_map(Value::as_str).collect();
     let message = match (level, alarms.is_empty()) {
         (0, true) => "OK".to_owned(),
         (_, true) => "no data".to_owned(),
@@ -132,10 +123,7 @@ pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
         Some(Value::String(text)) => text.clone(),
         Some(other) => other.to_string(),
     };
-    let values = diagnosed().map(|value| KeyValue {
-        key: value.to_owned(),
-        value: shown(value),
-    });
+    let values = diagnosed().map(|value| KeyValue { key: value.to_owned(), value: shown(value) });
     DiagnosticStatus {
         level,
         name: format!("joulebus: {name}"),
@@ -176,10 +164,9 @@ pub(crate) fn worker_status(
     (level, worker): (u8, &str),
     counts: [(&str, u64); 4],
 ) -> DiagnosticStatus {
-    let counts = counts.into_iter().map(|(key, count)| KeyValue {
-        key: key.to_owned(),
-        value: count.to_string(),
-    });
+    let counts = counts
+        .into_iter()
+        .map(|(key, count)| KeyValue { key: key.to_owned(), value: count.to_string() });
     DiagnosticStatus {
         level,
         name: format!("joulebus: worker of {fleet}"),
@@ -195,10 +182,7 @@ pub(crate) fn diagnostics(
     statuses: &[DiagnosticStatus],
 ) -> impl Iterator<Item = Result<Vec<u8>, RosError>> {
     statuses.chunks(MAX_STATUSES).map(move |statuses| {
-        encode(&DiagnosticArray {
-            header: header(now_unix_ns, ""),
-            status: statuses.to_vec(),
-        })
+        encode(&DiagnosticArray { header: header(now_unix_ns, ""), status: statuses.to_vec() })
     })
 }
 
@@ -235,17 +219,11 @@ fn header(unix_ns: u64, frame_id: &str) -> Header {
         sec: i32::try_from(unix_ns / 1_000_000_000).unwrap_or(i32::MAX),
         nanosec: (unix_ns % 1_000_000_000) as u32,
     };
-    Header {
-        stamp,
-        frame_id: frame_id.to_owned(),
-    }
+    Header { stamp, frame_id: frame_id.to_owned() }
 }
 
 fn number(values: &Object, value: &str) -> f64 {
-    values
-        .get(value)
-        .and_then(Value::as_f64)
-        .unwrap_or(f64::NAN)
+    values.get(value).and_then(Value::as_f64).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
@@ -279,12 +257,7 @@ mod tests {
             (1_700_000_000, 500_000_000)
         );
         assert_eq!(message.header.frame_id, "r1");
-        for unknown in [
-            message.percentage,
-            message.charge,
-            message.temperature,
-            message.capacity,
-        ] {
+        for unknown in [message.percentage, message.charge, message.temperature, message.capacity] {
             assert!(unknown.is_nan());
         }
         for voltage_v in [None, Some(0.0)] {
@@ -302,10 +275,7 @@ mod tests {
         assert_eq!(message.header.stamp.nanosec, 1);
         let message = budget("r1", &values(), None);
         assert!(message.percentage == 0.5 && message.charge.is_nan() && message.voltage.is_nan());
-        let bytes: Vec<u8> = [0, 1, 0, 0]
-            .into_iter()
-            .chain(encode(&message).unwrap())
-            .collect();
+        let bytes: Vec<u8> = [0, 1, 0, 0].into_iter().chain(encode(&message).unwrap()).collect();
         let Message::BatteryState(again) = RosType::BatteryState.decode(&bytes).unwrap() else {
             panic!("another type");
         };
@@ -314,16 +284,10 @@ mod tests {
 
     #[test]
     fn values_have_units_and_unknown_ones_are_nan() {
-        let field = OutgoingValue {
-            negate: true,
-            ..OutgoingValue::plain("power_w")
-        };
+        let field = OutgoingValue { negate: true, ..OutgoingValue::plain("power_w") };
         assert_eq!(value(&field, &values()).data, -48.0);
         assert!(value(&field, &Object::new()).data.is_nan());
-        assert_eq!(
-            value(&OutgoingValue::plain("charging"), &values()).data,
-            0.0
-        );
+        assert_eq!(value(&OutgoingValue::plain("charging"), &values()).data, 0.0);
     }
 
     #[test]
@@ -332,10 +296,7 @@ mod tests {
         assert_eq!((status.level, status.name.as_str()), (1, "joulebus: r1"));
         assert_eq!(status.message, "StuckSensor, HeldTooLong");
         let of = |key: &str| status.values.iter().find(|it| it.key == key).unwrap();
-        assert_eq!(
-            (of("power_w").value.as_str(), of("lo_w").value.as_str()),
-            ("48.0", "unknown")
-        );
+        assert_eq!((of("power_w").value.as_str(), of("lo_w").value.as_str()), ("48.0", "unknown"));
         assert_eq!(robot_status("r1", &Object::new()).level, STALE);
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");
         let mut judgement = Judgement::new(Source::Bridge, Vec::new());
@@ -348,21 +309,14 @@ mod tests {
         let mut status = robot_status("r1", &Object::new());
         status.level = 0;
         add_implausible(&mut status, &judgement.records()[0]);
-        assert_eq!(
-            (status.level, status.message.as_str()),
-            (1, "implausible sign")
-        );
+        assert_eq!((status.level, status.message.as_str()), (1, "implausible sign"));
         let last = &status.values.last().unwrap().value;
         assert!(last.contains("negate = true"), "{last}");
         for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {
             let statuses = vec![status.clone(); robots];
             let messages: Vec<_> = diagnostics(1, &statuses).collect();
             assert_eq!(messages.len(), arrays);
-            assert!(
-                messages
-                    .iter()
-                    .all(|it| it.as_ref().unwrap().len() < 60_000)
-            );
+            assert!(messages.iter().all(|it| it.as_ref().unwrap().len() < 60_000));
         }
     }
 }

@@ -17,19 +17,13 @@ pub(crate) fn mosquitto() -> Option<PathBuf> {
     let named = std::env::var_os("JOULEBUS_MOSQUITTO").filter(|named| !named.is_empty());
     let usual = || {
         let folders = ["/usr/sbin", "/usr/local/sbin", "/usr/bin"];
-        let programs = folders
-            .iter()
-            .map(|folder| Path::new(folder).join("mosquitto"));
+        let programs = folders.iter().map(|folder| Path::new(folder).join("mosquitto"));
         programs.into_iter().find(|program| program.exists())
     };
     let found = named.map(PathBuf::from).or_else(usual);
     if found.is_none() {
         eprintln!("skipped: there is no mosquitto (apt-get install mosquitto)");
-        assert_ne!(
-            std::env::var("CI").as_deref(),
-            Ok("true"),
-            "mosquitto is missing"
-        );
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "mosquitto is missing");
     }
     found
 }
@@ -51,12 +45,7 @@ impl Broker {
         );
         fs::write(folder.path().join("mosquitto.conf"), text).unwrap();
         let child = spawn(program, folder.path(), port);
-        Self {
-            program: program.to_owned(),
-            port,
-            folder,
-            child,
-        }
+        Self { program: program.to_owned(), port, folder, child }
     }
 
     pub(crate) fn address(&self) -> String {
@@ -116,9 +105,7 @@ fn spawn(program: &Path, folder: &Path, port: u16) -> Child {
     let mut command = Command::new(program);
     command.arg("-c").arg(folder.join("mosquitto.conf"));
     let child = Child::spawn("mosquitto", command);
-    eventually("a broker", || {
-        TcpStream::connect(("127.0.0.1", port)).is_ok()
-    });
+    eventually("a broker", || TcpStream::connect(("127.0.0.1", port)).is_ok());
     child
 }
 
@@ -143,9 +130,7 @@ pub(crate) struct Listener {
 
 impl Listener {
     pub(crate) fn send(&self, topic: &str, payload: impl Into<Vec<u8>>) {
-        self.client
-            .publish(topic, QoS::AtMostOnce, false, payload)
-            .unwrap();
+        self.client.publish(topic, QoS::AtMostOnce, false, payload).unwrap();
     }
 
     pub(crate) fn messages(&self) -> Vec<Message> {

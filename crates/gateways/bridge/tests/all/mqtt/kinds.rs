@@ -32,17 +32,12 @@ fn peak_bytes(pid: u32) -> u64 {
 fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecast() {
     let Some(program) = mosquitto() else { return };
     for version in ["3.1.1", "5"] {
-        let (fleet, broker) = (
-            Fleet::new(),
-            Broker::start(&program, "allow_anonymous true"),
-        );
+        let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
         let mut worker = fleet.worker();
         let long = |megabytes: usize| vec![b'7'; megabytes << 20];
         let keeper = broker.client("keeper", "kept");
         let keep = |topic: &str, payload: Vec<u8>| {
-            let kept = keeper
-                .client
-                .publish(topic, QoS::AtLeastOnce, true, payload);
+            let kept = keeper.client.publish(topic, QoS::AtLeastOnce, true, payload);
             kept.unwrap();
         };
         keep("fleet/r1/power", long(40));
@@ -79,10 +74,7 @@ fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecas
 fn what_a_killed_bridge_has_written_expires_where_the_broker_knows_that() {
     let Some(program) = mosquitto() else { return };
     for version in ["5", "3.1.1"] {
-        let (fleet, broker) = (
-            Fleet::new(),
-            Broker::start(&program, "allow_anonymous true"),
-        );
+        let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
         let mut worker = fleet.worker();
         let mut bridge = fleet.bridge(&file_of(&broker, version), "connected to ");
         let listener = broker.client("listener", "jb/#");
@@ -119,11 +111,7 @@ fn what_a_broker_refuses_is_told_with_its_reason() {
     let Some(program) = mosquitto() else { return };
     let folder = tempfile::tempdir().unwrap();
     let rules = folder.path().join("rules");
-    fs::write(
-        &rules,
-        "topic readwrite fleet/#\ntopic readwrite jb/lab/bridge\n",
-    )
-    .unwrap();
+    fs::write(&rules, "topic readwrite fleet/#\ntopic readwrite jb/lab/bridge\n").unwrap();
     let more = format!("allow_anonymous true\nacl_file {}", rules.display());
     let (fleet, broker) = (Fleet::new(), Broker::start(&program, &more));
     let mut worker = fleet.worker();
@@ -237,11 +225,7 @@ fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_s
     let mut bridge = fleet.bridge(&text, "unsupported protocol version");
     bridge.wait_for_line("connected to ");
     let ended = bridge.end();
-    assert_eq!(
-        ended.exit_code(),
-        3,
-        "a subscription was refused: {ended:?}"
-    );
+    assert_eq!(ended.exit_code(), 3, "a subscription was refused: {ended:?}");
     let errors = ended.errors();
     joulebus_testkit::says(
         &errors,

@@ -89,10 +89,7 @@ impl Robots {
                 std::thread::sleep(Duration::from_millis(33));
             }
         });
-        Self {
-            stop,
-            thread: Some(thread),
-        }
+        Self { stop, thread: Some(thread) }
     }
 }
 
@@ -180,9 +177,7 @@ fn a_broker_that_is_killed_and_started_again_is_joined_again() {
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     listener.wait_for("jb/lab/r1/forecast", is_forecast);
-    listener.wait_for("jb/lab/r1/alarms", |document| {
-        document["alarms"] == json!([])
-    });
+    listener.wait_for("jb/lab/r1/alarms", |document| document["alarms"] == json!([]));
     for _ in 0..2 {
         broker.kill();
         bridge.wait_for_line("not connected to ");
@@ -226,10 +221,7 @@ fn attack(client: &Listener) {
         (power, r#"{"monitor": {"power": 1e300}}"#),
         (power, r#"{"monitor": {"power": "4000"}}"#),
         (power, r#"{"monitor": [[[]]]}"#),
-        (
-            "fleet/in\u{202e}truder/power",
-            r#"{"monitor": {"power": 1}}"#,
-        ),
+        ("fleet/in\u{202e}truder/power", r#"{"monitor": {"power": 1}}"#),
         ("commands", r#"{"v": 1}"#),
         ("commands", r#"{"who": "r9", "v": 1}"#),
         ("commands", ""),
@@ -276,10 +268,7 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "{ended:?}");
     assert!(!ended.errors().contains('\u{202e}'), "{}", ended.errors());
-    says(
-        &ended.errors(),
-        ["not mapped: fleet/{robot}/power: unknown_robot: "],
-    );
+    says(&ended.errors(), ["not mapped: fleet/{robot}/power: unknown_robot: "]);
     let report = ended.json();
     for (reason, least) in [
         ("too_long", 1),
@@ -334,11 +323,8 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
         "batteryState": {"batteryCharge": 63.0, "batteryVoltage": 24.0, "charging": true},
         "errors": [], "safetyState": {"eStop": "NONE", "fieldViolation": false},
     });
-    let soc = |document: &Value| {
-        document["soc"]
-            .as_f64()
-            .is_some_and(|soc| (soc - 0.63).abs() < 0.1)
-    };
+    let soc =
+        |document: &Value| document["soc"].as_f64().is_some_and(|soc| (soc - 0.63).abs() < 0.1);
     // A state is not retained. One sent before the bridge subscribes is lost.
     let mut sent = 0;
     let mut send = |topic: &str, state: &Value, is_charging: bool, mean_w: Option<f64>| {
@@ -382,10 +368,7 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
     // Every received state was counted once: exactly three if no state was sent again.
     let observations = report["observations"].as_u64().unwrap();
     assert!((3..=sent).contains(&observations), "{sent}: {report}");
-    assert!(
-        has(&report, "unknown_version", "\"4.0.0\" of 0001"),
-        "{report}"
-    );
+    assert!(has(&report, "unknown_version", "\"4.0.0\" of 0001"), "{report}");
     worker.stop();
 }
 
@@ -404,15 +387,8 @@ fn has(report: &Value, reason: &str, robot: &str) -> bool {
 fn node(client: &Listener, bridge_status: &Listener, stop: &AtomicBool) -> Vec<Value> {
     let (mut asked, mut unread, mut answers) = (0, 0, 0);
     while !stop.load(Ordering::Relaxed) {
-        let requests: Vec<Value> = client
-            .messages()
-            .iter()
-            .map(broker::Message::json)
-            .collect();
-        let state = bridge_status
-            .messages()
-            .last()
-            .map_or(Value::Null, broker::Message::json);
+        let requests: Vec<Value> = client.messages().iter().map(broker::Message::json).collect();
+        let state = bridge_status.messages().last().map_or(Value::Null, broker::Message::json);
         let taken = count(&state, "nothing_mapped");
         let is_known = taken + count(&state, "not_asked") >= unread;
         // Only the newest request: an answer to an earlier one would be too late.
@@ -434,11 +410,7 @@ fn node(client: &Listener, bridge_status: &Listener, stop: &AtomicBool) -> Vec<V
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    client
-        .messages()
-        .iter()
-        .map(broker::Message::json)
-        .collect()
+    client.messages().iter().map(broker::Message::json).collect()
 }
 
 #[test]
@@ -475,34 +447,18 @@ fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
     eventually("a forecast", || {
         listener.send("matlab_api/5", r#"{"v": 0.1, "w": 0.5}"#);
         std::thread::sleep(Duration::from_millis(20));
-        listener
-            .messages()
-            .iter()
-            .any(|message| is_forecast(&message.json()))
+        listener.messages().iter().any(|message| is_forecast(&message.json()))
     });
     let document = listener.wait_for("jb/5/forecast", is_forecast).json();
     listener.wait_for("jb/bridge", |document| has(document, "no_answer", "6"));
-    assert!(
-        (3.0..3.9).contains(&document["reading_w"].as_f64().unwrap()),
-        "{document}"
-    );
+    assert!((3.0..3.9).contains(&document["reading_w"].as_f64().unwrap()), "{document}");
     let ended = bridge.end();
     let report = ended.json();
-    assert!(
-        has(&report, "no_answer", "6"),
-        "robot 6 is switched off: {report}"
-    );
-    assert_eq!(
-        count(&report, "nothing_mapped"),
-        1,
-        "the first status has not been read: {report}"
-    );
+    assert!(has(&report, "no_answer", "6"), "robot 6 is switched off: {report}");
+    assert_eq!(count(&report, "nothing_mapped"), 1, "the first status has not been read: {report}");
     stop.store(true, Ordering::Relaxed);
     for request in node.join().unwrap() {
-        assert_eq!(
-            (&request["method"], &request["link"]),
-            (&json!("GET"), &json!("5/status"))
-        );
+        assert_eq!((&request["method"], &request["link"]), (&json!("GET"), &json!("5/status")));
     }
     let allowed = |topic: &str| {
         ["5/requests", "6/requests", "matlab_api/5"].contains(&topic)
@@ -521,15 +477,9 @@ fn a_wrong_password_ends_the_start_and_a_right_one_is_taken() {
     let folder = tempfile::tempdir().unwrap();
     let passwords = folder.path().join("passwords");
     let mut make = Command::new("mosquitto_passwd");
-    make.arg("-b")
-        .arg("-c")
-        .arg(&passwords)
-        .args(["bridge", "right"]);
+    make.arg("-b").arg("-c").arg(&passwords).args(["bridge", "right"]);
     assert!(make.status().unwrap().success());
-    let more = format!(
-        "allow_anonymous false\npassword_file {}",
-        passwords.display()
-    );
+    let more = format!("allow_anonymous false\npassword_file {}", passwords.display());
     let (fleet, broker) = (Fleet::new(), Broker::start(&program, &more));
     let secret = broker.file("secret");
     let login = format!(
@@ -549,9 +499,7 @@ fn a_wrong_password_ends_the_start_and_a_right_one_is_taken() {
             let ended = bridge.wait();
             assert_eq!(ended.exit_code(), code, "{ended:?}");
             assert!(
-                ended
-                    .errors()
-                    .contains("refuses the connection: not authorized. Check `username`")
+                ended.errors().contains("refuses the connection: not authorized. Check `username`")
                     && !ended.errors().contains(password),
                 "{ended:?}"
             );
@@ -572,15 +520,9 @@ fn a_file_is_checked_without_a_fleet_or_a_broker() {
         Child::spawn("bridge", command).wait()
     };
     let good = check(text);
-    assert_eq!(
-        (good.exit_code(), &good.json()["reads"]),
-        (0, &json!(["a/{robot}/state"]))
-    );
+    assert_eq!((good.exit_code(), &good.json()["reads"]), (0, &json!(["a/{robot}/state"])));
     let bad = check(&text.replace("broker", "brokers"));
     assert_eq!(bad.exit_code(), 2);
-    assert!(
-        bad.errors().contains("bridge.toml:4") && bad.text().is_empty(),
-        "{bad:?}"
-    );
+    assert!(bad.errors().contains("bridge.toml:4") && bad.text().is_empty(), "{bad:?}");
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }

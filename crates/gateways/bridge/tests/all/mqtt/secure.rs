@@ -48,13 +48,7 @@ fn only_brokers_of_the_named_authority_are_trusted_and_they_ask_for_a_certificat
         port(late, &own, "late", false),
     ];
     let (fleet, broker) = (Fleet::new(), Broker::start(&program, &more.join("\n")));
-    let plain: u16 = broker
-        .address()
-        .rsplit_once(':')
-        .unwrap()
-        .1
-        .parse()
-        .unwrap();
+    let plain: u16 = broker.address().rsplit_once(':').unwrap().1.parse().unwrap();
     let at = |address: &str, tls: &str| {
         let text = file(&broker).replace(&broker.address(), address);
         text.replacen("[[mqtt.read]]", &format!("{tls}[[mqtt.read]]"), 1)
@@ -75,31 +69,11 @@ fn only_brokers_of_the_named_authority_are_trusted_and_they_ask_for_a_certificat
     // A certificate ends with a second.
     thread::sleep(Duration::from_secs(2));
     for (address, tls, cause, remedy) in [
-        (
-            local(open),
-            tls(&other, None),
-            "BadSignature",
-            "mqtt.tls.ca",
-        ),
+        (local(open), tls(&other, None), "BadSignature", "mqtt.tls.ca"),
         (local(late), tls(&own, None), "expired", "Renew"),
-        (
-            format!("localhost:{open}"),
-            tls(&own, None),
-            "not valid for name",
-            "mqtt.broker",
-        ),
-        (
-            local(asking),
-            tls(&own, None),
-            "alert",
-            "mqtt.tls.certificate",
-        ),
-        (
-            local(asking),
-            tls(&own, Some(&other)),
-            "alert",
-            "mqtt.tls.certificate",
-        ),
+        (format!("localhost:{open}"), tls(&own, None), "not valid for name", "mqtt.broker"),
+        (local(asking), tls(&own, None), "alert", "mqtt.tls.certificate"),
+        (local(asking), tls(&own, Some(&other)), "alert", "mqtt.tls.certificate"),
     ] {
         let ended = Child::spawn("bridge", fleet.command(&at(&address, &tls))).wait();
         assert_eq!(ended.exit_code(), 1, "{cause}: {ended:?}");
@@ -125,10 +99,8 @@ fn renewed_certificates_are_used_without_a_restart() {
     assert!(certificates(&newer, 30, &["broker", "bridge"]));
     let secure = free_port();
     let more = port(secure, &used, "broker", true);
-    let (fleet, mut broker) = (
-        Fleet::new(),
-        Broker::start(&program, &format!("allow_anonymous true\n{more}")),
-    );
+    let (fleet, mut broker) =
+        (Fleet::new(), Broker::start(&program, &format!("allow_anonymous true\n{more}")));
     let text = format!(
         "[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:{secure}\"\n\
          vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n{}",

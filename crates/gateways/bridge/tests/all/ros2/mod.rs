@@ -68,9 +68,7 @@ fn twist() -> Value {
 }
 
 fn is_near(value: &Value, expected: f64) -> bool {
-    value
-        .as_f64()
-        .is_some_and(|value| (value - expected).abs() < 1e-3 * expected.abs())
+    value.as_f64().is_some_and(|value| (value - expected).abs() < 1e-3 * expected.abs())
 }
 
 /// The status of a robot in an array of diagnostics.
@@ -84,9 +82,7 @@ fn status<'d>(diagnostics: &'d Value, name: &str) -> &'d Value {
 fn text<'d>(status: &'d Value, key: &str) -> &'d str {
     let values = status["values"].as_array().map_or(&[][..], Vec::as_slice);
     let found = values.iter().find(|value| value["key"] == key);
-    found
-        .and_then(|value| value["value"].as_str())
-        .unwrap_or("")
+    found.and_then(|value| value["value"].as_str()).unwrap_or("")
 }
 
 fn lines_of<'r>(report: &'r Value, reason: &str) -> Vec<&'r Value> {
@@ -112,27 +108,15 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     }
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
     peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
-    peer.publish(
-        "/fleet/stranger/battery_state",
-        "BatteryState",
-        &discharging(),
-    );
+    peer.publish("/fleet/stranger/battery_state", "BatteryState", &discharging());
 
-    peer.wait_for("/r1/joulebus/reading_w", 0, |document| {
-        is_near(&document["data"], 4_400.0)
-    });
-    let power = peer.wait_for("/r1/joulebus/power_w", 0, |document| {
-        document["data"].is_number()
-    });
+    peer.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4_400.0));
+    let power = peer.wait_for("/r1/joulebus/power_w", 0, |document| document["data"].is_number());
     let power_w = power["data"].as_f64().unwrap();
     assert!((0.0..20.0).contains(&power_w), "{power}");
-    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |document| {
-        document["current"].is_number()
-    });
-    assert!(
-        forecast["current"].as_f64().unwrap() < 0.0,
-        "out of the battery: {forecast}"
-    );
+    let forecast =
+        peer.wait_for("/r1/joulebus/forecast", 0, |document| document["current"].is_number());
+    assert!(forecast["current"].as_f64().unwrap() < 0.0, "out of the battery: {forecast}");
     assert!(is_near(&forecast["voltage"], 4.0), "{forecast}");
     assert_eq!(
         (&forecast["percentage"], &forecast["temperature"]),
@@ -144,9 +128,7 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     let stamp_s = forecast["header"]["stamp"]["sec"].as_i64().unwrap();
     assert!(stamp_s > 1_600_000_000, "the wall clock's time: {forecast}");
     let budget = peer.wait_for("/r1/joulebus/budget", 0, |document| {
-        document["percentage"]
-            .as_f64()
-            .is_some_and(|share| share < 0.99)
+        document["percentage"].as_f64().is_some_and(|share| share < 0.99)
             && document["charge"].is_number()
     });
     assert_eq!(budget["current"], Value::Null, "{budget}");
@@ -167,23 +149,12 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     let report = bridge.end().json();
     let unknown = lines_of(&report, "unknown_robot");
     assert_eq!(
-        (
-            &unknown[0]["route"],
-            &unknown[0]["names"],
-            &unknown[0]["count"]
-        ),
-        (
-            &json!("/fleet/{robot}/battery_state"),
-            &json!(["stranger"]),
-            &json!(1)
-        ),
+        (&unknown[0]["route"], &unknown[0]["names"], &unknown[0]["count"]),
+        (&json!("/fleet/{robot}/battery_state"), &json!(["stranger"]), &json!(1)),
         "{report}"
     );
     assert_eq!(report["not_written"], 0, "{report}");
-    assert!(
-        report["published"]["samples"].as_u64().unwrap() > 0,
-        "{report}"
-    );
+    assert!(report["published"]["samples"].as_u64().unwrap() > 0, "{report}");
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
@@ -220,11 +191,7 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
     peer.subscribe("/diagnostics", "DiagnosticArray");
     let battery =
         json!({"voltage": 4.0, "current": 1.0, "percentage": 80.0, "power_supply_status": 0});
-    peer.publish(
-        "/r1/odom",
-        "Odometry",
-        &json!({"twist": {"twist": twist()}}),
-    );
+    peer.publish("/r1/odom", "Odometry", &json!({"twist": {"twist": twist()}}));
     peer.order(&json!({
         "say": "/r2/cmd_vel", "type": "TwistStamped", "fields": {"twist": twist()}, "best_effort": true,
     }));
@@ -260,10 +227,7 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
     peer.subscribe("/r1/joulebus/reading_w", "Float64");
     hostile.publish("/fleet/r2/battery_state", "Truncated", &json!({}));
     huge.publish("/fleet/r3/battery_state", "Huge", &json!({}));
-    let (nan, inf) = (
-        json!({"linear": {"x": "nan"}}),
-        json!({"angular": {"z": "inf"}}),
-    );
+    let (nan, inf) = (json!({"linear": {"x": "nan"}}), json!({"angular": {"z": "inf"}}));
     peer.publish("/fleet/r2/cmd_vel", "Twist", &nan);
     peer.publish("/fleet/r3/cmd_vel", "Twist", &inf);
     let cells = vec![4.0; 20_000];
@@ -272,21 +236,14 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
         &json!({"say": "/fleet/r2/battery_state", "type": "BatteryState", "fields": long, "hz": 5}),
     );
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    for expected in [
-        "not_cdr: r2",
-        "not_cdr: r3",
-        "not_finite: linear.x of r2",
-        "too_long: r2",
-    ] {
+    for expected in ["not_cdr: r2", "not_cdr: r3", "not_finite: linear.x of r2", "too_long: r2"] {
         let seen = |bridge: &Child| bridge.errors().contains(expected);
         joulebus_testkit::eventually(expected, || seen(&bridge));
     }
     // Bytes that are no DDS at all, sent to the ports of the bridge.
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     for turn in 0..2_000_u32 {
-        let mut bytes: Vec<u8> = (0..turn % 600)
-            .map(|at| (at * 31 + turn * 7) as u8)
-            .collect();
+        let mut bytes: Vec<u8> = (0..turn % 600).map(|at| (at * 31 + turn * 7) as u8).collect();
         if turn % 2 == 0 {
             bytes.splice(0..0, *b"RTPS\x02\x04\x01\x10");
         }
@@ -294,9 +251,7 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
         let _ = socket.send_to(&bytes, ("127.0.0.1", port));
     }
     let from = peer.received();
-    peer.wait_for("/r1/joulebus/reading_w", from, |document| {
-        is_near(&document["data"], 4_400.0)
-    });
+    peer.wait_for("/r1/joulebus/reading_w", from, |document| is_near(&document["data"], 4_400.0));
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "{ended:?}");
     worker.stop();
@@ -326,10 +281,7 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
         status(document, "joulebus: worker of lab")["level"] == 2
     });
     let robot = status(&document, "joulebus: r1");
-    assert_eq!(
-        (&robot["level"], &robot["message"]),
-        (&json!(3), &json!("worker gone"))
-    );
+    assert_eq!((&robot["level"], &robot["message"]), (&json!(3), &json!("worker gone")));
     let from = listener.received();
     let mut worker = fleet.worker();
     listener.wait_for("/r1/joulebus/reading_w", from, is_read);
@@ -338,18 +290,13 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     let from = listener.received();
     listener.wait_for("/diagnostics", from, |document| {
         let robot = status(document, "joulebus: r1");
-        robot["level"] == 3
-            && robot["message"]
-                .as_str()
-                .is_some_and(|it| it.contains("NoData"))
+        robot["level"] == 3 && robot["message"].as_str().is_some_and(|it| it.contains("NoData"))
     });
     let mut talker = Peer::start(&python, &domain);
     let other =
         json!({"voltage": 4.0, "current": -1.2, "percentage": 0.8, "power_supply_status": 2});
     talker.publish("/fleet/r1/battery_state", "BatteryState", &other);
-    listener.wait_for("/r1/joulebus/reading_w", 0, |document| {
-        is_near(&document["data"], 4_800.0)
-    });
+    listener.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4_800.0));
     let report = bridge.stop().json();
     assert_eq!(report["unmapped"], json!([]), "{report}");
     worker.stop();
@@ -368,14 +315,11 @@ fn a_robot_on_its_charger_charges_and_its_batterys_power_is_no_load() {
     let charging =
         json!({"voltage": 4.0, "current": 2.0, "percentage": 0.5, "power_supply_status": 1});
     peer.publish("/fleet/r1/battery_state", "BatteryState", &charging);
-    let budget = peer.wait_for("/r1/joulebus/budget", 0, |document| {
-        document["power_supply_status"] == 1
-    });
+    let budget =
+        peer.wait_for("/r1/joulebus/budget", 0, |document| document["power_supply_status"] == 1);
     assert_eq!(budget["header"]["frame_id"], "r1");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    peer.wait_for("/r1/joulebus/budget", 0, |document| {
-        document["power_supply_status"] == 2
-    });
+    peer.wait_for("/r1/joulebus/budget", 0, |document| document["power_supply_status"] == 2);
     let mut readings = Vec::new();
     peer.wait_for("/r1/joulebus/reading_w", 0, |document| {
         readings.push(document["data"].clone());
@@ -427,14 +371,8 @@ fn a_file_is_checked_without_a_fleet_or_a_peer() {
     assert_eq!(good.exit_code(), 0, "{good:?}");
     let ros2 = &good.json()["ros2"];
     assert_eq!(ros2["domain_id"], domain.id);
-    assert_eq!(
-        ros2["reads"][0],
-        "/fleet/{robot}/battery_state (sensor_msgs/msg/BatteryState)"
-    );
-    assert_eq!(
-        ros2["writes"][4],
-        "/diagnostics (diagnostic_msgs/msg/DiagnosticArray)"
-    );
+    assert_eq!(ros2["reads"][0], "/fleet/{robot}/battery_state (sensor_msgs/msg/BatteryState)");
+    assert_eq!(ros2["writes"][4], "/diagnostics (diagnostic_msgs/msg/DiagnosticArray)");
     let bad = check(&file(&domain).replace("/fleet/{robot}/cmd_vel", "fleet/{robot}/cmd_vel"));
     assert_eq!(bad.exit_code(), 2);
     assert!(bad.errors().contains("no topic of ROS 2"), "{bad:?}");

@@ -23,11 +23,7 @@ pub(crate) fn cyclonedds() -> Option<PathBuf> {
     let is_there = check.output().is_ok_and(|output| output.status.success());
     if !is_there {
         eprintln!("skipped: there is no cyclonedds (JOULEBUS_CYCLONEDDS=$(tools/cyclonedds.sh))");
-        assert_ne!(
-            std::env::var("CI").as_deref(),
-            Ok("true"),
-            "cyclonedds is missing"
-        );
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "cyclonedds is missing");
     }
     is_there.then_some(program)
 }
@@ -64,10 +60,7 @@ impl Peer {
     pub(crate) fn start(python: &Path, domain: &RosDomain) -> Self {
         let mut command = Command::new(python);
         command
-            .arg(concat!(
-                env!("CARGO_MANIFEST_DIR"),
-                "/tests/all/ros2/peer.py"
-            ))
+            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/ros2/peer.py"))
             .arg(domain.id.to_string())
             .env("CYCLONEDDS_URI", CYCLONE)
             .env("PYTHONDONTWRITEBYTECODE", "1");

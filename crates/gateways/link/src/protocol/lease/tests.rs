@@ -29,10 +29,7 @@ impl Store {
     fn expire(&mut self, now_ns: u64) {
         self.leases.retain(|_, until_ns| now_ns < *until_ns);
         let leases = &self.leases;
-        self.holder = self
-            .holder
-            .take()
-            .filter(|it| leases.contains_key(&it.lease));
+        self.holder = self.holder.take().filter(|it| leases.contains_key(&it.lease));
     }
 
     fn answer(&mut self, name: &str, call: &Call, now_ns: u64) -> Reply {
@@ -41,10 +38,7 @@ impl Store {
             Call::Grant => {
                 self.next_lease += 1;
                 self.leases.insert(self.next_lease, now_ns + TTL_NS);
-                Reply::Granted {
-                    lease: self.next_lease,
-                    ttl_ns: TTL_NS,
-                }
+                Reply::Granted { lease: self.next_lease, ttl_ns: TTL_NS }
             }
             Call::Look => Reply::StoreView(StoreView {
                 holder: self.holder.clone(),
@@ -52,11 +46,7 @@ impl Store {
                 term_revision: self.term_revision,
                 requested: self.requested.clone(),
             }),
-            Call::Acquire {
-                lease,
-                term,
-                term_revision,
-            } => {
+            Call::Acquire { lease, term, term_revision } => {
                 let is_free = self.holder.is_none() && self.term_revision == *term_revision;
                 // etcd answers with an error if the lease has ended.
                 if !self.leases.contains_key(lease) {
@@ -66,11 +56,8 @@ impl Store {
                     self.revision += 1;
                     (self.term, self.term_revision) = (*term, self.revision);
                     self.requested = None;
-                    self.holder = Some(Holder {
-                        name: name.to_owned(),
-                        term: *term,
-                        lease: *lease,
-                    });
+                    self.holder =
+                        Some(Holder { name: name.to_owned(), term: *term, lease: *lease });
                 }
                 Reply::Acquired(is_free)
             }
@@ -128,9 +115,7 @@ impl Host {
             *reply = Some(store.answer(&self.name, call, store_ns));
         }
         if !weather.is_cut {
-            for (call, _) in self
-                .given_up
-                .extract_if(.., |(_, arrives_ns)| true_ns >= *arrives_ns)
+            for (call, _) in self.given_up.extract_if(.., |(_, arrives_ns)| true_ns >= *arrives_ns)
             {
                 store.answer(&self.name, &call, store_ns);
             }
@@ -153,8 +138,7 @@ impl Host {
             match reply {
                 Some(reply) => self.candidate.answered(&call, reply, (asked_ns, now_ns)),
                 None if is_late => {
-                    self.candidate
-                        .answered(&call, Reply::Failed, (asked_ns, now_ns));
+                    self.candidate.answered(&call, Reply::Failed, (asked_ns, now_ns));
                 }
                 None => return,
             }
@@ -170,8 +154,7 @@ impl Host {
     fn give_up(&mut self) {
         let call = self.under_way.take();
         let unanswered = call.filter(|(.., reply)| reply.is_none());
-        self.given_up
-            .extend(unanswered.map(|(call, _, arrives_ns, ..)| (call, arrives_ns)));
+        self.given_up.extend(unanswered.map(|(call, _, arrives_ns, ..)| (call, arrives_ns)));
     }
 
     fn observe_term(&mut self, term: u64) {
@@ -221,12 +204,8 @@ fn weather() -> impl Strategy<Value = Weather> {
         })
 }
 
-const CALM: Weather = Weather {
-    delay_ns: (1_000_000, 1_000_000),
-    is_cut: false,
-    is_paused: false,
-    restarts: false,
-};
+const CALM: Weather =
+    Weather { delay_ns: (1_000_000, 1_000_000), is_cut: false, is_paused: false, restarts: false };
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
@@ -311,10 +290,7 @@ fn run(
     *true_ns - begun_ns
 }
 
-const CUT: Weather = Weather {
-    is_cut: true,
-    ..CALM
-};
+const CUT: Weather = Weather { is_cut: true, ..CALM };
 
 #[test]
 fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_second_of_the_leases_end()
@@ -329,18 +305,10 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
     let silent = |hosts: &mut [Host], ns: u64| hosts[0].leader_lease(ns).is_none();
     let silent_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, silent);
     assert!(silent_ns <= TTL_NS, "{silent_ns}");
-    let free = run(
-        &mut hosts,
-        &mut store,
-        &mut true_ns,
-        &weather,
-        |hosts, ns| {
-            hosts[1..]
-                .iter()
-                .all(|host| host.candidate.holder().is_none())
-                || hosts[1].leader_lease(ns).is_some()
-        },
-    );
+    let free = run(&mut hosts, &mut store, &mut true_ns, &weather, |hosts, ns| {
+        hosts[1..].iter().all(|host| host.candidate.holder().is_none())
+            || hosts[1].leader_lease(ns).is_some()
+    });
     let after_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, serves(1));
     assert!(after_ns < 1_000_000_000, "{free} {after_ns}");
     assert_eq!(hosts[1].terms, [2]);
@@ -351,10 +319,8 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
             host.step(&mut store, true_ns, true_ns, CALM);
         }
     }
-    let leader_lease: Vec<bool> = hosts
-        .iter_mut()
-        .map(|host| host.leader_lease(true_ns).is_some())
-        .collect();
+    let leader_lease: Vec<bool> =
+        hosts.iter_mut().map(|host| host.leader_lease(true_ns).is_some()).collect();
     assert_eq!(leader_lease, [false, true, false]);
 }
 
@@ -383,10 +349,7 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_te
     let serves =
         |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
-    let again = Weather {
-        restarts: true,
-        ..CALM
-    };
+    let again = Weather { restarts: true, ..CALM };
     true_ns += STEP_NS;
     hosts[0].step(&mut store, true_ns, true_ns, again);
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
@@ -395,18 +358,11 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_te
     // Candidates exchange the highest terms that they know of.
     hosts.iter_mut().for_each(|host| host.observe_term(5));
     assert!(hosts[0].leader_lease(true_ns).is_none());
-    run(
-        &mut hosts,
-        &mut store,
-        &mut true_ns,
-        &[CALM; 2],
-        |hosts, ns| {
-            hosts.iter_mut().any(|host| {
-                host.leader_lease(ns)
-                    .is_some_and(|leader_lease| leader_lease.term > 1)
-            })
-        },
-    );
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], |hosts, ns| {
+        hosts
+            .iter_mut()
+            .any(|host| host.leader_lease(ns).is_some_and(|leader_lease| leader_lease.term > 1))
+    });
     let terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
     assert!(terms.contains(&6), "{terms:?}");
 }
@@ -423,15 +379,9 @@ fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_
     hosts[1].candidate.is_able(false);
     for _ in 0..1_500 {
         true_ns += STEP_NS;
-        hosts
-            .iter_mut()
-            .for_each(|host| host.step(&mut store, true_ns, true_ns, CALM));
+        hosts.iter_mut().for_each(|host| host.step(&mut store, true_ns, true_ns, CALM));
     }
-    assert!(
-        hosts
-            .iter_mut()
-            .all(|host| host.leader_lease(true_ns).is_none())
-    );
+    assert!(hosts.iter_mut().all(|host| host.leader_lease(true_ns).is_none()));
     hosts[0].candidate.is_able(true);
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     assert_eq!(hosts[0].terms, [1, 3]);
@@ -448,14 +398,8 @@ fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all
     assert!((TTL_NS / 2..=TTL_NS).contains(&took_ns), "{took_ns}");
     for _ in 0..1_000 {
         true_ns += STEP_NS;
-        hosts
-            .iter_mut()
-            .for_each(|host| host.step(&mut store, true_ns, true_ns, CUT));
-        assert!(
-            hosts
-                .iter_mut()
-                .all(|host| host.leader_lease(true_ns).is_none())
-        );
+        hosts.iter_mut().for_each(|host| host.step(&mut store, true_ns, true_ns, CUT));
+        assert!(hosts.iter_mut().all(|host| host.leader_lease(true_ns).is_none()));
     }
     let anybody =
         |hosts: &mut [Host], ns: u64| hosts.iter_mut().any(|host| host.leader_lease(ns).is_some());
@@ -470,29 +414,17 @@ fn a_lease_of_no_time_or_no_number_is_asked_for_again_and_not_at_once_and_none_l
         let now_ns = candidate.look_ns;
         candidate.free_since_ns = Some(0);
         assert_eq!(candidate.next(now_ns), Next::Call(Call::Grant));
-        candidate.answered(
-            &Call::Grant,
-            Reply::Granted { lease, ttl_ns },
-            (now_ns, now_ns),
-        );
+        candidate.answered(&Call::Grant, Reply::Granted { lease, ttl_ns }, (now_ns, now_ns));
         assert_eq!(
             candidate.next(now_ns),
             Next::Wait(now_ns + POLL_INTERVAL_NS.0),
             "{lease} {ttl_ns}"
         );
     }
-    let leader_lease = LeaderLease {
-        term: 3,
-        until_ns: 1_000,
-        lease: 7,
-    };
+    let leader_lease = LeaderLease { term: 3, until_ns: 1_000, lease: 7 };
     let mut candidate = Candidate::new("a", 0, TTL_NS, Some(leader_lease));
     for ttl_ns in [MAX_TTL_NS + 1, u64::MAX / 2, u64::MAX] {
-        candidate.answered(
-            &Call::Renew { lease: 7 },
-            Reply::Renewed { ttl_ns },
-            (10, 20),
-        );
+        candidate.answered(&Call::Renew { lease: 7 }, Reply::Renewed { ttl_ns }, (10, 20));
         let until_ns = candidate.leader_lease(30).unwrap().until_ns;
         assert!(until_ns <= 10 + MAX_TTL_NS, "{ttl_ns}: {until_ns}");
         assert!(candidate.renew_ns <= 20 + MAX_TTL_NS / RENEWALS);
@@ -504,19 +436,12 @@ fn after_the_last_term_nobody_serves_since_two_would_in_one() {
     for (stored, highest_term) in [(u64::MAX, 0), (0, u64::MAX)] {
         let mut candidate = Candidate::new("a", 0, TTL_NS, None);
         candidate.observe_term(highest_term);
-        let view = StoreView {
-            term: stored,
-            ..StoreView::default()
-        };
+        let view = StoreView { term: stored, ..StoreView::default() };
         let mut now_ns = 0;
         for _ in 0..50 {
             now_ns += POLL_INTERVAL_NS.1;
             assert_eq!(candidate.next(now_ns), Next::Call(Call::Look));
-            candidate.answered(
-                &Call::Look,
-                Reply::StoreView(view.clone()),
-                (now_ns, now_ns),
-            );
+            candidate.answered(&Call::Look, Reply::StoreView(view.clone()), (now_ns, now_ns));
         }
     }
 }

@@ -59,11 +59,7 @@ pub(crate) fn send(address: &str, head: &str, body: &[u8]) -> Response {
 }
 
 pub(crate) fn get(address: &str, path: &str) -> Response {
-    send(
-        address,
-        &format!("GET {path} HTTP/1.1\r\nHost: {address}"),
-        b"",
-    )
+    send(address, &format!("GET {path} HTTP/1.1\r\nHost: {address}"), b"")
 }
 
 pub(crate) fn get_json(address: &str, path: &str) -> Value {
@@ -87,18 +83,14 @@ pub(crate) fn what_if(address: &str, question: &str) -> Response {
     let head = format!(
         "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
     );
-    answered("an answer about a plan", || {
-        send(address, &head, question.as_bytes())
-    })
+    answered("an answer about a plan", || send(address, &head, question.as_bytes()))
 }
 
 /// The answer to an acknowledgement.
 pub(crate) fn acknowledge(address: &str, body: &str, header: &str) -> Response {
     let path = "/api/v1/alarms/acknowledge";
     let head = format!("POST {path} HTTP/1.1\r\nHost: {address}\r\n{header}");
-    answered("an acknowledgement", || {
-        send(address, &head, body.as_bytes())
-    })
+    answered("an acknowledgement", || send(address, &head, body.as_bytes()))
 }
 
 /// The first response that is not 503, which a busy server answers.
@@ -117,19 +109,12 @@ fn read(stream: TcpStream) -> Response {
     let (status, headers) = head(&mut reader);
     let mut body = Vec::new();
     reader.read_to_end(&mut body).unwrap();
-    Response {
-        status,
-        headers,
-        body,
-    }
+    Response { status, headers, body }
 }
 
 fn head(reader: &mut BufReader<TcpStream>) -> (u16, Vec<(String, String)>) {
     let status = line(reader);
-    let status = status
-        .split(' ')
-        .nth(1)
-        .unwrap_or_else(|| panic!("no status in {status:?}"));
+    let status = status.split(' ').nth(1).unwrap_or_else(|| panic!("no status in {status:?}"));
     let mut headers = Vec::new();
     loop {
         let line = line(reader);
@@ -171,12 +156,7 @@ impl Events {
                 .iter()
                 .any(|(name, value)| name == "content-type" && value == "text/event-stream")
         );
-        let mut events = Self {
-            reader,
-            text: String::new(),
-            seq: 0,
-            view: Value::Null,
-        };
+        let mut events = Self { reader, text: String::new(), seq: 0, view: Value::Null };
         events.next();
         events
     }
@@ -195,8 +175,7 @@ impl Events {
                 assert!(length > 0, "the stream has ended");
                 let mut chunk = vec![0; length + 2];
                 self.reader.read_exact(&mut chunk).unwrap();
-                self.text
-                    .push_str(std::str::from_utf8(&chunk[..length]).unwrap());
+                self.text.push_str(std::str::from_utf8(&chunk[..length]).unwrap());
             }
         };
         let (event, data) = block.split_once('\n').unwrap();
@@ -233,10 +212,8 @@ impl Events {
             view["robots"][name] = robots[name].clone();
         }
         let mut rows: Vec<Value> = view["robots"]["robots"].as_array().unwrap().clone();
-        let mut named: serde_json::Map<String, Value> = rows
-            .iter()
-            .map(|row| (row["robot"].to_string(), row.clone()))
-            .collect();
+        let mut named: serde_json::Map<String, Value> =
+            rows.iter().map(|row| (row["robot"].to_string(), row.clone())).collect();
         for (robot, change) in robots["rows"].as_object().into_iter().flatten() {
             merge(named.entry(robot.clone()).or_insert(Value::Null), change);
         }

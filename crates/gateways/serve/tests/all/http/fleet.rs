@@ -49,10 +49,7 @@ impl Fleet {
     /// Starts a verb of the program.
     pub(crate) fn joulebus(&self, words: &str) -> Child {
         let mut command = Command::new(joulebus());
-        command
-            .args(words.split(' '))
-            .arg("--config")
-            .arg(self.path());
+        command.args(words.split(' ')).arg("--config").arg(self.path());
         command.env_remove("JOULEBUS_LOG");
         Child::spawn(words, command)
     }
@@ -70,9 +67,7 @@ impl Fleet {
         if !more.contains(&"--http") {
             command.args(["--http", "127.0.0.1:0"]);
         }
-        command
-            .args(["--format", "json", "--config"])
-            .arg(self.path());
+        command.args(["--format", "json", "--config"]).arg(self.path());
         command.args(more).env_remove("JOULEBUS_LOG");
         let mut server = Child::spawn("serve", command);
         let line = server.wait_for_line("serving fleet http at http://");

@@ -78,9 +78,7 @@ fn ten_thousand_malformed_requests_leave_worker_and_server_live() {
         *statuses.entry(status).or_insert(0) += 1;
     }
     // A 5xx is a defect. A flipped bit may leave a request well-formed.
-    let defects = statuses
-        .iter()
-        .filter(|(status, _)| status.is_some_and(|status| status >= 500));
+    let defects = statuses.iter().filter(|(status, _)| status.is_some_and(|status| status >= 500));
     assert_eq!(defects.count(), 0, "{statuses:?}");
     assert!(statuses[&Some(400)] > 1_000, "{statuses:?}");
     assert_live(&address);
@@ -159,9 +157,7 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 20");
     let (mut server, address) = fleet.serve(&[]);
-    eventually("robots", || {
-        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20
-    });
+    eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20);
     // Slow streams take a long time to fill up.
     let seldom = |from: [u8; 4]| {
         let stream = dial_from(from.into(), &address);
@@ -210,9 +206,7 @@ fn clients_that_ask_and_hang_up_leave_nothing_to_be_computed() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 20");
     let (mut server, address) = fleet.serve(&[]);
-    eventually("robots", || {
-        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20
-    });
+    eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20);
     let head = format!(
         "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
     );

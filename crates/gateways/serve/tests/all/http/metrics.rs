@@ -17,9 +17,7 @@ fn python() -> Option<String> {
     let usual = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/python/bin/python");
     let python = named.unwrap_or_else(|| usual.display().to_string());
     let mut probe = Command::new(&python);
-    probe
-        .args(["-c", "import prometheus_client.openmetrics.parser"])
-        .stderr(Stdio::null());
+    probe.args(["-c", "import prometheus_client.openmetrics.parser"]).stderr(Stdio::null());
     if probe.status().is_ok_and(|status| status.success()) {
         return Some(python);
     }
@@ -46,12 +44,7 @@ fn parsed(python: &str, parser: &str, text: &str) -> Vec<Value> {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    child
-        .stdin
-        .take()
-        .unwrap()
-        .write_all(text.as_bytes())
-        .unwrap();
+    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "the parser refuses:\n{text}");
     serde_json::from_slice(&output.stdout).unwrap()
@@ -105,37 +98,12 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     for (name, label, labelled, expected) in [
         ("joulebus_worker_up", "", "", &serde_json::json!(0)),
         ("joulebus_ticks_total", "", "", &seen["tick"]),
-        (
-            "joulebus_samples_accepted_total",
-            "",
-            "",
-            &seen["samples_accepted"],
-        ),
+        ("joulebus_samples_accepted_total", "", "", &seen["samples_accepted"]),
         ("joulebus_robots", "level", "ok", &seen["totals"]["ok"]),
-        (
-            "joulebus_fleet_power_watts",
-            "",
-            "",
-            &seen["totals"]["power_w"],
-        ),
-        (
-            "joulebus_consumed_joules_total",
-            "robot",
-            "4",
-            &robot["drawn_j"],
-        ),
-        (
-            "joulebus_residual_watts",
-            "robot",
-            "4",
-            &robot["residual_w"],
-        ),
-        (
-            "joulebus_robots_without_series",
-            "",
-            "",
-            &serde_json::json!(2),
-        ),
+        ("joulebus_fleet_power_watts", "", "", &seen["totals"]["power_w"]),
+        ("joulebus_consumed_joules_total", "robot", "4", &robot["drawn_j"]),
+        ("joulebus_residual_watts", "robot", "4", &robot["residual_w"]),
+        ("joulebus_robots_without_series", "", "", &serde_json::json!(2)),
     ] {
         let expected = expected.as_f64();
         let found = value(name, label, labelled);
@@ -149,19 +117,9 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let drawn = seen["totals"]["drawn_j"].as_f64().unwrap();
     assert!(consumed >= drawn * 0.999, "{consumed} {drawn}");
     let count = value("joulebus_forecast_latency_seconds_count", "", "").unwrap();
-    assert_eq!(
-        value("joulebus_forecast_latency_seconds_bucket", "le", "+Inf"),
-        Some(count)
-    );
-    assert_eq!(
-        value("joulebus_health_level", "robot", "5"),
-        None,
-        "beyond the cap"
-    );
-    assert_eq!(
-        value("joulebus_build_info", "version", env!("CARGO_PKG_VERSION")),
-        Some(1.0)
-    );
+    assert_eq!(value("joulebus_forecast_latency_seconds_bucket", "le", "+Inf"), Some(count));
+    assert_eq!(value("joulebus_health_level", "robot", "5"), None, "beyond the cap");
+    assert_eq!(value("joulebus_build_info", "version", env!("CARGO_PKG_VERSION")), Some(1.0));
     server.stop();
 }
 
@@ -169,10 +127,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
 fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_testkit::Child, String)> {
     let program = std::env::var("JOULEBUS_PROMETHEUS").unwrap_or_else(|_| "prometheus".to_owned());
     let mut probe = Command::new(&program);
-    probe
-        .arg("--version")
-        .stdout(Stdio::null())
-        .stderr(Stdio::null());
+    probe.arg("--version").stdout(Stdio::null()).stderr(Stdio::null());
     if !probe.status().is_ok_and(|status| status.success()) {
         assert!(
             std::env::var_os("CI").is_none_or(|ci| ci != "true"),
@@ -190,10 +145,7 @@ fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_testkit::Child, S
     let free = format!("127.0.0.1:{}", free_port());
     let mut command = Command::new(program);
     command.arg(format!("--config.file={}", config.display()));
-    command.arg(format!(
-        "--storage.tsdb.path={}",
-        fleet.file("tsdb").display()
-    ));
+    command.arg(format!("--storage.tsdb.path={}", fleet.file("tsdb").display()));
     command.arg(format!("--web.listen-address={free}"));
     let mut child = joulebus_testkit::Child::spawn("prometheus", command);
     child.wait_for_line("Server is ready to receive web requests");
@@ -242,12 +194,8 @@ fn a_real_prometheus_scrapes_the_metrics_and_answers_the_dashboard() {
             result[0]["value"][1].as_str()?.parse().ok()
         };
         eventually("a scrape", || value("up") == Some(1.0));
-        eventually("the worker is seen", || {
-            value("joulebus_worker_up") == Some(1.0)
-        });
-        eventually("three robots", || {
-            value("sum(joulebus_robots)") == Some(3.0)
-        });
+        eventually("the worker is seen", || value("joulebus_worker_up") == Some(1.0));
+        eventually("three robots", || value("sum(joulebus_robots)") == Some(3.0));
         eventually("a robot's power", || {
             value("joulebus_power_watts%7Bkind=%22reading%22%7D").is_some()
         });

@@ -27,9 +27,7 @@ fn a_stopped_workers_values_equal_those_of_watch() {
     let mut source = fleet.joulebus("publish sim --robots 6 --fault 3=stuck");
     let (mut server, address) = fleet.serve(&[]);
     let mut watch = fleet.joulebus("watch --format json");
-    eventually("six robots", || {
-        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6
-    });
+    eventually("six robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6);
     // A worker stopped between two frames of a tick may appear to one program and not to the other.
     // Try again then.
     let mut lines = 0;
@@ -58,10 +56,7 @@ fn is_same(address: &str, shown: &Value) -> bool {
     let fleet = get_json(address, "/api/v1/fleet");
     let mut robots = get_json(address, "/api/v1/robots?sort=robot")["robots"].clone();
     let stuck = get_json(address, "/api/v1/robots/3");
-    assert_eq!(
-        stuck["stamp_ns"], robots[3]["stamp_ns"],
-        "a robot alone and in the list"
-    );
+    assert_eq!(stuck["stamp_ns"], robots[3]["stamp_ns"], "a robot alone and in the list");
     for robot in robots.as_array_mut().unwrap() {
         robot.as_object_mut().unwrap().remove("sample_age_s");
         let platform = robot.as_object_mut().unwrap().remove("platform");
@@ -88,16 +83,8 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     let mut events = Events::open(&address, "hz=10&robot=2");
     assert_eq!(events.view["fleet"]["worker"]["state"], "waiting");
     let unready = get(&address, "/readyz");
-    assert_eq!(
-        (unready.status, unready.header("retry-after")),
-        (503, Some("1"))
-    );
-    assert!(
-        unready.json()["error"]
-            .as_str()
-            .unwrap()
-            .contains("joulebus run")
-    );
+    assert_eq!((unready.status, unready.header("retry-after")), (503, Some("1")));
+    assert!(unready.json()["error"].as_str().unwrap().contains("joulebus run"));
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 4");
     events.until("robots", |view| {
@@ -109,18 +96,10 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     let first = events.view["fleet"]["worker"]["pid"].clone();
     assert_eq!(first, worker.pid());
     worker.kill();
-    events.until("the worker gone", |view| {
-        view["fleet"]["worker"]["state"] == "gone"
-    });
+    events.until("the worker gone", |view| view["fleet"]["worker"]["state"] == "gone");
     // The last known robots are still shown.
     assert_eq!(events.view["robots"]["total"], 4);
-    assert_eq!(
-        (
-            get(&address, "/readyz").status,
-            get(&address, "/healthz").status
-        ),
-        (503, 200)
-    );
+    assert_eq!((get(&address, "/readyz").status, get(&address, "/healthz").status), (503, 200));
     let mut worker = fleet.worker();
     events.until("another worker", |view| {
         view["fleet"]["worker"]["state"] == "alive"
@@ -138,9 +117,7 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     let mut worker = fleet.worker();
     let (mut server, address) = fleet.serve(&[]);
     let mut source = fleet.joulebus("publish sim --robots 3");
-    eventually("robots", || {
-        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3
-    });
+    eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3);
     let of = |alarm: &str| json!({"robot": 1, "alarm": alarm, "by": "ann"}).to_string();
     let good = of("NoData");
     for (body, header, status, reason) in [
@@ -149,19 +126,11 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
         (&good.replace("ann", ""), JSON, 400, "is no name"),
         (&good.replace('1', "-1"), JSON, 400, "openapi.json"),
         (&good, "Content-Type: text/plain", 415, "application/json"),
-        (
-            &good,
-            "Content-Type: application/json\r\nSec-Fetch-Site: cross-site",
-            403,
-            "",
-        ),
+        (&good, "Content-Type: application/json\r\nSec-Fetch-Site: cross-site", 403, ""),
     ] {
         let refused = acknowledge(&address, body, header);
         let said = refused.text();
-        assert!(
-            refused.status == status && said.contains(reason),
-            "{body} {header}: {said}"
-        );
+        assert!(refused.status == status && said.contains(reason), "{body} {header}: {said}");
     }
     source.end();
     let by = |alarms: &Value| {
@@ -170,9 +139,7 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
         found.map(|it| it["acknowledged"]["by"].clone())
     };
     let becomes = |what: &str, expected: Option<Value>| {
-        eventually(what, || {
-            by(&get_json(&address, "/api/v1/alarms")) == expected
-        });
+        eventually(what, || by(&get_json(&address, "/api/v1/alarms")) == expected);
     };
     becomes("silence", Some(Value::Null));
     let taken = acknowledge(&address, &good, JSON);
@@ -204,9 +171,7 @@ fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
     };
     eventually("the alarm", is_raised);
     let metrics = get(&address, "/metrics").text();
-    let line = metrics
-        .lines()
-        .find(|line| line.contains("alarm=\"Implausible\""));
+    let line = metrics.lines().find(|line| line.contains("alarm=\"Implausible\""));
     assert!(line.is_some_and(|line| line.ends_with(" 1.0")), "{metrics}");
     let cards = get_json(&address, "/api/v1/alarms/cards");
     let mut cards = cards.as_array().unwrap().iter();
@@ -226,9 +191,7 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     let mut source = fleet.joulebus("publish sim --robots 5 --fault 1=stuck");
     events.until("an alarm", |view| {
         let raised = view["alarms"]["raised"].as_array().unwrap();
-        raised
-            .iter()
-            .any(|raised| raised["robot"] == 1 && raised["alarm"] == "StuckSensor")
+        raised.iter().any(|raised| raised["robot"] == 1 && raised["alarm"] == "StuckSensor")
     });
     let changes = events.view["alarms"]["changes"].as_array().unwrap();
     let mut changes = changes.iter().filter(|change| {
@@ -238,18 +201,12 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     assert_eq!(change["at_unix_ns"], change["raised_unix_ns"]);
     let now_unix_ns = events.view["fleet"]["now_unix_ns"].as_u64().unwrap();
     let at_unix_ns = change["at_unix_ns"].as_u64().unwrap();
-    assert!(
-        now_unix_ns.abs_diff(at_unix_ns) < PATIENCE.as_nanos() as u64,
-        "{change}"
-    );
+    assert!(now_unix_ns.abs_diff(at_unix_ns) < PATIENCE.as_nanos() as u64, "{change}");
     events.until("the robot's alarm", |view| {
         view["robots"]["robots"][1]["alarms"][0] == "StuckSensor"
     });
     let found = get_json(&address, "/api/v1/robots?search=stucks&level=error");
-    assert_eq!(
-        (&found["matched"], &found["robots"][0]["robot"]),
-        (&json!(1), &json!(1))
-    );
+    assert_eq!((&found["matched"], &found["robots"][0]["robot"]), (&json!(1), &json!(1)));
     let history = get_json(&address, "/api/v1/robots/1/history");
     assert_eq!(history["step_s"], 0.5);
     let points = history["reading_w"].as_array().unwrap();
@@ -258,9 +215,7 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     // With the worker stopped, the sum of all deltas is what a new client gets.
     source.end();
     worker.stop();
-    events.until("the worker's end", |view| {
-        view["fleet"]["worker"]["state"] == "gone"
-    });
+    events.until("the worker's end", |view| view["fleet"]["worker"]["state"] == "gone");
     // A further look at the fleet may have been shown between the stream and the answer.
     events.until("the newest values", |view| {
         view["robots"] == get_json(&address, "/api/v1/robots?sort=robot")
@@ -276,16 +231,11 @@ fn the_server_sorts_filters_and_cuts() {
     let (mut server, address) = fleet.serve(&[]);
     let mut source = fleet.joulebus("publish sim --robots 12");
     let mut rovers = fleet.joulebus("publish sim --robots 3 --platform rover");
-    eventually("fifteen robots", || {
-        get_json(&address, "/api/v1/robots")["total"] == 15
-    });
+    eventually("fifteen robots", || get_json(&address, "/api/v1/robots")["total"] == 15);
     let ids = |query: &str| -> Vec<u64> {
         let robots = get_json(&address, &format!("/api/v1/robots?{query}"));
         let robots = robots["robots"].as_array().unwrap().clone();
-        robots
-            .iter()
-            .map(|robot| robot["robot"].as_u64().unwrap())
-            .collect()
+        robots.iter().map(|robot| robot["robot"].as_u64().unwrap()).collect()
     };
     assert_eq!(ids("sort=robot&from=2&count=3"), [2, 3, 4]);
     assert_eq!(ids("sort=robot&descending=1&count=2"), [102, 101]);
@@ -297,9 +247,7 @@ fn the_server_sorts_filters_and_cuts() {
     eventually("powers", || {
         let robots = get_json(&address, "/api/v1/robots?sort=power&descending=1&count=200");
         let robots = robots["robots"].as_array().unwrap().iter();
-        powers = robots
-            .filter_map(|robot| robot["reading_w"].as_f64())
-            .collect();
+        powers = robots.filter_map(|robot| robot["reading_w"].as_f64()).collect();
         powers.len() > 3
     });
     assert!(powers.is_sorted_by(|a, b| a >= b), "{powers:?}");
@@ -333,9 +281,7 @@ fn a_question_is_answered_as_by_ask() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 3");
     let (mut server, address) = fleet.serve(&[]);
-    eventually("readings", || {
-        get(&address, "/api/v1/robots/1").json()["power_w"].is_number()
-    });
+    eventually("readings", || get(&address, "/api/v1/robots/1").json()["power_w"].is_number());
     let ask = |question: &Value| what_if(&address, &question.to_string());
     let answered = ask(&json!({"robot": 1, "idle_s": 20, "coverage": 0.8}));
     assert_eq!(answered.status, 200, "{}", answered.text());
@@ -343,9 +289,7 @@ fn a_question_is_answered_as_by_ask() {
     let mut printed = Value::Null;
     // `ask` gives up if no frame is fresh in time.
     eventually("an answer of `ask`", || {
-        let asked = fleet
-            .joulebus("ask --robot 1 --idle 20 --coverage 0.8 --format json")
-            .wait();
+        let asked = fleet.joulebus("ask --robot 1 --idle 20 --coverage 0.8 --format json").wait();
         if asked.code() == Some(0) {
             printed = asked.json();
         }
@@ -375,11 +319,7 @@ fn a_question_is_answered_as_by_ask() {
         assert_eq!(refused.status, status, "{question}: {}", refused.text());
         assert!(refused.json()["error"].is_string());
     }
-    let plain = send(
-        &address,
-        &format!("POST /api/v1/what_if HTTP/1.1\r\nHost: {address}"),
-        b"{}",
-    );
+    let plain = send(&address, &format!("POST /api/v1/what_if HTTP/1.1\r\nHost: {address}"), b"{}");
     assert_eq!(plain.status, 415);
     source.end();
     server.stop();
@@ -407,10 +347,7 @@ fn every_file_of_the_page_is_served_and_nothing_else() {
                 "{name}"
             );
             assert!(
-                response
-                    .header("content-security-policy")
-                    .unwrap()
-                    .contains("default-src 'self'")
+                response.header("content-security-policy").unwrap().contains("default-src 'self'")
             );
             assert_eq!(response.header("access-control-allow-origin"), None);
             let tag = response.header("etag").unwrap();
@@ -418,10 +355,7 @@ fn every_file_of_the_page_is_served_and_nothing_else() {
             assert_eq!(send(&address, &head, b"").status, 304);
         }
     }
-    assert_eq!(
-        get(&address, "/").body,
-        fs::read(page.join("index.html")).unwrap()
-    );
+    assert_eq!(get(&address, "/").body, fs::read(page.join("index.html")).unwrap());
     for path in [
         "/nothing",
         "/page",
@@ -480,17 +414,12 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
     assert!(get(&address, "/").text().contains("token"));
     assert_eq!(get(&address, "/healthz").status, 200);
     let entered = get(&address, "/?token=0123456789abcdef");
-    assert_eq!(
-        (entered.status, entered.header("location")),
-        (303, Some("/"))
-    );
+    assert_eq!((entered.status, entered.header("location")), (303, Some("/")));
     let cookie = entered.header("set-cookie").unwrap();
     says(&cookie, ["HttpOnly", "SameSite=Strict"]);
     let cookie = cookie.split(';').next().unwrap();
-    for header in [
-        format!("Cookie: {cookie}"),
-        "Authorization: Bearer 0123456789abcdef".to_owned(),
-    ] {
+    for header in [format!("Cookie: {cookie}"), "Authorization: Bearer 0123456789abcdef".to_owned()]
+    {
         let head = format!("GET /api/v1/fleet HTTP/1.1\r\nHost: {address}\r\n{header}");
         assert_eq!(send(&address, &head, b"").status, 200, "{header}");
     }
@@ -512,10 +441,7 @@ fn signals_end_the_server_whatever_clients_do() {
         let ended = server.wait();
         assert_eq!(ended.code(), Some(0), "{ended:?}");
         let report = ended.json();
-        assert!(
-            report["http"]["requests"].as_u64().unwrap() >= 1,
-            "{report}"
-        );
+        assert!(report["http"]["requests"].as_u64().unwrap() >= 1, "{report}");
         assert_eq!(report["lost"], 0, "{report}");
         assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
     }

@@ -36,20 +36,12 @@ fn differences(
     if !fits {
         found.push(format!("{place} is {value}, expected {types:?}"));
     }
-    let among = schema["enum"]
-        .as_array()
-        .is_none_or(|all| all.contains(value));
+    let among = schema["enum"].as_array().is_none_or(|all| all.contains(value));
     if !among {
         found.push(format!("{place} is {value}"));
     }
     for (number, item) in value.as_array().into_iter().flatten().enumerate() {
-        differences(
-            document,
-            &schema["items"],
-            item,
-            &format!("{place}[{number}]"),
-            found,
-        );
+        differences(document, &schema["items"], item, &format!("{place}[{number}]"), found);
     }
     let (Some(object), Some(properties)) = (value.as_object(), schema["properties"].as_object())
     else {
@@ -75,9 +67,7 @@ fn every_answer_is_as_the_document_says() {
     let mut source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&[]);
     // By then the robot's history has points, too.
-    eventually("an alarm of the robot", || {
-        has_alarm(&address, 2, "StuckSensor")
-    });
+    eventually("an alarm of the robot", || has_alarm(&address, 2, "StuckSensor"));
     let document = get_json(&address, "/api/v1/openapi.json");
     let check = |name: &str, value: &Value| {
         let schema = &document["components"]["schemas"][name];
@@ -86,10 +76,8 @@ fn every_answer_is_as_the_document_says() {
         assert_eq!(found, Vec::<String>::new());
     };
     check("Error", &get(&address, "/api/v1/robots/77").json());
-    let asked = what_if(
-        &address,
-        r#"{"robot": 1, "path": [{"x_m": 0, "y_m": 0}, {"x_m": 1, "y_m": 0}]}"#,
-    );
+    let asked =
+        what_if(&address, r#"{"robot": 1, "path": [{"x_m": 0, "y_m": 0}, {"x_m": 1, "y_m": 0}]}"#);
     assert_eq!(asked.status, 200, "{}", asked.text());
     check("Answers", &asked.json());
     let acknowledged = acknowledge(
@@ -110,12 +98,9 @@ fn every_answer_is_as_the_document_says() {
             check(name, &get_json(&address, &path.replace("{id}", "2")));
         } else if path == "/api/v1/stream" {
             let view = Events::open(&address, "robot=2").view;
-            for (key, name) in [
-                ("fleet", "Fleet"),
-                ("robots", "Robots"),
-                ("robot", "Robot"),
-                ("alarms", "Alarms"),
-            ] {
+            for (key, name) in
+                [("fleet", "Fleet"), ("robots", "Robots"), ("robot", "Robot"), ("alarms", "Alarms")]
+            {
                 check(name, &view[key]);
             }
         } else if item.get("get").is_some() {

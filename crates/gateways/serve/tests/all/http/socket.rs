@@ -28,20 +28,13 @@ fn ask(socket: &Path, head: &str, body: &str) -> io::Result<(u16, String)> {
     stream.write_all(request.as_bytes())?;
     let mut text = String::new();
     stream.read_to_string(&mut text)?;
-    let status = text
-        .split(' ')
-        .nth(1)
-        .and_then(|status| status.parse().ok());
+    let status = text.split(' ').nth(1).and_then(|status| status.parse().ok());
     let (_, body) = text.split_once("\r\n\r\n").unwrap_or_default();
     Ok((status.unwrap_or(0), body.to_owned()))
 }
 
 fn get(socket: &Path, path: &str) -> io::Result<(u16, String)> {
-    ask(
-        socket,
-        &format!("GET {path} HTTP/1.1\r\nHost: localhost"),
-        "",
-    )
+    ask(socket, &format!("GET {path} HTTP/1.1\r\nHost: localhost"), "")
 }
 
 /// Does `work` as another user: credentials are a thread's own, and end with it.
@@ -143,10 +136,8 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
         let refused = refused.expect_err("published").to_string();
         assert!(refused.contains("belongs to uid"), "{refused}");
         for object in &objects {
-            let options = [
-                fs::File::options().read(true).clone(),
-                fs::File::options().write(true).clone(),
-            ];
+            let options =
+                [fs::File::options().read(true).clone(), fs::File::options().write(true).clone()];
             for options in options {
                 let opened = options.open(object);
                 assert!(opened.is_err(), "opened {}", object.display());

@@ -43,10 +43,7 @@ impl Receiver {
         open: impl Fn(TcpStream) -> S + Send + 'static,
     ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = format!(
-            "{scheme}://{}/alarms?secret=1",
-            listener.local_addr().unwrap()
-        );
+        let address = format!("{scheme}://{}/alarms?secret=1", listener.local_addr().unwrap());
         let taken = Arc::<Mutex<Vec<Value>>>::default();
         let into = Arc::clone(&taken);
         std::thread::spawn(move || {
@@ -75,17 +72,12 @@ impl Receiver {
     /// Robot, alarm and change of everything taken, in order.
     fn changes(&self) -> Vec<String> {
         let taken = self.taken.lock().unwrap();
-        let bodies = taken
-            .iter()
-            .inspect(|body| assert_eq!(body["fleet"], "http"));
+        let bodies = taken.iter().inspect(|body| assert_eq!(body["fleet"], "http"));
         let changes = bodies.flat_map(|body| body["changes"].as_array().unwrap());
         let of = |change: &Value| {
             let meaning = change["card"]["meaning"].as_str();
             assert_eq!(meaning.is_some(), change["change"] == "raised", "{change}");
-            format!(
-                "{} {} {}",
-                change["robot"], change["alarm"], change["change"]
-            )
+            format!("{} {} {}", change["robot"], change["alarm"], change["change"])
         };
         changes.map(of).map(|text| text.replace('"', "")).collect()
     }
@@ -123,10 +115,7 @@ impl Authority {
     fn new() -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let authority = Self { folder };
-        let made = authority.make(
-            "authority",
-            &["-addext", "basicConstraints=critical,CA:TRUE"],
-        );
+        let made = authority.make("authority", &["-addext", "basicConstraints=critical,CA:TRUE"]);
         if made.is_ok() {
             return Some(authority);
         }
@@ -143,12 +132,7 @@ impl Authority {
         openssl.args("req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1".split(' '));
         openssl.args(["-nodes", "-days", "2", "-subj"]);
         openssl.arg(format!("/CN={name} of a test"));
-        openssl.args([
-            "-keyout",
-            &format!("{name}.key"),
-            "-out",
-            &format!("{name}.pem"),
-        ]);
+        openssl.args(["-keyout", &format!("{name}.key"), "-out", &format!("{name}.pem")]);
         let ended = openssl.args(more).output()?;
         assert!(ended.status.success(), "{ended:?}");
         Ok(())
@@ -176,9 +160,8 @@ impl Authority {
         let file = |name: &str| self.folder.path().join(name);
         let certificate = CertificateDer::from_pem_file(file("server.pem")).unwrap();
         let key = PrivateKeyDer::from_pem_file(file("server.key")).unwrap();
-        let config = ServerConfig::builder()
-            .with_no_client_auth()
-            .with_single_cert(vec![certificate], key);
+        let config =
+            ServerConfig::builder().with_no_client_auth().with_single_cert(vec![certificate], key);
         Arc::new(config.unwrap())
     }
 }
@@ -209,9 +192,7 @@ fn end_delivered(server: &mut Child) -> Value {
 }
 
 fn publish(fleet: &Fleet) {
-    fleet
-        .joulebus("publish sim --robots 3 --duration 1")
-        .finish();
+    fleet.joulebus("publish sim --robots 3 --duration 1").finish();
 }
 
 #[test]
@@ -228,25 +209,14 @@ fn every_change_is_told_in_order_also_after_failures() {
     let mut server = serve(&fleet, &format!("@{}", file.display()));
     publish(&fleet);
     eventually("the robots' silence is told", || {
-        (0..3).all(|robot| {
-            receiver
-                .changes()
-                .contains(&format!("{robot} NoData raised"))
-        })
+        (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
     });
     worker.signal(Signal::KILL);
     eventually("the worker's end is told", || {
-        receiver
-            .changes()
-            .iter()
-            .any(|change| change == "null WorkerGone raised")
+        receiver.changes().iter().any(|change| change == "null WorkerGone raised")
     });
     let report = end_delivered(&mut server);
-    assert_eq!(
-        report["webhook"]["told"],
-        receiver.changes().len(),
-        "{report}"
-    );
+    assert_eq!(report["webhook"]["told"], receiver.changes().len(), "{report}");
     assert_eq!(report["webhook"]["failed"], 3, "{report}");
     watch.end();
     drop(worker);
@@ -278,10 +248,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
     let mut worker = fleet.worker();
     // Another authority, and Mozilla's list.
     let mut refusing = [
-        serve_with(
-            &fleet,
-            &["--webhook", &receiver.address, "--webhook-ca", &other],
-        ),
+        serve_with(&fleet, &["--webhook", &receiver.address, "--webhook-ca", &other]),
         serve(&fleet, &receiver.address),
     ];
     publish(&fleet);
@@ -296,20 +263,14 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
     // The right authority is not enough for a name that the certificate does not have.
     let name = receiver.address.replace("127.0.0.1", "localhost");
     let words = ["--webhook", &name, "--webhook-ca", &own];
-    let [mut refusing, mut server] = [
-        &words,
-        &["--webhook", &receiver.address, "--webhook-ca", &own],
-    ]
-    .map(|words| serve_with(&fleet, words));
+    let [mut refusing, mut server] =
+        [&words, &["--webhook", &receiver.address, "--webhook-ca", &own]]
+            .map(|words| serve_with(&fleet, words));
     publish(&fleet);
     refusing.wait_for_line("invalid peer certificate: certificate not valid for name");
     assert_eq!(refusing.end().code(), Some(3));
     eventually("the robots' silence is told", || {
-        (0..3).all(|robot| {
-            receiver
-                .changes()
-                .contains(&format!("{robot} NoData raised"))
-        })
+        (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
     });
     end_delivered(&mut server);
     worker.stop();
@@ -325,10 +286,7 @@ fn a_file_without_certificates_is_refused() {
     command.arg(&file).arg("--config").arg(fleet.path());
     let ended = Child::spawn("serve --webhook", command).wait();
     assert_eq!(ended.code(), Some(2), "{ended:?}");
-    assert!(
-        ended.errors().contains("no certificate is in it"),
-        "{ended:?}"
-    );
+    assert!(ended.errors().contains("no certificate is in it"), "{ended:?}");
 }
 
 #[test]

@@ -39,36 +39,22 @@ fn sound(rows: usize) -> Vec<[f64; 11]> {
 
 fn check(name: &str, bytes: &[u8]) -> Check {
     let files = Files::new();
-    check_files(
-        &[files.write(name, bytes)],
-        &ColumnMap::default(),
-        &Limits::default(),
-        100,
-    )
+    check_files(&[files.write(name, bytes)], &ColumnMap::default(), &Limits::default(), 100)
 }
 
 fn faults(check: &Check) -> Vec<(FindingKind, usize)> {
     let faults = check.findings.iter().filter(|finding| finding.fault);
-    faults
-        .map(|finding| (finding.kind, finding.count))
-        .collect()
+    faults.map(|finding| (finding.kind, finding.count)).collect()
 }
 
 #[test]
 fn a_sound_recording_has_no_fault_in_any_form() {
-    for (name, bytes) in [
-        ("a.npy", npy_f8(&sound(60))),
-        ("a.csv", csv(&sound(60)).into_bytes()),
-    ] {
+    for (name, bytes) in [("a.npy", npy_f8(&sound(60))), ("a.csv", csv(&sound(60)).into_bytes())] {
         let found = check(name, &bytes);
         assert!(found.is_sound(), "{name}: {found:?}");
         assert_eq!((found.trials, found.robots, found.rows), (1, 1, 60));
         let notes: Vec<FindingKind> = found.findings.iter().map(|finding| finding.kind).collect();
-        assert_eq!(
-            notes,
-            [FindingKind::MissingColumn],
-            "the two that an array has not"
-        );
+        assert_eq!(notes, [FindingKind::MissingColumn], "the two that an array has not");
     }
 }
 
@@ -81,13 +67,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     type Spoil = fn(&mut [f64; 11]);
     const ALL: Range<usize> = 0..260;
     const NAN: f64 = f64::NAN;
-    type Fault = (
-        FindingKind,
-        &'static [usize],
-        &'static str,
-        Range<usize>,
-        Spoil,
-    );
+    type Fault = (FindingKind, &'static [usize], &'static str, Range<usize>, Spoil);
     let faults: [Fault; 11] = [
         (TimeRepeated, &[31], "as row 30", 30..260, |row| {
             row[1] -= 0.1;
@@ -128,15 +108,10 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
 
 /// The table has this fault at these rows, in words, and no other, in either form.
 fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11]]) {
-    for (name, bytes) in [
-        ("spoiled.npy", npy_f8(table)),
-        ("spoiled.csv", csv(table).into_bytes()),
-    ] {
+    for (name, bytes) in [("spoiled.npy", npy_f8(table)), ("spoiled.csv", csv(table).into_bytes())]
+    {
         let found = check(name, &bytes);
-        let others: Vec<_> = faults(&found)
-            .into_iter()
-            .filter(|fault| fault.0 != kind)
-            .collect();
+        let others: Vec<_> = faults(&found).into_iter().filter(|fault| fault.0 != kind).collect();
         assert!(others.is_empty(), "{kind:?}: {others:?}");
         let finding = found.finding(kind);
         let finding = finding.unwrap_or_else(|| panic!("{kind:?}: {found:?}"));
@@ -173,24 +148,11 @@ fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
     ];
     let found = check_files(&paths, &ColumnMap::default(), &Limits::default(), 2);
     assert_eq!((found.files, found.trials), (7, 4));
-    let wanted = [
-        (FindingKind::Unreadable, 3),
-        (FindingKind::Copy, 2),
-        (FindingKind::CutOff, 1),
-    ];
+    let wanted = [(FindingKind::Unreadable, 3), (FindingKind::Copy, 2), (FindingKind::CutOff, 1)];
     assert_eq!(faults(&found), wanted, "{found:?}");
     let unreadable = found.finding(FindingKind::Unreadable).unwrap();
-    assert_eq!(
-        (unreadable.places.len(), unreadable.files),
-        (2, 3),
-        "the first two of three"
-    );
-    assert!(
-        unreadable.places[1]
-            .to_string()
-            .contains("row 2, column power_mW"),
-        "{unreadable:?}"
-    );
+    assert_eq!((unreadable.places.len(), unreadable.files), (2, 3), "the first two of three");
+    assert!(unreadable.places[1].to_string().contains("row 2, column power_mW"), "{unreadable:?}");
     let copy = found.finding(FindingKind::Copy).unwrap();
     assert!(copy.places[1].file.ends_with("same.csv"), "{copy:?}");
     assert!(copy.places[1].what.ends_with("b.npy"), "{copy:?}");
@@ -200,21 +162,11 @@ fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
 fn a_platform_narrows_the_allowed_ranges() {
     let files = Files::new();
     let trial = Trial::read(files.write("a.npy", &npy_f8(&sound(60)))).unwrap();
-    let limits = Limits {
-        power_w: inspect::Range {
-            least: 0.0,
-            greatest: 3.3,
-        },
-        ..Limits::default()
-    };
+    let limits =
+        Limits { power_w: inspect::Range { least: 0.0, greatest: 3.3 }, ..Limits::default() };
     let found = check_trial(&trial, &limits, 5);
-    let finding = found
-        .iter()
-        .find(|finding| finding.kind == FindingKind::OutOfRange)
-        .unwrap();
-    let power_w = trial
-        .column(joulebus_dataset::trial::Column::Power)
-        .unwrap();
+    let finding = found.iter().find(|finding| finding.kind == FindingKind::OutOfRange).unwrap();
+    let power_w = trial.column(joulebus_dataset::trial::Column::Power).unwrap();
     let wanted = power_w.iter().filter(|power_w| **power_w > 3.3).count();
     assert!(wanted > 5);
     assert_eq!((finding.count, finding.places.len()), (wanted, 5));
@@ -233,14 +185,8 @@ fn a_sensor_that_is_read_ten_times_a_second_shows_its_period() {
     let files = Files::new();
     let trial = Trial::read(files.write("held.npy", &npy_f8(&table))).unwrap();
     let found = holds(&trial);
-    assert_eq!(
-        (found.readings, found.held, found.usual_rows),
-        (300, 200, 3)
-    );
-    assert_eq!(
-        (found.usual_share, found.longest_rows, found.longest_at_row),
-        (1.0, 3, 1)
-    );
+    assert_eq!((found.readings, found.held, found.usual_rows), (300, 200, 3));
+    assert_eq!((found.usual_share, found.longest_rows, found.longest_at_row), (1.0, 3, 1));
     assert!((found.new_hz - 10.0).abs() < 0.05, "{}", found.new_hz);
     assert!((found.longest_s - 2.0 / 30.0).abs() < 1e-9);
 }
@@ -262,15 +208,8 @@ fn a_description_counts_energy_without_gaps_and_checks_the_units() {
     assert_eq!((described.gaps, described.group.as_str()), (1, "gap"));
     assert!((described.longest_gap_s.unwrap() - 2.1).abs() < 1e-6);
     assert!((described.power_check.unwrap().median_ratio - 1.0).abs() < 1e-9);
-    assert_eq!(
-        described.missing_columns,
-        ["v_meas_mps", "omega_meas_radps", "soc"]
-    );
-    let power = described
-        .columns
-        .iter()
-        .find(|column| column.name == "power_mW")
-        .unwrap();
+    assert_eq!(described.missing_columns, ["v_meas_mps", "omega_meas_radps", "soc"]);
+    let power = described.columns.iter().find(|column| column.name == "power_mW").unwrap();
     assert_eq!(Some(power.mean), described.mean_power_w);
     assert!(power.least <= power.mean && power.mean <= power.greatest && power.std > 0.0);
 }
@@ -280,26 +219,15 @@ fn files_directories_and_patterns_are_found_once_and_ignored_files_are_named() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name);
     std::fs::create_dir_all(path("runs/deep")).unwrap();
-    for name in [
-        "runs/b.npy",
-        "runs/a.csv.gz",
-        "runs/deep/c.csv",
-        "runs/README.md",
-        "runs/d.bin",
-    ] {
+    for name in ["runs/b.npy", "runs/a.csv.gz", "runs/deep/c.csv", "runs/README.md", "runs/d.bin"] {
         std::fs::write(path(name), "x").unwrap();
     }
     let names = |paths: &[PathBuf]| -> Vec<String> {
-        let relative = paths
-            .iter()
-            .map(|found| found.strip_prefix(directory.path()).unwrap());
+        let relative = paths.iter().map(|found| found.strip_prefix(directory.path()).unwrap());
         relative.map(|found| found.display().to_string()).collect()
     };
     let found = find(&[path("runs")]).unwrap();
-    assert_eq!(
-        names(&found.files),
-        ["runs/a.csv.gz", "runs/b.npy", "runs/deep/c.csv"]
-    );
+    assert_eq!(names(&found.files), ["runs/a.csv.gz", "runs/b.npy", "runs/deep/c.csv"]);
     assert_eq!(names(&found.others), ["runs/README.md", "runs/d.bin"]);
     let found = find(&[path("runs/**/*.csv"), path("runs/d.bin"), path("runs/deep")]).unwrap();
     assert_eq!(names(&found.files), ["runs/deep/c.csv", "runs/d.bin"]);
@@ -315,10 +243,7 @@ fn files_directories_and_patterns_are_found_once_and_ignored_files_are_named() {
     ];
     for (name, wrong) in cases {
         let refused = find(&[path(name)]).unwrap_err();
-        assert!(
-            wrong(&refused) && refused.to_string().contains(name),
-            "{refused}"
-        );
+        assert!(wrong(&refused) && refused.to_string().contains(name), "{refused}");
     }
 }
 

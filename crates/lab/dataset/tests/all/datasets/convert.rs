@@ -11,11 +11,7 @@ use proptest::prelude::*;
 /// The contents of a table as bits; all NaNs are equal, and a column of NaNs is absent.
 fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {
     let bit = |value: &f64| {
-        if value.is_nan() {
-            f64::NAN.to_bits()
-        } else {
-            value.to_bits()
-        }
+        if value.is_nan() { f64::NAN.to_bits() } else { value.to_bits() }
     };
     let columns = Column::ALL.map(|column| {
         let values = table.column(column)?;
@@ -117,15 +113,9 @@ fn what_a_format_cannot_represent_is_refused_and_no_file_is_left() {
     let measured = "timestamp,power_mW,v_meas\n0,1,0.5\n1,2,NaN\n";
     type Wrong = fn(&WriteError) -> bool;
     let cases: [(&str, String, Wrong); 3] = [
-        ("named.csv", named, |e| {
-            matches!(e, WriteError::RobotName { .. })
-        }),
-        ("zero.csv", twice, |e| {
-            matches!(e, WriteError::RobotName { .. })
-        }),
-        ("measured.csv", measured.to_owned(), |e| {
-            matches!(e, WriteError::NoSuchColumns { .. })
-        }),
+        ("named.csv", named, |e| matches!(e, WriteError::RobotName { .. })),
+        ("zero.csv", twice, |e| matches!(e, WriteError::RobotName { .. })),
+        ("measured.csv", measured.to_owned(), |e| matches!(e, WriteError::NoSuchColumns { .. })),
     ];
     let directory = tempfile::tempdir().unwrap();
     for (name, text, wrong) in cases {
@@ -176,10 +166,7 @@ fn several_robots_in_a_file_are_separate_trials_with_the_rows_of_the_file() {
         let gaps: Vec<usize> = trials[1].notes().gaps.iter().map(|gap| gap.row).collect();
         assert_eq!(gaps, [32], "the row in the file");
         let refused = Trial::read(&path).unwrap_err();
-        assert!(
-            matches!(refused, TrialError::SecondRobot { row: 2, .. }),
-            "{refused}"
-        );
+        assert!(matches!(refused, TrialError::SecondRobot { row: 2, .. }), "{refused}");
     }
 }
 
@@ -209,10 +196,7 @@ fn a_file_with_more_robots_than_there_can_be_is_refused() {
         text += &format!("r{robot},0,1\n");
     }
     let refused = Table::read_robots(files.write("many.csv", text.as_bytes())).unwrap_err();
-    assert!(
-        matches!(refused, TrialError::TooManyRobots { .. }),
-        "{refused}"
-    );
+    assert!(matches!(refused, TrialError::TooManyRobots { .. }), "{refused}");
 }
 
 #[test]
@@ -224,15 +208,9 @@ fn a_table_without_robot_or_extra_columns_writes_only_what_it_has() {
     let path = directory.path().join("b.csv");
     table.write(&path).unwrap();
     let written = std::fs::read_to_string(&path).unwrap();
-    assert_eq!(
-        written,
-        "robot_id,timestamp_s,power_mW\nNaN,0,1\nNaN,0.5,2.25\n"
-    );
+    assert_eq!(written, "robot_id,timestamp_s,power_mW\nNaN,0,1\nNaN,0.5,2.25\n");
     let array = npy_f8(&timed(&[(0.0, 1.0), (0.5, 2.25)]));
-    assert_eq!(
-        bits(&Table::read(files.write("c.npy", &array)).unwrap()),
-        bits(&table)
-    );
+    assert_eq!(bits(&Table::read(files.write("c.npy", &array)).unwrap()), bits(&table));
 }
 
 /// A table may have fewer rows than the reader of an array accepts.

@@ -19,9 +19,7 @@ fn mapped(text: &str) -> ColumnMap {
 /// Kinds of the errors in a recording that is read so.
 fn errors(path: &Path, map: &ColumnMap) -> Vec<Kind> {
     let trials = Trial::read_mapped(path, map).unwrap();
-    let found = trials
-        .iter()
-        .flat_map(|trial| judge(trial, &Limits::default()));
+    let found = trials.iter().flat_map(|trial| judge(trial, &Limits::default()));
     let errors = found.filter(|one| one.finding.severity == Severity::Error);
     errors.map(|one| one.finding.kind).collect()
 }
@@ -64,10 +62,7 @@ fn what_is_planted_in_real_recordings_is_found() {
             let found = paths.iter().filter(is_found);
             let (found, all) = (found.count(), paths.len());
             println!("{what}, {platform}: {found} of {all}");
-            assert!(
-                found as f64 >= least * all as f64,
-                "{what}, {platform}: {found} of {all}"
-            );
+            assert!(found as f64 >= least * all as f64, "{what}, {platform}: {found} of {all}");
         }
     }
 }
@@ -80,19 +75,7 @@ fn discharging(rows: usize) -> Vec<[f64; 11]> {
         let voltage_mv = 24_000.0 + 10.0 * (1.3 * step).cos();
         let power_mw = voltage_mv * current_ma / 1e3;
         let nan = f64::NAN;
-        [
-            1.0,
-            step / 30.0,
-            nan,
-            0.2,
-            0.0,
-            nan,
-            nan,
-            nan,
-            voltage_mv,
-            current_ma,
-            power_mw,
-        ]
+        [1.0, step / 30.0, nan, 0.2, 0.0, nan, nan, nan, voltage_mv, current_ma, power_mw]
     };
     (0..rows).map(row).collect()
 }
@@ -108,12 +91,7 @@ fn the_sign_of_the_current_is_found_and_turned_in_every_format() {
     }
     let csv = files.write("a.csv", text.as_bytes());
     for path in [npy, csv] {
-        assert_eq!(
-            errors(&path, &ColumnMap::default()),
-            [Kind::Sign],
-            "{}",
-            path.display()
-        );
+        assert_eq!(errors(&path, &ColumnMap::default()), [Kind::Sign], "{}", path.display());
         let turned = ColumnMap::default().discharge_negative(true);
         assert_eq!(errors(&path, &turned), [], "{}", path.display());
         let checked = |accepted: &[Kind]| {
@@ -124,16 +102,11 @@ fn the_sign_of_the_current_is_found_and_turned_in_every_format() {
         };
         assert_eq!((checked(&[]).faults, checked(&[Kind::Unit]).faults), (1, 1));
         let accepted = checked(&[Kind::Sign]);
-        assert!(
-            accepted.is_sound() && accepted.findings[0].accepted,
-            "{accepted:?}"
-        );
+        assert!(accepted.is_sound() && accepted.findings[0].accepted, "{accepted:?}");
     }
     // By a mapping, with the unit.
     let text = "t,u,i\n".to_owned()
-        + &(0..60)
-            .map(|row| format!("{row},24.{row},-2.{row}\n"))
-            .collect::<String>();
+        + &(0..60).map(|row| format!("{row},24.{row},-2.{row}\n")).collect::<String>();
     let path = files.write("b.csv", text.as_bytes());
     let columns = ["voltage_V=u", "current_A=-i"].map(|text| text.parse::<MappedColumn>().unwrap());
     assert_eq!(errors(&path, &columns.to_vec().into()), []);
@@ -152,10 +125,7 @@ fn columns_without_a_unit_are_refused_with_both_readings() {
         text
     };
     let path = files.write("si.csv", table(1e-3).as_bytes());
-    assert_eq!(
-        errors(&path, &ColumnMap::default()),
-        [Kind::Unit, Kind::Unit]
-    );
+    assert_eq!(errors(&path, &ColumnMap::default()), [Kind::Unit, Kind::Unit]);
     let trial = Trial::read(&path).unwrap();
     let found = judge(&trial, &Limits::default());
     let said: Vec<String> = found.iter().map(|one| one.place.to_string()).collect();

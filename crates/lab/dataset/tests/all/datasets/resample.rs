@@ -17,11 +17,7 @@ fn resampled(rows: &[(f64, f64)], method: Method, rate_hz: f64) -> Vec<(f64, f64
     };
     assert_eq!(counts.rows, made.rows());
     let power = made.column(Column::Power).unwrap();
-    made.timestamp_s()
-        .iter()
-        .copied()
-        .zip(power.iter().copied())
-        .collect()
+    made.timestamp_s().iter().copied().zip(power.iter().copied()).collect()
 }
 
 /// Times with jitter and gaps of some five periods, with a value each.
@@ -50,9 +46,7 @@ fn spans(rows: &[(f64, f64)]) -> Vec<(f64, f64, f64)> {
         Some(next) if next.0 - rows[at].0 <= 1.5 * period_s => next.0,
         _ => rows[at].0 + period_s,
     };
-    (0..rows.len())
-        .map(|at| (rows[at].0, until(at), rows[at].1))
-        .collect()
+    (0..rows.len()).map(|at| (rows[at].0, until(at), rows[at].1)).collect()
 }
 
 proptest! {
@@ -148,12 +142,7 @@ proptest! {
 fn a_series_already_on_the_grid_is_unchanged() {
     // Times rounded as in files.
     let rows: Vec<(f64, f64)> = (0..300)
-        .map(|row| {
-            (
-                (f64::from(row) / 30.0 * 1e5).round() / 1e5,
-                f64::from(row * 7 % 11),
-            )
-        })
+        .map(|row| ((f64::from(row) / 30.0 * 1e5).round() / 1e5, f64::from(row * 7 % 11)))
         .collect();
     let made = resampled(&rows, Method::Hold, 30.0);
     assert_eq!(made.len(), rows.len());
@@ -166,51 +155,31 @@ fn a_series_already_on_the_grid_is_unchanged() {
 fn phases_are_never_mixed_and_headings_take_the_shorter_arc() {
     let mut rows = timed(&[(0.0, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0)]);
     for (row, (phase, theta)) in
-        rows.iter_mut()
-            .zip([(1.0, 3.0), (1.0, -3.1), (5.0, -3.0), (5.0, 3.1)])
+        rows.iter_mut().zip([(1.0, 3.0), (1.0, -3.1), (5.0, -3.0), (5.0, 3.1)])
     {
         (row[2], row[7]) = (phase, theta);
     }
     let files = Files::new();
     let table = Table::read(files.write("a.npy", &npy_f8(&rows))).unwrap();
     for method in [Method::Linear, Method::Mean] {
-        let how = Resample {
-            method,
-            rate_hz: 0.8,
-        };
+        let how = Resample { method, rate_hz: 0.8 };
         let (made, _) = table.resampled(how).unwrap();
         for phase in made.column(Column::Phase).unwrap() {
             assert!([1.0, 5.0].contains(phase), "{method:?}: {phase}");
         }
         for theta in made.column(Column::Theta).unwrap() {
-            assert!(
-                theta.cos() < -0.98,
-                "{method:?}: {theta} is on the longer arc"
-            );
+            assert!(theta.cos() < -0.98, "{method:?}: {theta} is on the longer arc");
         }
     }
 }
 
 #[test]
 fn rows_that_do_not_advance_are_left_out_and_counted() {
-    let rows = [
-        (0.0, 1.0),
-        (1.0, 2.0),
-        (0.5, 9.0),
-        (1.0, 9.0),
-        (2.0, 3.0),
-        (3.0, 4.0),
-    ];
-    let how = Resample {
-        method: Method::Hold,
-        rate_hz: 1.0,
-    };
+    let rows = [(0.0, 1.0), (1.0, 2.0), (0.5, 9.0), (1.0, 9.0), (2.0, 3.0), (3.0, 4.0)];
+    let how = Resample { method: Method::Hold, rate_hz: 1.0 };
     let (made, counts) = table(&rows).resampled(how).unwrap();
     assert_eq!(made.column(Column::Power).unwrap(), [1.0, 2.0, 3.0, 4.0]);
-    assert_eq!(
-        (counts.rows_before, counts.not_advancing, counts.in_gaps),
-        (6, 2, 0)
-    );
+    assert_eq!((counts.rows_before, counts.not_advancing, counts.in_gaps), (6, 2, 0));
 }
 
 #[test]
@@ -226,10 +195,7 @@ fn invalid_too_high_and_too_low_rates_are_refused() {
         (0.001, |e| matches!(e, ResampleError::TooFewRows { .. })),
     ];
     for (rate_hz, wrong) in cases {
-        let how = Resample {
-            method: Method::Hold,
-            rate_hz,
-        };
+        let how = Resample { method: Method::Hold, rate_hz };
         let refused = table(&rows).resampled(how).unwrap_err();
         assert!(wrong(&refused), "{rate_hz}: {refused}");
     }

@@ -18,11 +18,7 @@ fn trial(rate_hz: f64, rows: usize) -> Trial {
 }
 
 fn playback(frame_period_ns: u64, repeat: bool) -> Playback {
-    Playback {
-        base_ns: 5_000 * MS,
-        frame_period_ns,
-        repeat,
-    }
+    Playback { base_ns: 5_000 * MS, frame_period_ns, repeat }
 }
 
 fn play(fleet: &mut TrialFleet) -> Vec<(u64, Vec<Sample>)> {
@@ -72,9 +68,8 @@ fn a_repeated_trial_starts_with_a_discontinuity_and_its_times_and_numbers_contin
         fleet.frame_into(due_ns, &mut frame);
         samples.extend_from_slice(&frame);
     }
-    let found = samples
-        .iter()
-        .map(|sample| (sample.seq, sample.stamp_ns / MS, sample.measured_ns / MS));
+    let found =
+        samples.iter().map(|sample| (sample.seq, sample.stamp_ns / MS, sample.measured_ns / MS));
     let expected = (0..9).map(|k| (k, 5_100 + 100 * k, 5_000 + 100 * k));
     assert!(found.eq(expected), "{samples:?}");
     for (k, sample) in samples.iter().enumerate() {
@@ -109,15 +104,9 @@ fn an_invalid_fleet_is_refused_with_its_numbers() {
         ),
         (
             TrialFleet::numbered(u32::MAX, vec![trial(1.0, 2), trial(1.0, 2)], settings),
-            TrialFleetError::IdsExhausted {
-                first: u32::MAX,
-                trials: 2,
-            },
+            TrialFleetError::IdsExhausted { first: u32::MAX, trials: 2 },
         ),
-        (
-            TrialFleet::new(vec![(4, trial(1.0, 2))], playback(0, false)),
-            TrialFleetError::NoPeriod,
-        ),
+        (TrialFleet::new(vec![(4, trial(1.0, 2))], playback(0, false)), TrialFleetError::NoPeriod),
     ];
     for (result, expected) in cases {
         assert_eq!(result.unwrap_err(), expected);

@@ -85,9 +85,7 @@ fn file(variables: &[Vec<u8>], is_big: bool, is_zipped: bool) -> Vec<u8> {
 /// Time, a voltage in whole mV, a row of currents, commands as a matrix, and what is no column.
 fn log(is_big: bool, is_zipped: bool) -> Vec<u8> {
     let time_s: Vec<f64> = (0..50).map(|row| f64::from(row) * 0.033).collect();
-    let current_a: Vec<f64> = (0..50)
-        .map(|row| 0.25 + f64::from(row % 7) * 0.01)
-        .collect();
+    let current_a: Vec<f64> = (0..50).map(|row| 0.25 + f64::from(row % 7) * 0.01).collect();
     let commands: Vec<f64> = (0..100).map(f64::from).collect();
     let voltage_mv = (0..50_u16).map(|row| match is_big {
         true => (12_000 + row).to_be_bytes(),
@@ -100,13 +98,7 @@ fn log(is_big: bool, is_zipped: bool) -> Vec<u8> {
     let variables = [
         of("t", DOUBLE, [50, 1], 9, &doubles(&time_s, is_big)),
         of("voltage_mV", DOUBLE, [50, 1], 4, &voltage_mv),
-        of(
-            "current_A",
-            DOUBLE,
-            [1, 50],
-            9,
-            &doubles(&current_a, is_big),
-        ),
+        of("current_A", DOUBLE, [1, 50], 9, &doubles(&current_a, is_big)),
         of("cmd", DOUBLE, [50, 2], 9, &doubles(&commands, is_big)),
         of("robot", 4, [1, 3], 4, &[0; 6]),
         of("rate", DOUBLE, [1, 1], 9, &doubles(&[30.0], is_big)),
@@ -120,9 +112,7 @@ fn vectors_and_matrices_are_columns_in_either_byte_order_compressed_and_not() {
     let files = Files::new();
     for (is_big, is_zipped) in [(false, false), (false, true), (true, false), (true, true)] {
         let path = files.write("log.mat", &log(is_big, is_zipped));
-        let map = "v=cmd_1,omega=cmd_2"
-            .split(',')
-            .map(|one| one.parse().unwrap());
+        let map = "v=cmd_1,omega=cmd_2".split(',').map(|one| one.parse().unwrap());
         let map = joulebus_dataset::trial::ColumnMap::from(map.collect::<Vec<_>>());
         let table = Table::only_of(&path, &map).unwrap();
         assert_eq!(table.rows(), 50);
@@ -140,10 +130,7 @@ fn vectors_and_matrices_are_columns_in_either_byte_order_compressed_and_not() {
     let values = doubles(&[0.0, 4.5, 0.1, 4.6, 0.2, 4.7], false);
     let wide = variable("d", DOUBLE, [2, 3], (9, &values), false);
     let path = files.write("wide.mat", &file(&[wide], false, false));
-    let map: Vec<_> = "time=d_1,power_W=d_2"
-        .split(',')
-        .map(|one| one.parse().unwrap())
-        .collect();
+    let map: Vec<_> = "time=d_1,power_W=d_2".split(',').map(|one| one.parse().unwrap()).collect();
     let trial = &Trial::read_mapped(path, &map.into()).unwrap()[0];
     assert_eq!(trial.timestamp_s(), [0.0, 0.1, 0.2]);
     assert_eq!(trial.column(Column::Power), Some(&[4.5, 4.6, 4.7][..]));
@@ -159,10 +146,7 @@ fn what_is_no_array_of_numbers_is_refused_by_name() {
         says(&error, [what, "log is", "writetable"]);
     }
     let path = files.write("log.mat", &file(&[], false, false));
-    says(
-        &Trial::read(path).unwrap_err().to_string(),
-        ["no variables"],
-    );
+    says(&Trial::read(path).unwrap_err().to_string(), ["no variables"]);
 }
 
 /// However it is damaged: an error, or a trial.

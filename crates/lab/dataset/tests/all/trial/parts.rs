@@ -52,21 +52,14 @@ fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
             ("long.csv", csv(&rows).into_bytes()),
             ("long.csv.gz", gzip(csv(&rows).as_bytes())),
             ("long.npy", npy_f8(&rows)),
-            (
-                "columns.npy",
-                npy(&header(">f8", "True", rows.len()), &columns),
-            ),
+            ("columns.npy", npy(&header(">f8", "True", rows.len()), &columns)),
         ] {
             let path = files.write(name, &bytes);
             let whole = Table::read_robots(&path).unwrap();
             let parts = parts(&path, &ColumnMap::default().in_parts_of(300));
             assert!(parts.len() > 3, "{name}");
             for table in &whole {
-                let own = || {
-                    parts
-                        .iter()
-                        .filter(|part| part.robot_name() == table.robot_name())
-                };
+                let own = || parts.iter().filter(|part| part.robot_name() == table.robot_name());
                 assert_eq!(contents(own()), contents([table]), "{name}");
                 assert!(own().all(|part| (2..=300).contains(&part.rows())), "{name}");
             }
@@ -77,10 +70,7 @@ fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
             // A file that fits is not divided.
             let fits = self::parts(&path, &ColumnMap::default().in_parts_of(1_001));
             assert_eq!(fits.len(), whole.len(), "{name}");
-            assert!(
-                fits.iter()
-                    .all(|table| !table.clone().into_trial().unwrap().is_part())
-            );
+            assert!(fits.iter().all(|table| !table.clone().into_trial().unwrap().is_part()));
         }
     }
 }
@@ -95,17 +85,12 @@ fn what_a_text_says_once_holds_for_all_its_parts() {
         text += &format!("{};4,{power:04}\n", 1_764_000_000_000 + row * 100);
     }
     let path = files.write("long.csv", (text + "cut").as_bytes());
-    let trials: Vec<Trial> = parts(&path, &map)
-        .into_iter()
-        .map(|part| part.into_trial().unwrap())
-        .collect();
+    let trials: Vec<Trial> =
+        parts(&path, &map).into_iter().map(|part| part.into_trial().unwrap()).collect();
     let (first, last) = (&trials[0], trials.last().unwrap());
     assert_eq!(first.timestamp_s()[0], 1_764_000_000.0);
     assert_eq!(*last.timestamp_s().last().unwrap(), 1_764_000_099.9);
-    says(
-        &first.notes().understood.join(", "),
-        ["';'", "milliseconds since 1970"],
-    );
+    says(&first.notes().understood.join(", "), ["';'", "milliseconds since 1970"]);
     let lines = trials.iter().map(|trial| trial.notes().left_out.lines);
     assert_eq!(lines.sum::<usize>(), 2);
     // Later times of another unit are refused.
@@ -133,19 +118,10 @@ fn a_check_and_a_profile_of_the_parts_are_those_of_the_whole() {
     assert!(in_parts.trials > 3 && whole.trials == 1);
     assert_eq!(whole.rows, 1_020);
     assert_eq!(in_parts.rows, whole.rows);
-    for kind in [
-        FindingKind::NoRow,
-        FindingKind::TimeBackward,
-        FindingKind::Held,
-    ] {
+    for kind in [FindingKind::NoRow, FindingKind::TimeBackward, FindingKind::Held] {
         let of = |check: &joulebus_dataset::inspect::Check| {
             let found = check.finding(kind);
-            found.map(|found| {
-                (
-                    found.count,
-                    found.places.first().and_then(|place| place.row),
-                )
-            })
+            found.map(|found| (found.count, found.places.first().and_then(|place| place.row)))
         };
         assert_eq!(of(&in_parts), of(&whole), "{kind:?}");
     }

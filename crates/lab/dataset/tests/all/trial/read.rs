@@ -34,21 +34,9 @@ fn assert_is_rows(trial: &Trial, context: &str) {
 fn every_form_of_the_table_reads_as_the_same_trial_in_si_units() {
     let files = Files::new();
     let c_order = ROWS.as_flattened().to_vec();
-    let f_order = (0..11)
-        .flat_map(|column| ROWS.map(|row| row[column]))
-        .collect::<Vec<_>>();
-    let le = |values: &[f64]| {
-        values
-            .iter()
-            .flat_map(|v| v.to_le_bytes())
-            .collect::<Vec<_>>()
-    };
-    let be = |values: &[f64]| {
-        values
-            .iter()
-            .flat_map(|v| v.to_be_bytes())
-            .collect::<Vec<_>>()
-    };
+    let f_order = (0..11).flat_map(|column| ROWS.map(|row| row[column])).collect::<Vec<_>>();
+    let le = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
+    let be = |values: &[f64]| values.iter().flat_map(|v| v.to_be_bytes()).collect::<Vec<_>>();
     let text = csv(&ROWS);
     let plain_names = text
         .replace("_s,", ",")
@@ -65,10 +53,7 @@ fn every_form_of_the_table_reads_as_the_same_trial_in_si_units() {
     let cases: [(&str, Vec<u8>); 14] = [
         ("c.npy", npy_f8(&ROWS)),
         ("fortran.npy", npy(&header("<f8", "True", 5), &le(&f_order))),
-        (
-            "big_endian.npy",
-            npy(&header(">f8", "False", 5), &be(&c_order)),
-        ),
+        ("big_endian.npy", npy(&header(">f8", "False", 5), &be(&c_order))),
         ("npy_without_its_name", npy_f8(&ROWS)),
         ("table.csv", text.clone().into_bytes()),
         ("table.csv.gz", gzip(text.as_bytes())),
@@ -140,20 +125,11 @@ fn assert_refused(name: &str, bytes: &[u8], error: &str, parts: &[String]) {
     };
     let (debug, message) = (format!("{refused:?}"), refused.to_string());
     let mut wanted = error.split(" & ");
-    assert!(
-        wanted.next().is_some_and(|kind| debug.starts_with(kind)),
-        "{name}: {debug}"
-    );
-    assert!(
-        wanted.all(|part| debug.contains(part)),
-        "{name}: {error} not in {debug}"
-    );
+    assert!(wanted.next().is_some_and(|kind| debug.starts_with(kind)), "{name}: {debug}");
+    assert!(wanted.all(|part| debug.contains(part)), "{name}: {error} not in {debug}");
     assert!(message.contains(name), "{name}: {message}");
     for part in parts {
-        assert!(
-            message.contains(part),
-            "{name}: {part:?} not in {message:?}"
-        );
+        assert!(message.contains(part), "{name}: {part:?} not in {message:?}");
     }
 }
 
@@ -202,12 +178,7 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
     let no_power = text.replacen("power_mW", "power", 1);
     let no_power = no_power.replacen("voltage_mV", "tension", 1);
     let parts = ["power_mW", "power_W", "voltage and current"];
-    refused(
-        "no_power.csv",
-        no_power.as_bytes(),
-        "MissingColumns",
-        &parts,
-    );
+    refused("no_power.csv", no_power.as_bytes(), "MissingColumns", &parts);
     let (_, no_header) = text.split_once('\n').unwrap();
     let parts = ["first line has no names", "ros2 topic echo"];
     refused("no_header.csv", no_header.as_bytes(), "NoHeader", &parts);
@@ -275,12 +246,7 @@ fn arrays_of_another_layout_are_refused_and_pickles_are_never_opened() {
     let trailing = [npy_f8(&ROWS), vec![0]].concat();
     let voltage = "Value & row: 4 & \"voltage_mV\"";
     for (name, bytes, error, part) in [
-        (
-            "t.npy",
-            trailing,
-            "TrailingBytes & rows: 5",
-            "5 rows end at",
-        ),
+        ("t.npy", trailing, "TrailingBytes & rows: 5", "5 rows end at"),
         ("n.npy", npy(&nested, &[]), "NpyHeader", "allowed: {'descr'"),
         ("order.npy", no_order, "NpyHeader", ""),
         ("long.npy", long_header.clone(), "NpyHeader", "4294967295"),
@@ -335,10 +301,7 @@ fn what_is_questionable_is_reported_with_its_row_and_kept() {
     let notes = trial.notes();
     assert_eq!(notes.rows, 10);
     assert_eq!(notes.not_advancing, [4, 5, 6]);
-    let gap = Gap {
-        row: 8,
-        length_ns: 160_000_000,
-    };
+    let gap = Gap { row: 8, length_ns: 160_000_000 };
     assert_eq!(notes.gaps, [gap]);
     assert_eq!(notes.held_readings, 3, "rows 2, 7 and 8");
     assert_eq!(notes.missing_readings, 1);
@@ -360,30 +323,17 @@ fn the_text_in_a_small_compressed_file_is_bounded() {
     // Rows without an end: zeros, a quoted field of many lines, a header.
     for (name, text) in [
         ("zeros.csv.gz", rows(b"\0", 64 << 20)),
-        (
-            "quoted.csv.gz",
-            [head, b"\"".as_slice(), &b"x\n".repeat(4 << 20)].concat(),
-        ),
+        ("quoted.csv.gz", [head, b"\"".as_slice(), &b"x\n".repeat(4 << 20)].concat()),
         ("header.csv.gz", b"timestamp_s,".repeat(1 << 20)),
         ("plain.csv", rows(b"\0", 4 << 20)),
     ] {
-        let text = if name.ends_with(".gz") {
-            gzip(&text)
-        } else {
-            text
-        };
+        let text = if name.ends_with(".gz") { gzip(&text) } else { text };
         let refused = Trial::read(files.write(name, &text)).unwrap_err();
-        assert!(
-            matches!(refused, TrialError::RowTooLong { rows: 0, .. }),
-            "{name}: {refused}"
-        );
+        assert!(matches!(refused, TrialError::RowTooLong { rows: 0, .. }), "{name}: {refused}");
         assert!(refused.to_string().contains("1048576 bytes"), "{refused}");
     }
     // Valid rows, but too many for the size of the gzip file.
-    let bomb = gzip(&rows(
-        b"000000000000000000000000000000000000000000000000.5,1\n",
-        20 << 20,
-    ));
+    let bomb = gzip(&rows(b"000000000000000000000000000000000000000000000000.5,1\n", 20 << 20));
     let refused = Trial::read(files.write("bomb.csv.gz", &bomb)).unwrap_err();
     assert!(matches!(refused, TrialError::Expands { .. }), "{refused}");
     let (found, allowed) = (bomb.len().to_string(), (16 << 20).to_string());

@@ -13,11 +13,8 @@ fn read_all(platform: &str) -> Option<Vec<Trial>> {
     Some(trials(platform)?.iter().map(read).collect())
 }
 
-const PLATFORMS: [(&str, usize, usize); 3] = [
-    ("robotino", 648, 264_476),
-    ("borealtc_husky", 72, 54_151),
-    ("ase_rover", 60, 28_260),
-];
+const PLATFORMS: [(&str, usize, usize); 3] =
+    [("robotino", 648, 264_476), ("borealtc_husky", 72, 54_151), ("ase_rover", 60, 28_260)];
 
 /// Rows, trapezoid energy in J and mean power in W, from the text alone.
 fn by_hand(path: &Path) -> (usize, f64, f64) {
@@ -36,9 +33,7 @@ fn by_hand(path: &Path) -> (usize, f64, f64) {
         })
         .collect::<Vec<_>>();
     let steps = rows.windows(2);
-    let energy_j = steps
-        .map(|w| (w[1].0 - w[0].0) * (w[0].1 + w[1].1) / 2.0)
-        .sum();
+    let energy_j = steps.map(|w| (w[1].0 - w[0].0) * (w[0].1 + w[1].1) / 2.0).sum();
     let total_w = rows.iter().map(|row| row.1).sum::<f64>();
     (rows.len(), energy_j, total_w / rows.len() as f64)
 }
@@ -50,11 +45,7 @@ fn every_recording_of_three_platforms_reads_with_every_row_and_its_energy() {
             return;
         };
         assert_eq!(found.len(), trials, "{platform}");
-        assert_eq!(
-            found.iter().map(Trial::rows).sum::<usize>(),
-            rows,
-            "{platform}"
-        );
+        assert_eq!(found.iter().map(Trial::rows).sum::<usize>(), rows, "{platform}");
         for trial in &found {
             let context = trial.path().display();
             let samples = trial.to_samples(1, 0);
@@ -75,14 +66,8 @@ fn every_recording_of_three_platforms_reads_with_every_row_and_its_energy() {
             let (hand_rows, hand_energy_j, hand_mean_w) = by_hand(trial.path());
             assert_eq!(trial.rows(), hand_rows, "{context}");
             let near = |found: f64, wanted: f64| (found - wanted).abs() <= 1e-6 * wanted.abs();
-            assert!(
-                near(energy_j, hand_energy_j),
-                "{context}: {energy_j} J, {hand_energy_j} J"
-            );
-            assert!(
-                near(mean_w, hand_mean_w),
-                "{context}: {mean_w} W, {hand_mean_w} W"
-            );
+            assert!(near(energy_j, hand_energy_j), "{context}: {energy_j} J, {hand_energy_j} J");
+            assert!(near(mean_w, hand_mean_w), "{context}: {mean_w} W, {hand_mean_w} W");
         }
     }
 }
@@ -95,11 +80,7 @@ fn the_husky_runs_at_its_own_rate_without_gaps() {
     for trial in trials {
         let notes = trial.notes();
         let context = trial.path().display();
-        assert!(
-            (notes.rate_hz - 6.5).abs() < 0.01,
-            "{context}: {} Hz",
-            notes.rate_hz
-        );
+        assert!((notes.rate_hz - 6.5).abs() < 0.01, "{context}: {} Hz", notes.rate_hz);
         assert!(notes.is_clean(), "{context}: {notes}");
         assert!(trial.column(Column::X).is_none() && trial.column(Column::V).is_some());
     }
@@ -111,18 +92,9 @@ fn the_rover_has_no_velocities_and_its_samples_say_so() {
         return;
     };
     for trial in trials {
-        let missing = [
-            Column::V,
-            Column::Omega,
-            Column::Voltage,
-            Column::Current,
-            Column::X,
-        ];
+        let missing = [Column::V, Column::Omega, Column::Voltage, Column::Current, Column::X];
         for column in missing {
-            assert!(
-                trial.notes().missing_columns.contains(&column),
-                "{column:?}"
-            );
+            assert!(trial.notes().missing_columns.contains(&column), "{column:?}");
             assert!(trial.column(column).is_none(), "{column:?}");
         }
         for sample in trial.to_samples(1, 0) {
@@ -139,16 +111,9 @@ fn the_robotino_has_reported_gaps_and_increasing_stamps() {
     let Some(trials) = read_all("robotino") else {
         return;
     };
-    let longest_ns = trials
-        .iter()
-        .flat_map(|trial| &trial.notes().gaps)
-        .map(|gap| gap.length_ns)
-        .max();
-    assert_eq!(
-        longest_ns.map(|ns| (ns as f64 / 1e7).round() as u64),
-        Some(68),
-        "0.68 s"
-    );
+    let longest_ns =
+        trials.iter().flat_map(|trial| &trial.notes().gaps).map(|gap| gap.length_ns).max();
+    assert_eq!(longest_ns.map(|ns| (ns as f64 / 1e7).round() as u64), Some(68), "0.68 s");
     for trial in trials {
         let advancing = trial.notes().not_advancing.is_empty();
         let samples = trial.to_samples(1, 0);

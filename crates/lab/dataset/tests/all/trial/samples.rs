@@ -19,16 +19,7 @@ fn a_sample_carries_the_reading_of_its_row_and_the_command_of_the_next() {
         (all, ms(200), ms(100), 0.3, 2.0, 3.5, 7.0, 0.5),
         (all, ms(300), ms(200), 0.4, -2.5, 3.55, 7.1, 0.5),
         (all & !POWER & !V, ms(400), 0, 0.0, 3.0, 0.0, 7.1, 0.5),
-        (
-            all & !V & !OMEGA,
-            ms(500),
-            ms(400),
-            0.0,
-            0.0,
-            -1.8,
-            7.2,
-            0.25,
-        ),
+        (all & !V & !OMEGA, ms(500), ms(400), 0.0, 0.0, -1.8, 7.2, 0.25),
     ];
     assert_eq!(samples.len(), expected.len());
     for (k, (sample, wanted)) in samples.iter().zip(expected).enumerate() {
@@ -68,9 +59,8 @@ fn a_reading_is_held_only_if_voltage_and_current_are_equal_too() {
     for (column, held) in [(8, false), (9, false), (10, false), (3, true), (2, true)] {
         let mut rows = ROWS;
         rows[1][column] += 1.0;
-        let samples = Trial::read(files.write("rows.npy", &npy_f8(&rows)))
-            .unwrap()
-            .to_samples(1, 0);
+        let samples =
+            Trial::read(files.write("rows.npy", &npy_f8(&rows))).unwrap().to_samples(1, 0);
         assert_eq!(samples[1].has(HELD), held, "column {column} differs");
     }
 }
@@ -79,23 +69,13 @@ fn a_reading_is_held_only_if_voltage_and_current_are_equal_too() {
 fn a_held_run_keeps_the_time_of_its_first_reading_and_a_missing_reading_ends_it() {
     let files = Files::new();
     let power = [1.0, 1.0, 1.0, f64::NAN, 1.0, 1.0];
-    let rows = power
-        .into_iter()
-        .enumerate()
-        .map(|(row, power)| (row as f64, power));
+    let rows = power.into_iter().enumerate().map(|(row, power)| (row as f64, power));
     let rows = timed(&rows.collect::<Vec<_>>());
-    let samples = Trial::read(files.write("held.npy", &npy_f8(&rows)))
-        .unwrap()
-        .to_samples(1, 0);
-    let measured_s = samples
-        .iter()
-        .map(|sample| sample.measured_ns / 1_000_000_000);
+    let samples = Trial::read(files.write("held.npy", &npy_f8(&rows))).unwrap().to_samples(1, 0);
+    let measured_s = samples.iter().map(|sample| sample.measured_ns / 1_000_000_000);
     assert_eq!(measured_s.collect::<Vec<_>>(), [0, 0, 0, 0, 4, 4]);
     let held = samples.iter().map(|sample| sample.has(HELD));
-    assert_eq!(
-        held.collect::<Vec<_>>(),
-        [false, true, true, false, false, true]
-    );
+    assert_eq!(held.collect::<Vec<_>>(), [false, true, true, false, false, true]);
 }
 
 #[test]
@@ -104,13 +84,8 @@ fn times_that_do_not_advance_are_passed_on_unchanged() {
     let rows = timed(&[(5.0, 1.0), (5.1, 2.0), (5.1, 3.0), (4.9, 4.0), (5.2, 5.0)]);
     let trial = Trial::read(files.write("back.npy", &npy_f8(&rows))).unwrap();
     let base_ns = 1_000_000_000;
-    let stamps = trial
-        .to_samples(1, base_ns)
-        .into_iter()
-        .map(|sample| sample.stamp_ns);
-    let stamps_ms = stamps
-        .map(|stamp_ns| stamp_ns / 1_000_000)
-        .collect::<Vec<_>>();
+    let stamps = trial.to_samples(1, base_ns).into_iter().map(|sample| sample.stamp_ns);
+    let stamps_ms = stamps.map(|stamp_ns| stamp_ns / 1_000_000).collect::<Vec<_>>();
     assert_eq!(stamps_ms, [1_100, 1_100, 900, 1_200, 1_300]);
     assert_eq!(trial.notes().not_advancing, [3, 4]);
 }
@@ -120,31 +95,18 @@ fn slow(trial: &Trial, robot: u32, base_ns: u64) -> Vec<Sample> {
     let time_s = trial.timestamp_s();
     let at = |row: usize| base_ns + ((time_s[row] - time_s[0]) * 1e9).round() as u64;
     let value = |column: Column, row: usize| {
-        let value = trial
-            .column(column)
-            .and_then(|values| values.get(row).copied());
-        value
-            .filter(|value| !value.is_nan())
-            .map(|value| value as f32)
+        let value = trial.column(column).and_then(|values| values.get(row).copied());
+        value.filter(|value| !value.is_nan()).map(|value| value as f32)
     };
     let reading = |row: usize| {
         [Column::Power, Column::Voltage, Column::Current]
             .map(|column| trial.column(column).map_or(f64::NAN, |values| values[row]))
-            .map(|value| {
-                if value.is_nan() {
-                    None
-                } else {
-                    Some(value.to_bits())
-                }
-            })
+            .map(|value| if value.is_nan() { None } else { Some(value.to_bits()) })
     };
     let mut samples = Vec::new();
     for row in 0..trial.rows() {
-        let stamp_ns = if row + 1 < trial.rows() {
-            at(row + 1)
-        } else {
-            at(row) + trial.period_ns()
-        };
+        let stamp_ns =
+            if row + 1 < trial.rows() { at(row + 1) } else { at(row) + trial.period_ns() };
         let mut sample = Sample::new(robot, row as u64, stamp_ns);
         let mut first = row;
         while first > 0 && reading(first)[0].is_some() && reading(first) == reading(first - 1) {

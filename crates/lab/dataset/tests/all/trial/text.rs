@@ -63,28 +63,13 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         let trial = read(&files, text, columns).unwrap_or_else(|error| panic!("{text}: {error}"));
         let number = |text: &str| text.parse::<f64>().unwrap();
         let times_s = trial.timestamp_s();
-        assert!(
-            (times_s[0] - number(first_s)).abs() < 1e-6,
-            "{text}: {times_s:?}"
-        );
-        assert!(
-            (times_s[1] - times_s[0] - number(step_s)).abs() < 1e-6,
-            "{text}: {times_s:?}"
-        );
+        assert!((times_s[0] - number(first_s)).abs() < 1e-6, "{text}: {times_s:?}");
+        assert!((times_s[1] - times_s[0] - number(step_s)).abs() < 1e-6, "{text}: {times_s:?}");
         let found = trial.column(Column::Power).unwrap()[1];
         assert!((found - number(power_w)).abs() < 1e-9, "{text}: {found}");
-        assert!(
-            said == "-" || trial.notes().to_string().contains(said),
-            "{}",
-            trial.notes()
-        );
+        assert!(said == "-" || trial.notes().to_string().contains(said), "{}", trial.notes());
         assert_eq!(
-            trial
-                .notes()
-                .ignored_columns
-                .iter()
-                .filter(|name| !name.contains("stamp"))
-                .count(),
+            trial.notes().ignored_columns.iter().filter(|name| !name.contains("stamp")).count(),
             0,
             "{text}"
         );
@@ -156,31 +141,13 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
     for (name, text, row, what, in_front) in [
         ("cut", format!("{head}4"), 5, "may be cut", 4),
         ("nul", format!("{head}{nul}"), 5, "4096 NUL bytes", 4),
-        (
-            "nul within",
-            around(&format!("{nul}\n")),
-            3,
-            "4096 NUL bytes",
-            2,
-        ),
+        ("nul within", around(&format!("{nul}\n")), 3, "4096 NUL bytes", 2),
         ("comment", around("# restarted\n"), 3, "a comment", 2),
         ("header", around("time,power_W\n"), 3, "the header again", 2),
-        (
-            "merged",
-            around("1.5,1.7,4.6\n"),
-            3,
-            "found 3 fields, the header has 2",
-            2,
-        ),
+        ("merged", around("1.5,1.7,4.6\n"), 3, "found 3 fields, the header has 2", 2),
         ("word", around("1.5,off\n"), 3, "\"off\"", 2),
         ("empty", around(",\n"), 3, "an empty line", 2),
-        (
-            "units",
-            head.replacen('\n', "\ns,W\n", 1),
-            1,
-            "units or words",
-            0,
-        ),
+        ("units", head.replacen('\n', "\ns,W\n", 1), 1, "units or words", 0),
     ] {
         let path = files.write("broken.csv", text.as_bytes());
         let error = Trial::read(&path).unwrap_err().to_string();
@@ -188,43 +155,20 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
         if name != "word" {
             says(&error, [what, "--whole-rows", "leave the file out"]);
         }
-        let check = check_files(
-            std::slice::from_ref(&path),
-            &ColumnMap::default(),
-            &Limits::default(),
-            3,
-        );
+        let check =
+            check_files(std::slice::from_ref(&path), &ColumnMap::default(), &Limits::default(), 3);
         let finding = check.finding(FindingKind::NoRow).expect(name);
-        assert!(
-            finding.fault && finding.count == 1 && check.rows == 4,
-            "{name}: {check:?}"
-        );
-        says(
-            &finding.places[0].to_string(),
-            [what, &format!("row {row}")],
-        );
+        assert!(finding.fault && finding.count == 1 && check.rows == 4, "{name}: {check:?}");
+        says(&finding.places[0].to_string(), [what, &format!("row {row}")]);
         let whole = ColumnMap::default().whole_rows(true);
         let trial = &Trial::read_mapped(&path, &whole).unwrap()[0];
-        assert_eq!(
-            trial.column(Column::Power),
-            Some([4.5, 4.6, 4.7, 4.8].as_slice()),
-            "{name}"
-        );
+        assert_eq!(trial.column(Column::Power), Some([4.5, 4.6, 4.7, 4.8].as_slice()), "{name}");
         assert_eq!(trial.notes().left_out.lines, 1, "{name}");
-        assert_eq!(
-            trial.file_row(3),
-            if in_front == 4 { 4 } else { 5 },
-            "{name}"
-        );
-        says(
-            &trial.notes().to_string(),
-            ["1 lines that are no whole rows were left out", what],
-        );
+        assert_eq!(trial.file_row(3), if in_front == 4 { 4 } else { 5 }, "{name}");
+        says(&trial.notes().to_string(), ["1 lines that are no whole rows were left out", what]);
         let asked = check_files(&[path], &whole, &Limits::default(), 3);
         assert!(
-            asked
-                .finding(FindingKind::NoRow)
-                .is_some_and(|one| one.accepted && !one.fault),
+            asked.finding(FindingKind::NoRow).is_some_and(|one| one.accepted && !one.fault),
             "{name}"
         );
     }
@@ -233,21 +177,12 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
 #[test]
 fn a_compressed_text_without_its_end_keeps_its_rows_on_request() {
     let files = Files::new();
-    let rows: String = (0..500)
-        .map(|row| format!("{row},{}\n", row * row % 97))
-        .collect();
+    let rows: String = (0..500).map(|row| format!("{row},{}\n", row * row % 97)).collect();
     let whole = gzip(format!("time,power_W\n{rows}").as_bytes());
     let path = files.write("cut.csv.gz", &whole[..whole.len() / 2]);
-    assert!(matches!(
-        Trial::read(&path),
-        Err(TrialError::Truncated { .. })
-    ));
+    assert!(matches!(Trial::read(&path), Err(TrialError::Truncated { .. })));
     let trials = Trial::read_mapped(&path, &ColumnMap::default().whole_rows(true)).unwrap();
-    assert!(
-        (50..500).contains(&trials[0].rows()),
-        "{}",
-        trials[0].rows()
-    );
+    assert!((50..500).contains(&trials[0].rows()), "{}", trials[0].rows());
     assert_eq!(trials[0].notes().left_out.lines, 1);
 }
 
@@ -256,10 +191,7 @@ fn a_text_of_which_most_lines_are_no_rows_is_refused_though_whole_rows_are_wante
     let files = Files::new();
     let path = files.write("log.csv", b"time,power_W\n0,1\n1,1\nx,y,z\nx,y,z\nx,y,z\n");
     let whole = ColumnMap::default().whole_rows(true);
-    assert!(matches!(
-        Trial::read_mapped(path, &whole),
-        Err(TrialError::FieldCount { row: 3, .. })
-    ));
+    assert!(matches!(Trial::read_mapped(path, &whole), Err(TrialError::FieldCount { row: 3, .. })));
 }
 
 #[test]
@@ -267,27 +199,15 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     let files = Files::new();
     let tar = [vec![b'a'; 257], b"ustar\0".to_vec()].concat();
     for (bytes, what, remedy) in [
-        (
-            &b"MATLAB 7.3 MAT-file, Platform: posix"[..],
-            "MATLAB",
-            "writematrix",
-        ),
+        (&b"MATLAB 7.3 MAT-file, Platform: posix"[..], "MATLAB", "writematrix"),
         (b"\x89HDF\r\n\x1a\n\0", "HDF5", "h5py"),
-        (
-            b"#ROSBAG V2.0\n\x45\0\0\0",
-            "bag of ROS 1",
-            "rosbags-convert",
-        ),
+        (b"#ROSBAG V2.0\n\x45\0\0\0", "bag of ROS 1", "rosbags-convert"),
         (b"ULog\x01\x12\x35\x01\0\0", "ULog", "ulog2csv"),
         (b"ARROW1\0\0\x10\0\0\0", "Feather", "read_feather"),
         (b"\x28\xb5\x2f\xfd\x04\x58", "zstd", "zstd -d"),
         (b"BZh91AY&SY", "bzip2", "bzip2 -d"),
         (b"\x80\x05\x95\xda\x28", "pickle", "only if you trust it"),
-        (
-            b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
-            "Git LFS",
-            "git lfs pull",
-        ),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS", "git lfs pull"),
         (b"\xff\xfet\0i\0m\0e\0", "UTF-16", "iconv"),
         (b"{\"time\": [0, 1]}", "JSON", "read_json"),
         (b"<!DOCTYPE html>", "web page", "raw"),
@@ -295,10 +215,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     ] {
         for name in ["log.csv", "log.mat"] {
             let error = Trial::read(files.write(name, bytes)).unwrap_err();
-            assert!(
-                matches!(error, TrialError::Kind { .. }),
-                "{what}: {error:?}"
-            );
+            assert!(matches!(error, TrialError::Kind { .. }), "{what}: {error:?}");
             says(&error.to_string(), [name, what, remedy]);
         }
         let error = Trial::read(files.write("log.csv.gz", &gzip(bytes))).unwrap_err();
@@ -313,22 +230,15 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
 #[test]
 fn configured_columns_and_signs_are_for_files_that_have_them() {
     let files = Files::new();
-    let columns = "power_W=p,current_A=i"
-        .split(',')
-        .map(|one| one.parse().unwrap());
-    let map = ColumnMap::default()
-        .configured(columns.collect())
-        .configured_discharge_negative(true);
+    let columns = "power_W=p,current_A=i".split(',').map(|one| one.parse().unwrap());
+    let map =
+        ColumnMap::default().configured(columns.collect()).configured_discharge_negative(true);
     let read = |text: &str, map: &ColumnMap| {
         let path = files.write("log.csv", text.as_bytes());
         Table::only_of(path, map)
     };
     let theirs = read("time,p,i\n0,-4.5,-1\n1,-4.6,-1\n", &map).unwrap();
-    let ours = read(
-        "timestamp_s,power_mW,current_mA\n0,4500,1000\n1,4600,1000\n",
-        &map,
-    )
-    .unwrap();
+    let ours = read("timestamp_s,power_mW,current_mA\n0,4500,1000\n1,4600,1000\n", &map).unwrap();
     for table in [theirs, ours] {
         assert_eq!(table.column(Column::Power), Some(&[4500.0, 4600.0][..]));
         assert_eq!(table.column(Column::Current), Some(&[1000.0, 1000.0][..]));
@@ -336,14 +246,9 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
     // Without columns in the config, what `data convert` wrote is known by its header.
     let sign = ColumnMap::default().configured_discharge_negative(true);
     let turned = read("time,power_W,current_A\n0,-4.5,-1\n1,-4.6,-1\n", &sign).unwrap();
-    turned
-        .write(&files.write("x", b"").with_file_name("converted.csv"))
-        .unwrap();
+    turned.write(&files.write("x", b"").with_file_name("converted.csv")).unwrap();
     let converted = Table::only_of(files.write("x", b"").with_file_name("converted.csv"), &sign);
-    assert_eq!(
-        converted.unwrap().column(Column::Current),
-        turned.column(Column::Current)
-    );
+    assert_eq!(converted.unwrap().column(Column::Current), turned.column(Column::Current));
     assert_eq!(turned.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     // One of them is missing: it is a broken file of that program.
     let error = read("time,p\n0,4.5\n1,4.6\n", &map).unwrap_err();
@@ -385,15 +290,9 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
         table.unwrap_or_else(|error| panic!("{text}: {error}"))
     };
     for (text, map) in [
-        (
-            "Report of 3 readings, 4.5 W\n\nTime (s),Power (W)\n0,4.5\n1,4.6\n",
-            "",
-        ),
+        ("Report of 3 readings, 4.5 W\n\nTime (s),Power (W)\n0,4.5\n1,4.6\n", ""),
         ("Time (s),Power (W)\n0,4.5 W\n1,4.6W\n", ""),
-        (
-            "MonoS,CH0,CH1\n0,9.0V,0.5A\n1,9.2V,0.5 A\n",
-            "time=MonoS,voltage_V=CH0,current_A=CH1",
-        ),
+        ("MonoS,CH0,CH1\n0,9.0V,0.5A\n1,9.2V,0.5 A\n", "time=MonoS,voltage_V=CH0,current_A=CH1"),
         ("time_s,current (cA),voltage (cV)\n0,50,900\n1,50,920\n", ""),
     ] {
         let power = read(text, map).column(Column::Power).unwrap().to_vec();
@@ -412,10 +311,7 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
 fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
     let files = Files::new();
     for (header, suggested) in [
-        (
-            "Time,Voltage,Current,Power",
-            "--map 'voltage_V=Voltage,current_A=Current'",
-        ),
+        ("Time,Voltage,Current,Power", "--map 'voltage_V=Voltage,current_A=Current'"),
         ("at_date,power_W", "--map 'time_s=at_date'"),
         (
             "Timestamp,/System/BatteryVoltage,/System/BatteryCurrent",

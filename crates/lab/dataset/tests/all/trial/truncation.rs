@@ -58,10 +58,7 @@ fn compressed_text_truncated_at_any_byte_is_reported_as_truncated() {
     let whole = gzip(csv(&ROWS).as_bytes());
     for length in 2..whole.len() {
         let error = Trial::read(files.write("cut.csv.gz", &whole[..length])).unwrap_err();
-        assert!(
-            matches!(error, TrialError::Truncated { .. }),
-            "{length} bytes: {error:?}"
-        );
+        assert!(matches!(error, TrialError::Truncated { .. }), "{length} bytes: {error:?}");
         assert!(error.to_string().contains("truncated"));
     }
     Trial::read(files.write("cut.csv.gz", &whole[..1])).unwrap_err();
@@ -79,11 +76,7 @@ fn plain_text_truncated_at_any_byte_is_an_error_or_a_shorter_trial_with_a_note()
             continue;
         };
         let whole_lines = whole[..length].ends_with('\n');
-        assert_eq!(
-            trial.notes().no_final_line_break,
-            !whole_lines,
-            "{length} bytes"
-        );
+        assert_eq!(trial.notes().no_final_line_break, !whole_lines, "{length} bytes");
         let lines = whole[..length].lines().count();
         assert_eq!(trial.notes().rows, lines - 1, "{length} bytes");
         shorter += usize::from(trial.notes().rows < 5);

@@ -25,11 +25,7 @@ fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
 }
 
 fn all_platforms(every: usize) -> Option<Vec<(u32, Trial)>> {
-    let platforms = [
-        ("robotino", ROBOTINO),
-        ("borealtc_husky", HUSKY),
-        ("ase_rover", ROVER),
-    ];
+    let platforms = [("robotino", ROBOTINO), ("borealtc_husky", HUSKY), ("ase_rover", ROVER)];
     let mut trials = Vec::new();
     for (platform, first) in platforms {
         trials.extend(some(platform, first, every)?);
@@ -245,9 +241,7 @@ fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
     };
     let evaluation = evaluate(&settings(), &vec![persistence(); 3], &trials).unwrap();
     let report = evaluation.report();
-    let [pooled] = report.platforms.as_slice() else {
-        panic!("one platform")
-    };
+    let [pooled] = report.platforms.as_slice() else { panic!("one platform") };
     assert_eq!((pooled.trials, pooled.dropped), (648, 0));
     assert_eq!(pooled.accepted, 264_476);
     // The published .819 was measured on the held-out 30 %.
@@ -287,9 +281,8 @@ fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_
     settings.intake.leave_after_ns = 30_000_000_000;
     settings.intake.max_jump_ns = 60_000_000_000;
     for (place, (kind, changed, change)) in kinds.into_iter().enumerate() {
-        let mut rows: Vec<(f64, f64)> = (0..3_000)
-            .map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7)))
-            .collect();
+        let mut rows: Vec<(f64, f64)> =
+            (0..3_000).map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7))).collect();
         for row in changed {
             change(row, &mut rows[row]);
         }
@@ -317,9 +310,8 @@ fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_
 #[test]
 fn samples_refused_by_ingest_are_empty_steps_and_counted() {
     let files = Files::new();
-    let mut rows = (0..12)
-        .map(|row| (f64::from(row) * 0.03, 5_000.0 + f64::from(row)))
-        .collect::<Vec<_>>();
+    let mut rows =
+        (0..12).map(|row| (f64::from(row) * 0.03, 5_000.0 + f64::from(row))).collect::<Vec<_>>();
     rows[7].0 = rows[6].0; // The sample before it has the stamp of row 7.
     rows[9].1 = 1e9;
     let trial = Trial::read(files.write("odd.npy", &npy_f8(&timed(&rows)))).unwrap();

@@ -48,11 +48,7 @@ pub(crate) fn settings() -> FleetSettings {
     }
 }
 
-const RESIDUAL: ResidualStats = ResidualStats {
-    std_w: 1.0,
-    q05_w: -1.5,
-    q95_w: 1.5,
-};
+const RESIDUAL: ResidualStats = ResidualStats { std_w: 1.0, q05_w: -1.5, q95_w: 1.5 };
 
 pub(crate) fn persistence() -> Model {
     Model::Persistence(Persistence::new(RESIDUAL).unwrap())

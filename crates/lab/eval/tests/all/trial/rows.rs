@@ -35,10 +35,8 @@ fn write_trial(folder: &std::path::Path, hold: usize, gaps: &[usize], missing: &
 }
 
 fn shipped() -> Model {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../configs/models/gternal-sim.safetensors"
-    );
+    let path =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/models/gternal-sim.safetensors");
     let bytes = std::fs::read(path).expect("the model is in the repository");
     Model::Network(Network::from_safetensors(&bytes).expect("sound"))
 }
@@ -48,11 +46,9 @@ fn a_row_has_the_features_of_the_live_tick() {
     let folder = tempfile::tempdir().expect("a temporary directory");
     let fresh = [FeatureSet::Freshness, FeatureSet::PowerFreshness];
     for hold in [1, 3, 4] {
-        for (gaps, missing) in [
-            (&[41, 42, 97][..], &[60][..]),
-            (&[2, 50], &[1, 3, 80, 81, 82]),
-            (&[30, 31, 90], &[]),
-        ] {
+        for (gaps, missing) in
+            [(&[41, 42, 97][..], &[60][..]), (&[2, 50], &[1, 3, 80, 81, 82]), (&[30, 31, 90], &[])]
+        {
             let trial = write_trial(folder.path(), hold, gaps, missing);
             compare(&trial, &shipped());
             for set in fresh {
@@ -87,11 +83,7 @@ fn compare(trial: &Trial, model: &Model) {
             assert_eq!(step.power_w, None);
             continue;
         }
-        assert_eq!(
-            step.power_w.map(f32::to_bits),
-            Some(forecast_w.to_bits()),
-            "sample {seq}"
-        );
+        assert_eq!(step.power_w.map(f32::to_bits), Some(forecast_w.to_bits()), "sample {seq}");
         let answer = &live.robots[0].steps[*seq as usize + 1];
         assert_eq!(answer.reading_w, Some(row.target_w), "sample {seq}");
         compared += 1;

@@ -85,10 +85,7 @@ fn quick() -> Options {
     Options {
         horizons: vec![1, 4, 30],
         origins_every: 7,
-        bootstrap: Bootstrap {
-            resamples: 50,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { resamples: 50, ..Bootstrap::default() },
         ..Options::default()
     }
 }
@@ -99,13 +96,7 @@ fn subject<'a>(
     design: &'a Design,
 ) -> Subject<'a> {
     static SETTINGS: LazyLock<FleetSettings> = LazyLock::new(settings);
-    Subject {
-        settings: &SETTINGS,
-        platform: None,
-        models,
-        recordings,
-        design,
-    }
+    Subject { settings: &SETTINGS, platform: None, models, recordings, design }
 }
 
 fn run(recordings: &[Recording], models: &[Model], design: &Design, options: &Options) -> Scored {
@@ -125,19 +116,13 @@ fn run_network(
         energy_online: true,
         ..recorded_platform(0, &contents(&recordings[0]).trial)
     };
-    let subject = Subject {
-        platform: Some(&platform),
-        ..subject(recordings, models, design)
-    };
+    let subject = Subject { platform: Some(&platform), ..subject(recordings, models, design) };
     score(subject, options).unwrap()
 }
 
 /// A split of these units, otherwise the usual one.
 fn split_by(by: By) -> Split {
-    Split {
-        by,
-        ..Split::default()
-    }
+    Split { by, ..Split::default() }
 }
 
 fn near(found: f64, wanted: f64) -> bool {
@@ -152,31 +137,19 @@ fn persistence_velocities_and_ar5_on_robotino_score_as_its_readme_states() {
     let options = Options {
         horizons: Vec::new(),
         baselines: vec![Terms::VELOCITIES, Terms::AR5_AND_VELOCITIES],
-        bootstrap: Bootstrap {
-            resamples: 0,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { resamples: 0, ..Bootstrap::default() },
         ..Options::default()
     };
     // The choice of held-out trials is random and moves R² by some hundredths; the stated figures
     // are of one draw, so they must lie within the range of several.
     let draw = |seed| {
-        let wanted = Split {
-            by: By::Trial,
-            held_out: 0.3,
-            seed,
-            ..Split::default()
-        };
+        let wanted = Split { by: By::Trial, held_out: 0.3, seed, ..Split::default() };
         let design = Design::held_out(&recordings, wanted).unwrap();
         run(&recordings, &[persistence()], &design, &options).report
     };
     let draws: Vec<_> = (0..9).map(draw).collect();
     assert_eq!(draws[0].all.trials, 194, "30 % of 648");
-    let stated = [
-        ("persistence", 0.819),
-        ("velocities", 0.03),
-        ("AR(5) + velocities", 0.860),
-    ];
+    let stated = [("persistence", 0.819), ("velocities", 0.03), ("AR(5) + velocities", 0.860)];
     for (place, (name, stated)) in stated.into_iter().enumerate() {
         let found = sorted(draws.iter().map(|report| {
             let found = &report.all.forecasters[1 + place];
@@ -239,9 +212,8 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
         let counts = (cell.rows, cell.unscored);
         assert_eq!(counts, (rows.len() as u64, 0), "{}", cell.name);
         let readings: Vec<f64> = rows.iter().map(|row| row.0.target_w.into()).collect();
-        let forecasters: [Forecast<'_>; 2] = [&|row| predict(&model, row), &|row| {
-            row.features[NEWEST].into()
-        }];
+        let forecasters: [Forecast<'_>; 2] =
+            [&|row| predict(&model, row), &|row| row.features[NEWEST].into()];
         for (at, of) in forecasters.into_iter().enumerate() {
             let forecasts: Vec<f64> = rows.iter().map(|row| of(&row.0)).collect();
             let wanted = tally(&readings, &forecasts, 1.0);
@@ -319,10 +291,8 @@ fn the_open_loop_equals_rollouts_one_by_one() {
     let model = network(5, FeatureSet::Full, 30.0);
     let options = quick();
     let others = made_up(6, 200);
-    let fitted: Vec<Row> = others
-        .iter()
-        .flat_map(|one| contents(one).rows.rows.iter().copied())
-        .collect();
+    let fitted: Vec<Row> =
+        others.iter().flat_map(|one| contents(one).rows.rows.iter().copied()).collect();
     let line = Linear::fit(&fitted, Terms::AR5_AND_VELOCITIES).unwrap();
     let design = Design::fitted_on(&recordings, others);
     let scored = run(&recordings, std::slice::from_ref(&model), &design, &options);
@@ -412,11 +382,7 @@ proptest! {
 fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
     // Short runs: without the count through all of them, every first row would be an origin.
     let recordings = made_up_of(&[38; 60]);
-    let options = Options {
-        horizons: vec![10],
-        origins_every: 10,
-        ..quick()
-    };
+    let options = Options { horizons: vec![10], origins_every: 10, ..quick() };
     let design = Design::folds(&recordings);
     let report = run(&recordings, &[persistence()], &design, &options).report;
     let rows: usize = recordings.iter().map(|one| one.rows()).sum();
@@ -504,11 +470,7 @@ fn scoring_and_training_hold_out_the_same_rows() {
     let recordings = all_different(9, 120);
     let sources = sources(&recordings);
     for by in [By::Trial, By::Group, By::Time] {
-        let wanted = Split {
-            seed: 3,
-            held_out: 0.25,
-            ..split_by(by)
-        };
+        let wanted = Split { seed: 3, held_out: 0.25, ..split_by(by) };
         let (dataset, summary) = split(&sources, wanted, "").unwrap();
         let design = Design::held_out(&recordings, wanted).unwrap();
         let [fold] = design.folds.as_slice() else {
@@ -564,10 +526,7 @@ fn the_number_of_threads_changes_nothing() {
 fn energy_is_scored_on_the_evaluated_rows_only() {
     let recordings = made_up(4, 240);
     let models = [network(5, FeatureSet::Full, 30.0), persistence()];
-    let options = Options {
-        energy: true,
-        ..quick()
-    };
+    let options = Options { energy: true, ..quick() };
     let whole = Design::folds(&recordings);
     let mut half = whole.clone();
     for fold in &mut half.folds {
@@ -616,10 +575,7 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     let table: Vec<_> = (0..600).map(row).collect();
     let trial = Trial::read(files.write("partly.npy", &npy_f8(&table))).unwrap();
     let recordings = [Recording::new(0, trial)];
-    let models = [
-        network(5, FeatureSet::Full, 3.0),
-        network(6, FeatureSet::PowerOnly, 3.0),
-    ];
+    let models = [network(5, FeatureSet::Full, 3.0), network(6, FeatureSet::PowerOnly, 3.0)];
     let report = run(&recordings, &models, &Design::folds(&recordings), &quick()).report;
     let all = &report.all;
     let counts = (all.unscored, all.rows);
@@ -649,10 +605,7 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
         };
         trained_rows(&dataset).unwrap()
     });
-    let card = ModelCard {
-        trained_rows: rows,
-        ..network.card().clone()
-    };
+    let card = ModelCard { trained_rows: rows, ..network.card().clone() };
     Model::Network(Network::new(network.parameters().clone(), card).unwrap())
 }
 
@@ -666,9 +619,7 @@ fn rows_of(recordings: &[Recording]) -> usize {
 }
 
 fn apart(recordings: &[Recording], models: &[Model]) -> Scored {
-    let design = Design::folds(recordings)
-        .hold_apart(recordings, models)
-        .unwrap();
+    let design = Design::folds(recordings).hold_apart(recordings, models).unwrap();
     run(recordings, models, &design, &quick())
 }
 
@@ -709,19 +660,13 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
 #[test]
 fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
     let recordings = made_up(3, 600);
-    let wanted = Split {
-        held_out: 0.3,
-        ..split_by(By::Time)
-    };
+    let wanted = Split { held_out: 0.3, ..split_by(By::Time) };
     let sources = sources(&recordings);
     let (dataset, _) = split(&sources, wanted, "").unwrap();
     let Model::Network(network) = trained_on(None) else {
         panic!("a network");
     };
-    let card = ModelCard {
-        trained_rows: trained_rows(&dataset),
-        ..network.card().clone()
-    };
+    let card = ModelCard { trained_rows: trained_rows(&dataset), ..network.card().clone() };
     let network = Network::new(network.parameters().clone(), card).unwrap();
     let models = [Model::Network(network)];
     // Its own split: nothing of it.
@@ -745,11 +690,7 @@ fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
 fn a_model_trained_on_all_rows_or_on_unknown_ones_is_scored_with_a_warning() {
     let recordings = made_up(3, 300);
     for (model, scored_rows, says) in [
-        (
-            trained_on(Some(&recordings)),
-            ScoredRows::TrainedOn,
-            "100.0 %",
-        ),
+        (trained_on(Some(&recordings)), ScoredRows::TrainedOn, "100.0 %"),
         (trained_on(None), ScoredRows::Unknown, "unknown"),
         (persistence(), ScoredRows::NotTrainedOn, ""),
     ] {
@@ -766,13 +707,8 @@ fn a_model_trained_on_all_rows_or_on_unknown_ones_is_scored_with_a_warning() {
 #[test]
 fn a_comparison_is_on_rows_that_neither_model_was_trained_on() {
     let recordings = made_up(6, 300);
-    let models = [
-        trained_on(Some(&recordings[..2])),
-        trained_on(Some(&recordings[1..4])),
-    ];
-    let design = Design::folds(&recordings)
-        .hold_apart(&recordings, &models)
-        .unwrap();
+    let models = [trained_on(Some(&recordings[..2])), trained_on(Some(&recordings[1..4]))];
+    let design = Design::folds(&recordings).hold_apart(&recordings, &models).unwrap();
     let found = compare(subject(&recordings, &models, &design), &quick()).unwrap();
     assert_eq!(found.all.rows, rows_of(&recordings[4..]) as u64);
     assert_eq!(found.scored_rows, ScoredRows::NotTrainedOn);
@@ -797,18 +733,12 @@ fn the_forecast_that_is_scored_is_named_and_its_members_are_beside_it() {
     };
     assert_eq!(names(&online)[0], "random 5 (online)");
     assert_eq!(names(&plain)[0], "random 5 (network)");
-    assert_eq!(
-        online.models[0].members,
-        ["persistence", "random 5 (network)"]
-    );
+    assert_eq!(online.models[0].members, ["persistence", "random 5 (network)"]);
     for member in &online.models[0].members {
         assert!(names(&online).contains(member), "{member}");
     }
     // The member is the network to the bit.
-    let (member, network) = (
-        online.all.forecasters.last().unwrap(),
-        &plain.all.forecasters[0],
-    );
+    let (member, network) = (online.all.forecasters.last().unwrap(), &plain.all.forecasters[0]);
     assert_eq!((member.role, network.role), (Role::Member, Role::Published));
     assert_eq!(member.r2.value.to_bits(), network.r2.value.to_bits());
     assert_ne!(member.r2.value, online.all.forecasters[0].r2.value);
@@ -858,22 +788,14 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     let models = [persistence()];
     assert_eq!(run(&models, &[], &quick()), ScoreError::NoRecording);
     assert_eq!(run(&[], &recordings, &quick()), ScoreError::NoModel);
-    for (horizons, names) in [
-        (vec![0], "horizon 0"),
-        (vec![3, 3], "3 after 3"),
-        (vec![301], "1 to 300"),
-    ] {
-        let options = Options {
-            horizons,
-            ..quick()
-        };
+    for (horizons, names) in
+        [(vec![0], "horizon 0"), (vec![3, 3], "3 after 3"), (vec![301], "1 to 300")]
+    {
+        let options = Options { horizons, ..quick() };
         let error = run(&models, &recordings, &options).to_string();
         assert!(error.contains(names), "{error}");
     }
-    let options = Options {
-        origins_every: 0,
-        ..quick()
-    };
+    let options = Options { origins_every: 0, ..quick() };
     says(&run(&models, &recordings, &options), ["origins_every is 0"]);
     let files = Files::new();
     let row = |row: u32| driven(0.033 * f64::from(row), f64::NAN, f64::NAN, 5.0);
@@ -887,17 +809,9 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     let foreign = Design::folds(&recordings);
     let foreign = refused(subject(&blind, &models, &foreign));
     says(&foreign, ["design belongs to other recordings"]);
-    let wrong = FleetSettings {
-        interval: IntervalSettings {
-            coverage: 1.5,
-            rate: 0.05,
-        },
-        ..settings()
-    };
+    let wrong =
+        FleetSettings { interval: IntervalSettings { coverage: 1.5, rate: 0.05 }, ..settings() };
     let design = Design::folds(&blind);
-    let wrong = refused(Subject {
-        settings: &wrong,
-        ..subject(&blind, &models, &design)
-    });
+    let wrong = refused(Subject { settings: &wrong, ..subject(&blind, &models, &design) });
     says(&wrong, ["interval coverage is 1.5"]);
 }

@@ -23,9 +23,7 @@ fn made_up(files: &Files) -> Vec<(u32, PathBuf)> {
         let power_mw = 20_000.0 + 5_000.0 * phase.sin() + 4_000.0 * noise;
         let time_s = f64::from(row) * 0.033;
         let (v, omega) = (0.1 + 0.05 * phase.cos(), 0.3);
-        [
-            1.0, time_s, 0.0, v, omega, 0.0, 0.0, 0.0, 24_000.0, 900.0, power_mw,
-        ]
+        [1.0, time_s, 0.0, v, omega, 0.0, 0.0, 0.0, 24_000.0, 900.0, power_mw]
     };
     let alone = (0..6_u32).map(|trial| {
         let rows: Vec<[f64; 11]> = (0..150 + 40 * trial).map(|at| row(trial, at)).collect();
@@ -54,15 +52,9 @@ fn scores_analysis_and_training_rows_do_not_depend_on_what_is_in_memory() {
     let found = |recordings: &[Recording]| {
         let mut found = Vec::new();
         for by in [By::Trial, By::Time] {
-            let wanted = Split {
-                by,
-                held_out: 0.3,
-                ..Split::default()
-            };
-            let designs = [
-                Design::held_out(recordings, wanted).unwrap(),
-                Design::folds(recordings),
-            ];
+            let wanted = Split { by, held_out: 0.3, ..Split::default() };
+            let designs =
+                [Design::held_out(recordings, wanted).unwrap(), Design::folds(recordings)];
             for design in designs {
                 let design = design.hold_apart(recordings, &model).unwrap();
                 let settings = settings();
@@ -78,10 +70,7 @@ fn scores_analysis_and_training_rows_do_not_depend_on_what_is_in_memory() {
                 let scored = score(subject, &options).unwrap();
                 found.push(serde_json::to_string(&scored.report).unwrap());
             }
-            let analysis = AnalysisSettings {
-                split: wanted,
-                ..AnalysisSettings::default()
-            };
+            let analysis = AnalysisSettings { split: wanted, ..AnalysisSettings::default() };
             let analysis = analyze(recordings, &analysis, &[]).unwrap();
             found.push(serde_json::to_string(&analysis).unwrap());
             for max_rows in [usize::MAX, 700] {

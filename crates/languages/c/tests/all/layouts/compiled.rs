@@ -16,10 +16,7 @@ fn compiler(name: &str) -> Option<&str> {
         return Some(name);
     }
     eprintln!("skipped: no {name}");
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "CI=true needs {name}"
-    );
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "CI=true needs {name}");
     None
 }
 
@@ -56,12 +53,7 @@ fn expected() -> String {
         let name = c_name(layout.name);
         writeln!(text, "{name} {}", layout.size).unwrap();
         for field in layout.fields {
-            writeln!(
-                text,
-                "{name}.{} {} {}",
-                field.name, field.offset, field.size
-            )
-            .unwrap();
+            writeln!(text, "{name}.{} {} {}", field.name, field.offset, field.size).unwrap();
         }
     }
     for of in constants() {
@@ -93,11 +85,7 @@ fn compilers_of_c_and_cpp_put_all_fields_where_rust_has_them() {
             .arg(&binary)
             .output()
             .unwrap();
-        assert!(
-            made.status.success(),
-            "{}",
-            String::from_utf8_lossy(&made.stderr)
-        );
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
         let said = Command::new(&binary).output().unwrap();
         assert!(said.status.success());
         let said = String::from_utf8(said.stdout).unwrap();

@@ -40,15 +40,7 @@ fn made() -> String {
     };
     config.enumeration.rename_variants = RenameRule::QualifiedScreamingSnakeCase;
     let mut builder = Builder::new().with_config(config);
-    for file in [
-        "types",
-        "errors",
-        "publisher",
-        "subscriber",
-        "questions",
-        "client",
-        "predictor",
-    ] {
+    for file in ["types", "errors", "publisher", "subscriber", "questions", "client", "predictor"] {
         builder = builder.with_src(folder.join(file).with_extension("rs"));
     }
     let mut text = Vec::new();
@@ -92,11 +84,7 @@ fn shared_memory() -> String {
     let mut text = String::new();
     let version = env!("CARGO_PKG_VERSION");
     for (said, name, value) in [
-        (
-            "The release of this header.",
-            "VERSION",
-            format!("\"{version}\""),
-        ),
+        ("The release of this header.", "VERSION", format!("\"{version}\"")),
         (
             "What opening a handle checks: header and library must be of one release.",
             "HEADER",
@@ -112,16 +100,8 @@ fn shared_memory() -> String {
         write!(text, "\n{}typedef struct {name} {{\n", comment("", &said)).unwrap();
         for field in layout.fields {
             let said = comment("    ", &text_of(field.doc));
-            let array = field
-                .elements
-                .map_or(String::new(), |count| format!("[{count}]"));
-            writeln!(
-                text,
-                "{said}    {} {}{array};",
-                c_type(field.of),
-                field.name
-            )
-            .unwrap();
+            let array = field.elements.map_or(String::new(), |count| format!("[{count}]"));
+            writeln!(text, "{said}    {} {}{array};", c_type(field.of), field.name).unwrap();
         }
         writeln!(text, "}} {name};").unwrap();
     }
@@ -163,10 +143,7 @@ fn comment(indent: &str, said: &str) -> String {
     {
         return format!("{indent}/** {line} */\n");
     }
-    let lines: String = lines
-        .iter()
-        .map(|line| format!("{indent} * {line}\n"))
-        .collect();
+    let lines: String = lines.iter().map(|line| format!("{indent} * {line}\n")).collect();
     format!("{indent}/**\n{lines}{indent} */\n")
 }
 

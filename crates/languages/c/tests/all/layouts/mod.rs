@@ -21,10 +21,7 @@ fn compare(file: &str, made: &str) {
         fs::write(&path, made).unwrap();
     }
     let found = fs::read_to_string(&path).unwrap_or_default();
-    let differs = found
-        .lines()
-        .zip(made.lines())
-        .position(|(found, made)| found != made);
+    let differs = found.lines().zip(made.lines()).position(|(found, made)| found != made);
     let line = differs.unwrap_or_else(|| found.lines().count().min(made.lines().count()));
     assert!(
         found == made,
