@@ -38,8 +38,10 @@ impl Default for Limits {
 const SPARE: usize = 2;
 /// Questions of a client that can be in transfer.
 pub const ACTIVE_QUERIES: usize = 1;
-/// Maximum number of clients that ask the worker.
+/// Maximum number of clients that ask the worker, beside operators.
 const MAX_QUERY_CLIENTS: usize = 16;
+/// Operators that can acknowledge alarms at once, whoever else asks.
+const OPERATORS: usize = 2;
 /// The thread that answers questions waits as a planner does.
 const ANSWERING: usize = 1;
 /// Readers in the worker's own process: the checkpointer, and a thread that answers questions or
@@ -157,11 +159,18 @@ impl Limits {
         }
     }
 
+    /// Clients that can ask the worker at once, but for operators: these find their places whatever
+    /// others do.
+    #[must_use]
+    pub const fn open_query_clients(&self) -> usize {
+        let wanted = self.max_planners + SPARE;
+        if wanted < MAX_QUERY_CLIENTS { wanted } else { MAX_QUERY_CLIENTS }
+    }
+
     /// Clients that can ask the worker at once.
     #[must_use]
     pub const fn query_clients(&self) -> usize {
-        let wanted = self.max_planners + SPARE;
-        if wanted < MAX_QUERY_CLIENTS { wanted } else { MAX_QUERY_CLIENTS }
+        self.open_query_clients() + OPERATORS
     }
 
     /// Questions that can be in transfer at once.

@@ -28,14 +28,14 @@ use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLo
 const NODE_LIMIT: Duration = Duration::from_secs(2);
 const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 
-/// Names of the members that have places of their own in every service: the worker with its
+/// Names of the members that have places of their own in every channel: the worker with its
 /// threads, recorders, and links.
-const OWN: [&str; 7] =
-    ["worker", "checkpointer", "queries", "alarm-log", "recorder", "link", "link-journal"];
+pub(crate) const OWN: &[&str] =
+    &["worker", "checkpointer", "queries", "alarm-log", "recorder", "link", "link-journal"];
 
-pub(crate) fn is_own(name: &str) -> bool {
-    OWN.contains(&name)
-}
+/// Names of the members that have places of their own among those who ask the worker: operators,
+/// who acknowledge alarms.
+pub(crate) const OPERATORS: &[&str] = &["acknowledge", "page"];
 
 /// Membership in a domain. Dropping it and all ports leaves the domain; the last member to leave
 /// removes all its files.
@@ -49,8 +49,6 @@ pub struct Bus {
     pub(crate) node: Kept<Node<Ipc>>,
     pub(crate) member: Rc<Membership>,
     joined: SweepReport,
-    /// Whether it has places that planners and views cannot take.
-    pub(crate) is_own: bool,
 }
 
 impl Bus {
@@ -97,7 +95,6 @@ impl Bus {
             node: Kept::new(node, member.presence.need(monitor)),
             member: Rc::new(member),
             joined,
-            is_own: is_own(name),
         })
     }
 

@@ -23,6 +23,8 @@ pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
 pub use self::writer::{Loan, SendError, Sent, Writer};
+use self::places::Open;
+use crate::bus::OWN;
 use crate::{Bus, Limits};
 
 impl Bus {
@@ -103,8 +105,8 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        let places = limits.open_places(Forecasts::FLOW);
-        Waiter::open(self, Service::WAKE, limits, limits.wake(), Some(places))
+        let open = Open { places: limits.open_places(Forecasts::FLOW), own: OWN };
+        Waiter::open(self, Service::WAKE, limits, limits.wake(), Some(open))
     }
 
     /// Waits for times instead: readers that look now and then.

@@ -10,18 +10,24 @@ use joulebus_wire::Service;
 
 use super::service::OpenError;
 use crate::Bus;
-use crate::bus::is_own;
 use crate::clock;
 use crate::ipc::Ipc;
 
 /// Tries of two that come at once for the last place.
 const TRIES: u64 = 4;
 
-/// Ports of a service of which others than the product's own may have so many; `None`: any number.
+/// Places that anybody may take. Members of the names in `own` have others beside these.
+#[derive(Clone, Copy)]
+pub(super) struct Open {
+    pub(super) places: usize,
+    pub(super) own: &'static [&'static str],
+}
+
+/// Ports of a service; without `open` all places are anybody's.
 pub(super) struct Places<'a, N> {
     pub(super) bus: &'a Bus,
     pub(super) service: Service,
-    pub(super) open: Option<usize>,
+    pub(super) open: Option<Open>,
     /// The nodes that have a port, one for each.
     pub(super) nodes: N,
 }
@@ -34,13 +40,13 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
         make: impl Fn() -> Result<P, E>,
         full: impl Fn() -> E,
     ) -> Result<P, E> {
-        let Some(open) = self.open.filter(|_| !self.bus.is_own) else {
+        let Some(Open { places: open, own }) = self.limit() else {
             return make();
         };
         let fits = |more: usize| {
             let nodes = (self.nodes)();
             let room = open.saturating_sub(more);
-            nodes.len() <= room || others(self.bus, &nodes).len() <= room
+            nodes.len() <= room || self.others(own, &nodes).len() <= room
         };
         for number in 0..TRIES {
             if !fits(1) {
@@ -60,36 +66,41 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
 
     /// Why there is no place: who has those that there are.
     pub(super) fn refused(&self, reason: impl Display) -> OpenError {
-        let Some(allowed) = self.open.filter(|_| !self.bus.is_own) else {
+        let Some(Open { places: allowed, own }) = self.limit() else {
             return OpenError::port(self.service, reason);
         };
-        let mut holders = others(self.bus, &(self.nodes)());
+        let mut holders = self.others(own, &(self.nodes)());
         holders.sort();
         holders.dedup();
         OpenError::Places { service: self.service.name(), allowed, holders: holders.join(", ") }
     }
-}
 
-/// The holders of ports on `nodes`, but for the product's own, each with name and pid.
-fn others(bus: &Bus, nodes: &[UniqueNodeId]) -> Vec<String> {
-    let mut known = Vec::new();
-    // What cannot be listed is nobody's own.
-    let _ = Node::<Ipc>::list(&bus.member.config, |node| {
-        let (id, details) = match &node {
-            NodeState::Alive(view) => (view.id(), view.details().as_ref()),
-            NodeState::Dead(view) => (view.id(), view.details().as_ref()),
-            NodeState::Inaccessible(id) | NodeState::Undefined(id) => (id, None),
-        };
-        let known_of = details.map_or(("?".to_owned(), 0), |details| {
-            (details.name().to_string(), details.process_id().value())
+    /// The places that this member is bound to; `None`: all.
+    fn limit(&self) -> Option<Open> {
+        self.open.filter(|open| !open.own.contains(&self.bus.node.name().as_str()))
+    }
+
+    /// The holders of ports on `nodes`, but for those of `own`, each with name and pid.
+    fn others(&self, own: &[&str], nodes: &[UniqueNodeId]) -> Vec<String> {
+        let mut known = Vec::new();
+        // What cannot be listed is nobody's own.
+        let _ = Node::<Ipc>::list(&self.bus.member.config, |node| {
+            let (id, details) = match &node {
+                NodeState::Alive(view) => (view.id(), view.details().as_ref()),
+                NodeState::Dead(view) => (view.id(), view.details().as_ref()),
+                NodeState::Inaccessible(id) | NodeState::Undefined(id) => (id, None),
+            };
+            let known_of = details.map_or(("?".to_owned(), 0), |details| {
+                (details.name().to_string(), details.process_id().value())
+            });
+            known.push((*id, known_of));
+            CallbackProgression::Continue
         });
-        known.push((*id, known_of));
-        CallbackProgression::Continue
-    });
-    let named = |node: &UniqueNodeId| {
-        let of_node = known.iter().find(|(id, _)| id == node);
-        let (name, pid) = of_node.map_or(("?", 0), |(_, (name, pid))| (name.as_str(), *pid));
-        (!is_own(name)).then(|| format!("{name} (pid {pid})"))
-    };
-    nodes.iter().filter_map(named).collect()
+        let named = |node: &UniqueNodeId| {
+            let of_node = known.iter().find(|(id, _)| id == node);
+            let (name, pid) = of_node.map_or(("?", 0), |(_, (name, pid))| (name.as_str(), *pid));
+            (!own.contains(&name)).then(|| format!("{name} (pid {pid})"))
+        };
+        nodes.iter().filter_map(named).collect()
+    }
 }

@@ -25,11 +25,13 @@ use iceoryx2::service::port_factory::client::ClientCreateError;
 use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
 
 use super::degradation::Failures;
+use super::places::Open;
 use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
 use super::worn::Wear;
 use super::{ReceiveError, SendError, Sent};
+use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_lock::{Owner, WorkerLock};
@@ -236,7 +238,9 @@ impl QueryClient {
         let needed = client_bytes();
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
-        let answered = Waiter::open(bus, Service::ANSWERED, limits, events, None)?;
+        // The first of a client's three ports: who finds no place makes none of them.
+        let open = Open { places: limits.open_query_clients(), own: OPERATORS };
+        let answered = Waiter::open(bus, Service::ANSWERED, limits, events, Some(open))?;
         let asked = Waker::open(bus, Service::ASKED, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
         let create = || {

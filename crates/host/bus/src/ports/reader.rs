@@ -11,9 +11,10 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use joulebus_wire::{Channel, Flow};
 
 use super::degradation::Failures;
-use super::places::Places;
+use super::places::{Open, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, OpenError};
+use crate::bus::OWN;
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
@@ -59,7 +60,8 @@ impl<C: Channel> Reader<C> {
             });
             nodes
         };
-        let places = Places { bus, service, open: Some(limits.open_places(C::FLOW)), nodes };
+        let open = Open { places: limits.open_places(C::FLOW), own: OWN };
+        let places = Places { bus, service, open: Some(open), nodes };
         let create = || {
             places.enter(
                 || subscribe::<C>(&factory, shape.buffer, &failures),

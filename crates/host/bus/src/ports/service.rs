@@ -368,10 +368,10 @@ pub enum OpenError {
     /// Files of this process were removed: iceoryx2 would recreate them for this process only.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
-    /// All places that planners and views may have are taken.
+    /// All places that are not reserved are taken.
     #[error(
-        "service {service:?}: all {allowed} places for planners and views are taken, by {holders}; \
-         end one of them (of what planners read there are more with a greater \
+        "service {service:?}: all {allowed} places that are not reserved are taken, by {holders}; \
+         end one of them (of what planners read and ask there are more with a greater \
          `readers.max_planners`, for all processes of the fleet)"
     )]
     Places {

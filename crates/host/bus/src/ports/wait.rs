@@ -14,7 +14,7 @@ use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::places::Places;
+use super::places::{Open, Places};
 use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -126,7 +126,7 @@ impl Waiter {
         service: Service,
         limits: &Limits,
         ports: (usize, usize),
-        places: Option<usize>,
+        open: Option<Open>,
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
         let is_full =
@@ -139,7 +139,7 @@ impl Waiter {
             });
             nodes
         };
-        let places = Places { bus, service, open: places, nodes };
+        let places = Places { bus, service, open, nodes };
         let create = || {
             places.enter(
                 || factory.listener_builder().create(),

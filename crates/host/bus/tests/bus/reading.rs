@@ -39,7 +39,7 @@ fn a_writer_that_is_faster_than_its_reader_does_not_keep_it_for_ever() {
 }
 
 #[test]
-fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_channel() {
+fn planners_and_views_leave_the_places_of_worker_recorders_links_and_operators() {
     struct Filling<'a> {
         domain: &'a Domain,
         limits: Limits,
@@ -101,6 +101,19 @@ fn planners_and_views_leave_the_places_of_worker_recorders_and_links_on_every_ch
     let refused = view.planner_waiter(&limits).unwrap_err();
     assert!(matches!(refused, OpenError::Places { .. }), "{refused}");
     let woken = link.planner_waiter(&limits).unwrap();
-    drop((waiters, woken, view, link));
+    drop((waiters, woken));
+    // And operators, however many ask.
+    let asking = limits.open_query_clients();
+    let clients: Vec<_> = (0..asking).map(|_| view.query_client(&limits).unwrap()).collect();
+    match view.query_client(&limits).unwrap_err() {
+        OpenError::Places { allowed, holders, .. } => {
+            assert_eq!(allowed, asking);
+            assert!(holders.starts_with("watch (pid "), "{holders}");
+        }
+        error => panic!("{error}"),
+    }
+    let (page, verb) = (join("page"), join("acknowledge"));
+    let operators = [page.query_client(&limits).unwrap(), verb.query_client(&limits).unwrap()];
+    drop((clients, operators, view, link, page, verb));
     assert!(!Path::new(&root).exists());
 }
