@@ -315,11 +315,12 @@ impl Builder<'_> {
         let models: Option<Vec<ModelSource>> =
             read.platforms.iter().map(|listed| files::model(&listed.values)).collect();
         let checkpoint = fleet.checkpoint()?;
+        let capacity = consistency::room(read)?;
         Some(Config {
             fleet: fleet.0.text("fleet.name")?,
             root: files::root(&fleet.0.text("domain.root")?),
             prefix: fleet.0.text("domain.prefix")?,
-            settings: fleet.settings(platforms?)?,
+            settings: fleet.settings(capacity, platforms?)?,
             platform_keys: read.platforms.iter().map(show::platform).collect(),
             recordings: read.platforms.iter().map(recordings).collect(),
             policy: fleet.policy()?,
@@ -331,7 +332,7 @@ impl Builder<'_> {
             checkpoint,
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
             scheduling: fleet.scheduling()?,
-            threads: fleet.threads()?,
+            threads: fleet.threads(capacity)?,
             queries: Queries {
                 answer: fleet.0.text("queries.answer")? == "on",
                 nice: fleet.0.integer("queries.nice")?,
@@ -341,10 +342,10 @@ impl Builder<'_> {
         })
     }
 
-    fn settings(&self, platforms: Vec<Platform>) -> Option<FleetSettings> {
+    fn settings(&self, capacity: u32, platforms: Vec<Platform>) -> Option<FleetSettings> {
         let number = |path| self.single(path);
         Some(FleetSettings {
-            capacity: self.0.integer("fleet.capacity")?,
+            capacity,
             intake: Intake {
                 max_samples_per_tick: self.0.integer("intake.max_samples_per_tick")?,
                 max_jump_ns: ns(self.0.number("intake.max_jump_s")?),
@@ -400,14 +401,13 @@ impl Builder<'_> {
         })
     }
 
-    fn threads(&self) -> Option<Threads> {
+    fn threads(&self, capacity: u32) -> Option<Threads> {
         let asked: usize = self.0.integer("worker.threads")?;
         let from = self.0.integer("worker.threads_from")?;
-        let capacity: usize = self.0.integer("fleet.capacity")?;
         let cpus = cpus::parse(&self.0.text("worker.cpus")?)?.len();
         let count = match (asked, cpus) {
             // No threads without work.
-            _ if capacity < from => 1,
+            _ if (capacity as usize) < from => 1,
             (0, 0) => Threads::processors().min(Threads::MAX_UNASKED),
             (0, cpus) => cpus,
             (asked, _) => asked,

@@ -16,6 +16,9 @@ use crate::problem::Problem;
 use crate::robots;
 use crate::values::{Place, Values};
 
+/// Robots that there is room for, at most, if a fleet's file does not say how many.
+const UNASKED_ROBOTS: u64 = 1_000;
+
 /// Reports every inconsistency; doubtful values go to `warnings`.
 pub(crate) fn check(
     read: &FleetFile,
@@ -471,17 +474,32 @@ fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     )
 }
 
+/// Room for the robots that the platforms list, unless the file states how many; without that for
+/// [`UNASKED_ROBOTS`] at most.
+pub(crate) fn room(read: &FleetFile) -> Option<u32> {
+    match read.values.get("fleet.capacity") {
+        Some(_) => read.values.integer("fleet.capacity"),
+        None => u32::try_from(listed(read).clamp(1, UNASKED_ROBOTS)).ok(),
+    }
+}
+
+fn listed(read: &FleetFile) -> u64 {
+    let listed = read.platforms.iter().flat_map(|listed| listed.values.robots());
+    listed.map(|range| robots::count(&range)).sum()
+}
+
 fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {
-    let Some(room) = read.values.number("fleet.capacity") else {
+    let (Some(room), listed) = (room(read), listed(read)) else {
         return;
     };
-    let listed: u64 = read
-        .platforms
-        .iter()
-        .flat_map(|listed| listed.values.robots())
-        .map(|range| robots::count(&range))
-        .sum();
-    if listed as f64 > room {
+    if read.values.get("fleet.capacity").is_none() && listed > room.into() {
+        warnings.push(complaint(
+            &read.values,
+            "fleet.capacity",
+            format!("is not set: there is room for {room} of the {listed} robots that are listed"),
+            "Set it to the number of robots that run at once".to_owned(),
+        ));
+    } else if listed > room.into() {
         warnings.push(complaint(
             &read.values,
             "fleet.capacity",

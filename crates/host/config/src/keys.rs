@@ -46,8 +46,9 @@ const ABSENCE_S: RangeInclusive<f64> = 0.01..=604_800.0;
 pub const KEYS: &[Key] = &[
     key("fleet.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
         "Name of the fleet. Part of every service name, so that fleets do not mix."),
-    key("fleet.capacity", int(bounds::CAPACITY), "robots", DefaultValue::Integer(1000),
-        "Maximum number of robots; further ones are refused, counted and named."),
+    key("fleet.capacity", int(bounds::CAPACITY), "robots", DefaultValue::Unset,
+        "Maximum number of robots; further ones are refused, counted and named. Shared memory is \
+         reserved for them: some 100 kB a robot. Without it: those that the platforms list, up to 1000."),
 
     key("domain.root", ValueKind::Text(TextRule::Root), "", DefaultValue::Text("/dev/shm/joulebus-{uid}"),
         "Private directory that holds the fleet's shared memory; keep it on a tmpfs."),

@@ -136,6 +136,7 @@ mod tests {
             "A fleet.",
             &[
                 Assignment::text("fleet.name", "lab", ""),
+                Assignment { key: "fleet.capacity", value: "10".to_owned(), note: String::new() },
                 Assignment::text("platform.file", "robot.toml", ""),
                 Assignment {
                     key: "platform.robots",

@@ -329,6 +329,19 @@ fn doubtful_values_are_accepted_with_a_warning() {
     }
 }
 
+#[test]
+fn without_a_capacity_there_is_room_for_the_robots_that_are_listed_up_to_a_thousand() {
+    let text = WHOLE.replace("capacity = 100\n", "");
+    let room = |robots: &str| {
+        let config = parse(&text.replace("robots = [\"30-39\"]", robots)).unwrap();
+        (config.settings().capacity, config.warnings().iter().map(|it| it.key.clone()).collect())
+    };
+    let (few, none) = room("robots = [\"30-39\"]");
+    assert_eq!(none, Vec::<String>::new());
+    assert_eq!(room("robots = [\"30-49\"]"), (few + 10, none));
+    assert_eq!(room("robots = [\"30-4999\"]"), (1_000, vec!["fleet.capacity".to_owned()]));
+}
+
 /// The complete text with one number replaced by `value`.
 fn with_value(path: &str, value: f64) -> String {
     let (section, name) = path.rsplit_once('.').expect("a section");
