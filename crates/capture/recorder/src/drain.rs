@@ -87,6 +87,7 @@ impl Drain {
             // No frame was sent after now, and written times must be in order.
             let publish_ns = sent_ns.unwrap_or(now_ns).min(now_ns);
             self.log_ns = self.log_ns.max(publish_ns);
+            self.shared.compare(&message);
             let times = Times { log_ns: self.log_ns, publish_ns };
             self.shared.hand_on(Item { fleet: Arc::clone(&self.fleet), times, message });
         }

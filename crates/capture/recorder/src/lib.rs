@@ -42,7 +42,7 @@ pub use attachments::{AttachError, attach, host_clock};
 pub use channel::RecordedChannel;
 pub use drain::DrainError;
 pub use files::{Kept, Target};
-pub use options::{Options, RECORDER, Snapshot};
+pub use options::{Options, RECORDER, Snapshot, Suits};
 pub use shared::{Lost, Summary};
 
 /// Interval at which the writing thread looks for messages, and whether a chunk is due.

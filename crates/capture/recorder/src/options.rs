@@ -4,12 +4,15 @@ use std::fmt;
 use std::sync::Arc;
 
 use joulebus_capture_format::{CaptureSettings, MessageKind};
-use joulebus_wire::{Diagnostics, Ticks};
+use joulebus_wire::{Diagnostics, PlanStateHeader, PlanStates, Ticks};
 
 use crate::channel::RecordedChannel;
 
 /// Name, among the members of a fleet, of processes that record it.
 pub const RECORDER: &str = "recorder";
+
+/// Whether a worker runs with the settings and models that a capture has; else, why not.
+pub type Suits = Arc<dyn Fn(&PlanStateHeader) -> Result<(), String> + Send + Sync>;
 
 /// Options of a recording.
 #[derive(Clone)]
@@ -37,6 +40,9 @@ pub struct Options {
     /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that
     /// records.
     pub member: &'static str,
+    /// Compares the joined fleet's worker with the attachments. Without it, a worker that began
+    /// with other files than those on disk is not noticed.
+    pub suits: Option<Suits>,
 }
 
 impl fmt::Debug for Options {
@@ -80,6 +86,7 @@ impl Default for Options {
             snapshot: None,
             queue_bytes: 128 << 20,
             member: RECORDER,
+            suits: None,
         }
     }
 }
@@ -98,6 +105,9 @@ impl Options {
         let alarms = on_alarm && kind == diagnostics;
         // The journal states which diagnostics were never sent.
         let unsent = kind == MessageKind::of::<Ticks>() && self.wants(diagnostics, fleet);
-        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || unsent
+        // The starts of plans state what the worker runs with.
+        let compared = self.suits.is_some() && kind == MessageKind::of::<PlanStates>();
+        let compared = compared && choose(&MessageKind::of::<Ticks>().topic(fleet, 0));
+        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || unsent || compared
     }
 }

@@ -12,8 +12,8 @@ use crate::gaps::Gaps;
 use crate::item::Item;
 use crate::options::Options;
 use crate::queue::Queue;
-use joulebus_capture_format::{MessageKind, Written};
-use joulebus_wire::Diagnostics;
+use joulebus_capture_format::{Message, MessageKind, Written};
+use joulebus_wire::{Diagnostics, PlanStates};
 
 /// Losses of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -33,6 +33,8 @@ pub struct Summary {
     /// Files that other processes have removed, replaced or cut while they were recorded, and which
     /// of it: their messages are among the lost.
     pub taken: Vec<(PathBuf, &'static str)>,
+    /// Why the recorded ticks cannot be computed from the attachments: the worker runs with others.
+    pub differs: Option<String>,
     /// Losses by topic; topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
     /// Memory buffer of a snapshot that was not written; none for other recordings.
@@ -84,6 +86,18 @@ impl Shared {
             gaps: Mutex::new((Gaps::new(clock::monotonic_ns()), BTreeMap::new())),
             summary: Mutex::default(),
             options: options.clone(),
+        }
+    }
+
+    /// Compares the worker of the joined fleet with the attachments.
+    pub(crate) fn compare(&self, message: &Message) {
+        let Some(suits) = &self.options.suits else { return };
+        let Some(frame) = message.frame::<PlanStates>() else { return };
+        let Err(reason) = suits(&frame.header) else { return };
+        let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        if summary.differs.is_none() {
+            tracing::warn!(%reason, "this capture cannot be verified");
+            summary.differs = Some(reason);
         }
     }
 

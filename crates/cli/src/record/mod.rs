@@ -13,8 +13,12 @@ use std::time::Duration;
 use anyhow::Context as _;
 use joulebus_bus::clock;
 use joulebus_capture_format::{CaptureSettings, Preset};
-use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
+use joulebus_capture_recorder::{
+    Options, Recorder, Snapshot, Suits, Summary, Target, attach, host_clock,
+};
 use joulebus_config::Config;
+use joulebus_models::load_models;
+use joulebus_plan::Fleet;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Format, Output, say};
@@ -47,7 +51,8 @@ const STDOUT: &str = "-";
     which are counted, never a tick. Killed, it loses less than 100 ms of data (zstd_small: about \
     1 s); `joulebus recover` makes such a file whole.\n\
     Exit codes: 1 if the file could not be written on (what was written can be recovered); 3 if \
-    messages were lost.")]
+    messages were lost, or if the worker runs with other settings or models than those attached: \
+    then the capture cannot be verified.")]
 pub(crate) struct Args {
     /// The fleet's config; repeat it to record several fleets into one file [default:
     /// configs/fleet.toml, or the built-in one if that file does not exist]
@@ -117,8 +122,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let configs = args.configs()?;
     let clock = host_clock();
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
-    let options = args.options(&names)?;
     let attachments = attach(&configs, clock)?;
+    let options = Options { suits: Some(suits(&configs[0])), ..args.options(&names)? };
     let began_ns = clock::monotonic_ns();
     let mut others = Others::start(&args.config, &args.out)?;
     let recorder = Recorder::start(
@@ -141,13 +146,25 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     others.end();
     let summary = recorder.finish();
     let duration_s = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
-    let lost = summary.messages_lost() > 0 || !summary.taken.is_empty();
+    let lost =
+        summary.messages_lost() > 0 || !summary.taken.is_empty() || summary.differs.is_some();
     let failed = summary.failure.is_some();
     args.report(&RecordReport::new(&summary, duration_s), output)?;
     if failed {
         return Ok(Outcome::Failed);
     }
     Ok(Outcome::unless_lost(lost))
+}
+
+/// Whether a worker runs with this config and the models that it names now. Those on disk may be
+/// newer: they count from the worker's next start on.
+fn suits(config: &Config) -> Suits {
+    let fleet = load_models(config).map(|models| Fleet::new(config.settings(), &models));
+    let fleet = fleet.map_err(|error| error.to_string());
+    Arc::new(move |header| {
+        let fleet = fleet.as_ref().map_err(Clone::clone)?;
+        fleet.check(header).map_err(|differs| differs.to_string())
+    })
 }
 
 /// Waits for a signal, the end of the duration, or a failure.

@@ -20,6 +20,8 @@ pub(super) struct RecordReport {
     topics: BTreeMap<String, u64>,
     /// Files that other processes have taken away: "removed", "replaced" or "cut".
     taken: BTreeMap<String, &'static str>,
+    /// Why the ticks cannot be computed from what is attached, if so.
+    differs: Option<String>,
     /// Messages lost by topic; topics without losses are omitted.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
@@ -81,6 +83,7 @@ impl RecordReport {
                 .iter()
                 .map(|(path, how)| (path.display().to_string(), *how))
                 .collect(),
+            differs: summary.differs.clone(),
             lost: lost.collect(),
             messages_lost: summary.messages_lost(),
             kept: summary.kept.map(|kept| Kept {
@@ -117,6 +120,9 @@ impl fmt::Display for RecordReport {
         }
         for (path, how) in &self.taken {
             writeln!(out, "  {path} was {how} by another process")?;
+        }
+        if let Some(differs) = &self.differs {
+            writeln!(out, "  cannot be verified: {differs}")?;
         }
         for (topic, lost) in &self.lost {
             let (overwritten, unwritten) = (lost.overwritten, lost.unwritten);

@@ -298,3 +298,45 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
         assert!(!out.exists());
     }
 }
+
+#[test]
+fn a_recorder_says_at_once_that_the_worker_runs_with_other_files_than_it_attaches() {
+    let fleet = Fleet::new();
+    let platform = joulebus_config::builtin_platform("gternal").unwrap();
+    let model = |text: &str| fs::write(fleet.path("m.safetensors"), text).unwrap();
+    let shipped =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
+    fs::copy(shipped, fleet.path("m.safetensors")).unwrap();
+    let own: Vec<String> = (platform.lines())
+        .map(|line| match line.starts_with("model = ") {
+            true => "model = \"m.safetensors\"".to_owned(),
+            false => line.to_owned(),
+        })
+        .collect();
+    fs::write(fleet.path("own.toml"), own.join("\n")).unwrap();
+    let config = fs::read_to_string(fleet.config()).unwrap();
+    fs::write(fleet.config(), config.replace("builtin:gternal", "own.toml")).unwrap();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 2"));
+    let record = |name: &str| {
+        let mut command = fleet.joulebus("record --format json --duration 1");
+        command.arg("-o").arg(fleet.path(name));
+        command
+    };
+    let same = json(&record("same.mcap").output().unwrap().exits(0));
+    assert!(same["differs"].is_null(), "{same}");
+    // A deployment, before the worker's restart.
+    let config = fs::read_to_string(fleet.config()).unwrap();
+    let other = config.replace("[intake]\n", "[intake]\nleave_after_s = 77\n");
+    fs::write(fleet.config(), &other).unwrap();
+    let mut recorder = Program::start(record("settings.mcap"));
+    recorder.wait_for_stderr("cannot be verified");
+    says(&json(&recorder.wait().exits(3))["differs"], ["other settings"]);
+    fs::write(fleet.config(), config).unwrap();
+    model("");
+    let ended = record("model.mcap").output().unwrap().exits(3);
+    says(&json(&ended)["differs"], ["m.safetensors", "is refused"]);
+    assert!(json(&ended)["messages"].as_u64().unwrap() > 0, "what there is, is recorded");
+    source.end(Signal::TERM).exits(0);
+    worker.end(Signal::TERM).exits(0);
+}
