@@ -37,6 +37,9 @@ use arguments::{Cli, Command};
 
 /// Runs the program with the arguments of this process.
 pub fn main() -> ExitCode {
+    if let Err(error) = joulebus_bus::check_stack() {
+        return exit::code(Err(error.into()));
+    }
     joulebus_bus::trace_iceoryx2();
     match parse() {
         Ok((command, output)) => exit::code(execute(&command, output)),

@@ -58,16 +58,19 @@ impl OwnShm {
         command
     }
 
-    /// Bytes in use.
-    fn used(&self) -> u64 {
+    fn leave(&self, left: Left) {
         let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
         let found = rustix::fs::statvfs(&path).expect("the holder lives");
-        (found.f_blocks - found.f_bfree) * found.f_frsize
-    }
-
-    fn leave_free(&self, bytes: u64) {
-        // 0 would mean no limit.
-        let options = format!("remount,size={}", (self.used() + bytes).max(4_096));
+        let options = match left {
+            Left::Bytes(bytes) => {
+                let used = (found.f_blocks - found.f_bfree) * found.f_frsize;
+                // 0 would mean no limit.
+                format!("remount,size={}", (used + bytes).max(4_096))
+            }
+            Left::Files(files) => {
+                format!("remount,nr_inodes={}", found.f_files - found.f_ffree + files)
+            }
+        };
         let mut command = self.inside("mount".as_ref(), &["-o", &options]);
         let done = command.arg("/dev/shm").status();
         assert!(done.expect("mount can be run").success(), "{options}");
@@ -83,6 +86,23 @@ impl OwnShm {
         let place = self.config.parent().expect("it has one");
         fs::remove_dir_all(place).expect("it is ours");
         self.arena.close();
+    }
+}
+
+/// What is left in shared memory.
+#[derive(Debug, Clone, Copy)]
+enum Left {
+    Bytes(u64),
+    Files(u64),
+}
+
+impl Left {
+    /// Whether the lack is told, with numbers.
+    fn is_told(self, said: &str) -> bool {
+        match self {
+            Self::Bytes(_) => said.contains("bytes needed") && said.contains("free"),
+            Self::Files(_) => said.contains("files that /dev/shm may hold are there"),
+        }
     }
 }
 
@@ -146,10 +166,10 @@ const ROLES: [Role; 6] = [
 /// KiB left: pages, the memory of joining, the memory of ports, and values found to crash.
 const LEFT_KIB: [u64; 14] = [0, 4, 8, 24, 60, 120, 180, 200, 240, 320, 480, 720, 1_100, 2_400];
 
-/// Starts `count` processes of `role` concurrently with `left` free bytes. Returns how many were
+/// Starts `at_once` processes of `role` concurrently with so much left. Returns how many were
 /// ready; the others must have failed with the numbers.
-fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
-    shm.leave_free(left);
+fn start(shm: &OwnShm, role: &Role, at_once: usize, left: Left) -> usize {
+    shm.leave(left);
     let mut children: Vec<Child> =
         (0..at_once).map(|_| Child::spawn(role.name, (role.command)(shm))).collect();
     let mut ready = 0;
@@ -159,12 +179,11 @@ fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
             continue;
         }
         let ended = child.wait();
-        let what = format!("{} with {left} bytes left", role.name);
+        let what = format!("{} with {left:?}", role.name);
         assert_eq!(ended.signal(), None, "{what}: {ended:?}");
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
         let said = ended.errors();
-        let is_told = said.contains("bytes needed") && said.contains("free");
-        assert!(is_told, "{what}: {said}");
+        assert!(left.is_told(&said), "{what}: {said}");
     }
     for child in &mut children {
         if child.is_running() {
@@ -172,7 +191,8 @@ fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
             (role.end)(child);
         }
     }
-    shm.leave_free(1 << 30);
+    shm.leave(Left::Bytes(1 << 30));
+    shm.leave(Left::Files(1 << 16));
     ready
 }
 
@@ -190,7 +210,7 @@ fn row_24_joining_a_fleet_with_little_memory_left_works_or_fails_with_numbers() 
     for role in &ROLES[1..] {
         let at_once = if role.name == "record" { 1 } else { 3 };
         for left in LEFT_KIB {
-            worked += start(&shm, role, at_once, left << 10);
+            worked += start(&shm, role, at_once, Left::Bytes(left << 10));
             started += at_once;
             assert!(worker.is_running(), "{} {left}: {}", role.name, worker.tail());
             let newest = planner.forecasts().last().map(|frame| frame.tick);
@@ -220,7 +240,7 @@ fn row_24_the_first_process_with_little_memory_left_works_or_fails_with_numbers(
     let (mut started, mut worked) = (0, 0);
     for role in ROLES.iter().filter(|role| role.name != "watch") {
         for left in LEFT_KIB.into_iter().chain([6_000, 12_000]) {
-            worked += start(&shm, role, 1, left << 10);
+            worked += start(&shm, role, 1, Left::Bytes(left << 10));
             started += 1;
             assert_eq!(shm.objects(), 0, "{} {left}: something is left", role.name);
         }
@@ -230,6 +250,27 @@ fn row_24_the_first_process_with_little_memory_left_works_or_fails_with_numbers(
         format_args!(
             "{worked} of {started} worked, the others were refused with numbers; SIGBUS 0"
         ),
+    );
+    shm.close();
+}
+
+#[test]
+fn row_24_the_first_process_with_few_files_left_works_or_names_their_number() {
+    let Some(shm) = OwnShm::new(&Setup::default()) else {
+        return;
+    };
+    let (mut started, mut worked) = (0, 0);
+    for role in ROLES.iter().filter(|role| role.name != "watch") {
+        for left in [0, 1, 2, 3, 5, 8, 13, 21, 34, 200] {
+            worked += start(&shm, role, 1, Left::Files(left));
+            started += 1;
+            assert_eq!(shm.objects(), 0, "{} {left}: something is left", role.name);
+        }
+    }
+    assert!(worked >= 5, "{worked}");
+    figure(
+        "row 24, first processes with 0 to 200 files left",
+        format_args!("{worked} of {started} worked, the others were refused with numbers"),
     );
     shm.close();
 }
@@ -244,7 +285,7 @@ fn row_24_memory_of_dead_processes_is_freed_for_the_next_start() {
     worker.wait_for_line("ready:");
     worker.kill();
     // Less than a worker needs, which is what the dead one holds.
-    shm.leave_free(2 << 20);
+    shm.leave(Left::Bytes(2 << 20));
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
     worker.wait_for_line("ready:");
     worker.stop();

@@ -21,7 +21,7 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left};
+use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left, check_stack};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -58,6 +58,7 @@ impl Bus {
     /// # Errors
     /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
+        check_stack()?;
         let _section = fork::enter();
         // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {

@@ -66,5 +66,5 @@ pub use ports::{
     QueryError, QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter,
     SendError, Sent, WaitError, Waiter, Waker, Woken, Writer,
 };
-pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
+pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity, check_stack};
 pub use private::{DomainWarning, RootError};

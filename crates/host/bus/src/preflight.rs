@@ -30,6 +30,9 @@ const PORT_DESCRIPTORS: u64 = 16;
 /// File descriptors of one connection, data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
 
+/// Stack that a thread needs to open ports, bytes, with a margin; the development build takes most.
+const STACK_BYTES: u64 = 512 * 1024;
+
 /// Number of processes of each kind that will create their ports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ports {
@@ -84,6 +87,20 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
     Ok(report)
 }
 
+/// Checks that the stack may be as large as ports need: a stack that is too small ends a process
+/// without a word of the cause.
+///
+/// # Errors
+/// [`CapacityError::Stack`] with the limit.
+pub fn check_stack() -> Result<(), CapacityError> {
+    match getrlimit(Resource::Stack).current {
+        Some(limit) if limit < STACK_BYTES => {
+            Err(CapacityError::Stack { limit, needed: STACK_BYTES })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The state of this host and process, with nothing required.
 pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
     let (free_bytes, total_bytes) = shared_memory()?;
@@ -117,7 +134,7 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
 /// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared
 /// memory: iceoryx2's errors do not name the lack of one of them (#624).
 pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
-    check_free(needed)?;
+    check_memory(needed)?;
     let limit = descriptors_limit();
     let used = descriptors_used().unwrap_or(limit);
     let needed = used.saturating_add(PORT_DESCRIPTORS);
@@ -125,6 +142,30 @@ pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
         return Err(CapacityError::Descriptors { needed, used, limit });
     }
     Ok(())
+}
+
+/// Checks that a file of `needed` bytes in shared memory could be created and mapped.
+pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
+    check_free(needed)?;
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
+    // A file system without a limit states 0 of 0.
+    if shm.f_files > 0 && shm.f_favail == 0 {
+        return Err(CapacityError::Files { files: shm.f_files });
+    }
+    let needed = needed as u64;
+    let Some(limit) = getrlimit(Resource::As).current else { return Ok(()) };
+    let used = address_space().unwrap_or(0);
+    if used.saturating_add(needed) > limit {
+        return Err(CapacityError::AddressSpace { needed, used, limit });
+    }
+    Ok(())
+}
+
+/// Bytes of address space that this process has mapped.
+fn address_space() -> Option<u64> {
+    let pages: u64 =
+        std::fs::read_to_string("/proc/self/statm").ok()?.split(' ').next()?.parse().ok()?;
+    Some(pages.saturating_mul(rustix::param::page_size() as u64))
 }
 
 /// Checks that `needed` bytes are free in shared memory.
@@ -209,6 +250,47 @@ pub enum CapacityError {
         used: u64,
         /// Allowed.
         limit: u64,
+    },
+    /// No file can be created in shared memory, although bytes are free.
+    #[error(
+        "shared memory: all {files} files that {SHM_DIR} may hold are there; remove some (stale ones \
+         with `joulebus doctor --fix`), or allow more (`mount -o remount,nr_inodes=… {SHM_DIR}`)"
+    )]
+    Files {
+        /// Files that the file system may hold.
+        files: u64,
+    },
+    /// The process may not map more memory.
+    #[error(
+        "address space: {needed} bytes more needed, {used} used, {limit} allowed; raise the limit \
+         (`ulimit -v`)"
+    )]
+    AddressSpace {
+        /// Bytes to map.
+        needed: u64,
+        /// Bytes mapped.
+        used: u64,
+        /// Limit of this process.
+        limit: u64,
+    },
+    /// The stack may not grow as far as is needed.
+    #[error(
+        "stack: {needed} bytes needed, {limit} allowed; raise the limit (`ulimit -s {}`)",
+        needed / 1024
+    )]
+    Stack {
+        /// Bytes needed.
+        needed: u64,
+        /// Limit of this process.
+        limit: u64,
+    },
+    /// The system refuses to allocate shared memory for another reason than its size.
+    #[error("shared memory: {bytes} bytes in {SHM_DIR} cannot be allocated: {error}")]
+    Reserve {
+        /// Bytes to allocate.
+        bytes: u64,
+        /// The operating system's error.
+        error: io::Error,
     },
     /// Free shared memory or file descriptors could not be read.
     #[error("cannot read how much shared memory or how many file descriptors are free: {0}")]

@@ -10,6 +10,7 @@
 use std::cell::Cell;
 use std::fmt;
 use std::fs;
+use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::BorrowedFd;
 use std::ptr::NonNull;
@@ -41,22 +42,20 @@ use iceoryx2_cal::named_concept::{
 
 use crate::CapacityError;
 use crate::os::memory::{SHM_DIR, reserve};
-use crate::preflight::shared_memory;
+use crate::preflight::{check_memory, shared_memory};
 
 /// Polling interval for an object without a length.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 thread_local! {
-    /// Bytes that did not fit in this thread's last failed attempt.
-    static SHORTAGE: Cell<Option<u64>> = const { Cell::new(None) };
+    /// What was lacking in this thread's last failed attempt.
+    static SHORTAGE: Cell<Option<CapacityError>> = const { Cell::new(None) };
 }
 
 /// Why this thread could not create an object since the last call, if memory was lacking: the
 /// errors of iceoryx2 do not state it.
 pub(crate) fn take_shortage() -> Option<CapacityError> {
-    let needed = SHORTAGE.take()?;
-    let free = shared_memory().map_or(0, |(free, _)| free);
-    Some(CapacityError::Memory { needed, free })
+    SHORTAGE.take()
 }
 
 /// Marks types that iceoryx2 may place in shared memory.
@@ -136,11 +135,8 @@ impl<T: Shareable> Builder<'_, T> {
     /// An object that others do not open yet, with all of its pages.
     fn allocate(&self) -> Result<SharedMemory, DynamicStorageCreateError> {
         let size = size_of::<Content<T>>() + self.supplementary_size;
-        let (free, _) = shared_memory().map_err(|_| DynamicStorageCreateError::InternalError)?;
         // An attempt would fill the file system for others meanwhile.
-        if size as u64 > free {
-            return Err(shortage(size));
-        }
+        check_memory(size).map_err(shortage)?;
         let memory = SharedMemoryBuilder::new(&self.config.path_for(&self.name).file_name())
             .creation_mode(CreationMode::CreateExclusive)
             .size(size)
@@ -153,11 +149,21 @@ impl<T: Shareable> Builder<'_, T> {
                 SharedMemoryCreationError::InsufficientPermissions => {
                     DynamicStorageCreateError::InsufficientPermissions
                 }
-                _ => DynamicStorageCreateError::InternalError,
+                _ => {
+                    SHORTAGE.set(check_memory(size).err());
+                    DynamicStorageCreateError::InternalError
+                }
             })?;
         // SAFETY: the descriptor is open while the memory is mapped, which outlives the call.
         let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
-        reserve(file, memory.size() as u64).map_err(|_| shortage(size))?;
+        let reserved = reserve(file, memory.size() as u64);
+        reserved.map_err(|error| match error.kind() {
+            io::ErrorKind::StorageFull => {
+                let free = shared_memory().map_or(0, |(free, _)| free);
+                shortage(CapacityError::Memory { needed: size as u64, free })
+            }
+            _ => shortage(CapacityError::Reserve { bytes: size as u64, error }),
+        })?;
         Ok(memory)
     }
 
@@ -180,8 +186,8 @@ impl<T: Shareable> Builder<'_, T> {
     }
 }
 
-fn shortage(needed: usize) -> DynamicStorageCreateError {
-    SHORTAGE.set(Some(needed as u64));
+fn shortage(what: CapacityError) -> DynamicStorageCreateError {
+    SHORTAGE.set(Some(what));
     DynamicStorageCreateError::InternalError
 }
 

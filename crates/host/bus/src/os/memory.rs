@@ -6,7 +6,7 @@ use std::io;
 use std::os::fd::AsFd;
 
 use rustix::fs::{FallocateFlags, fallocate};
-use rustix::io::Errno;
+use rustix::io::{Errno, pwrite};
 use rustix::mm::{Advice, madvise};
 
 /// Directory of POSIX shared memory on Linux.
@@ -14,19 +14,35 @@ pub(crate) use joulebus_domain::SHM_DIR;
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
 const MAX_AT_ONCE: usize = 64 << 20;
 
-/// Allocates the first `bytes` of a file in shared memory, all or none: no SIGBUS later.
+/// Allocates the first `bytes` of a new file in shared memory: no SIGBUS later.
 ///
 /// # Errors
 /// `StorageFull` if they do not fit.
 pub(crate) fn reserve(file: impl AsFd, bytes: u64) -> io::Result<()> {
     loop {
         match fallocate(&file, FallocateFlags::empty(), 0, bytes) {
-            // A file system without a limit.
-            Ok(()) | Err(Errno::OPNOTSUPP) => return Ok(()),
+            Ok(()) => return Ok(()),
+            Err(Errno::INTR) => {}
+            // Not every sandbox and file system has it.
+            Err(Errno::OPNOTSUPP | Errno::NOSYS | Errno::PERM) => return write_zeros(&file, bytes),
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+/// Takes the pages of a new file by writing what they contain.
+fn write_zeros(file: impl AsFd, bytes: u64) -> io::Result<()> {
+    let zeros = [0; 4_096];
+    let mut written = 0;
+    while written < bytes {
+        let piece = (bytes - written).min(zeros.len() as u64) as usize;
+        match pwrite(&file, &zeros[..piece], written) {
+            Ok(count) => written += count as u64,
             Err(Errno::INTR) => {}
             Err(error) => return Err(error.into()),
         }
     }
+    Ok(())
 }
 
 /// Populates the mappings of the shared-memory objects whose name contains `part` and that this
@@ -114,5 +130,22 @@ impl<'a> Mapping<'a> {
             // nothing worse.
             tracing::debug!(%error, path = self.path, "memory was not mapped in advance");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::fs::{MemfdFlags, fstat, memfd_create};
+
+    #[test]
+    fn pages_are_taken_where_there_is_no_call_for_it() {
+        let new = || memfd_create("joulebus-test", MemfdFlags::CLOEXEC).unwrap();
+        let (by_call, by_zeros) = (new(), new());
+        reserve(&by_call, 10_000).unwrap();
+        write_zeros(&by_zeros, 10_000).unwrap();
+        let taken = |file| fstat(file).map(|found| (found.st_size, found.st_blocks)).unwrap();
+        assert_eq!(taken(&by_zeros), taken(&by_call));
+        assert!(taken(&by_zeros).1 * 512 >= 10_000);
     }
 }

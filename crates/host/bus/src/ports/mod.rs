@@ -15,6 +15,7 @@ mod writer;
 
 use joulebus_wire::{Channel, Forecasts, Service};
 
+use self::places::Open;
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
@@ -23,7 +24,6 @@ pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
 pub use self::writer::{Loan, SendError, Sent, Writer};
-use self::places::Open;
 use crate::bus::OWN;
 use crate::{Bus, Limits};
 
