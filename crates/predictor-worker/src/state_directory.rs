@@ -1,6 +1,7 @@
 //! The default location of a fleet's ledger.
 
 use std::ffi::OsString;
+use std::fs;
 use std::path::PathBuf;
 
 use joulebus_config::{Checkpoint, Config};
@@ -9,40 +10,49 @@ use joulebus_wire::fnv1a;
 /// The file of the fleet's ledger. Warns if batteries will not survive the worker.
 pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     let batteries = config.settings().has_batteries();
-    let path = match config.checkpoint() {
+    let why = match config.checkpoint() {
         Checkpoint::File(path) => return Some(path.clone()),
-        Checkpoint::Auto if !batteries => return None,
-        Checkpoint::Auto => state_directory(|name| std::env::var_os(name))
-            .map(|directory| directory.join(file_name(config))),
-        Checkpoint::Off => None,
-    };
-    match &path {
-        Some(path) => tracing::info!(?path, "the ledger and the batteries are saved"),
-        None if batteries => tracing::warn!(
-            "batteries are not saved: a restarted worker takes each for `initial_soc` full; set \
-             `ledger.checkpoint`{}",
-            match config.checkpoint() {
-                Checkpoint::Auto => " to a file, or $HOME",
-                _ => "",
+        Checkpoint::Auto if batteries => match state_directory(|name| std::env::var_os(name)) {
+            Ok(directory) => {
+                let path = directory.join(file_name(config));
+                tracing::info!(?path, "the ledger and the batteries are saved");
+                return Some(path);
             }
-        ),
-        None => {}
+            Err(why) => why,
+        },
+        Checkpoint::Auto | Checkpoint::Off => String::new(),
+    };
+    if batteries {
+        let why = if why.is_empty() { why } else { format!(": {why}") };
+        tracing::warn!(
+            "batteries are not saved{why}; a restarted worker takes each for `initial_soc` full. Set \
+             `ledger.checkpoint` to a file to save them"
+        );
     }
-    path
+    None
 }
 
-/// systemd's directory for the service, or the user's for programs' state; `None` if the
-/// environment names none. Relative paths are ignored, as the XDG specification demands.
-fn state_directory(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
-    let absolute = |name: &str| {
-        let value = variable(name)?;
+/// systemd's directory for the service, or the user's for programs' state, which is made; else why
+/// there is none. Relative paths are ignored, as the XDG specification demands.
+fn state_directory(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBuf, String> {
+    const PLACES: [(&str, &str); 3] = [
+        ("STATE_DIRECTORY", ""),
+        ("XDG_STATE_HOME", "joulebus"),
+        ("HOME", ".local/state/joulebus"),
+    ];
+    for (name, below) in PLACES {
         // systemd lists several directories with colons between them.
-        let first = std::env::split_paths(&value).next()?;
-        first.is_absolute().then_some(first)
-    };
-    absolute("STATE_DIRECTORY")
-        .or_else(|| Some(absolute("XDG_STATE_HOME")?.join("joulebus")))
-        .or_else(|| Some(absolute("HOME")?.join(".local/state/joulebus")))
+        let first = variable(name).and_then(|value| std::env::split_paths(&value).next());
+        let Some(base) = first.filter(|base| base.is_absolute()) else {
+            continue;
+        };
+        let directory = base.join(below);
+        // A user's home is not made: root could, for users that have none.
+        let there = if name == "HOME" { base.metadata().map(|_| ()) } else { Ok(()) };
+        let made = there.and_then(|()| fs::create_dir_all(&directory));
+        return made.map(|()| directory).map_err(|error| format!("${name} is {base:?}: {error}"));
+    }
+    Err("none of $STATE_DIRECTORY, $XDG_STATE_HOME and $HOME names a directory".to_owned())
 }
 
 /// Fleets of one name in different domains are different fleets.
@@ -57,26 +67,45 @@ mod tests {
 
     #[test]
     fn the_directory_is_systemds_then_xdgs_then_the_users() {
-        let of = |set: &[(&str, &str)]| {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        for name in ["home", "state", "service"] {
+            fs::create_dir(place(name)).unwrap();
+        }
+        let of = |set: &[(&str, OsString)]| {
             let value = |name: &str| {
                 let found = set.iter().find(|(known, _)| *known == name);
-                found.map(|(_, value)| OsString::from(*value))
+                found.map(|(_, value)| value.clone())
             };
             state_directory(value)
         };
-        let (home, xdg) = (("HOME", "/home/ada"), ("XDG_STATE_HOME", "/state"));
-        let systemd = ("STATE_DIRECTORY", "/var/lib/joulebus:/var/lib/other");
+        let home = ("HOME", place("home").into_os_string());
+        let xdg = ("XDG_STATE_HOME", place("state").into_os_string());
+        let mut listed = place("service").into_os_string();
+        listed.push(":/var/lib/other");
+        let systemd = ("STATE_DIRECTORY", listed);
+        let none = |name: &'static str| (name, OsString::new());
+        let in_home = place("home/.local/state/joulebus");
         for (set, expected) in [
-            (&[home, xdg, systemd][..], Some("/var/lib/joulebus")),
-            (&[home, xdg], Some("/state/joulebus")),
-            (&[home, ("XDG_STATE_HOME", "")], Some("/home/ada/.local/state/joulebus")),
-            (&[home, ("XDG_STATE_HOME", "here")], Some("/home/ada/.local/state/joulebus")),
-            (&[home], Some("/home/ada/.local/state/joulebus")),
-            (&[("HOME", "")], None),
-            (&[], None),
+            (vec![home.clone(), xdg.clone(), systemd], place("service")),
+            (vec![home.clone(), xdg], place("state/joulebus")),
+            (vec![home.clone(), none("XDG_STATE_HOME")], in_home.clone()),
+            (vec![home.clone(), ("XDG_STATE_HOME", "here".into())], in_home.clone()),
+            (vec![home], in_home),
         ] {
-            assert_eq!(of(set), expected.map(PathBuf::from), "{set:?}");
+            assert_eq!(of(&set), Ok(expected.clone()), "{set:?}");
+            assert!(expected.is_dir(), "{set:?}");
         }
+        for set in [vec![none("HOME")], vec![]] {
+            assert!(of(&set).unwrap_err().contains("$HOME"), "{set:?}");
+        }
+        // A home that is no directory, or that nobody has made, is named and left alone.
+        fs::write(place("file"), "").unwrap();
+        for (name, reason) in [("file", "Not a directory"), ("absent", "No such file")] {
+            let why = of(&[("HOME", place(name).into_os_string())]).unwrap_err();
+            assert!(why.contains(name) && why.contains(reason), "{why}");
+        }
+        assert!(!place("absent").exists());
     }
 
     #[test]
