@@ -57,6 +57,7 @@ step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -
     python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'
 step forecast-tables recordings 'python3 tools/forecast_tables.py --short'
 step pictures pictures 'tools/pictures.sh'
+step attack - 'python3 tools/attack.py --minutes 5 --seed 7'
 step miri miri 'cargo +nightly miri test -p joulebus-predictor --test all memory --locked'
 step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
