@@ -6,9 +6,9 @@
 //! A [`Fleet`] [takes](Fleet::take) frames of samples, then [ticks](Fleet::tick), and then writes
 //! [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget),
 //! robot by robot, into the caller's memory: the worker passes loaned shared memory. [`Schedule`]
-//! determines when a tick is due.
+//! determines when a tick is due. [`OnlineForecasts`] are the forecasts and intervals alone.
 //!
-//! After [`Fleet::new`] nothing here allocates.
+//! After [`Fleet::new`] no fleet allocates.
 #![forbid(unsafe_code)]
 
 mod alarms;
@@ -23,6 +23,7 @@ mod tick;
 pub use estimate::online::Learned;
 pub use estimate::scores::Scores;
 pub use fleet::Fleet;
+pub use fleet::online_forecasts::{IntervalForecast, OnlineForecasts, OnlineSettings};
 pub use ingest::frame::{FrameIntake, TickIntake};
 pub use ledger::battery::SavedBattery;
 pub use ledger::energy::Ledger;

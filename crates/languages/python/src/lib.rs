@@ -17,6 +17,7 @@ mod error;
 #[cfg(feature = "lab")]
 mod lab;
 mod model;
+mod online;
 mod planner;
 mod port_thread;
 mod predictor;
@@ -45,6 +46,8 @@ mod _native {
         Report, analyze, evaluate, report_recorded, report_simulated, simulate, train_recordings,
         train_simulated,
     };
+    #[pymodule_export]
+    use crate::online::OnlineRobots;
     #[pymodule_export]
     use crate::planner::{FrameMemory, PlannerPorts, quality};
     #[pymodule_export]

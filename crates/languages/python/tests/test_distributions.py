@@ -7,6 +7,7 @@ from pathlib import Path
 
 import joulebus
 import pytest
+from conftest import ROOT
 from joulebus import _native, _optional
 
 HERE = Path(__file__).resolve().parent.parent
@@ -44,3 +45,4 @@ def test_both_are_of_one_release():
     version = joulebus.__version__
     assert f'lab = ["joulebus-lab=={version}"]' in (HERE / "pyproject.toml").read_text()
     assert f'dependencies = ["joulebus=={version}"]' in (HERE / "lab/pyproject.toml").read_text()
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()

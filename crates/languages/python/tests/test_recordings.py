@@ -10,7 +10,7 @@ import warnings
 import joulebus
 import numpy as np
 import pytest
-from conftest import bits
+from conftest import ROOT, bits
 from test_live import ROBOTS, Source, next_frame
 from worker import PATIENCE_S, Fleet, until
 
@@ -62,6 +62,17 @@ def test_a_capture_is_read_with_the_bits_that_a_planner_saw(capture):
         rows = found["tick"] == tick
         for name in joulebus.FORECAST.names:
             assert found[name][rows].tobytes() == seen[tick][name].tobytes(), (tick, name)
+
+
+def test_the_lines_of_the_document_make_of_it_what_rerun_plots(capture, tmp_path, monkeypatch):
+    # It is large: tested where it is installed.
+    pytest.importorskip("rerun")
+    page = (ROOT / "docs/python.md").read_text()
+    lines = page.split("<!-- Rerun -->")[1].split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.mcap").symlink_to(capture[0])
+    exec(compile(lines, "docs/python.md", "exec"), {})
+    assert (tmp_path / "run.rrd").stat().st_size > 4096
 
 
 def test_every_topic_has_the_rows_that_the_program_counts(capture, run):

@@ -2,7 +2,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import warnings
 
 import gymnasium
 import joulebus
@@ -43,29 +45,77 @@ def test_it_has_the_interface_of_gymnasium():
     envs.close()
 
 
-class Single(gymnasium.Env):
-    """One environment of the vector, for the checker of single ones."""
-
-    def __init__(self) -> None:
-        self.envs = joulebus.EnergyVectorEnv(1, robots=2, battery_j=20.0, max_steps=100)
-        self.observation_space, self.action_space = self.envs.single_observation_space, self.envs.single_action_space
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        if seed is None:
-            seed = int(self.np_random.integers(1 << 31))
-        observations, _ = self.envs.reset(seed=seed)
-        return observations[0], {}
-
-    def step(self, action):
-        observations, rewards, terminated, truncated, _ = self.envs.step(action[None])
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), {}
-
-
-def test_the_checker_of_gymnasium_finds_nothing():
+@pytest.mark.parametrize("robots", [None, 2])
+def test_the_checker_of_gymnasium_finds_nothing(robots):
     from gymnasium.utils.env_checker import check_env
 
-    check_env(Single(), skip_render_check=True)
+    env = gymnasium.make("joulebus/Energy-v0", robots=robots, battery_j=20.0, max_steps=100)
+    assert isinstance(env.unwrapped, joulebus.EnergyEnv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Actions are in m/s and rad/s; it recommends -1 to 1.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_one_robot_and_many_of_them_are_made_by_name():
+    env = gymnasium.make("joulebus/Energy-v0", battery_j=1.0)
+    observation, infos = env.reset(seed=3)
+    assert observation.shape == (8,) and env.action_space.shape == (2,) and infos["soc"] == 1.0
+    assert np.array_equal(env.reset(seed=3)[0], observation) and not np.array_equal(env.reset()[0], observation)
+    ended = next(step for step in range(100) if any(env.step(np.float32([0.1, 0.0]))[2:4]))
+    assert 5 < ended < 20
+    envs = gymnasium.make_vec("joulebus/Energy-v0", num_envs=3)
+    assert isinstance(envs, joulebus.EnergyVectorEnv)
+    observations, _ = envs.reset(seed=2)
+    assert observations.shape == (3, 8) and envs.step(envs.action_space.sample())[1].shape == (3,)
+    assert gymnasium.make_vec("joulebus/Energy-v0", num_envs=3, robots=2).reset()[0].shape == (3, 2, 8)
+    # Also where each is a process of its own.
+    pooled = gymnasium.make_vec("joulebus/Energy-v0", num_envs=2, vectorization_mode="sync")
+    assert pooled.reset(seed=2)[0].shape == (2, 8)
+    with pytest.raises(ValueError, match="allowed is None"):
+        joulebus.EnergyEnv(render_mode="human")
+
+
+@pytest.mark.parametrize("order", ["gymnasium, joulebus", "joulebus, gymnasium"])
+def test_the_name_is_known_in_either_order_of_imports(order):
+    code = f"import {order}; print(gymnasium.make('joulebus/Energy-v0').observation_space.shape)"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "(8,)\n"
+
+
+def test_without_gymnasium_the_package_is_imported_and_says_what_is_missing():
+    code = "import sys; sys.modules['gymnasium'] = None; import joulebus; print(joulebus.Predictor().reads, flush=True); joulebus.EnergyEnv"
+    told = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert told.stdout == "full\n" and "pip install gymnasium" in told.stderr
+
+
+def test_what_needs_other_packages_is_listed():
+    names = {"EnergyEnv", "EnergyJaxEnv", "EnergyParallelEnv", "EnergyRobotarium", "EnergyVectorEnv", "OnlineForecaster"}
+    assert names <= set(dir(joulebus))
+
+
+def test_pettingzoo_s_test_finds_nothing():
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(joulebus.EnergyParallelEnv(3, battery_j=5.0, max_steps=60), num_cycles=200)
+        parallel_seed_test(lambda: joulebus.EnergyParallelEnv(2, battery_j=5.0, max_steps=60))
+
+
+def test_agents_are_the_robots_of_an_arena():
+    arguments = {"battery_j": 5.0, "chargers": [[0.0], [0.0]], "charger_radius": 0.5}
+    envs, env = joulebus.EnergyVectorEnv(1, robots=2, **arguments), joulebus.EnergyParallelEnv(2, **arguments)
+    first, _ = envs.reset(seed=4)
+    observations, infos = env.reset(seed=4)
+    assert env.agents == ["robot_0", "robot_1"] and np.array_equal(np.stack(list(observations.values())), first[0])
+    for _ in range(30):
+        found, rewards, _, _, more = envs.step(np.float32([[[0.1, 0.5], [0.0, 0.0]]]))
+        observations, each, terminated, truncated, infos = env.step({"robot_0": np.float32([0.1, 0.5])})
+        assert np.array_equal(np.stack(list(observations.values())), found[0])
+        assert sum(each.values()) == pytest.approx(rewards[0]) and infos["robot_1"]["energy_j"] == more["energy_j"][0, 1]
+    with pytest.raises(ValueError, match="no agent 'robot_2', allowed are robot_0, robot_1"):
+        env.step({"robot_2": [0.0, 0.0]})
 
 
 def test_the_same_seed_gives_the_same_run_alone_and_among_others():

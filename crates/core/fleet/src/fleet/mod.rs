@@ -2,6 +2,7 @@
 
 mod intake;
 mod membership;
+pub(crate) mod online_forecasts;
 mod snapshot;
 
 use std::sync::atomic::AtomicU64;

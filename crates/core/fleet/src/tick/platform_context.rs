@@ -84,8 +84,8 @@ impl PlatformContext {
 /// amplify, forecasts stay bounded.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PossiblePower {
-    min_w: f32,
-    max_w: f32,
+    pub min_w: f32,
+    pub max_w: f32,
 }
 
 impl PossiblePower {

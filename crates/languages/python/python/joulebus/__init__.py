@@ -22,11 +22,15 @@
     made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
     params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
 
+    forecaster = joulebus.OnlineForecaster(model)            # learns from each robot's readings; needs scikit-learn
+    env = gymnasium.make("joulebus/Energy-v0")               # for learning: gymnasium, PettingZoo, JAX
+
 Captures, trials, training and what follows from it need the lab: ``pip install 'joulebus[lab]'``.
 
 Numbers are the bits that joulebus itself computes. Everything that is refused is an exception whose message
 says what was found, what is allowed and what to do.
 """
+import importlib as _importlib
 import sys as _sys
 
 try:
@@ -104,14 +108,33 @@ __all__ = [
 ]
 
 
+#: What needs another package, which is imported only where it is used: the Robotarium's simulator, gymnasium, pettingzoo, jax,
+#: scikit-learn.
+_OPTIONAL = {
+    "EnergyEnv": "vector_env",
+    "EnergyJaxEnv": "jax_env",
+    "EnergyParallelEnv": "parallel_env",
+    "EnergyRobotarium": "robotarium",
+    "EnergyVectorEnv": "vector_env",
+    "OnlineConformal": "online",
+    "OnlineForecaster": "online",
+}
+
+
 def __getattr__(name: str) -> object:
-    # Need the Robotarium's simulator, and gymnasium, which are imported only where they are used.
-    if name == "EnergyRobotarium":
-        from .robotarium import EnergyRobotarium
-
-        return EnergyRobotarium
-    if name == "EnergyVectorEnv":
-        from .vector_env import EnergyVectorEnv
-
-        return EnergyVectorEnv
+    if name in _OPTIONAL:
+        return getattr(_importlib.import_module(f".{_OPTIONAL[name]}", __name__), name)
     raise AttributeError(f"module 'joulebus' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_OPTIONAL})
+
+
+try:
+    from .registration import register as _register
+
+    _register()
+except ImportError:
+    # No gymnasium, or one that cannot be imported: what needs it says so.
+    pass

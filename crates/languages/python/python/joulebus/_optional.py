@@ -12,7 +12,7 @@ def needed(package: str, what: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        top = package.partition(".")[0]
+        top = package.partition(".")[0].replace("sklearn", "scikit-learn")
         raise ImportError(f"{what} need {top}, which cannot be imported ({error}): pip install {top}") from error
 
 

@@ -109,6 +109,10 @@ class Predictor(_native.Predictor):
 
         return Tags(estimator_type="regressor", target_tags=TargetTags(required=True), regressor_tags=RegressorTags())
 
+    def __sklearn_is_fitted__(self) -> bool:
+        # It has a model from the beginning.
+        return True
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.get_params(), self.to_bytes(), getattr(self, "epochs_", None))
 

@@ -1,6 +1,11 @@
-"""A vectorised environment of gymnasium whose rewards have the energy in them.
+"""Environments of gymnasium whose rewards have the energy in them.
 
-    from joulebus import EnergyVectorEnv       # needs gymnasium
+    import gymnasium
+
+    env = gymnasium.make("joulebus/Energy-v0")                       # `EnergyEnv`: one robot
+    envs = gymnasium.make_vec("joulebus/Energy-v0", num_envs=64)     # `EnergyVectorEnv`: 64 of them
+
+    from joulebus import EnergyVectorEnv
 
     envs = EnergyVectorEnv(64, robots=2, chargers=[[0.0], [0.0]], energy_weight=0.05)
     observations, infos = envs.reset(seed=7)
@@ -38,6 +43,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
     model's open-loop forecast for the velocities that the robots really had. A robot with an empty battery stands still
     and draws nothing until it has been charged. Walls stop robots; robots do not collide.
 
+    robots:          in each arena; None is one robot, without the axis of robots in all arrays
     battery_j, initial_soc: one number, or one for each robot of an arena
     chargers:        positions ``(2, chargers)``, m, the same in every arena
     charge_power_w, charger_radius: W, m
@@ -63,7 +69,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         self,
         num_envs: int = 1,
         *,
-        robots: int = 1,
+        robots: int | None = 1,
         battery_j: Any = 200.0,
         initial_soc: Any = 1.0,
         chargers: Any = None,
@@ -76,6 +82,8 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         energy_weight: float = 0.05,
         model: Any = "builtin:gternal-sim",
     ) -> None:
+        axis = () if robots is None else (robots,)
+        robots = 1 if robots is None else robots
         for name, count in [("num_envs", num_envs), ("robots", robots), ("max_steps", max_steps)]:
             if not count >= 1:
                 raise ValueError(f"{name} is {count}, allowed are 1 or more")
@@ -84,6 +92,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
             if not 0.0 < number < np.inf:
                 raise ValueError(f"{name} is {number}, allowed are finite numbers above 0")
         self.num_envs, self.robots, self.max_steps = num_envs, robots, max_steps
+        self._axis = axis
         self._goal_radius, self._goal_reward = goal_radius, goal_reward
         self._progress_weight, self._energy_weight = progress_weight, energy_weight
         self._capacity_j = _each("battery_j", battery_j, robots)
@@ -101,15 +110,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
             float(charger_radius),
             num_envs,
         )
-        limits = np.array([V_MAX_MPS, OMEGA_MAX_RADPS], np.float32)
-        self.single_action_space = gymnasium.spaces.Box(
-            np.tile(-limits, (robots, 1)), np.tile(limits, (robots, 1)), dtype=np.float32
-        )
-        x0, x1, y0, y1 = ARENA_M
-        low, high = [x0, y0, -1.0, -1.0, x0, y0, 0.0, 0.0], [x1, y1, 1.0, 1.0, x1, y1, 1.0, POWER_MAX_W]
-        self.single_observation_space = gymnasium.spaces.Box(
-            np.tile(np.float32(low), (robots, 1)), np.tile(np.float32(high), (robots, 1)), dtype=np.float32
-        )
+        self.single_observation_space, self.single_action_space = _spaces(axis)
         batched = _vector.utils.batch_space
         self.action_space = batched(self.single_action_space, num_envs)
         self.observation_space = batched(self.single_observation_space, num_envs)
@@ -140,25 +141,29 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One step of 33 ms in every arena; those whose episode has ended are reset instead."""
+        rewards, step_j, terminated, truncated = self._advance(actions)
+        return self._observations(), rewards.sum(axis=1), terminated, truncated, self._infos(step_j)
+
+    def _advance(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A step: rewards and energies of each robot, and which arenas have terminated or were truncated."""
         wanted = np.asarray(actions, np.float64)
-        allowed = (self.num_envs, self.robots, 2)
+        allowed = (self.num_envs, *self._axis, 2)
         if wanted.shape != allowed or not np.isfinite(wanted).all():
             raise ValueError(f"actions have shape {wanted.shape}, allowed: {allowed}, finite, in m/s and rad/s")
+        wanted = wanted.reshape(self.num_envs, self.robots, 2)
         again = self._ended.copy()
         v, omega = _limited(wanted[..., 0], wanted[..., 1])
         stands = self._batteries.empty().reshape(self._drawn_j.shape) | again[:, None]
         v[stands] = omega[stands] = 0.0
         before_m = self._distance_m()
-        self._move(v, omega)
+        self._poses[:] = _moved(self._poses, v, omega, np)
         flat = (-1, self.num_envs * self.robots)
         self._batteries.step(np.stack([v, omega]).reshape(flat), self._poses.reshape(flat))
         drawn_j = self._batteries.drawn_j().reshape(self._drawn_j.shape)
         step_j, self._drawn_j = drawn_j - self._drawn_j, drawn_j
         after_m = self._distance_m()
         reached = after_m <= self._goal_radius
-        rewards = (
-            self._progress_weight * (before_m - after_m) + self._goal_reward * reached - self._energy_weight * step_j
-        ).sum(axis=1)
+        rewards = self._progress_weight * (before_m - after_m) + self._goal_reward * reached - self._energy_weight * step_j
         self._steps += 1
         self._reached += reached
         for at, robot in np.argwhere(reached & ~again[:, None]):
@@ -171,7 +176,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         terminated[again] = truncated[again] = False
         rewards[again], step_j[again] = 0.0, 0.0
         self._ended = terminated | truncated
-        return self._observations(), rewards, terminated, truncated, self._infos(step_j)
+        return rewards, step_j, terminated, truncated
 
     def _begin(self, at: int) -> None:
         for robot in range(self.robots):
@@ -186,17 +191,6 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         x0, x1, y0, y1 = ARENA_M
         return self._noise[at].uniform([x0 + MARGIN_M, y0 + MARGIN_M], [x1 - MARGIN_M, y1 - MARGIN_M])
 
-    def _move(self, v: np.ndarray, omega: np.ndarray) -> None:
-        x, y, theta = self._poses
-        x0, x1, y0, y1 = ARENA_M
-        # In the order of the Robotarium's simulator.
-        x += STEP_S * v * np.cos(theta)
-        y += STEP_S * v * np.sin(theta)
-        theta += STEP_S * omega
-        theta[:] = np.arctan2(np.sin(theta), np.cos(theta))
-        np.clip(x, x0, x1, out=x)
-        np.clip(y, y0, y1, out=y)
-
     def _distance_m(self) -> np.ndarray:
         return np.hypot(*(self._poses[:2] - self._goals))
 
@@ -205,7 +199,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         soc, power_w = self._batteries.soc().reshape(shape), self._batteries.power_w().reshape(shape)
         theta = self._poses[2]
         columns = [*self._poses[:2], np.cos(theta), np.sin(theta), *self._goals, soc, np.clip(power_w, 0.0, POWER_MAX_W)]
-        return np.stack(columns, axis=-1).astype(np.float32)
+        return np.stack(columns, axis=-1).astype(np.float32).reshape(self.num_envs, *self._axis, 8)
 
     def _infos(self, step_j: np.ndarray) -> dict[str, Any]:
         shape = self._drawn_j.shape
@@ -217,16 +211,73 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
             "charging": self._batteries.charging().reshape(shape),
             "goals": self._reached.copy(),
         }
+        found = {name: values.reshape(self.num_envs, *self._axis) for name, values in found.items()}
         # As gymnasium marks them: each is there for every environment.
         return found | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in found}
 
 
-def _limited(v: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the wheels can do of it."""
+class EnergyEnv(gymnasium.Env):  # type: ignore[misc, name-defined]
+    """One arena of `EnergyVectorEnv`, with its arguments: by default one robot, as ``joulebus/Energy-v0``.
+
+    Actions are ``(2,)``, observations ``(8,)``, and each of ``infos`` one number; with ``robots=3`` actions are ``(3, 2)``,
+    observations ``(3, 8)``, and each of ``infos`` has three.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(self, *, robots: int | None = None, render_mode: None = None, **arguments: Any) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode is {render_mode!r}, allowed is None: nothing is drawn")
+        self._envs = EnergyVectorEnv(1, robots=robots, **arguments)
+        self.action_space = self._envs.single_action_space
+        self.observation_space = self._envs.single_observation_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins an episode; the same `seed` gives the same one."""
+        super().reset(seed=seed)
+        observations, infos = self._envs.reset(seed=int(self.np_random.integers(1 << 31)))
+        return observations[0], _first(infos)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One step of 33 ms."""
+        observations, rewards, terminated, truncated, infos = self._envs.step(np.asarray(action)[None])
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
+
+
+def _first(infos: dict[str, Any]) -> dict[str, Any]:
+    """Those of the first environment, without gymnasium's marks."""
+    return {name: values[0] for name, values in infos.items() if not name.startswith("_")}
+
+
+def _spaces(axis: tuple[int, ...]) -> tuple[Any, Any]:
+    """Of observations and of actions, for each robot."""
+
+    def box(low: list[float], high: list[float]) -> Any:
+        ends = (np.broadcast_to(np.float32(end), (*axis, len(low))).copy() for end in (low, high))
+        return gymnasium.spaces.Box(*ends, dtype=np.float32)
+
+    x0, x1, y0, y1 = ARENA_M
+    observations = box([x0, y0, -1.0, -1.0, x0, y0, 0.0, 0.0], [x1, y1, 1.0, 1.0, x1, y1, 1.0, POWER_MAX_W])
+    return observations, box([-V_MAX_MPS, -OMEGA_MAX_RADPS], [V_MAX_MPS, OMEGA_MAX_RADPS])
+
+
+def _limited(v: Any, omega: Any, xp: Any = np) -> tuple[Any, Any]:
+    """What the wheels can do of it; `xp` is the module that computes, numpy or jax.numpy."""
     half = 0.5 * BASE_LENGTH_M * omega
-    left = np.clip((v - half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)
-    right = np.clip((v + half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)
+    left = xp.clip((v - half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)
+    right = xp.clip((v + half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)
     return 0.5 * WHEEL_RADIUS_M * (left + right), WHEEL_RADIUS_M / BASE_LENGTH_M * (right - left)
+
+
+def _moved(poses: Any, v: Any, omega: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """The poses after a step, in the order of the Robotarium's simulator; walls stop robots."""
+    x, y, theta = poses
+    x0, x1, y0, y1 = ARENA_M
+    turned = theta + STEP_S * omega
+    moved_x, moved_y = x + STEP_S * v * xp.cos(theta), y + STEP_S * v * xp.sin(theta)
+    return xp.clip(moved_x, x0, x1), xp.clip(moved_y, y0, y1), xp.arctan2(xp.sin(turned), xp.cos(turned))
 
 
 def _each(name: str, given: Any, robots: int, most: float = np.inf) -> np.ndarray:
