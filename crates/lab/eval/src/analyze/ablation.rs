@@ -91,7 +91,7 @@ pub(super) fn ablation(
     for terms in wanted {
         match moments.fit(terms) {
             Ok(line) => {
-                forecasters.push(Forecaster { name: terms.to_string(), of: Of::Line(line) })
+                forecasters.push(Forecaster { name: terms.to_string(), of: Of::Line(line) });
             }
             Err(error) => skipped.push(format!("{terms}: {error}")),
         }
