@@ -163,7 +163,8 @@ impl Rows {
                 energy_j: energy.metered.energy_j,
                 command_j: energy.metered.command_j,
                 time_s: energy.metered.time_s,
-                error_factor: energy.learned.error_factor,
+                error_lower: energy.bounds.lower,
+                error_upper: energy.bounds.upper,
                 command_trust: energy.learned.command_trust,
                 ..PlanState::default()
             },

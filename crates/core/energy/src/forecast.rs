@@ -166,7 +166,7 @@ impl EnergyModel {
     /// The energy of the plan that a sum is of; `state`: that which the sum began with.
     pub fn forecast_of(&self, state: &EnergyState, sum: &CommandSum) -> EnergyForecast {
         let duration_s = sum.duration_s();
-        let level = state.level(self, duration_s);
+        let (level, changed) = state.level(self, duration_s);
         let command_j = sum.power_w * f64::from(sum.period_s);
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
@@ -177,8 +177,10 @@ impl EnergyModel {
             duration_s,
             steps_outside: sum.steps_outside,
             errors_j: known.then(|| {
-                let scale_j = self.scale_j(energy_j, duration_s) * state.error_factor(duration_s);
-                self.errors_at(duration_s).map(|error| error * scale_j)
+                let (middle, half) = state.bounds_at(duration_s);
+                let errors = self.errors_within(duration_s, middle, (1.0 + changed) * half);
+                let scale_j = self.scale_j(energy_j, duration_s);
+                errors.map(|error| error * scale_j)
             }),
         }
     }
@@ -226,7 +228,7 @@ impl EnergyModel {
     }
 
     fn level(&self, state: &EnergyState, plan: &Commands<'_>) -> Level {
-        state.level(self, plan.duration_s())
+        state.level(self, plan.duration_s()).0
     }
 
     /// Whether the training data has no such motion: a velocity, or a change of one, beyond its

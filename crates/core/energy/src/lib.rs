@@ -7,6 +7,7 @@
 //!   [`EnergyState::observe`] with every sample.
 //! - [`EnergyModel`] is what is known of a platform: the power of a command, how far to trust which
 //!   mean at which horizon, and how large the errors were on held-out recordings.
+//! - [`Calibration`] is what all robots of a platform have shown of the model's errors since.
 //! - [`EnergyModel::forecast`] gives the energy of [`Commands`] as an [`EnergyForecast`].
 //!
 //! **The forecast.** A robot's *level* is its power over the last seconds relative to what the
@@ -15,6 +16,7 @@
 //! platform's while little was read, are weighted; weights depend on the horizon.
 #![forbid(unsafe_code)]
 
+mod calibration;
 mod command;
 mod forecast;
 mod levels;
@@ -22,6 +24,7 @@ mod model;
 mod quantiles;
 mod state;
 
+pub use calibration::{CLASSES, Calibration, ErrorBounds, ErrorCounts};
 pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use levels::{LEVELS, LEVELS_S};

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::command::{COMBINED_TERMS, CommandModel};
 use crate::levels::LEVELS;
-use crate::quantiles::KNOTS;
+use crate::quantiles::{self, KNOTS};
 
 /// Number of horizons at which weights and errors are known.
 const HORIZONS: usize = 6;
@@ -205,6 +205,16 @@ impl EnergyModel {
         const MIN: f32 = 1e-3;
         let errors = self.errors_at(horizon_s);
         ((errors[7] - errors[1]) / 3.29).max(MIN)
+    }
+
+    /// Quantiles of the error at a horizon, moved and stretched so that the 90 % interval has this
+    /// middle and half width, in units of the trained one.
+    pub(crate) fn errors_within(&self, horizon_s: f32, middle: f32, half: f32) -> [f32; KNOTS] {
+        let errors = self.errors_at(horizon_s);
+        let (trained_middle, trained_half) = quantiles::middle_and_half(&errors);
+        // The trained interval has the trained bits.
+        let moved = trained_half * middle;
+        errors.map(|error| error + moved + (half - 1.0) * (error - trained_middle))
     }
 
     /// Quantiles of the error at a horizon, linear between the known ones.

@@ -10,6 +10,11 @@ pub const KNOTS: usize = 9;
 /// Probabilities of the stored quantiles, ascending and symmetric.
 pub const QUANTILES: [f32; KNOTS] = [0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99];
 
+/// Middle and half width of the 90 % interval.
+pub(crate) fn middle_and_half(values: &[f32; KNOTS]) -> (f32, f32) {
+    (0.5 * (values[1] + values[7]), 0.5 * (values[7] - values[1]))
+}
+
 /// ln(p / (1 − p)): quantiles are interpolated over it, and extrapolated beyond the outer ones.
 fn logit(p: f64) -> f64 {
     log(p / (1.0 - p))

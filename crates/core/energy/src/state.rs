@@ -5,9 +5,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::{ErrorBounds, class_of};
 use crate::command::Motion;
 use crate::levels::{LEVELS, LEVELS_S, Level, Parts};
-use crate::model::EnergyModel;
+use crate::model::{EnergyModel, HORIZONS_S};
+use crate::quantiles;
 
 /// Number of horizons at which a robot's own errors are watched.
 pub const SHADOWS: usize = 3;
@@ -16,7 +18,7 @@ pub const SHADOWS: usize = 3;
 pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
 
 /// Time before the first shadow forecast, s, because the first readings are not representative.
-const SETTLE_S: f32 = 1.0;
+const SETTLE_S: f32 = 0.75;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
 /// Share of errors outside the interval that the factor of a robot's errors aims at.
@@ -47,6 +49,8 @@ pub struct EnergyState {
     pub metered: Metered,
     /// The part that changes when a shadow forecast has ended.
     pub learned: Learned,
+    /// Bounds of the robot's intervals: those of its platform, widened by its own factors.
+    pub bounds: ErrorBounds,
 }
 
 /// Sums that every sample adds to, and the command in force.
@@ -87,7 +91,7 @@ pub struct Learned {
     pub shadow_added_w: [f32; SHADOWS],
     /// Power that each shadow forecast would expect for any commands, W.
     pub shadow_mean_w: [f32; SHADOWS],
-    /// Factor of the errors at these horizons.
+    /// Factor of the width of the platform's intervals at these horizons.
     pub error_factor: [f32; SHADOWS],
     /// How far the commands explain this robot's power: 1 as far as the platform's, 0 not at all.
     pub command_trust: f32,
@@ -312,6 +316,7 @@ impl EnergyState {
                 shadow_s: [DUE_S - waits_s; SHADOWS],
             },
             learned: Learned::new(),
+            bounds: ErrorBounds::TRAINED,
         }
     }
 
@@ -320,25 +325,41 @@ impl EnergyState {
         (self.metered.v_mps, self.metered.omega_radps)
     }
 
-    /// Takes a sample.
+    /// Takes a sample of a robot that is alone on its platform.
     pub fn observe(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        self.observe_among(model, &ErrorBounds::TRAINED, sample);
+    }
+
+    /// Takes a sample of a robot whose platform's intervals have these bounds. Returns the classes
+    /// of its new errors for [`crate::Calibration::add`].
+    pub fn observe_among(
+        &mut self,
+        model: &EnergyModel,
+        platform: &ErrorBounds,
+        sample: &EnergySample,
+    ) -> [Option<u8>; SHADOWS] {
         self.metered.advance(model, sample);
-        if self.metered.has_ended() {
-            self.compare(model);
-        }
+        let ended = self.metered.has_ended();
+        if ended { self.compare(model, platform) } else { [None; SHADOWS] }
     }
 
     /// Compares the shadow forecasts that have ended with the measured energy, and makes the next
-    /// ones. It follows [`Metered::advance`] if one [has ended](Metered::has_ended).
-    pub fn compare(&mut self, model: &EnergyModel) {
+    /// ones. It follows [`Metered::advance`] if one [has ended](Metered::has_ended). Returns the
+    /// classes of the errors.
+    pub fn compare(
+        &mut self,
+        model: &EnergyModel,
+        platform: &ErrorBounds,
+    ) -> [Option<u8>; SHADOWS] {
+        let mut classes = [None; SHADOWS];
         for shadow in 0..SHADOWS {
             if !self.metered.is_over(shadow) {
                 continue;
             }
             if self.metered.shadow_s[shadow] >= SHADOWS_S[shadow] {
-                self.learn(model, shadow);
+                classes[shadow] = self.learn(model, platform, shadow);
             }
-            let parts = self.parts(model, SHADOWS_S[shadow]);
+            let (parts, _) = self.parts(model, SHADOWS_S[shadow]);
             self.learned.shadow_factor[shadow] = parts.factor;
             self.learned.shadow_added_w[shadow] = parts.added_w;
             self.learned.shadow_mean_w[shadow] = parts.mean_w;
@@ -346,48 +367,58 @@ impl EnergyState {
             self.metered.shadow_command_j[shadow] = 0.0;
             self.metered.shadow_s[shadow] = 0.0;
         }
+        self.bounds = platform.scaled(&self.learned.error_factor);
+        classes
     }
 
     /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval, and the
-    /// trust in commands.
-    fn learn(&mut self, model: &EnergyModel, shadow: usize) {
+    /// trust in commands. Returns the class of the error, if it has one.
+    fn learn(&mut self, model: &EnergyModel, platform: &ErrorBounds, shadow: usize) -> Option<u8> {
         /// Change of the factor per error.
-        const STEP: f32 = 0.2;
+        const STEP: f32 = 0.1;
         let (metered, learned) = (&self.metered, &mut self.learned);
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
         let parts = learned.parts(shadow);
         let forecast_j = parts.level(learned.command_trust).energy_j(command_j, duration_s);
-        let scale_j = model.scale_j(forecast_j, duration_s) * learned.error_factor[shadow];
-        let error_j = measured_j - forecast_j;
-        let errors = model.errors_at(SHADOWS_S[shadow]);
-        let inside = errors[1] * scale_j <= error_j && error_j <= errors[7] * scale_j;
-        let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
-        let factor = learned.error_factor[shadow] * (1.0 + change);
-        learned.error_factor[shadow] = factor.clamp(FACTOR[0], FACTOR[1]);
         let mean_j = model.command.mean_w * duration_s;
         learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
+        let relative = (measured_j - forecast_j) / model.scale_j(forecast_j, duration_s);
+        let (middle, half) = quantiles::middle_and_half(&model.errors_at(SHADOWS_S[shadow]));
+        let error = (relative - middle) / half;
+        if !error.is_finite() {
+            return None;
+        }
+        let (middle, half) = platform.middle_and_half(shadow);
+        let factor = &mut learned.error_factor[shadow];
+        let inside = (error - middle).abs() <= *factor * half;
+        let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
+        *factor = (*factor * (1.0 + change)).clamp(FACTOR[0], FACTOR[1]);
+        Some(class_of(error))
     }
 
-    /// Factor of the errors at a horizon, linear between the watched ones and constant beyond.
-    pub(crate) fn error_factor(&self, horizon_s: f32) -> f32 {
+    /// Middle and half width of the robot's interval at a horizon, linear between the watched ones
+    /// and constant beyond.
+    pub(crate) fn bounds_at(&self, horizon_s: f32) -> (f32, f32) {
         let last = SHADOWS - 2;
         let segment = (0..last).find(|index| horizon_s < SHADOWS_S[index + 1]).unwrap_or(last);
         let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
         let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
-        let factors = &self.learned.error_factor;
-        let (from, to) = (factors[segment], factors[segment + 1]);
-        from + share * (to - from)
+        let (from, to) =
+            (self.bounds.middle_and_half(segment), self.bounds.middle_and_half(segment + 1));
+        (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1))
     }
 
-    /// The robot's level over a horizon: its levels, weighted.
-    pub(crate) fn level(&self, model: &EnergyModel, horizon_s: f32) -> Level {
-        let parts = self.parts(model, horizon_s);
-        parts.level(self.learned.command_trust)
+    /// The robot's level over a horizon: its levels, weighted. With it, the share of the weights
+    /// that the newest readings have taken from older ones.
+    pub(crate) fn level(&self, model: &EnergyModel, horizon_s: f32) -> (Level, f32) {
+        let (parts, changed) = self.parts(model, horizon_s);
+        (parts.level(self.learned.command_trust), changed)
     }
 
-    fn parts(&self, model: &EnergyModel, horizon_s: f32) -> Parts {
-        let (weights, added_share) = model.weights_at(horizon_s);
+    fn parts(&self, model: &EnergyModel, horizon_s: f32) -> (Parts, f32) {
+        let (mut weights, added_share) = model.weights_at(horizon_s);
+        let changed = self.forget(model, &mut weights);
         let (spread, mean_w) = (model.spread_at(horizon_s), model.command.mean_w);
         let mut parts = Parts::default();
         for level in 0..LEVELS {
@@ -407,7 +438,46 @@ impl EnergyState {
             parts.added_w += weight * (added_share * above_j / time_s);
             parts.mean_w += weight * (mean_w + shrunk * (energy_j / time_s - mean_w));
         }
-        parts
+        (parts, changed)
+    }
+
+    /// Takes weight from levels that the newest readings contradict: the floor, the load or the
+    /// robot has changed since. Returns the share that was taken.
+    ///
+    /// A level is compared with each of the two shortest ones that is shorter. The difference of
+    /// what they draw beyond their commands counts in deviations of the errors at about that
+    /// horizon.
+    fn forget(&self, model: &EnergyModel, weights: &mut [f32; LEVELS]) -> f32 {
+        /// Deviations by which a level loses half of its weight.
+        const HALF: f32 = 2.0;
+        /// Least power that a deviation is of, as a share of the platform's mean.
+        const MIN: f32 = 0.02;
+        let metered = &self.metered;
+        let per_s = |level: usize, joules: f32| joules / metered.time_s[level];
+        let above_w =
+            |level: usize| per_s(level, metered.energy_j[level] - metered.command_j[level]);
+        let power_w = |level: usize| per_s(level, metered.energy_j[level]).abs();
+        let is_known = |level: usize| metered.time_s[level] > 0.0 && metered.command_j[level] > 0.0;
+        let mut kept = weights[0];
+        for level in 1..LEVELS {
+            let mut contradiction = 0.0;
+            for newer in (0..level.min(2)).filter(|newer| is_known(*newer) && is_known(level)) {
+                let size_w = (power_w(newer) + power_w(level)).max(MIN * model.command.mean_w);
+                let deviation_w = 0.5 * HALF * size_w * model.spread_at(HORIZONS_S[newer]);
+                let deviations = (above_w(newer) - above_w(level)) / deviation_w;
+                let square = deviations * deviations;
+                contradiction += square * square;
+            }
+            weights[level] /= 1.0 + contradiction;
+            kept += weights[level];
+        }
+        // Without the shortest level, which is never contradicted, nothing may be left.
+        if !(kept > f32::MIN_POSITIVE && kept.is_finite()) {
+            *weights = [1.0, 0.0, 0.0, 0.0];
+            return 1.0;
+        }
+        weights.iter_mut().for_each(|weight| *weight /= kept);
+        (1.0 - kept).clamp(0.0, 1.0)
     }
 }
 

@@ -1,8 +1,8 @@
 //! Forecasts against a slow reference that keeps every reading, and their promises.
 
 use joulebus_energy::{
-    CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, KNOTS,
-    LEVELS, LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
+    CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
+    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
 
@@ -144,6 +144,33 @@ impl Reference<'_> {
         count
     }
 
+    /// Weights of the levels. A level loses weight to those that the newest readings support.
+    fn weights(&self, horizon_s: f64) -> [f64; LEVELS] {
+        let sums = LEVELS_S.map(|level_s| self.sums(level_s.into()));
+        let mean_w = f64::from(self.model.command.mean_w);
+        let mut weights: [f64; LEVELS] = std::array::from_fn(|index| {
+            Self::at(horizon_s, |place| self.model.weights[place][index].into())
+        });
+        for level in 1..LEVELS {
+            let mut contradiction = 0.0;
+            for newer in 0..level.min(2) {
+                let ([old_j, old_command_j, old_s], [new_j, new_command_j, new_s]) =
+                    (sums[level], sums[newer]);
+                if old_s <= 0.0 {
+                    continue;
+                }
+                let errors = self.model.errors[newer];
+                let spread = (f64::from(errors[7] - errors[1]) / 3.29).max(1e-3);
+                let mean = 0.5 * ((new_j / new_s).abs() + (old_j / old_s).abs());
+                let apart_w = (new_j - new_command_j) / new_s - (old_j - old_command_j) / old_s;
+                contradiction += (apart_w / mean.max(0.01 * mean_w) / spread / 2.0).powi(4);
+            }
+            weights[level] /= 1.0 + contradiction;
+        }
+        let kept: f64 = weights.iter().sum();
+        weights.map(|weight| weight / kept)
+    }
+
     fn energy_j(&self, plan: &[(f32, f32)], period_s: f64, trust: f32) -> f64 {
         let duration_s = plan.len() as f64 * period_s;
         let mut before = self.samples.last().map(command);
@@ -153,9 +180,7 @@ impl Reference<'_> {
             command_j += self.command_w(command, before, period_s) * period_s;
             before = Some(command);
         }
-        let weight = |index: usize| -> f64 {
-            Self::at(duration_s, |place| self.model.weights[place][index].into())
-        };
+        let weights = self.weights(duration_s);
         let spread = Self::at(duration_s, |place| {
             let errors = self.model.errors[place];
             f64::from(errors[7] - errors[1]) / 3.29
@@ -179,7 +204,7 @@ impl Reference<'_> {
             let raised = command_j + shrunk * above_w * duration_s;
             let with_commands = (1.0 - added) * scaled + added * raised;
             let without = (mean_w + shrunk * (read_w - mean_w)) * duration_s;
-            energy_j += weight(index) * (trust * with_commands + (1.0 - trust) * without);
+            energy_j += weights[index] * (trust * with_commands + (1.0 - trust) * without);
         }
         energy_j
     }
@@ -392,10 +417,9 @@ proptest! {
 
 #[test]
 fn a_state_is_small_and_has_no_padding() {
-    let floats = Metered::FLOATS + Learned::FLOATS;
-    let size = size_of::<EnergyState>();
-    assert_eq!(size, 4 * floats);
-    assert!(size <= 200, "{size}");
+    let columns = 4 * (Metered::FLOATS + Learned::FLOATS);
+    assert_eq!(size_of::<EnergyState>(), columns + size_of::<ErrorBounds>());
+    assert!(columns <= 156, "{columns}");
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! One robot's answers.
 
-use joulebus_energy::{Commands, EnergyModel, EnergyState, LEVELS, Learned, Metered, SHADOWS};
+use joulebus_energy::{
+    Commands, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
+};
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
@@ -363,11 +365,8 @@ fn energy_state(state: &PlanState) -> EnergyState {
             omega_radps: state.omega_radps,
             ..EnergyState::new(0).metered
         },
-        learned: Learned {
-            error_factor: state.error_factor,
-            command_trust: state.command_trust,
-            ..Learned::new()
-        },
+        learned: Learned { command_trust: state.command_trust, ..Learned::new() },
+        bounds: ErrorBounds { lower: state.error_lower, upper: state.error_upper },
     }
 }
 
@@ -401,7 +400,7 @@ fn unknown(
         && finite(&metered.energy_j)
         && finite(&metered.command_j)
         && finite(&metered.time_s)
-        && finite(&learned.error_factor)
+        && energy.bounds.is_sound()
         && (0.0..=1.0).contains(&learned.command_trust);
     (!known).then_some(Unknown::NoLevel)
 }

@@ -24,12 +24,12 @@ bits! {
 }
 
 rows! {
-    /// What a plan of one robot starts from. 192 bytes.
+    /// What a plan of one robot starts from. 208 bytes.
     ///
     /// While the robot's next sample is overdue, lag window and reading age include `open_steps`
     /// periods that the model bridged with its own forecasts, as the forecast published in the same
     /// tick does.
-    pub struct PlanState: "joulebus.PlanState.v1", 192 {
+    pub struct PlanState: "joulebus.PlanState.v2", 208 {
         /// Id of the robot.
         pub robot: u32,
         /// [`plan_state_flag`] bits.
@@ -105,10 +105,15 @@ rows! {
         pub command_j: [f32; 4],
         /// Discounted time, s; 0 before the first metered reading.
         pub time_s: [f32; 4],
-        /// Factors of the energy's errors at the horizons of `joulebus_energy::SHADOWS_S`.
-        pub error_factor: [f32; 3],
+        /// Lower bounds of the energy's 90 % interval at the horizons of
+        /// `joulebus_energy::SHADOWS_S`, in half widths from the middle of the trained one.
+        pub error_lower: [f32; 3],
+        /// Its upper bounds; −1 and 1 are the trained interval.
+        pub error_upper: [f32; 3],
         /// How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's.
         pub command_trust: f32,
+        /// 0.
+        pub reserved: u32,
     }
 }
 

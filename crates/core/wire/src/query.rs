@@ -18,11 +18,11 @@ use crate::rows;
 /// Number of the rules by which answers about plans are computed: increased with each change by
 /// which the same question of the same tick gets another answer. Captures state it; 1 where they do
 /// not.
-pub const ANSWER_RULES: u32 = 2;
+pub const ANSWER_RULES: u32 = 3;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do
 /// not.
-pub const TICK_RULES: u32 = 2;
+pub const TICK_RULES: u32 = 3;
 
 /// Maximum number of values of a question.
 pub const QUERY_VALUES: usize = 4_096;

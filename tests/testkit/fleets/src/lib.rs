@@ -218,6 +218,14 @@ pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     })
 }
 
+/// Same as [`bits`] without the bounds of the energy's errors, which the robots of a platform learn
+/// together.
+pub fn own_bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
+    let state = fleet.plan_state(place(fleet, robot)?);
+    let own = PlanState { generation: 0, error_lower: [0.0; 3], error_upper: [0.0; 3], ..state };
+    Some(Bits { plan_state: row_bits(&own), ..bits(fleet, robot)? })
+}
+
 /// Place of a robot in the fleet; `None` if it is not there.
 pub fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
     (0..fleet.len()).find(|place| fleet.forecast(*place).robot == robot)

@@ -3,9 +3,10 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_energy::{EnergyModel, EnergySample, EnergyState, Learned, Metered};
+use joulebus_energy::{EnergyModel, EnergySample, EnergyState, ErrorBounds, Learned, Metered};
 use serde::{Deserialize, Serialize};
 
+use crate::estimate::calibration::SharedErrors;
 use crate::layout::lanes::{self, Block, LANES, Lanes, put};
 
 /// The energy states of a block.
@@ -43,6 +44,7 @@ impl Block for EnergyLanes {
         EnergyState {
             metered: self.metered.get(lane),
             learned: Learned::from_array(&std::array::from_fn(|place| self.learned[place][lane])),
+            bounds: ErrorBounds::TRAINED,
         }
     }
 
@@ -79,13 +81,20 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
-    /// Takes the samples of the robots in the mask. Unless they learn, no shadow forecasts are
-    /// made.
+    /// The energy state of the robot in a lane, with the bounds of its intervals.
+    #[inline(always)]
+    pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {
+        let state = self.get(lane);
+        EnergyState { bounds: errors.bounds().scaled(&state.learned.error_factor), ..state }
+    }
+
+    /// Takes the samples of the robots in the mask. Without shared errors they do not learn, and no
+    /// shadow forecasts are made.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
         model: &EnergyModel,
-        learns: bool,
+        errors: Option<&SharedErrors>,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
     ) {
@@ -95,21 +104,21 @@ impl EnergyLanes {
         for lane in 0..LANES {
             let mut metered = copy.get(lane);
             metered.advance(model, &samples.get(lane));
-            ended[lane] = learns & mask[lane] & metered.has_ended();
+            ended[lane] = errors.is_some() & mask[lane] & metered.has_ended();
             copy.set(lane, mask[lane], &metered);
         }
         self.metered = copy;
-        if lanes::any(&ended) {
-            self.compare(model, &ended);
+        if let Some(errors) = errors.filter(|_| lanes::any(&ended)) {
+            self.compare(model, errors, &ended);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn compare(&mut self, model: &EnergyModel, ended: &Lanes<bool>) {
+    fn compare(&mut self, model: &EnergyModel, errors: &SharedErrors, ended: &Lanes<bool>) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
             let mut robot = self.get(lane);
-            robot.compare(model);
+            errors.count(robot.compare(model, errors.bounds()));
             self.set(lane, true, robot);
         }
     }

@@ -1,5 +1,6 @@
 //! Estimates per robot: lag window, intervals, online learning and scores.
 
+pub(crate) mod calibration;
 pub(crate) mod energy;
 pub(crate) mod hedge;
 pub(crate) mod interval;

@@ -139,6 +139,9 @@ impl Fleet {
     pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         self.tick.now_ns = now_ns;
         self.tick.deadline_missed = deadline_missed;
+        for context in &mut self.tick.platforms {
+            context.errors.add_counted();
+        }
         let silent_ns = now_ns.saturating_sub(*self.oldest_ns.get_mut());
         if silent_ns > self.tick.settings.intake.leave_after_ns {
             self.release_departed();
@@ -240,7 +243,9 @@ impl Fleet {
     /// A robot's state for the energy of its plans, if it is in the fleet.
     pub fn energy(&self, robot: u32) -> Option<EnergyState> {
         let slot = self.find(robot)?;
-        Some(lanes::get(&self.columns.energy, slot))
+        let platform = usize::from(self.columns.admissions[slot].platform);
+        let errors = &self.tick.platforms[platform].errors;
+        Some(self.columns.energy[slot / LANES].state(slot % LANES, errors))
     }
 
     /// The energy model of the platform at `index` of the settings. One [without

@@ -33,6 +33,8 @@ impl Fleet {
         state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
         state.refused.clone_from(&self.refused);
+        state.errors.clear();
+        state.errors.extend(self.tick.platforms.iter().map(|context| context.errors.saved()));
     }
 
     /// Continues from `state`, which replaces the whole state of this fleet. It must have been
@@ -56,6 +58,9 @@ impl Fleet {
         self.departed.replace(&state.departed);
         self.sources.replace(&state.sources);
         self.refused.clone_from(&state.refused);
+        for (context, saved) in self.tick.platforms.iter_mut().zip(&state.errors) {
+            context.errors.restore(saved);
+        }
         let counters = state.counters;
         (self.drops, self.accepted) = (counters.drops, counters.accepted);
         (self.reported, self.intake) = (counters.reported as usize, counters.intake);
@@ -96,6 +101,10 @@ impl Fleet {
         let most = self.tick.settings.intake.max_sources;
         at_most("sources", state.sources.len(), most.into())?;
         at_most("robots that have reported", state.counters.reported as usize, slots)?;
+        exactly("platforms' errors", state.errors.len(), self.tick.platforms.len())?;
+        let seen = state.errors.iter().flat_map(|errors| errors.seen.as_flattened());
+        let unsound = seen.filter(|count| !(**count >= 0.0 && **count < 1e9));
+        exactly("unsound counts of errors", unsound.count(), 0)?;
         self.check_slots(state)
     }
 

@@ -3,6 +3,7 @@
 use joulebus_settings::FleetSettings;
 use serde::{Deserialize, Serialize};
 
+use crate::estimate::calibration::SavedErrors;
 use crate::ingest::admission::AdmissionState;
 use crate::ingest::codes::drop_counts;
 use crate::ingest::frame::TickIntake;
@@ -15,11 +16,11 @@ use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x0b";
+const MAGIC: [u8; 8] = *b"jbstate\x0c";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
-/// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of
-/// departed robots, sources, refusals and drops.
+/// windows, ledgers, intervals, scores, detectors, energy states and their errors, online learning,
+/// accounts of departed robots, sources, refusals and drops.
 ///
 /// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
 /// from which it was [taken](crate::Fleet::state).
@@ -35,6 +36,8 @@ pub struct FleetState {
     pub(crate) departed: Vec<Account>,
     pub(crate) sources: Vec<Source>,
     pub(crate) refused: Refused,
+    /// Of each platform.
+    pub(crate) errors: Vec<SavedErrors>,
 }
 
 /// Counters common to all robots.
@@ -146,6 +149,7 @@ impl FleetState {
             ),
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
             refused: Refused::default(),
+            errors: with_capacity(settings.platforms.len(), SavedErrors::default()),
         }
     }
 

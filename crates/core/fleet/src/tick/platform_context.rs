@@ -4,6 +4,7 @@ use joulebus_energy::EnergyModel;
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{AlarmSettings, FleetSettings, Platform};
 
+use crate::estimate::calibration::SharedErrors;
 use crate::estimate::interval::QuantileStep;
 use crate::estimate::online::Members;
 use crate::estimate::window::RequiredInputs;
@@ -32,6 +33,8 @@ pub(crate) struct PlatformContext {
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
+    /// Errors of that energy, of all robots.
+    pub errors: SharedErrors,
 }
 
 /// The allowed range of features.
@@ -57,9 +60,11 @@ impl PlatformContext {
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         let members =
             (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
+        let energy = model.energy_or_untrained(platform.power_max_w);
         Self {
             alarms: settings.alarms.of(&platform),
-            energy: model.energy_or_untrained(platform.power_max_w),
+            errors: SharedErrors::new(&energy),
+            energy,
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),
             per_sigma: 1.0 / sigma_w,
@@ -71,6 +76,12 @@ impl PlatformContext {
             platform,
             model,
         }
+    }
+
+    /// The errors to which the robots' shadow forecasts add; `None` if none are made.
+    #[inline(always)]
+    pub(crate) fn learned_errors(&self) -> Option<&SharedErrors> {
+        self.platform.energy_online.then_some(&self.errors)
     }
 
     /// The range of power that a platform can draw, W.

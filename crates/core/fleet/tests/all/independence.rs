@@ -1,10 +1,11 @@
-//! The output of one robot depends on that robot's samples alone.
+//! The output of one robot depends on that robot's samples alone, except for the bounds of its
+//! energy's errors, which the robots of a platform learn together.
 
 use joulebus_fleet::Fleet;
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{
-    self as world, Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy, place,
-    quality,
+    self as world, Bits, MS, PERIOD_NS, SLOW_NS, Source, fleet, forecast, healthy,
+    own_bits as bits, place, quality,
 };
 use joulebus_wire::{InvalidReason, Quality, Sample, forecast_flag, sample_flag};
 use proptest::prelude::*;

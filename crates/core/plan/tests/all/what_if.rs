@@ -89,15 +89,15 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         assert!(!reason.to_string().is_empty());
     }
     let spoilt = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
-    for (place, value) in (0..16).flat_map(|place| spoilt.map(|value| (place, value))) {
+    for (place, value) in (0..19).flat_map(|place| spoilt.map(|value| (place, value))) {
         let mut rows = fine;
         let state = &mut rows.state;
         let (energy, command) = (&mut state.energy_j, &mut state.command_j);
         let all = energy.iter_mut().chain(command).chain(&mut state.time_s);
-        let all = all.chain(&mut state.error_factor);
+        let all = all.chain(&mut state.error_lower).chain(&mut state.error_upper);
         let trust = std::slice::from_mut(&mut state.command_trust);
         let mut all = all.chain(trust);
-        *all.nth(place).expect("16 numbers") = value;
+        *all.nth(place).expect("19 numbers") = value;
         let answer = straight(&rows.robot(&fleet), 0.1, 300);
         assert_eq!(answer.verdict, Verdict::Unknown(Unknown::NoLevel), "{place}");
     }

@@ -136,8 +136,7 @@ fn observe_energy(
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };
-    let learns = context.platform.energy_online;
-    energy.observe(&context.energy, learns, mask, &samples);
+    energy.observe(&context.energy, context.learned_errors(), mask, &samples);
 }
 
 /// Replaces the last samples of a block by the next.

@@ -67,8 +67,8 @@ pub(crate) fn step(
     let mut energy = columns.energy[block].get(lane);
     let sample = energy_sample(pending, elapsed_s, on_time);
     energy.metered.advance(&context.energy, &sample);
-    if context.platform.energy_online && energy.metered.has_ended() {
-        energy.compare(&context.energy);
+    if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
+        errors.count(energy.compare(&context.energy, errors.bounds()));
     }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);

@@ -29,7 +29,8 @@ impl<'a, 'b> PlanStates<'a, 'b> {
         let admission = &self.block.admissions[lane];
         let start = self.block.windows.get(lane).plan_start();
         let interval = self.block.intervals.get(lane).scale();
-        let energy = self.block.energy.get(lane);
+        let errors = &tick.platforms[usize::from(admission.platform)].errors;
+        let energy = self.block.energy.state(lane, errors);
         let plain = is_read(self.block.lasts.quality(lane).0)
             & start.power_w.is_finite()
             & (start.steps == 0);
@@ -86,8 +87,10 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             energy_j: energy.metered.energy_j,
             command_j: energy.metered.command_j,
             time_s: energy.metered.time_s,
-            error_factor: energy.learned.error_factor,
+            error_lower: energy.bounds.lower,
+            error_upper: energy.bounds.upper,
             command_trust: energy.learned.command_trust,
+            reserved: 0,
         }
     }
 

@@ -23,7 +23,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_forecast(fleet, oracle, *id, member, now_ns)?;
         compare_scores(fleet, *id, member)?;
         compare_learned(fleet, *id, member, &oracle.models[member.context])?;
-        compare_energy(fleet, *id, member)?;
+        compare_energy(fleet, oracle, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
         compare_plan_state(fleet, oracle, *id, member, now_ns)?;
         one_nan(fleet, *id)?;
@@ -74,7 +74,8 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
         plan_state.energy_j[0],
         plan_state.command_j[3],
         plan_state.time_s[1],
-        plan_state.error_factor[2],
+        plan_state.error_lower[2],
+        plan_state.error_upper[0],
         plan_state.command_trust,
     ];
     for value in singles.into_iter().filter(|value| value.is_nan()) {
@@ -171,18 +172,25 @@ fn compare_learned(
 }
 
 /// Robot by robot from the first sample on, the energy states have the bits of the blocks'.
-fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
+fn compare_energy(
+    fleet: &Fleet,
+    oracle: &Oracle,
+    id: u32,
+    member: &Member,
+) -> Result<(), TestCaseError> {
     let robot = &member.robot;
-    // Now and then, as it is recomputed.
-    if !robot.observed.len().is_multiple_of(4) {
-        return Ok(());
-    }
-    let model = fleet.energy_model(member.context).expect("a platform");
-    let expected = robot.energy(id, model);
+    let bounds = oracle.errors[member.context].calibration.bounds();
+    let bounds = bounds.scaled(&robot.energy.learned.error_factor);
+    let expected = EnergyState { bounds, ..robot.energy };
     let found = fleet.energy(id).expect("it is in the fleet");
     let bits = |state: EnergyState| {
         let (metered, learned) = (state.metered.to_array(), state.learned.to_array());
-        (metered.map(f32::to_bits), learned.map(f32::to_bits))
+        let bounds = [state.bounds.lower, state.bounds.upper];
+        (
+            metered.map(f32::to_bits),
+            learned.map(f32::to_bits),
+            bounds.map(|it| it.map(f32::to_bits)),
+        )
     };
     prop_assert_eq!(
         bits(found),
@@ -237,8 +245,11 @@ fn compare_plan_state(
     }
     let trust = energy.learned.command_trust;
     prop_assert_eq!(found.command_trust.to_bits(), trust.to_bits());
-    let factors = energy.learned.error_factor.map(f32::to_bits);
-    prop_assert_eq!(found.error_factor.map(f32::to_bits), factors);
+    for (found, expected) in
+        [(found.error_lower, energy.bounds.lower), (found.error_upper, energy.bounds.upper)]
+    {
+        prop_assert_eq!(found.map(f32::to_bits), expected.map(f32::to_bits));
+    }
     let silent_ns = now_ns - member.received_ns;
     let model = &oracle.models[member.context];
     let start = member.robot.plan_start(model, silent_ns);

@@ -7,7 +7,7 @@ use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
-use super::robot::{Account, Robot};
+use super::robot::{Account, Errors, Robot};
 
 /// A robot in the fleet, with its admission state.
 #[derive(Debug)]
@@ -38,6 +38,7 @@ struct Known {
 pub(crate) struct Oracle {
     settings: FleetSettings,
     pub models: Vec<Model>,
+    pub errors: Vec<Errors>,
     pub members: BTreeMap<u32, Member>,
     /// The oldest first.
     pub departed: VecDeque<(u32, Account)>,
@@ -50,7 +51,9 @@ pub(crate) struct Oracle {
 
 impl Oracle {
     pub(crate) fn new(settings: FleetSettings, models: Vec<Model>) -> Self {
+        let errors = models.iter().zip(&settings.platforms);
         Self {
+            errors: errors.map(|(model, platform)| Errors::new(model, platform)).collect(),
             settings,
             models,
             members: BTreeMap::new(),
@@ -185,7 +188,7 @@ impl Oracle {
             .find(|slot| self.members.values().all(|member| member.slot != *slot))
             .unwrap_or(self.members.len());
         let member = Member {
-            robot: Robot::new(self.settings.platforms[context].clone(), account),
+            robot: Robot::new(id, self.settings.platforms[context].clone(), account),
             context,
             owner: header.source_id,
             epoch: header.source_epoch,
@@ -244,7 +247,8 @@ impl Oracle {
         member.fresh_run = false;
         member.taken += 1;
         (member.received_ns, member.invalid) = (now_ns, None);
-        member.robot.accept(&sample, &self.models[member.context]);
+        let (model, errors) = (&self.models[member.context], &mut self.errors[member.context]);
+        member.robot.accept(&sample, model, errors);
         Ok(())
     }
 
@@ -286,7 +290,11 @@ impl Oracle {
             }
             self.departed.push_back((id, member.robot.account));
         }
+        for errors in &mut self.errors {
+            errors.calibration.add(&std::mem::take(&mut errors.counts));
+        }
         for member in self.members.values_mut() {
+            member.robot.absorb(&mut self.errors[member.context]);
             member.taken = 0;
         }
     }

@@ -1,7 +1,7 @@
 //! Reference of one robot, as simple as possible: every step and every score is kept, and sums are
 //! recomputed.
 
-use joulebus_energy::{EnergyModel, EnergySample, EnergyState};
+use joulebus_energy::{Calibration, EnergyModel, EnergySample, EnergyState, ErrorCounts};
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 use joulebus_testkit_fleets::random::Noise;
@@ -230,6 +230,22 @@ impl Account {
     }
 }
 
+/// Errors of the energy of a platform's robots.
+#[derive(Debug)]
+pub(crate) struct Errors {
+    pub model: EnergyModel,
+    pub calibration: Calibration,
+    /// Since the last tick.
+    pub counts: ErrorCounts,
+}
+
+impl Errors {
+    pub(crate) fn new(model: &Model, platform: &Platform) -> Self {
+        let model = model.energy_or_untrained(platform.power_max_w);
+        Self { calibration: Calibration::new(&model), model, counts: Default::default() }
+    }
+}
+
 /// One robot during one membership in the fleet.
 #[derive(Debug, Clone)]
 pub(crate) struct Robot {
@@ -238,22 +254,24 @@ pub(crate) struct Robot {
     pub run: Run,
     pub account: Account,
     pub scored: Vec<Scored>,
-    /// Samples that the energy state has received.
-    pub observed: Vec<EnergySample>,
+    pub energy: EnergyState,
+    /// The newest sample: the energy state takes it before the next one, or in the tick.
+    pub waiting: Option<EnergySample>,
     pub last: Option<Sample>,
     pub residual_w: Option<f32>,
     pub quality: Quality,
 }
 
 impl Robot {
-    pub(crate) fn new(platform: Platform, account: Account) -> Self {
+    pub(crate) fn new(id: u32, platform: Platform, account: Account) -> Self {
         Self {
             platform,
             experts: Experts::default(),
             run: Run::default(),
             account,
             scored: Vec::new(),
-            observed: Vec::new(),
+            energy: EnergyState::new(id),
+            waiting: None,
             last: None,
             residual_w: None,
             quality: Quality::Warmup { have: 0 },
@@ -268,7 +286,8 @@ impl Robot {
         self.platform.stale_after_ns / self.platform.period_ns
     }
 
-    pub(crate) fn accept(&mut self, sample: &Sample, model: &Model) {
+    pub(crate) fn accept(&mut self, sample: &Sample, model: &Model, errors: &mut Errors) {
+        self.absorb(errors);
         let gap = self.bridge(sample, model);
         let forecast_w = self.run.forecast_w;
         let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
@@ -315,7 +334,7 @@ impl Robot {
             false => (f32::NAN, f32::NAN),
         };
         let broken = sample.has(sample_flag::DISCONTINUITY);
-        self.observed.push(EnergySample {
+        self.waiting = Some(EnergySample {
             power_w: if counted { sample.power_w } else { f32::NAN },
             elapsed_s: if broken { 0.0 } else { (elapsed_ns as f64 * 1e-9) as f32 },
             v_mps,
@@ -323,16 +342,20 @@ impl Robot {
         });
     }
 
-    /// The energy state, from the beginning.
-    pub(crate) fn energy(&self, id: u32, model: &EnergyModel) -> EnergyState {
-        let mut state = EnergyState::new(id);
-        for sample in &self.observed {
-            match self.platform.energy_online {
-                true => state.observe(model, sample),
-                false => state.metered.advance(model, sample),
+    /// Takes the waiting sample into the energy state.
+    pub(crate) fn absorb(&mut self, errors: &mut Errors) {
+        let Some(sample) = self.waiting.take() else { return };
+        if !self.platform.energy_online {
+            self.energy.metered.advance(&errors.model, &sample);
+            return;
+        }
+        let bounds = *errors.calibration.bounds();
+        let classes = self.energy.observe_among(&errors.model, &bounds, &sample);
+        for (shadow, class) in classes.into_iter().enumerate() {
+            if let Some(class) = class {
+                errors.counts[shadow][usize::from(class)] += 1;
             }
         }
-        state
     }
 
     /// Fills the periods between the last sample and this one. Returns whether there were any.
