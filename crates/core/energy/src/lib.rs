@@ -19,6 +19,7 @@
 mod calibration;
 mod command;
 mod forecast;
+mod lasting;
 mod levels;
 mod model;
 mod quantiles;
@@ -27,6 +28,7 @@ mod state;
 pub use calibration::{CLASSES, Calibration, ErrorBounds, ErrorCounts};
 pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
+pub use lasting::{Lasting, LastingPower};
 pub use levels::{LEVELS, LEVELS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use quantiles::{KNOTS, QUANTILES};

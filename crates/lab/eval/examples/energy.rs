@@ -7,7 +7,9 @@
 //! ```
 //!
 //! It does cross-validation on two halves of each set of recordings. It also scores each surface,
-//! terrain and platform with training on all others. With `--quick` the networks train for two
+//! terrain and platform with training on all others. Robots come one after the other, in the order
+//! of their files, and learn the errors of the energy together. The intervals of the first and of
+//! the second half of the recordings are scored apart, too. With `--quick` the networks train for two
 //! epochs only. `--every=1` forecasts at every row instead of every tenth, `--from=15` at none
 //! before that row.
 
@@ -16,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::rows::{Dataset, trial_rows};
 use joulebus_dataset::trial::Trial;
+use joulebus_energy::Calibration;
 use joulebus_eval::energy::EnergyScores;
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_train::{TrainSettings, train};
@@ -43,22 +46,44 @@ fn main() -> Result<()> {
             ..TrainSettings::new(name, "recordings", features, 1)
         };
         let half = |half: usize| move |place: usize, _: &Trial| place % 2 == half;
-        let mut scores = EnergyScores::default();
+        let mut scores = Halves::default();
         for own in 0..2 {
             evaluate(&trials, &settings, half(own), half(1 - own), (origins, &mut scores))?;
         }
-        println!("\n{name}, each half by the other\n\n{}", scores.errors());
+        scores.print(&format!("{name}, each half by the other"));
         let groups = groups(&trials);
         for group in groups.iter().filter(|_| groups.len() > 1) {
             let inside = |trial: &Trial| group_of(trial) == *group;
-            let mut scores = EnergyScores::default();
+            let mut scores = Halves::default();
             let others = |_: usize, trial: &Trial| !inside(trial);
             let own = |_: usize, trial: &Trial| inside(trial);
             evaluate(&trials, &settings, others, own, (origins, &mut scores))?;
-            println!("\n{name}, {group} by all others\n\n{}", scores.errors());
+            scores.print(&format!("{name}, {group} by all others"));
         }
     }
     Ok(())
+}
+
+/// Scores of the first and of the second half of the recordings.
+#[derive(Default)]
+struct Halves([EnergyScores; 2]);
+
+impl Halves {
+    fn print(self, title: &str) {
+        let Self([first, second]) = self;
+        let mut all = first.clone();
+        all.append(second.clone());
+        println!("\n{title}\n\n{}", all.errors());
+        println!(
+            "| horizon s | coverage %, first half | score | coverage %, second half | score |"
+        );
+        println!("|{}", "---|".repeat(5));
+        for (first, second) in first.errors().horizons.iter().zip(second.errors().horizons) {
+            let of = |coverage: f64, score: f64| format!("{:.1} | {score:.2}", 100.0 * coverage);
+            let (one, other) = (of(first.coverage, first.score), of(second.coverage, second.score));
+            println!("| {} | {one} | {other} |", first.horizon_s);
+        }
+    }
 }
 
 /// Trains on some trials and scores others, at every n-th row from a row on.
@@ -67,7 +92,7 @@ fn evaluate(
     settings: &TrainSettings,
     trains: impl Fn(usize, &Trial) -> bool,
     scored: impl Fn(usize, &Trial) -> bool,
-    ((every, from), scores): ((usize, usize), &mut EnergyScores),
+    ((every, from), scores): ((usize, usize), &mut Halves),
 ) -> Result<()> {
     let all = || trials.iter().enumerate();
     let own: Vec<&Trial> =
@@ -85,10 +110,15 @@ fn evaluate(
         period_s: (trials[0].period_ns() as f64 * 1e-9) as f32,
     };
     let model = Model::Network(train(&dataset, settings, |_| ())?.network);
-    for (_, trial) in all().filter(|(place, trial)| scored(*place, trial)) {
+    let energy = model.energy().ok_or("the recordings are too short for an energy model")?;
+    let mut platform = Calibration::new(energy);
+    let scored: Vec<&Trial> =
+        all().filter(|(place, trial)| scored(*place, trial)).map(|(_, trial)| trial).collect();
+    for (number, trial) in scored.iter().enumerate() {
         // A forecast made at a row is of the rows after it.
         let follows: Vec<bool> = (0..trial.rows()).map(|row| row > from).collect();
-        scores.add_every(every, &model, trial, &follows);
+        let scores = &mut scores.0[2 * number / scored.len()];
+        scores.add_among(every, &model, trial, &follows, (number as u32, &mut platform));
     }
     Ok(())
 }

@@ -5,7 +5,9 @@
 use std::fmt;
 
 use joulebus_dataset::trial::Trial;
-use joulebus_energy::{Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S};
+use joulebus_energy::{
+    CLASSES, Calibration, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, SHADOWS,
+};
 use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
 };
@@ -42,6 +44,9 @@ pub struct HorizonErrors {
     /// Width of the narrowest interval that adds the same two numbers to every forecast and, in
     /// hindsight, contains 90 % of the energies, through the mean energy.
     pub narrowest: f64,
+    /// Interval score through the mean energy: the width, and twenty times the distance of a
+    /// measured energy outside. Less is better; NaN without intervals.
+    pub score: f64,
 }
 
 fn by_name<S: Serializer>(errors: &[f64; FORECASTS.len()], to: S) -> Result<S::Ok, S::Error> {
@@ -76,7 +81,7 @@ pub struct EnergyScores {
 
 impl EnergyScores {
     /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
-    /// start as new ones. Only readings with `true` in `scored` are forecast; those beyond its end
+    /// start as new ones, each alone on its platform. Only readings with `true` in `scored` are forecast; those beyond its end
     /// are not.
     pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
         self.add_every(EVERY, model, trial, scored);
@@ -84,21 +89,35 @@ impl EnergyScores {
 
     /// Same as `add`, at every n-th row, n at least 1.
     pub fn add_every(&mut self, rows: usize, model: &Model, trial: &Trial, scored: &[bool]) {
+        let energy = model.energy().cloned().unwrap_or_else(|| EnergyModel::untrained(1.0));
+        let mut platform = Calibration::new(&energy);
+        self.add_among(rows, model, trial, scored, (0, &mut platform));
+    }
+
+    /// Same as `add_every`, for the robot `number` of a platform whose robots' errors so far are
+    /// given, and extended by its own.
+    pub fn add_among(
+        &mut self,
+        rows: usize,
+        model: &Model,
+        trial: &Trial,
+        scored: &[bool],
+        (number, platform): (u32, &mut Calibration),
+    ) {
         let every = rows.max(1);
         let untrained = EnergyModel::untrained(1.0);
         let mut recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
         recorded.leave_out(scored);
-        for (scored, horizon_s) in self.scored.iter_mut().zip(HORIZONS_S) {
-            let (mut state, mut age) = (EnergyState::new(0), ReadingAge::UNKNOWN);
-            for row in 0..recorded.samples.len() {
-                state.observe(recorded.energy, &recorded.told[row]);
-                let sample = &recorded.samples[row];
-                if sample.has(sample_flag::POWER) {
-                    age.read(!sample.has(sample_flag::HELD));
-                }
-                if row >= FIRST && row % every == every / 2 {
-                    let found = recorded.forecast(&state, age, row, horizon_s);
-                    scored.extend(found);
+        let (mut state, mut age) = (EnergyState::new(number), ReadingAge::UNKNOWN);
+        for row in 0..recorded.samples.len() {
+            observe(&mut state, platform, recorded.energy, &recorded.told[row]);
+            let sample = &recorded.samples[row];
+            if sample.has(sample_flag::POWER) {
+                age.read(!sample.has(sample_flag::HELD));
+            }
+            if row >= FIRST && row % every == every / 2 {
+                for (scored, horizon_s) in self.scored.iter_mut().zip(HORIZONS_S) {
+                    scored.extend(recorded.forecast(&state, age, row, horizon_s));
                 }
             }
         }
@@ -121,6 +140,24 @@ impl EnergyScores {
     }
 }
 
+/// Takes a sample as the fleet does.
+fn observe(
+    state: &mut EnergyState,
+    platform: &mut Calibration,
+    model: &EnergyModel,
+    sample: &EnergySample,
+) {
+    let classes = state.observe_among(model, platform.bounds(), sample);
+    let mut counts = [[0; CLASSES]; SHADOWS];
+    for (counts, class) in counts.iter_mut().zip(classes) {
+        if let Some(class) = class {
+            counts[usize::from(class)] = 1;
+        }
+    }
+    platform.add(&counts);
+    state.bounds = platform.bounds().scaled(&state.learned.error_factor);
+}
+
 fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
     let count = scored.len() as f64;
     let energy_j: f64 = scored.iter().map(|one| one.energy_j.abs()).sum();
@@ -128,7 +165,12 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
     let inside =
         known.clone().filter(|(one, [lo_j, hi_j])| (*lo_j..=*hi_j).contains(&one.energy_j));
     let width_j: f64 = known.clone().map(|(_, [lo_j, hi_j])| hi_j - lo_j).sum();
+    let missed_j: f64 = known
+        .clone()
+        .map(|(one, [lo_j, hi_j])| (lo_j - one.energy_j).max(one.energy_j - hi_j).max(0.0))
+        .sum();
     let intervals = known.count() as f64;
+    let per_mean = 1.0 / intervals / (energy_j / count);
     let mut residuals: Vec<f64> =
         scored.iter().map(|one| one.energy_j - one.forecasts_j[0]).collect();
     residuals.sort_by(f64::total_cmp);
@@ -142,8 +184,9 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
             scored.iter().map(error).sum::<f64>() / energy_j
         }),
         coverage: inside.count() as f64 / intervals,
-        width: width_j / intervals / (energy_j / count),
+        width: width_j * per_mean,
         narrowest: widths.fold(f64::INFINITY, f64::min) / (energy_j / count),
+        score: (width_j + 2.0 / (1.0 - f64::from(COVERAGE)) * missed_j) * per_mean,
     }
 }
 
@@ -315,17 +358,18 @@ impl fmt::Display for EnergyErrors {
         for name in FORECASTS {
             write!(out, " {name} |")?;
         }
-        writeln!(out, " coverage % | width | narrowest |")?;
-        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 5))?;
+        writeln!(out, " coverage % | width | narrowest | score |")?;
+        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 6))?;
         for row in &self.horizons {
             write!(out, "| {:>9} | {:>9} |", row.horizon_s, row.origins)?;
             for (name, error) in FORECASTS.iter().zip(row.errors) {
                 write!(out, " {:>width$} |", share(error, 3), width = name.len())?;
             }
-            let (width, narrowest) = (share(row.width, 2), share(row.narrowest, 2));
+            let [width, narrowest, score] =
+                [row.width, row.narrowest, row.score].map(|value| share(value, 2));
             writeln!(
                 out,
-                " {:>10} | {width:>5} | {narrowest:>9} |",
+                " {:>10} | {width:>5} | {narrowest:>9} | {score:>5} |",
                 share(100.0 * row.coverage, 1)
             )?;
         }

@@ -3,7 +3,9 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_energy::{EnergyModel, EnergySample, EnergyState, ErrorBounds, Learned, Metered};
+use joulebus_energy::{
+    EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::calibration::SharedErrors;
@@ -86,6 +88,15 @@ impl EnergyLanes {
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {
         let state = self.get(lane);
         EnergyState { bounds: errors.bounds().scaled(&state.learned.error_factor), ..state }
+    }
+
+    /// Whether the levels of the robot in a lane are known well enough to stay while it is on its
+    /// charger, where it draws what it does not draw at work.
+    #[inline(always)]
+    pub(crate) fn is_settled(&self, lane: usize) -> bool {
+        /// Time of readings, s.
+        const SETTLED_S: f32 = 30.0;
+        self.metered.get(lane).time_s[LEVELS - 1] >= SETTLED_S
     }
 
     /// Takes the samples of the robots in the mask. Without shared errors they do not learn, and no

@@ -23,14 +23,17 @@ pub(crate) struct Remaining {
 }
 
 impl Remaining {
-    /// Computes it from the state of charge. `ends_w` is the interval around the mean power
-    /// `mean_w`. `charging` states that nothing is drawn from the battery.
+    /// Computes it from the state of charge and the mean power `mean_w`. `range_w`: its 90 %
+    /// interval over a duration. `charging` states that nothing is drawn from the battery.
+    ///
+    /// The bounds of the time allow for both: the square of their distance from the estimate is the
+    /// sum of the squares by the energy alone and by the power alone.
     #[inline(always)]
     pub(crate) fn of(
         battery: &Battery,
         estimate: &Estimate,
         mean_w: f32,
-        ends_w: (f32, f32),
+        range_w: impl Fn(f32) -> [f32; 2],
         charging: bool,
     ) -> Self {
         let capacity_j = battery.capacity_j;
@@ -38,17 +41,25 @@ impl Remaining {
         let (lo, hi) = (estimate.lo(), estimate.hi());
         let above = |share: f64| capacity_j * (share - battery.reserve).max(0.0);
         let (usable_j, usable_lo_j, usable_hi_j) = (above(estimate.soc), above(lo), above(hi));
+        let draws = (mean_w > 0.0) & !charging;
+        // Twice as many divisions a vector as in double precision.
+        let (lo_j, middle_j, hi_j) = (usable_lo_j as f32, usable_j as f32, usable_hi_j as f32);
+        let mean_w = mean_w as f32;
+        let seconds = middle_j / mean_w;
         // Under persistent bias the interval may exclude the forecast; the bounds stay
         // conservative.
-        let lo_w = f64::from(ends_w.0).min(mean_w);
-        let hi_w = f64::from(ends_w.1).max(mean_w);
-        let lasts_s = |joules: f64, watts: f64, positive: bool, otherwise: f32| {
-            // Twice as many divisions a vector as in double precision, and nothing is subtracted.
-            let seconds = joules as f32 / watts as f32;
-            if positive { seconds } else { otherwise }
-        };
-        let draws = (mean_w > 0.0) & !charging;
-        let longest_s = lasts_s(usable_hi_j, lo_w, lo_w > 0.0, f32::INFINITY);
+        let [lo_w, hi_w] = range_w(seconds);
+        let (lo_w, hi_w) = (lo_w.min(mean_w), hi_w.max(mean_w));
+        let both = |one: f32, other: f32| 1.0 + (one * one + other * other).sqrt();
+        // An empty battery has no relative bounds.
+        let empty = middle_j <= 0.0;
+        let shorter = both((middle_j - lo_j) / lo_j, (hi_w - mean_w) / mean_w);
+        let longer = both((hi_j - middle_j) / middle_j, (mean_w - lo_w) / lo_w);
+        let shortest_s = if (lo_j > 0.0) & !empty { seconds / shorter } else { 0.0 };
+        let longest_s = if empty { hi_j / lo_w } else { seconds * longer };
+        let longest_s = if (lo_w > 0.0) | (hi_j <= 0.0) { longest_s } else { f32::INFINITY };
+        let longest_s = if hi_j > 0.0 { longest_s } else { 0.0 };
+        let known = |seconds: f32| if draws { seconds } else { f32::NAN };
         Self {
             battery: true,
             left_j: (capacity_j * estimate.soc) as f32,
@@ -58,9 +69,9 @@ impl Remaining {
             soc_lo: lo as f32,
             soc_hi: hi as f32,
             soc_sd: estimate.sd as f32,
-            time_to_empty_s: lasts_s(usable_j, mean_w, draws, f32::NAN),
-            time_to_empty_lo_s: lasts_s(usable_lo_j, hi_w, draws, f32::NAN),
-            time_to_empty_hi_s: if draws { longest_s } else { f32::NAN },
+            time_to_empty_s: known(seconds),
+            time_to_empty_lo_s: known(shortest_s),
+            time_to_empty_hi_s: known(longest_s),
         }
     }
 }

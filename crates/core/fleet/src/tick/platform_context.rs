@@ -1,6 +1,6 @@
 //! Settings of one platform, prepared for the tick.
 
-use joulebus_energy::EnergyModel;
+use joulebus_energy::{EnergyModel, Lasting};
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{AlarmSettings, FleetSettings, Platform};
 
@@ -33,6 +33,8 @@ pub(crate) struct PlatformContext {
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
+    /// The power until a battery is empty; `None` if the model says nothing of it.
+    pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
     pub errors: SharedErrors,
 }
@@ -64,6 +66,7 @@ impl PlatformContext {
         Self {
             alarms: settings.alarms.of(&platform),
             errors: SharedErrors::new(&energy),
+            lasting: energy.lasting(),
             energy,
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),

@@ -11,6 +11,7 @@ mod oracle;
 mod recycling;
 mod shards;
 mod state_cost;
+mod time_to_empty;
 
 use joulebus_testkit::counting::Counting;
 

@@ -5,6 +5,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::INPUTS;
+use joulebus_wire::sample_flag;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
 use crate::estimate::interval::IntervalLanes;
@@ -124,15 +125,17 @@ fn observe_energy(
     elapsed_s: &Lanes<f32>,
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
+    let mut working_s = *elapsed_s;
     for lane in 0..LANES {
         let sample = pending.samples.get(lane);
+        put(&mut working_s[lane], sample.has(sample_flag::CHARGING) & energy.is_settled(lane), 0.0);
         let command = sample.command();
         put(&mut v_mps[lane], command.is_some(), sample.v_mps);
         put(&mut omega_radps[lane], command.is_some(), sample.omega_radps);
     }
     let samples = EnergySamples {
         power_w: &pending.samples.power_w,
-        elapsed_s,
+        elapsed_s: &working_s,
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };

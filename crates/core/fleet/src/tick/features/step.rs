@@ -65,7 +65,9 @@ pub(crate) fn step(
     };
     let on_time = elapsed_ns <= context.overdue_after_ns;
     let mut energy = columns.energy[block].get(lane);
-    let sample = energy_sample(pending, elapsed_s, on_time);
+    let idle = pending.has(sample_flag::CHARGING) && columns.energy[block].is_settled(lane);
+    let working_s = if idle { 0.0 } else { elapsed_s };
+    let sample = energy_sample(pending, working_s, on_time);
     energy.metered.advance(&context.energy, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
         errors.count(energy.compare(&context.energy, errors.bounds()));

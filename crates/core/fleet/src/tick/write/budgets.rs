@@ -1,7 +1,7 @@
 //! Budgets.
 
 use joulebus_predictor::nan::canonical;
-use joulebus_settings::{Battery, Platform};
+use joulebus_settings::Battery;
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
@@ -9,6 +9,7 @@ use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting,
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
+use crate::tick::platform_context::PlatformContext;
 use crate::tick::write::flag::flag;
 
 /// The budgets of a block.
@@ -102,8 +103,7 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
             mask[lane] &= usize::from(platform[lane]) == number;
         }
         if lanes::any(&mask) {
-            let platform = (&battery, &context.platform);
-            fill(&mut left, platform, (block, batteries), &mask, &silent_ns);
+            fill(&mut left, (&battery, context), (block, batteries), &mask, &silent_ns);
         }
     }
     left
@@ -131,19 +131,30 @@ pub(crate) fn estimate(
 #[inline(always)]
 fn fill(
     left: &mut RemainingLanes,
-    (battery, platform): (&Battery, &Platform),
+    (battery, context): (&Battery, &PlatformContext),
     (block, batteries): (&BlockRef<'_>, &BatteryLanes),
     mask: &Lanes<bool>,
     silent_ns: &Lanes<u64>,
 ) {
+    let platform = &context.platform;
     let counting = Counting::of(battery, platform);
     let mean_w = &block.lasts.mean_power_w;
     for lane in 0..LANES {
-        let ends_w = block.intervals.get(lane).around(mean_w[lane], 0, true);
         let robot = batteries.get(lane);
         let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
         let estimate = estimate(block, &robot, &counting, lane, overdue_ns);
-        let remaining = Remaining::of(battery, &estimate, mean_w[lane], ends_w, robot.charging);
+        let remaining = match &context.lasting {
+            Some(lasting) => {
+                let power = lasting.of(&block.energy.state(lane, &context.errors));
+                let range_w = |seconds| power.range_w(seconds);
+                Remaining::of(battery, &estimate, power.mean_w, range_w, robot.charging)
+            }
+            // What is known of the next reading, in place of hours.
+            None => {
+                let (lo_w, hi_w) = block.intervals.get(lane).around(mean_w[lane], 0, true);
+                Remaining::of(battery, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
+            }
+        };
         left.set(lane, mask[lane], remaining);
     }
 }

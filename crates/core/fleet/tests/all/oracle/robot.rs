@@ -334,9 +334,12 @@ impl Robot {
             false => (f32::NAN, f32::NAN),
         };
         let broken = sample.has(sample_flag::DISCONTINUITY);
+        // On the charger a robot that is known does not work.
+        let known_s = self.energy.metered.time_s[3];
+        let idle = sample.has(sample_flag::CHARGING) && known_s >= 30.0;
         self.waiting = Some(EnergySample {
             power_w: if counted { sample.power_w } else { f32::NAN },
-            elapsed_s: if broken { 0.0 } else { (elapsed_ns as f64 * 1e-9) as f32 },
+            elapsed_s: if broken || idle { 0.0 } else { (elapsed_ns as f64 * 1e-9) as f32 },
             v_mps,
             omega_radps,
         });
