@@ -100,10 +100,11 @@ impl ErrorBounds {
         scaled
     }
 
-    /// Whether every bound is finite, and lower bounds are not above upper ones.
+    /// Whether every bound is finite, and lower bounds are below upper ones. They are not where
+    /// plan states of an older version have none.
     pub fn is_sound(&self) -> bool {
         let mut pairs = self.lower.iter().zip(&self.upper);
-        pairs.all(|(lower, upper)| lower.is_finite() && upper.is_finite() && lower <= upper)
+        pairs.all(|(lower, upper)| lower.is_finite() && upper.is_finite() && lower < upper)
     }
 }
 

@@ -71,11 +71,11 @@ rows! {
         pub soc: f32,
         /// State of charge, lower bound.
         pub soc_lo: f32,
-        /// Time until the reserve is reached at the mean power, s.
+        /// Time until the reserve is reached at the power that is expected until then, s.
         pub time_to_empty_s: f32,
-        /// The same, conservative bound, s.
+        /// The same, lower bound of the 90 % interval, s.
         pub time_to_empty_lo_s: f32,
-        /// The same, at the lower end of the power, s.
+        /// The same, its upper bound, s.
         pub time_to_empty_hi_s: f32,
         /// State of charge, upper bound.
         pub soc_hi: f32,

@@ -527,11 +527,11 @@ typedef struct joulebus_budget {
     float soc;
     /** State of charge, lower bound. */
     float soc_lo;
-    /** Time until the reserve is reached at the mean power, s. */
+    /** Time until the reserve is reached at the power that is expected until then, s. */
     float time_to_empty_s;
-    /** The same, conservative bound, s. */
+    /** The same, lower bound of the 90 % interval, s. */
     float time_to_empty_lo_s;
-    /** The same, at the lower end of the power, s. */
+    /** The same, its upper bound, s. */
     float time_to_empty_hi_s;
     /** State of charge, upper bound. */
     float soc_hi;
@@ -562,7 +562,7 @@ typedef struct joulebus_budget_header {
 } joulebus_budget_header;
 
 /**
- * What a plan of one robot starts from. 192 bytes.
+ * What a plan of one robot starts from. 208 bytes.
  * While the robot's next sample is overdue, lag window and reading age include open_steps periods that the
  * model bridged with its own forecasts, as the forecast published in the same tick does.
  */
@@ -641,10 +641,17 @@ typedef struct joulebus_plan_state {
     float command_j[4];
     /** Discounted time, s; 0 before the first metered reading. */
     float time_s[4];
-    /** Factors of the energy's errors at the horizons of joulebus_energy::SHADOWS_S. */
-    float error_factor[3];
+    /**
+     * Lower bounds of the energy's 90 % interval at the horizons of joulebus_energy::SHADOWS_S, in half widths
+     * from the middle of the trained one.
+     */
+    float error_lower[3];
+    /** Its upper bounds; −1 and 1 are the trained interval. */
+    float error_upper[3];
     /** How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's. */
     float command_trust;
+    /** 0. */
+    uint32_t reserved;
 } joulebus_plan_state;
 
 /**

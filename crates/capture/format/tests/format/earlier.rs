@@ -1,11 +1,12 @@
 //! A capture written by the program of 24 November 2026 (1bf363c, whose captures are those of the
-//! release df6ba14): it is read to the same bits, and the same is written.
+//! release df6ba14): it is read to the same bits, and the same is written. Plan states have changed
+//! since, and are read.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
 
 use joulebus_capture_format::{ForEachChannel, Message, MessageKind, Reader};
-use joulebus_wire::{Channel, Queries};
+use joulebus_wire::{Channel, PlanStates, Queries};
 
 use crate::bits::{assert_described, assert_query, dynamic};
 
@@ -42,13 +43,17 @@ fn an_earlier_capture_is_read_to_the_same_bits_and_the_same_is_written() {
         assert_eq!(earlier.channel.topic, kind.topic("lab", robot));
         let schema = earlier.channel.schema.as_ref().unwrap();
         assert_eq!(schema.name, kind.schema());
-        assert!(*schema.data == kind.descriptors(), "{kind:?}");
         schemas.insert(schema.name.clone());
+        count += 1;
+        // Factors of the errors became bounds, which these frames do not have.
+        if kind == MessageKind::of::<PlanStates>() {
+            continue;
+        }
+        assert!(*schema.data == kind.descriptors(), "{kind:?}");
         let mut written = Vec::new();
         entry.message.encode(&mut written);
         assert_eq!(*earlier.data, written, "{kind:?}");
         MessageKind::each_channel(&mut Same(&entry.message, &earlier.data));
-        count += 1;
     }
     assert!(reader.next_entry().unwrap().is_none());
     assert_eq!((schemas.len(), count), (MessageKind::ALL.len() - 1, 36));
