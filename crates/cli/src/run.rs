@@ -7,10 +7,12 @@ use std::sync::atomic::AtomicU64;
 
 use anyhow::Context as _;
 use joulebus_config::{Config, ModelSource};
+use joulebus_models::load_models;
 use joulebus_plan_server::{PlanServer, QueryReport};
 use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
+use joulebus_program::model_range;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
@@ -48,6 +50,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: a signal during the start must clean up as well.
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
+    warn_of_models(&config);
     // Robots are forecast whatever becomes of the recording.
     let recorder = args.record.as_ref().map(|file| {
         let started = RecorderProcess::start(&args.config, file);
@@ -90,6 +93,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let is_lossy = !is_recorded || worker.ledger_unsaved;
     output.report(&RunReport { worker, queries, alarms })?;
     Ok(Outcome::unless_lost(is_lossy))
+}
+
+fn warn_of_models(config: &Config) {
+    // The worker refuses a model that cannot be loaded.
+    let models = load_models(config).unwrap_or_default();
+    for warning in model_range::warnings(config, &models) {
+        say(&format!("warning: {warning}"));
+    }
 }
 
 fn described(config: &Config) -> String {

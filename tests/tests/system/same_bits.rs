@@ -57,6 +57,8 @@ model = "builtin:gternal-sim"
 [[platform]]
 file = "builtin:husky"
 robots = ["100-111"]
+model = "persistence"
+residual_std_w = 75.0
 [[platform]]
 file = "builtin:rover"
 robots = ["200-209"]

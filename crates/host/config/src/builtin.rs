@@ -21,6 +21,9 @@ const MODELS: &[(&str, &[u8])] = &[
         "gternal-sim-freshness",
         include_bytes!("../configs/models/gternal-sim-freshness.safetensors"),
     ),
+    ("robotino", include_bytes!("../configs/models/robotino.safetensors")),
+    ("husky", include_bytes!("../configs/models/husky.safetensors")),
+    ("rover", include_bytes!("../configs/models/rover.safetensors")),
 ];
 
 /// Names of the built-in platforms, for `file = "builtin:<name>"`.

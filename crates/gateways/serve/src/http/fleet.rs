@@ -25,6 +25,8 @@ pub(super) struct FleetRecord {
     questions_refused: BTreeMap<&'static str, u64>,
     /// Same as in `watch --format json`.
     model_hash: Option<String>,
+    /// Platforms whose limits of power do not fit their model's training.
+    model_warnings: Vec<String>,
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
     recorders: Option<Vec<Recorder>>,
@@ -130,6 +132,7 @@ pub(super) struct Around<'a> {
     pub(super) now_unix_ns: u64,
     pub(super) distributions: &'a Distributions,
     pub(super) recorders: Option<Vec<Recorder>>,
+    pub(super) model_warnings: &'a [String],
 }
 
 impl FleetRecord {
@@ -155,6 +158,7 @@ impl FleetRecord {
             questions_answered: board.queries.map(|counts| counts.answered),
             questions_refused: board.questions_refused_by_name(),
             model_hash: header.map(|header| format!("{:016x}", header.model_hash)),
+            model_warnings: around.model_warnings.to_vec(),
             totals: Totals::of(board),
             recorders: around.recorders.clone(),
         }

@@ -410,6 +410,7 @@ mod tests {
             now_unix_ns: second_ns,
             distributions: &Distributions::default(),
             recorders: None,
+            model_warnings: &[],
         };
         let snapshot = Arc::new(Snapshot::new(
             &board,

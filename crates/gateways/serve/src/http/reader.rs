@@ -14,7 +14,9 @@ use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmFeed, ReadError, SourceAlarms};
+use joulebus_models::load_models;
 use joulebus_plan::RobotRows;
+use joulebus_program::model_range;
 use tokio::sync::{oneshot, watch};
 
 use super::alarms::AlarmLog;
@@ -107,6 +109,7 @@ struct Work {
     distributions: Distributions,
     recorders: watch::Receiver<Option<Vec<Recorder>>>,
     platforms: Arc<Platforms>,
+    model_warnings: Vec<String>,
     plan_rows: PlanRows,
     asked: Receiver<Ask>,
     show: watch::Sender<Arc<Snapshot>>,
@@ -126,6 +129,10 @@ impl Work {
         let (mut accumulator, distributions) = (Accumulator::default(), Distributions::default());
         let platforms = Arc::new(Platforms::of(config.settings()));
         let alarms = AlarmLog::default();
+        // A model that cannot be loaded is the worker's to report.
+        let models = load_models(config).unwrap_or_default();
+        let model_warnings = model_range::warnings(config, &models);
+        let model_warnings: Vec<String> = model_warnings.iter().map(ToString::to_string).collect();
         let around = Around {
             fleet: config.fleet(),
             period_ns: config.tick_period_ns(),
@@ -134,6 +141,7 @@ impl Work {
             now_unix_ns: clock::unix_ns(),
             distributions: &distributions,
             recorders: None,
+            model_warnings: &model_warnings,
         };
         let first = Snapshot::new(
             &board,
@@ -156,6 +164,7 @@ impl Work {
             distributions,
             recorders,
             platforms,
+            model_warnings,
             plan_rows: PlanRows::default(),
             asked,
             show,
@@ -210,6 +219,7 @@ impl Work {
             now_unix_ns,
             distributions: &self.distributions,
             recorders: self.recorders.borrow().clone(),
+            model_warnings: &self.model_warnings,
         };
         let snapshot = Snapshot::new(
             &board,

@@ -162,17 +162,18 @@ fn the_root_is_the_users_own() {
 
 #[test]
 fn built_in_models_can_be_loaded_by_name() {
-    assert_eq!(builtin_models().count(), 3);
+    assert_eq!(builtin_models().count(), 6);
     for name in builtin_models() {
         let (_, bytes) = builtin_model(name).unwrap();
         let network = Network::from_safetensors(bytes).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(network.card().name, name);
         let expected = match name {
-            "gternal-sim-power" => FeatureSet::PowerOnly,
+            "gternal-sim-power" | "rover" => FeatureSet::PowerOnly,
             "gternal-sim-freshness" => FeatureSet::Freshness,
             _ => FeatureSet::Full,
         };
         assert_eq!(network.feature_set(), expected, "{name}");
+        assert!(network.card().period_s().is_some(), "{name} does not state its period");
     }
     let (name, bytes) = builtin_model("gternal-sim").unwrap();
     let shipped = load("fleet.toml").unwrap();
@@ -187,8 +188,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     fs::create_dir_all(at("weights")).unwrap();
     fs::write(at("weights/own.safetensors"), b"not parsed").unwrap();
     let platform = shipped("platforms/rover.toml")
-        .replace("\"persistence\"\n", "\"../weights/own.safetensors\"\n")
-        .replace("\nresidual_std_w", "\n# residual_std_w");
+        .replace("\"builtin:rover\"\n", "\"../weights/own.safetensors\"\n");
     fs::write(at("kinds/own.toml"), platform).unwrap();
     fs::write(
         at("own-fleet.toml"),
@@ -269,6 +269,7 @@ fn the_robots_of_the_shipped_fleet_and_of_the_demo_have_the_battery_of_their_mak
 fn a_bundle_names_its_own_models_and_no_ledger() {
     let text = "[fleet]\nname = \"lab\"\n[ledger]\ncheckpoint = \"/tmp/led'\\n\\\"ger\"\n\
                 [[platform]]\nfile = \"builtin:rover\"\nrobots = [1]\n\
+                model = \"persistence\"\nresidual_std_w = 5.3\n\
                 [[platform]]\nfile = \"builtin:gternal\"\nrobots = [3]\n";
     let config = Config::parse(text, Path::new("/")).unwrap_or_else(|error| panic!("{error}"));
     let again = Config::parse(config.to_toml(), Path::new("/")).unwrap();

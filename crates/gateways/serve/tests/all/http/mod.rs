@@ -77,6 +77,21 @@ fn is_same(address: &str, shown: &Value) -> bool {
 }
 
 #[test]
+fn page_and_worker_name_a_platform_that_its_model_was_not_trained_for() {
+    let fleet = Fleet::new();
+    let text = std::fs::read_to_string(fleet.path()).unwrap() + "power_max_w = 5000.0\n";
+    std::fs::write(fleet.path(), text).unwrap();
+    let (mut server, address) = fleet.serve(&[]);
+    let found = get_json(&address, "/api/v1/fleet")["model_warnings"].to_string();
+    says(&found, ["rover", "was trained on readings of", "5000 W"]);
+    let mut worker = fleet.joulebus("run");
+    worker.wait_for_line("was trained on readings of");
+    worker.wait_for_line("ready:");
+    worker.stop();
+    server.stop();
+}
+
+#[test]
 fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     let fleet = Fleet::new();
     let (mut server, address) = fleet.serve(&[]);
