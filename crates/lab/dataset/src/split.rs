@@ -12,8 +12,10 @@
 mod source;
 
 use std::collections::{BTreeMap, HashMap};
+use std::ffi::OsStr;
 use std::fmt;
 use std::ops::Range;
+use std::path::Path;
 use std::str::FromStr;
 
 use joulebus_predictor::LAGS;
@@ -191,6 +193,12 @@ pub enum SplitError {
         by: By,
         /// Units found.
         found: usize,
+    },
+    /// Every recording is left out.
+    #[error("{names}: no other recording is left to learn from; name fewer, or more recordings")]
+    NothingLeft {
+        /// The names.
+        names: String,
     },
     /// The same rows would be used for training and for scoring.
     #[error(
@@ -377,6 +385,32 @@ pub fn assign_unread_leaving_out(
     );
     let parts = [names, validation, left_out];
     by_unit(sources, split.by, parts, name)
+}
+
+/// Which sources a shift leaves out: those of a group, a folder, a robot or a trial of these names.
+///
+/// # Errors
+/// [`SplitError`]: a name that none has, or none is left.
+pub fn left_out(sources: &[SourceInfo], names: &[String]) -> Result<Vec<bool>, SplitError> {
+    let has = |source: &SourceInfo, name: &String| {
+        let path = Path::new(&source.trial);
+        let folder = path.parent().and_then(Path::file_name).and_then(OsStr::to_str);
+        let file = path.file_name().and_then(OsStr::to_str);
+        let own = [Some(source.group.as_str()), folder, Some(&source.robot), Some(&source.trial)];
+        own.contains(&Some(name)) || file == Some(name)
+    };
+    if let Some(wanted) = names.iter().find(|name| !sources.iter().any(|one| has(one, name))) {
+        let found = units(sources, By::Group).join(", ");
+        return Err(SplitError::Unknown { by: By::Group, wanted: wanted.clone(), found });
+    }
+    let is_out = |source: &SourceInfo| names.iter().any(|name| has(source, name));
+    let is_out: Vec<bool> = sources.iter().map(is_out).collect();
+    if is_out.iter().all(|out| *out) {
+        return Err(SplitError::NothingLeft { names: names.join(", ") });
+    }
+    let placed = sources.iter().zip(&is_out);
+    check_copies(placed.map(|(source, out)| Placed::new(source, PARTS[2 * usize::from(*out)])))?;
+    Ok(is_out)
 }
 
 impl Assignment {

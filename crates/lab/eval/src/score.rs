@@ -13,7 +13,8 @@
 //! it. Open loop is the network's alone.
 //!
 //! The baselines are persistence and linear models of the last readings and the velocities
-//! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
+//! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]). Further ones,
+//! among them other programs' forecasts, are scored one tick ahead only ([`Reference`]).
 //!
 //! A model's file identifies the rows it was trained on. Those are scored apart
 //! ([`Design::hold_apart`]).
@@ -37,6 +38,7 @@ mod open_loop;
 mod options;
 mod portion;
 mod recording;
+mod references;
 mod report;
 mod run;
 mod subject;
@@ -44,7 +46,10 @@ mod tallied;
 mod text;
 mod trained_on;
 
-pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Role, Skill};
+pub use cell::{
+    Blocks, Cell, ConstantInterval, ForecasterScore, Horizon, HorizonCell, HorizonScore,
+    IntervalScore, Role, Skill,
+};
 pub use common::BaselineReport;
 pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
@@ -55,6 +60,7 @@ pub(crate) use portion::Misfit;
 pub use portion::{Portion, score_portion};
 pub(crate) use recording::sources;
 pub use recording::{Contents, Recording, check_apart, recorded_platform};
+pub use references::{Foreign, Reference};
 pub use report::{ModelReport, ScoreReport};
 pub use run::{Reported, Scored, score, score_reported, score_watched};
 pub use subject::Subject;

@@ -6,7 +6,7 @@ mod subject;
 use std::path::{Path, PathBuf};
 
 use joulebus_eval::EvalReport;
-use joulebus_eval::score::{ScoreError, score_reported};
+use joulebus_eval::score::{Options, ScoreError, score_reported};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;
@@ -14,6 +14,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::{Output, say};
 
 use crate::judgement::report;
+use crate::references::ReferenceArguments;
 use part::PartArguments;
 pub(crate) use subject::{Selection, usage};
 
@@ -23,7 +24,7 @@ pub(crate) use subject::{Selection, usage};
 #[command(after_help = "Examples:\n  \
     joulebus eval recordings/*.csv.gz\n  \
     joulebus eval --model my.safetensors recordings/ --split trial\n  \
-    joulebus eval --model my.safetensors husky/ --split group --leave-out ICE\n  \
+    joulebus eval --model without-ice.safetensors husky/ --leave-out ICE\n  \
     joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
     joulebus eval --model my.safetensors recordings/ --split trial --energy\n  \
@@ -47,7 +48,15 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     #[command(flatten)]
+    references: ReferenceArguments,
+    #[command(flatten)]
     parts: PartArguments,
+}
+
+impl Args {
+    pub(crate) fn options(&self) -> anyhow::Result<Options> {
+        Ok(Options { references: self.references.read()?, ..self.asked.options()? })
+    }
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -66,7 +75,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return part::run(args, &asked, (&sections, &models), output);
     }
     let mut evaluations = Vec::new();
-    let options = args.asked.options()?;
+    let options = args.options()?;
     let mut refused = None;
     for section in &sections {
         let model = &models[section.place];

@@ -19,6 +19,7 @@ mod model;
 mod next_command;
 mod publish_trial;
 mod recordings;
+mod references;
 mod report;
 mod split_unit;
 mod train;

@@ -47,6 +47,8 @@ fn a_split_reports_on_what_was_held_out() {
     assert!(text.contains(", on 2 recordings"), "{text}");
     let text = report(&["--split", "trial", "--leave-out", data.join("t_4.csv").to_str().unwrap()]);
     says(&text, [", on 1 recordings", "t_4.csv held out"]);
+    let text = report(&["--leave-out", "t_4.csv"]);
+    says(&text, [", on 1 recordings", "left out: t_4.csv", "mean so far", "ridge"]);
     output(
         format!("{} --model builtin:gternal-sim --split row -o x", data.to_str().unwrap())
             .split(' '),

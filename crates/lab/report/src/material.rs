@@ -1,7 +1,7 @@
 //! Inputs of a report's sections.
 
 use joulebus_eval::evaluate::{RobotEvaluation, Series};
-use joulebus_eval::score::{ForecasterScore, Recording, Role, Scored};
+use joulebus_eval::score::{ForecasterScore, Recording, Scored};
 use joulebus_figure::{Colour, Figure, Interval};
 use joulebus_train::linear::Terms;
 
@@ -43,13 +43,13 @@ impl<'a> Material<'a> {
             .collect()
     }
 
-    /// The forecasters in tables: those compared, and the members of the models' online forecasts.
+    /// The forecasters in tables: those compared, the references, and the members of the models'
+    /// online forecasts.
     pub(super) fn listed(&self) -> Vec<usize> {
         let forecasters = &self.scored.report.all.forecasters;
-        let members = forecasters.iter().enumerate();
-        let members = members.filter(|(_, score)| score.role == Role::Member);
+        let lines = self.models() + BASELINES.len();
         let compared = self.compared().into_iter().map(|(at, _)| at);
-        compared.chain(members.map(|(at, _)| at)).collect()
+        compared.chain(lines + 1..forecasters.len()).collect()
     }
 
     /// The colour of a forecaster, the same in every figure.

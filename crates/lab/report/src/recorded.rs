@@ -10,7 +10,7 @@ use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
 use joulebus_dataset::trial::TrialError;
 use joulebus_eval::score::{
-    Design, Options, Recording, ScoreError, Scored, ScoredRows, Subject, score,
+    Design, Options, Recording, Reference, ScoreError, Scored, ScoredRows, Subject, score,
 };
 
 /// Inputs of a report on recordings.
@@ -27,6 +27,8 @@ pub struct Recorded<'a> {
     /// Which of their rows are evaluated, and which the baselines are fitted on. Those that a model
     /// was trained on are scored apart.
     pub design: &'a Design,
+    /// Forecasters to compare with, beside persistence and the linear baselines.
+    pub references: Vec<Reference>,
     /// Whether these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,
 }
@@ -36,7 +38,8 @@ pub struct Recorded<'a> {
 /// # Errors
 /// [`ReportError`]: nothing to evaluate, or settings that are refused.
 pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
-    let Recorded { settings, platform, models, recordings, published, .. } = *what;
+    let Recorded { settings, platform, models, recordings, design: _, ref references, published } =
+        *what;
     // Every section needs them.
     let loaded: Result<Vec<Recording>, TrialError> =
         recordings.iter().map(Recording::loaded).collect();
@@ -44,7 +47,8 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     let recordings = recordings.as_slice();
     let design = what.design.clone().hold_apart(recordings, models)?;
     let subject = Subject { settings, platform, models, recordings, design: &design };
-    let scored = score(subject, &options())?;
+    let options = Options { references: references.clone(), ..options() };
+    let scored = score(subject, &options)?;
     let levels = match models.first() {
         Some(model) => calibration::levels(settings, platform, model, recordings, Some(&design))?,
         None => Vec::new(),

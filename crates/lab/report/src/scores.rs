@@ -2,7 +2,7 @@
 
 use super::document::{Cell, Column, Table};
 use super::material::{Material, label, skill_against_persistence};
-use joulebus_eval::score::{Cell as Scores, ForecasterScore};
+use joulebus_eval::score::{Cell as Scores, ForecasterScore, IntervalScore};
 
 /// One row for each set of recordings and each forecaster shown.
 pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&Scores]) -> Table {
@@ -19,6 +19,8 @@ pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&S
         Column::new("energy_error_percent", "energy error (%)"),
         Column::new("skill", "skill against persistence"),
         Column::new("coverage_percent", "inside interval (%)"),
+        unit.column("interval_score", "interval score"),
+        unit.column("hindsight_interval_score", "the same, best constant interval afterwards"),
     ];
     let rows = sets.iter().flat_map(|set| {
         let listed = material.listed().into_iter();
@@ -36,6 +38,8 @@ pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&S
 fn row(material: &Material<'_>, set: &Scores, score: &ForecasterScore) -> Vec<Cell> {
     let unit = material.unit;
     let skill = skill_against_persistence(score);
+    let interval = score.interval.as_ref();
+    let of_interval = |cell: &dyn Fn(&IntervalScore) -> Cell| interval.map_or(Cell::Nothing, cell);
     vec![
         Cell::words(label(&set.name)),
         Cell::words(&score.name),
@@ -47,9 +51,8 @@ fn row(material: &Material<'_>, set: &Scores, score: &ForecasterScore) -> Vec<Ce
         unit.cell(score.bias_w.value, true),
         Cell::Number(100.0 * score.energy_error.value, 3),
         if skill.value.is_nan() { Cell::Nothing } else { Cell::Number(skill.value, 3) },
-        score
-            .interval
-            .as_ref()
-            .map_or(Cell::Nothing, |interval| Cell::Number(100.0 * interval.scores.coverage, 1)),
+        of_interval(&|interval| Cell::Number(100.0 * interval.scores.coverage, 1)),
+        of_interval(&|interval| unit.cell(interval.scores.score_w, true)),
+        unit.cell(score.hindsight.score_w, true),
     ]
 }

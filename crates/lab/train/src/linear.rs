@@ -1,9 +1,9 @@
 //! Linear baselines: least squares over any subset of the network's features.
 //!
 //! The columns are centred and scaled to unit deviation, and the normal equations are solved by
-//! nalgebra's Cholesky factorisation in double precision, without regularisation. A column that is
-//! constant or linearly dependent on the columns before it is dropped and reported, so that a fit
-//! never fails because of it and coefficients stay finite.
+//! nalgebra's Cholesky factorisation in double precision, without regularisation but in
+//! [`Moments::fit_ridge`]. A column that is constant or linearly dependent on the columns before it
+//! is dropped and reported, so that a fit never fails because of it and coefficients stay finite.
 
 use std::fmt;
 
@@ -22,6 +22,11 @@ const TARGET: usize = FEATURES;
 /// Minimum share of a column's variance that the columns before it do not explain. Features are
 /// single precision, so a share below the square of their rounding error is noise.
 const MIN_OWN_VARIANCE: f64 = 1e-10;
+
+/// Penalties of a ridge regression to choose from, as shares of a column's squares.
+const PENALTIES: [f64; 7] = [0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0];
+/// Parts of the cross-validation that chooses.
+const FIFTHS: usize = 5;
 
 type Columns = SVector<f64, COLUMNS>;
 
@@ -260,7 +265,57 @@ impl Moments {
                 allowed,
             });
         }
-        let (kept, scaled) = self.solve(terms);
+        Ok(self.fitted(terms, 0.0))
+    }
+
+    /// Ridge regression over `terms` on the rows of some parts. Its penalty, a share of the scaled
+    /// columns' squares, is that of the least squared error on each fifth of the parts with
+    /// coefficients of the others.
+    ///
+    /// # Errors
+    /// As [`Moments::fit`].
+    pub fn fit_ridge(parts: &[&Moments], terms: Terms) -> Result<Linear, LinearError> {
+        let merged = |is_in: &dyn Fn(usize) -> bool| -> Result<Moments, LinearError> {
+            let taken = parts.first().map_or(terms, |part| part.terms);
+            let mut merged = Moments::new(taken);
+            for (_, part) in parts.iter().enumerate().filter(|(at, _)| is_in(*at)) {
+                merged.merge(part)?;
+            }
+            Ok(merged)
+        };
+        let mut errors = [0.0; PENALTIES.len()];
+        for fifth in 0..FIFTHS.min(parts.len()) {
+            let (own, others) =
+                (merged(&|at| at % FIFTHS == fifth)?, merged(&|at| at % FIFTHS != fifth)?);
+            if others.fit(terms).is_ok() {
+                for (error, penalty) in errors.iter_mut().zip(PENALTIES) {
+                    *error += own.squared_error(&others.fitted(terms, penalty));
+                }
+            }
+        }
+        let all = merged(&|_| true)?;
+        all.fit(terms)?;
+        let chosen = PENALTIES.iter().zip(errors).min_by(|(_, a), (_, b)| a.total_cmp(b));
+        Ok(all.fitted(terms, chosen.map_or(0.0, |(penalty, _)| *penalty)))
+    }
+
+    /// Sum of the squared residuals of a model on these rows, whose moments have its features.
+    fn squared_error(&self, linear: &Linear) -> f64 {
+        let mut at_means = self.mean[TARGET] - linear.intercept_w;
+        let mut sum = self.product(TARGET, TARGET);
+        for (feature, coefficient) in &linear.coefficients {
+            at_means -= coefficient * self.mean[*feature];
+            sum -= 2.0 * coefficient * self.product(*feature, TARGET);
+            let others = linear.coefficients.iter();
+            let products =
+                others.map(|(other, by)| coefficient * by * self.product(*feature, *other));
+            sum += products.sum::<f64>();
+        }
+        sum + self.count as f64 * at_means * at_means
+    }
+
+    fn fitted(&self, terms: Terms, penalty: f64) -> Linear {
+        let (kept, scaled) = self.solve(terms, penalty);
         let coefficients: Vec<(usize, f64)> = kept
             .used
             .iter()
@@ -271,18 +326,18 @@ impl Moments {
             .iter()
             .map(|(feature, coefficient)| coefficient * self.mean[*feature])
             .sum();
-        Ok(Linear {
+        Linear {
             terms,
             intercept_w: self.mean[TARGET] - at_means,
             coefficients,
             dropped: kept.dropped,
             rows: self.count,
             unusable_rows: self.unusable_rows(),
-        })
+        }
     }
 
     /// The features used, and the coefficients of their scaled columns.
-    fn solve(&self, terms: Terms) -> (Kept, DVector<f64>) {
+    fn solve(&self, terms: Terms, penalty: f64) -> (Kept, DVector<f64>) {
         let mut kept = Kept::default();
         let mut cholesky = Cholesky::pack_dirty(DMatrix::zeros(0, 0));
         for feature in terms.features() {
@@ -294,7 +349,7 @@ impl Moments {
             let place = kept.used.len();
             let others = kept.used.iter();
             let correlations = others.map(|other| self.correlation(feature, *other));
-            let column = DVector::from_iterator(place + 1, correlations.chain([1.0]));
+            let column = DVector::from_iterator(place + 1, correlations.chain([1.0 + penalty]));
             let grown = cholesky.insert_column(place, column);
             // NaN if rounding makes it negative.
             let own = grown.l_dirty()[(place, place)].powi(2);

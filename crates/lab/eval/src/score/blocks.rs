@@ -18,10 +18,10 @@ pub(crate) struct Sums {
 /// A block of consecutive rows.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Block {
-    /// One entry per forecaster: the models, persistence, the linear baselines, the models'
-    /// members.
+    /// One entry per forecaster: the models, persistence, the linear baselines, the references, the
+    /// models' members.
     pub(crate) forecasters: Vec<Tally>,
-    /// One entry per model.
+    /// One entry per model, and per reference with intervals.
     pub(crate) intervals: Vec<CoverageTally>,
 }
 

@@ -8,7 +8,7 @@ use super::Options;
 use super::blocks::{Block, Draws, HorizonSums};
 use super::tallied::{Set, Tallied};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
-use joulebus_statistics::metrics::{Coverage, ResidualQuantiles, Tally};
+use joulebus_statistics::metrics::{Coverage, CoverageTally, ResidualQuantiles, Tally};
 
 /// Scores of a set of recordings in corrected mode: all of them, a group, a robot or a trial. Their
 /// rows are pooled: R² is about the mean over all of them.
@@ -28,7 +28,8 @@ pub struct Cell {
     pub reading_std_w: f64,
     /// Resampled blocks of the confidence intervals.
     pub blocks: Blocks,
-    /// The models, persistence, the linear baselines, the members of the models' online forecasts.
+    /// The models, persistence, the linear baselines, the references, the members of the models'
+    /// online forecasts.
     pub forecasters: Vec<ForecasterScore>,
 }
 
@@ -67,7 +68,10 @@ pub struct ForecasterScore {
     pub energy_error: Estimate,
     /// Against persistence, and against each linear baseline.
     pub skill: Vec<Skill>,
-    /// The intervals of the live path; models only.
+    /// The constant interval about its forecasts that would have held the middle 90 %
+    /// of these readings, known afterwards: what intervals are to be compared with.
+    pub hindsight: ConstantInterval,
+    /// The intervals of the live path, or those of another program.
     pub interval: Option<IntervalScore>,
 }
 
@@ -77,7 +81,7 @@ pub struct ForecasterScore {
 pub enum Role {
     /// The forecast that a model's platform publishes.
     Published,
-    /// Persistence, or a linear model fitted on the recordings.
+    /// Persistence, a linear model fitted on the recordings, or a reference.
     Baseline,
     /// A member of a published forecast that learns online.
     Member,
@@ -103,6 +107,37 @@ pub struct IntervalScore {
     pub inside: Estimate,
     /// Mean width, W, with its confidence interval.
     pub width: Estimate,
+    /// Mean interval score, W ([`Coverage::score_w`]), with its confidence interval.
+    pub score: Estimate,
+    /// Mean pinball loss of both ends, W.
+    pub pinball_w: f64,
+    /// Weighted interval score of forecast and interval, W: the continuous ranked probability score
+    /// as far as they tell (Bracher and others, "Evaluating epidemic forecasts in an interval
+    /// format", 2021).
+    pub wis_w: f64,
+}
+
+impl IntervalScore {
+    fn new(scores: Coverage, mae_w: f64, [inside, width, score]: [Estimate; 3]) -> Self {
+        let outside = 1.0 - scores.nominal;
+        Self {
+            scores,
+            inside,
+            width,
+            score,
+            pinball_w: outside / 4.0 * scores.score_w,
+            wis_w: (mae_w / 2.0 + outside / 2.0 * scores.score_w) / 1.5,
+        }
+    }
+}
+
+/// A constant interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ConstantInterval {
+    /// Its width, W.
+    pub width_w: f64,
+    /// Its mean interval score, W.
+    pub score_w: f64,
 }
 
 /// The open-loop scores of a set of recordings.
@@ -161,7 +196,10 @@ pub(crate) struct Names {
     /// Names in open loop, where each model is its network alone and there are no members.
     pub(crate) open_loop: Vec<String>,
     pub(crate) models: usize,
+    /// Persistence, the linear baselines, and the references, which are not scored in open loop.
     pub(crate) baselines: usize,
+    /// Forecasters with intervals.
+    pub(crate) intervals: Vec<usize>,
     /// Nominal coverage of the live intervals.
     pub(crate) nominal: f64,
 }
@@ -170,6 +208,16 @@ impl Names {
     /// Forecasters used as references: the baselines.
     fn references(&self) -> std::ops::Range<usize> {
         self.models..self.models + self.baselines
+    }
+
+    fn against(&self, of: usize, among: usize) -> impl Iterator<Item = usize> + use<> {
+        self.references().filter(move |reference| *reference != of && *reference < among)
+    }
+
+    /// The interval of a forecaster.
+    fn interval<'a>(&self, block: &'a Block, of: usize) -> Option<&'a CoverageTally> {
+        let place = self.intervals.iter().position(|with| *with == of)?;
+        block.intervals.get(place)
     }
 
     fn role(&self, forecaster: usize) -> Role {
@@ -182,8 +230,13 @@ impl Names {
         }
     }
 
-    fn skills(&self, of: usize, estimates: &mut impl Iterator<Item = Estimate>) -> Vec<Skill> {
-        let against = self.references().filter(|reference| *reference != of);
+    /// The skills of one of the first `among` forecasters.
+    fn skills(
+        &self,
+        (of, among): (usize, usize),
+        estimates: &mut impl Iterator<Item = Estimate>,
+    ) -> Vec<Skill> {
+        let against = self.against(of, among);
         let named = against.map(|reference| self.forecasters[reference].clone());
         named.zip(estimates).map(|(against, skill)| Skill { against, skill }).collect()
     }
@@ -202,15 +255,19 @@ fn statistics(block: &Block, names: &Names) -> Vec<f64> {
             tally.energy_error(),
         ]);
         push_skills(&mut found, &block.forecasters, at, names);
-        if let Some(interval) = block.intervals.get(at) {
-            found.extend([interval.coverage(), interval.width_w()]);
+        if let Some(interval) = names.interval(block, at) {
+            found.extend([
+                interval.coverage(),
+                interval.width_w(),
+                interval.score_w(names.nominal),
+            ]);
         }
     }
     found
 }
 
 fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names) {
-    let against = names.references().filter(|reference| *reference != at);
+    let against = names.against(at, tallies.len());
     found.extend(against.map(|reference| tallies[at].skill(&tallies[reference])));
 }
 
@@ -234,12 +291,13 @@ pub(crate) fn cell(
         // There are as many estimates as statistics.
         let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
         let [r2, rmse_w, mae_w, bias_w, energy_error] = std::array::from_fn(|_| next());
-        let skill = names.skills(at, &mut std::iter::from_fn(|| Some(next())));
-        let interval = whole.intervals.get(at).map(|interval| IntervalScore {
-            scores: interval.coverage_of(names.nominal),
-            inside: next(),
-            width: next(),
+        let among = (at, whole.forecasters.len());
+        let skill = names.skills(among, &mut std::iter::from_fn(|| Some(next())));
+        let interval = names.interval(&whole, at).map(|interval| {
+            let estimates = std::array::from_fn(|_| next());
+            IntervalScore::new(interval.coverage_of(names.nominal), mae_w.value, estimates)
         });
+        let (residual, hindsight) = tallied.residuals(set, at)?;
         Ok(ForecasterScore {
             name: names.forecasters[at].clone(),
             role: names.role(at),
@@ -249,9 +307,10 @@ pub(crate) fn cell(
             mae_w,
             mape: tally.mape(),
             bias_w,
-            residual: tallied.residuals(set, at)?,
+            residual,
             energy_error,
             skill,
+            hindsight,
             interval,
         })
     });
@@ -325,7 +384,7 @@ fn horizon(
             bias_w: power.bias_w(),
             energy_mape: energy.mape(),
             energy_error,
-            skill: names.skills(at, &mut std::iter::from_fn(|| Some(next()))),
+            skill: names.skills((at, whole.power.len()), &mut std::iter::from_fn(|| Some(next()))),
         }
     });
     let forecasters = forecasters.collect();

@@ -92,6 +92,7 @@ impl Common {
             origins_every: self.origins_every,
             energy: self.energy,
             baselines: Vec::new(),
+            references: Vec::new(),
             bootstrap: self.bootstrap,
         }
     }
@@ -134,6 +135,13 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
         named.chain(["persistence".to_owned()]).chain(baselines).collect()
     };
     let mut forecasters = of(&|model| subject.forecast(model));
+    let first = forecasters.len();
+    forecasters.extend(options.references.iter().map(ToString::to_string));
+    let references = options.references.iter().enumerate();
+    let with_interval = references.filter(|(_, reference)| reference.has_interval());
+    let with_interval = with_interval.map(|(at, _)| first + at);
+    let intervals = (0..models.len()).chain(with_interval).collect();
+    let baselines = forecasters.len() - models.len();
     let members = Member::of(subject).into_iter();
     forecasters
         .extend(members.map(|(at, member)| format!("{} ({})", base(&models[at]), member.name())));
@@ -141,7 +149,8 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
         forecasters,
         open_loop: of(&|model| Forecast::of(model, false)),
         models: models.len(),
-        baselines: 1 + options.baselines.len(),
+        baselines,
+        intervals,
         nominal: f64::from(subject.settings.interval.coverage),
     }
 }

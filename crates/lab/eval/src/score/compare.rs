@@ -172,7 +172,7 @@ impl Verdict {
 /// If the subject has not exactly two models.
 pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, ScoreError> {
     assert!(subject.models.len() == 2, "{} models, two are compared", subject.models.len());
-    let options = Options { baselines: Vec::new(), ..options.clone() };
+    let options = Options { baselines: Vec::new(), references: Vec::new(), ..options.clone() };
     let (report, blocks) = tallied(subject, &options)?;
     let differences = |sets: Vec<Set>| -> Vec<Difference> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };

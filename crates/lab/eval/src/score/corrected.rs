@@ -8,6 +8,7 @@ use joulebus_settings::FleetSettings;
 use super::blocks::{Block, Sums};
 use super::design::Lines;
 use super::members::Member;
+use super::references::{Learned, forecasts_w};
 use super::{Contents, Options, ScoreError, Subject, open_loop, recorded_platform};
 use crate::energy::EnergyScores;
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
@@ -22,6 +23,9 @@ struct Column {
     lo_w: Vec<f32>,
     hi_w: Vec<f32>,
 }
+
+/// Whether a reference has intervals, and its forecast and their ends for each row, W.
+type ReferenceColumn = (bool, Vec<[f64; 3]>);
 
 /// Results of one recording; empty without rows to evaluate.
 pub(super) struct Found<T> {
@@ -39,7 +43,7 @@ pub(super) struct Found<T> {
 pub(super) fn one<T>(
     subject: Subject<'_>,
     options: &Options,
-    lines: &Lines,
+    (lines, learned): (&Lines, &[Vec<Learned>]),
     at: usize,
     keep: impl Fn(RobotEvaluation) -> T,
 ) -> Result<Found<T>, ScoreError> {
@@ -68,23 +72,31 @@ pub(super) fn one<T>(
     let sums_of = |parts: &[(usize, Range<usize>)]| {
         let mut sums = Sums::default();
         for (fold, rows) in parts.iter().filter(|(_, rows)| !rows.is_empty()) {
+            let references = options.references.iter().zip(&learned[*fold]);
+            let references = references.map(|(reference, learned)| {
+                let evaluated = std::slice::from_ref(rows);
+                let (name, found) = (&recording.name, (reference, learned));
+                let found = forecasts_w(found, name, contents, evaluated)?;
+                Ok((reference.has_interval(), found))
+            });
+            let references = references.collect::<Result<Vec<_>, ScoreError>>()?;
             add_rows(
                 &mut sums,
                 contents,
-                (&columns, &members),
+                (&columns, &references, &members),
                 &lines[*fold],
                 rows.clone(),
                 options,
             );
         }
-        sums
+        Ok::<_, ScoreError>(sums)
     };
-    let mut sums = sums_of(&parts);
+    let mut sums = sums_of(&parts)?;
     let before = subject.design.evaluated_before(at);
     sums.horizons = open_loop::sums(subject.models, contents, (&parts, before), lines, options);
     Ok(Found {
         sums,
-        trained_on: sums_of(&apart),
+        trained_on: sums_of(&apart)?,
         live,
         energy: match options.energy {
             true => energy(subject, at, contents),
@@ -150,18 +162,22 @@ fn column(contents: &Contents, live: &RobotEvaluation) -> Column {
 fn add_rows(
     sums: &mut Sums,
     contents: &Contents,
-    (columns, members): (&[Column], &[Vec<f32>]),
+    (columns, references, members): (&[Column], &[ReferenceColumn], &[Vec<f32>]),
     lines: &[Option<Linear>],
     rows: Range<usize>,
     options: &Options,
 ) {
-    let forecasters = columns.len() + 1 + lines.len() + members.len();
+    let forecasters = columns.len() + 1 + lines.len() + references.len() + members.len();
+    let with_interval = references.iter().filter(|(has, _)| *has).map(|(_, found)| found);
     sums.residuals_w.resize(forecasters, Vec::new());
     let mut forecasts_w = Vec::with_capacity(forecasters);
     for block_rows in row_blocks(rows, options.bootstrap.block_rows) {
         let mut block = Block {
             forecasters: vec![Tally::default(); forecasters],
-            intervals: vec![CoverageTally::default(); columns.len()],
+            intervals: vec![
+                CoverageTally::default();
+                columns.len() + with_interval.clone().count()
+            ],
         };
         for at in block_rows {
             let row = &contents.rows.rows[at];
@@ -172,6 +188,7 @@ fn add_rows(
             let predict =
                 |line: &Option<Linear>| line.as_ref().map(|line| line.predict(&row.features));
             forecasts_w.extend(lines.iter().map(|line| predict(line).unwrap_or(f64::NAN)));
+            forecasts_w.extend(references.iter().map(|(_, found)| found[at][0]));
             forecasts_w.extend(members.iter().map(|member_w| f64::from(member_w[at])));
             // A row without a forecast of each model is scored for no forecaster.
             let reading_w = if all_known { f64::from(row.target_w) } else { f64::NAN };
@@ -182,8 +199,10 @@ fn add_rows(
                     sums.residuals_w[place].push(residual_w);
                 }
             }
-            for (interval, column) in block.intervals.iter_mut().zip(columns) {
-                interval.add(reading_w, column.lo_w[at].into(), column.hi_w[at].into());
+            let ends = columns.iter().map(|one| [one.lo_w[at], one.hi_w[at]].map(f64::from));
+            let ends = ends.chain(with_interval.clone().map(|found| [found[at][1], found[at][2]]));
+            for (interval, [lo_w, hi_w]) in block.intervals.iter_mut().zip(ends) {
+                interval.add(reading_w, lo_w, hi_w);
             }
         }
         sums.blocks.push(block);

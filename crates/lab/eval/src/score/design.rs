@@ -5,10 +5,12 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Recording, ScoreError, each, sources};
-use joulebus_dataset::rows::Row;
+use super::references::{Differences, Learned};
+use super::{Recording, Reference, ScoreError, each, sources};
+use joulebus_dataset::rows::TrialRows;
 use joulebus_dataset::split::{
-    Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign_unread, assign_unread_leaving_out, resume,
+    Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign_unread, assign_unread_leaving_out,
+    left_out, resume,
 };
 use joulebus_train::linear::{KnownFeatures, Linear, Moments, Terms};
 
@@ -77,6 +79,30 @@ impl Design {
     ) -> Result<Self, ScoreError> {
         let assignment = assign_unread_leaving_out(&infos(recordings), wanted, names)?;
         Ok(Self::assigned(assignment, wanted))
+    }
+
+    /// Evaluates the recordings that a shift leaves out, with baselines fitted on all others:
+    /// groups, folders, robots or trials of these names.
+    ///
+    /// # Errors
+    /// [`ScoreError::Split`].
+    pub fn shifted(recordings: &[Recording], names: &[String]) -> Result<Self, ScoreError> {
+        let is_out = left_out(&infos(recordings), names)?;
+        let mut fold = Fold::default();
+        for ((at, recording), out) in recordings.iter().enumerate().zip(is_out) {
+            let parts = if out { &mut fold.evaluated } else { &mut fold.fitted };
+            parts.push((at, 0..recording.rows()));
+        }
+        Ok(Self {
+            description: format!(
+                "left out: {}; baselines are fitted on all others",
+                names.join(", ")
+            ),
+            split: None,
+            folds: vec![fold],
+            units: names.to_vec(),
+            others: Vec::new(),
+        })
     }
 
     fn assigned(assignment: Assignment, wanted: Split) -> Self {
@@ -302,21 +328,10 @@ pub(super) fn fit_lines(
     recordings: &[Recording],
     baselines: &[Terms],
 ) -> Result<Vec<Vec<Option<Linear>>>, ScoreError> {
-    design.check(recordings)?;
-    // The moments of a part are computed once, because folds share most of their parts.
-    let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
-    parts.sort_unstable_by_key(|part| key(part));
-    parts.dedup();
-    let fitted = Fitted { all: recordings.iter().chain(&design.others).collect(), parts };
-    let terms = |asked: &[Terms]| -> Result<Vec<(Terms, Vec<usize>)>, ScoreError> {
-        let any = asked.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
-        let known = fitted.map(any.count() > 0, |rows| KnownFeatures::of(rows, any))?;
-        let known = known.into_iter().fold(KnownFeatures::NONE, KnownFeatures::or);
-        Ok(asked.iter().map(|terms| known.split(*terms)).collect())
-    };
-    let terms = terms(baselines)?;
-    let moments = fitted.map(!baselines.is_empty(), |rows| -> Vec<Moments> {
-        let each = terms.iter().map(|(known, _)| Moments::of(rows, *known));
+    let fitted = Fitted::of(design, recordings)?;
+    let terms = fitted.terms(baselines)?;
+    let moments = fitted.map(!baselines.is_empty(), |rows, part| -> Vec<Moments> {
+        let each = terms.iter().map(|(known, _)| Moments::of(&rows.rows[part.clone()], *known));
         each.collect()
     })?;
     let mut lines = vec![Vec::new(); design.folds.len()];
@@ -336,6 +351,55 @@ pub(super) fn fit_lines(
     Ok(lines)
 }
 
+/// What the references have learned in each fold.
+///
+/// # Errors
+/// As [`fit_lines`].
+pub(super) fn fit_references(
+    design: &Design,
+    recordings: &[Recording],
+    references: &[Reference],
+) -> Result<Vec<Vec<Learned>>, ScoreError> {
+    let fitted = Fitted::of(design, recordings)?;
+    let parts = |fold: &Fold| -> Vec<usize> {
+        fold.fitted.iter().filter_map(|part| fitted.place(part)).collect()
+    };
+    let mut learned = vec![Vec::new(); design.folds.len()];
+    for reference in references {
+        let of_folds: Vec<Learned> = match reference {
+            Reference::Ridge(terms) => {
+                let known = fitted.terms(&[*terms])?;
+                let [(known, missing)] = known.as_slice() else {
+                    continue;
+                };
+                let moments =
+                    fitted.map(true, |rows, part| Moments::of(&rows.rows[part], *known))?;
+                let of_fold = |fold| {
+                    let own: Vec<&Moments> = parts(fold).iter().map(|at| &moments[*at]).collect();
+                    let mut line = Moments::fit_ridge(&own, *known).ok();
+                    if let Some(line) = &mut line {
+                        line.miss(*terms, missing);
+                    }
+                    Learned::Ridge(line)
+                };
+                design.folds.iter().map(of_fold).collect()
+            }
+            Reference::Seasonal => {
+                let found = fitted.map(true, Differences::of)?;
+                let of_fold = |fold| {
+                    let mut all = Differences::none();
+                    parts(fold).iter().for_each(|at| all.merge(&found[*at]));
+                    Learned::Season(all.season())
+                };
+                design.folds.iter().map(of_fold).collect()
+            }
+            Reference::Mean | Reference::Foreign(_) => vec![Learned::Nothing; design.folds.len()],
+        };
+        learned.iter_mut().zip(of_folds).for_each(|(fold, one)| fold.push(one));
+    }
+    Ok(learned)
+}
+
 const fn key(part: &Part) -> (usize, usize, usize) {
     (part.0, part.1.start, part.1.end)
 }
@@ -348,7 +412,25 @@ struct Fitted<'a> {
     parts: Vec<&'a Part>,
 }
 
-impl Fitted<'_> {
+impl<'a> Fitted<'a> {
+    /// Parts are computed once, because folds share most of them.
+    fn of(design: &'a Design, recordings: &'a [Recording]) -> Result<Self, ScoreError> {
+        design.check(recordings)?;
+        let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
+        parts.sort_unstable_by_key(|part| key(part));
+        parts.dedup();
+        Ok(Self { all: recordings.iter().chain(&design.others).collect(), parts })
+    }
+
+    /// The known ones of some terms, and the positions of the others.
+    fn terms(&self, asked: &[Terms]) -> Result<Vec<(Terms, Vec<usize>)>, ScoreError> {
+        let any = asked.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let known =
+            self.map(any.count() > 0, |rows, part| KnownFeatures::of(&rows.rows[part], any))?;
+        let known = known.into_iter().fold(KnownFeatures::NONE, KnownFeatures::or);
+        Ok(asked.iter().map(|terms| known.split(*terms)).collect())
+    }
+
     fn place(&self, part: &Part) -> Option<usize> {
         let found = self.parts.binary_search_by_key(&key(part), |part| key(part));
         found.ok()
@@ -358,7 +440,7 @@ impl Fitted<'_> {
     fn map<T: Send>(
         &self,
         wanted: bool,
-        of: impl Fn(&[Row]) -> T + Sync,
+        of: impl Fn(&TrialRows, Range<usize>) -> T + Sync,
     ) -> Result<Vec<T>, ScoreError> {
         if !wanted {
             return Ok(Vec::new());
@@ -374,7 +456,7 @@ impl Fitted<'_> {
             |at| {
                 let contents = recordings[at].contents()?;
                 let parts = by_recording[at].iter();
-                let parts = parts.map(|part| of(&contents.rows.rows[part.1.clone()]));
+                let parts = parts.map(|part| of(&contents.rows, part.1.clone()));
                 Ok::<_, ScoreError>(parts.collect::<Vec<T>>())
             },
             |_, of_parts| {

@@ -7,6 +7,7 @@ use joulebus_dataset::trial::TrialError;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::{LinearError, Terms};
 
+use super::Reference;
 use crate::evaluate::EvaluateError;
 
 /// The longest horizon, ticks.
@@ -28,6 +29,8 @@ pub struct Options {
     pub energy: bool,
     /// Linear models as baselines in addition to persistence.
     pub baselines: Vec<Terms>,
+    /// Further forecasters to compare with, one tick ahead.
+    pub references: Vec<Reference>,
     /// The confidence intervals.
     pub bootstrap: Bootstrap,
 }
@@ -41,6 +44,7 @@ impl Default for Options {
             origins_every: 10,
             energy: false,
             baselines: vec![Terms::AR5, Terms::AR5_AND_VELOCITIES],
+            references: Vec::new(),
             bootstrap: Bootstrap::default(),
         }
     }
@@ -98,6 +102,14 @@ pub enum ScoreError {
         found: usize,
         /// Rows of the recording.
         allowed: usize,
+    },
+    /// Another program's forecasts are refused.
+    #[error("the forecasts of {name}: {what}")]
+    Foreign {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        what: String,
     },
     /// A recording could not be read again.
     #[error("{0}")]

@@ -135,7 +135,8 @@ impl OfRecording {
         let (models, names) = (common.models.len(), &common.names);
         let is_none_or = |found: usize, wanted: usize| found == 0 || found == wanted;
         let block = |block: &Block| {
-            block.forecasters.len() == names.forecasters.len() && block.intervals.len() == models
+            block.forecasters.len() == names.forecasters.len()
+                && block.intervals.len() == names.intervals.len()
         };
         let sums = |sums: &Sums| {
             let open_loop = names.open_loop.len();

@@ -8,7 +8,8 @@ use joulebus_train::linear::Linear;
 use super::blocks::Sums;
 use super::common::Common;
 use super::corrected::{self, Found};
-use super::design::fit_lines;
+use super::design::{fit_lines, fit_references};
+use super::references::Learned;
 use super::report::{ScoreReport, report};
 use super::tallied::{Listed, Tallied};
 use super::{Options, Recording, ScoreError, Subject, each};
@@ -135,6 +136,7 @@ pub(super) struct Prepared<'a> {
     subject: Subject<'a>,
     options: &'a Options,
     lines: Vec<Vec<Option<Linear>>>,
+    learned: Vec<Vec<Learned>>,
     pub(super) common: Common,
 }
 
@@ -148,7 +150,9 @@ impl<'a> Prepared<'a> {
             return Err(ScoreError::NoModel);
         }
         let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
-        Ok(Self { subject, options, common: Common::of(subject, options, &lines)?, lines })
+        let learned = fit_references(subject.design, subject.recordings, &options.references)?;
+        let common = Common::of(subject, options, &lines)?;
+        Ok(Self { subject, options, common, lines, learned })
     }
 
     /// Runs some recordings in parallel. `take` gets their indices and results in the order of
@@ -165,7 +169,13 @@ impl<'a> Prepared<'a> {
             places.iter().filter_map(|at| self.subject.recordings.get(*at)).collect();
         let one = |place: usize| {
             let at = places[place];
-            let found = corrected::one(self.subject, self.options, &self.lines, at, &keep)?;
+            let found = corrected::one(
+                self.subject,
+                self.options,
+                (&self.lines, &self.learned),
+                at,
+                &keep,
+            )?;
             match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
                 ControlFlow::Continue(()) => Ok(found),
                 ControlFlow::Break(()) => Err(ScoreError::Ended),

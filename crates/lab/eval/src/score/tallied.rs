@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::Recording;
 use super::blocks::{Block, HorizonSums, Sums};
+use super::cell::ConstantInterval;
 use super::kept::Kept;
 use joulebus_statistics::bootstrap::Bootstrap;
-use joulebus_statistics::metrics::{ResidualQuantiles, Tally};
+use joulebus_statistics::metrics::{CoverageTally, ResidualQuantiles, Tally};
 use joulebus_statistics::order::residual_quantiles;
 
 /// Blocks above which neighbours are joined: some 10 MB of sums, and as many for each table that is
@@ -160,15 +161,24 @@ impl Tallied {
         (blocks, whole)
     }
 
-    /// Quantiles of a forecaster's residuals.
+    /// Quantiles of a forecaster's residuals, and the constant interval from 5 to 95 % of them.
     ///
     /// # Errors
     /// The temporary file cannot be read.
-    pub(crate) fn residuals(&self, set: &Set, forecaster: usize) -> io::Result<ResidualQuantiles> {
-        residual_quantiles(|take| {
+    pub(crate) fn residuals(
+        &self,
+        set: &Set,
+        forecaster: usize,
+    ) -> io::Result<(ResidualQuantiles, ConstantInterval)> {
+        let each = |take: &mut dyn FnMut(f32)| {
             let mut ranges = self.of(set).filter_map(|named| named.residuals.get(forecaster));
             ranges.try_for_each(|range| self.residuals.each(range, take))
-        })
+        };
+        let quantiles = residual_quantiles(each)?;
+        let mut interval = CoverageTally::default();
+        each(&mut |residual_w| interval.add(residual_w.into(), quantiles.q05_w, quantiles.q95_w))?;
+        let (width_w, score_w) = (interval.width_w(), interval.score_w(0.9));
+        Ok((quantiles, ConstantInterval { width_w, score_w }))
     }
 
     /// The sums of each trial at one horizon.

@@ -159,13 +159,23 @@ fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fm
     let width = name_width(cell.forecasters.iter().map(|one| one.name.as_str()), 12);
     writeln!(
         out,
-        "{:width$} {:>8} {:>16} {:>8} {:>8} {:>7} {:>8} {:>8} {:>8} {:>9}",
-        "", "R²", "", "RMSE W", "MAE W", "MAPE %", "bias W", "q05 W", "q95 W", "energy %"
+        "{:width$} {:>8} {:>16} {:>8} {:>8} {:>7} {:>8} {:>8} {:>8} {:>9} {:>9}",
+        "",
+        "R²",
+        "",
+        "RMSE W",
+        "MAE W",
+        "MAPE %",
+        "bias W",
+        "q05 W",
+        "q95 W",
+        "energy %",
+        "const. IS"
     )?;
     for one in &cell.forecasters {
         writeln!(
             out,
-            "{:width$} {} {:>16} {} {} {} {} {} {} {}",
+            "{:width$} {} {:>16} {} {} {} {} {} {} {} {}",
             one.name,
             Number(one.r2.value, 8, 4),
             between(&one.r2, 1.0, 3),
@@ -176,6 +186,7 @@ fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fm
             Number(one.residual.q05_w, 8, 3),
             Number(one.residual.q95_w, 8, 3),
             Number(100.0 * one.energy_error.value, 9, 3),
+            Number(one.hindsight.score_w, 9, 3),
         )?;
     }
     for one in &cell.forecasters {
@@ -199,6 +210,16 @@ fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fm
             Number(100.0 * scores.below, 0, 2),
             Number(100.0 * scores.above, 0, 2),
             Number(scores.width_w, 0, 3),
+        )?;
+        writeln!(
+            out,
+            "{}: interval score {} W {} (const. IS: the best constant interval, known afterwards), \
+             pinball loss {} W, weighted interval score {} W",
+            one.name,
+            Number(scores.score_w, 0, 3),
+            between(&interval.score, 1.0, 3),
+            Number(interval.pinball_w, 0, 4),
+            Number(interval.wis_w, 0, 4),
         )?;
     }
     write!(

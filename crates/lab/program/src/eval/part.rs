@@ -33,7 +33,7 @@ pub(super) struct PartArguments {
     /// Report what the parts in these files (PATH…) are together: what one run reports
     #[arg(long, conflicts_with_all = [
         "partition", "out", "model", "config", "platform", "first_robot", "map", "current", "accept", "split", "held_out", "leave_out", "seed",
-        "fit", "horizons", "origins_every", "energy", "resamples", "confidence", "block_rows",
+        "fit", "forecasts", "horizons", "origins_every", "energy", "resamples", "confidence", "block_rows",
     ])]
     pub(super) merge: bool,
 }
@@ -115,7 +115,7 @@ pub(super) fn run(
     if out.symlink_metadata().is_ok() {
         bail!("{} exists; name a new file, or remove it", out.display());
     }
-    let options = args.asked.options()?;
+    let options = args.options()?;
     // Recordings are counted through all platforms, so that parts are of about the same size.
     let mut before = 0;
     let mut portions = Vec::new();

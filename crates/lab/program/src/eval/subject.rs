@@ -33,8 +33,9 @@ pub(crate) struct Selection {
     /// Share that the split holds out, as in training
     #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
     held_out: f64,
-    /// Trials, robots or groups to hold out by name, instead of a share
-    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    /// A shift: groups, folders, robots or trials to evaluate, with baselines fitted on all others.
+    /// With --split: units of it to hold out, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', conflicts_with = "fit")]
     leave_out: Vec<String>,
     /// Seed of the split and of the bootstrap
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -204,6 +205,9 @@ impl Selection {
                 names => Design::leaving_out(recordings, wanted, names),
             };
             return design.map_err(usage);
+        }
+        if !self.leave_out.is_empty() {
+            return Design::shifted(recordings, &self.leave_out).map_err(usage);
         }
         if self.fit.is_empty() {
             return Ok(Design::folds(recordings));

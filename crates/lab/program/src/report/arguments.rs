@@ -6,6 +6,7 @@ use joulebus_program::config_file::ConfigFile;
 
 use crate::judgement::AcceptArguments;
 use crate::recordings::ColumnArguments;
+use crate::references::ReferenceArguments;
 
 /// Report the accuracy of models in figures and tables, compared with the baselines
 #[derive(Debug, clap::Args)]
@@ -22,8 +23,8 @@ use crate::recordings::ColumnArguments;
     Rows that a model was trained on, as its file states, are scored apart from the others; the page warns \
     of them, and of models whose files do not state theirs. --split evaluates what `joulebus train trials` \
     with the same recordings, split and seed holds out.\n\
-    Every model is compared with persistence and AR(5) + velocities, on the same rows, with 95 % \
-    intervals.")]
+    Every model is compared with persistence, AR(5) + velocities, the mean so far, the season before and ridge \
+    regression, and with the forecasts of --forecasts, on the same rows, with 95 % intervals.")]
 pub(crate) struct Args {
     /// Recordings to evaluate (.npy, .csv, .csv.gz), captures (.mcap), or directories of them
     #[arg(value_name = "PATH", required_unless_present = "simulated")]
@@ -59,9 +60,12 @@ pub(crate) struct Args {
     /// Share that the split holds out, as in training
     #[arg(long, value_name = "SHARE", default_value_t = 0.15, requires = "split")]
     pub(super) held_out: f64,
-    /// Trials, robots or groups to hold out by name, instead of a share
-    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    /// A shift: groups, folders, robots or trials to evaluate, with baselines fitted on all others.
+    /// With --split: units of it to hold out, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', conflicts_with_all = ["train", "simulated"])]
     pub(super) leave_out: Vec<String>,
+    #[command(flatten)]
+    pub(super) references: ReferenceArguments,
     /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of
     /// the first draw, each draw has the next [default: 1]
     #[arg(long, value_name = "N")]

@@ -97,6 +97,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         models: &models,
         recordings: &recordings,
         design: &design,
+        references: args.references.read()?,
         published: args.published,
     })?;
     if let Some(warning) = &document.warning {
@@ -123,6 +124,10 @@ fn design(
             [] => Design::held_out(recordings, wanted),
             names => Design::leaving_out(recordings, wanted, names),
         };
+        return design.map_err(|error| usage(error.to_string()));
+    }
+    if !args.leave_out.is_empty() {
+        let design = Design::shifted(recordings, &args.leave_out);
         return design.map_err(|error| usage(error.to_string()));
     }
     if args.train.is_empty() {

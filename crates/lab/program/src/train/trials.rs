@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use joulebus_dataset::rows::{Dataset, write_rows};
-use joulebus_dataset::split::{Split, SplitSummary};
+use joulebus_dataset::split::{SourceInfo, Split, SplitSummary, left_out};
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
 use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
@@ -25,6 +25,7 @@ use crate::split_unit::SplitUnit;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus train trials recordings/ --out robot.safetensors\n  \
+    joulebus train trials husky/ --leave-out ICE --out without-ice.safetensors\n  \
     joulebus train trials t1.npy t2.npy t3.npy t4.npy --validate t5.npy --hold-out t6.npy \\\n      \
     --out gternal.safetensors\n\n\
     Rows need five gapless readings before them. Those with a missing number are omitted \
@@ -44,6 +45,10 @@ pub(super) struct Args {
     /// trial]
     #[arg(long, value_enum, value_name = "BY", conflicts_with = "validate")]
     split: Option<SplitUnit>,
+    /// A shift: groups, folders, robots or trials that the model never sees, not even in its
+    /// scores. `joulebus eval` with the same recordings and --leave-out evaluates it on them
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', conflicts_with = "validate")]
+    leave_out: Vec<String>,
     /// The recipe, a TOML file [default: the paper's]
     #[arg(long, value_name = "FILE")]
     recipe: Option<PathBuf>,
@@ -113,6 +118,7 @@ impl Args {
                 WHOLE_FROM.. => SplitUnit::Trial,
                 _ => SplitUnit::Time,
             }),
+            leave_out: Vec::new(),
             recipe: None,
             seed: None,
             name: None,
@@ -176,7 +182,14 @@ impl Args {
         let map = self.columns.map();
         let [paths, validation, held_out] =
             [&self.paths, &self.validate, &self.hold_out].map(|paths| read(paths, &map));
-        let (paths, validation, held_out) = (paths?, validation?, held_out?);
+        let (mut paths, validation, held_out) = (paths?, validation?, held_out?);
+        if !self.leave_out.is_empty() {
+            let infos: Vec<SourceInfo> = paths.iter().map(Recording::info).collect();
+            let is_out = left_out(&infos, &self.leave_out);
+            let is_out = is_out.map_err(|error| UsageError(error.to_string()))?;
+            let mut is_out = is_out.into_iter();
+            paths.retain(|_| is_out.next() == Some(false));
+        }
         let all = [&paths, &validation, &held_out].into_iter().flatten();
         let implausible = self.accept.recordings(all)?;
         let parts = match held_out.is_empty() {

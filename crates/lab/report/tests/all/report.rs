@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
-use joulebus_eval::score::{Design, Recording};
+use joulebus_eval::score::{Design, Recording, Reference};
 use joulebus_figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::Protocol;
@@ -245,7 +245,8 @@ fn on<'a>(
     recordings: &'a [Recording],
     design: &'a Design,
 ) -> Recorded<'a> {
-    Recorded { settings, platform: None, models, recordings, design, published: false }
+    let references = Reference::OWN.to_vec();
+    Recorded { settings, platform: None, models, recordings, design, references, published: false }
 }
 
 #[test]
@@ -255,7 +256,9 @@ fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
     let design = Design::folds(&recordings);
     let document = recorded(&on(&settings, &models, &recordings, &design)).unwrap();
     let text = document.to_string();
-    for name in "network|persistence|AR(5) + velocities|trial2 goal navigation".split('|') {
+    for name in
+        "network|persistence|AR(5) + velocities|mean so far|ridge|trial2 goal navigation".split('|')
+    {
         assert!(text.contains(name), "{name}");
     }
     assert!(!text.contains("paper, trial 6"));

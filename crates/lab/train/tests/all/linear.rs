@@ -2,6 +2,7 @@
 
 use joulebus_dataset::rows::Row;
 use joulebus_predictor::{FEATURES, FeatureSet, INPUTS};
+use joulebus_statistics::noise::Noise;
 use joulebus_train::linear::{Dropped, Linear, LinearError, Moments, Terms, known_terms};
 use proptest::prelude::*;
 
@@ -209,4 +210,27 @@ fn too_few_rows_and_features_without_moments_are_refused() {
     assert_eq!(constant.predict(&few[0].features), 1.5);
     assert_eq!(constant.terms().to_string(), "constant");
     assert_eq!(Terms::of(&[0, NEWEST, 99]).to_string(), "v_mps + power_lag1_w");
+}
+
+#[test]
+fn ridge_regression_takes_no_penalty_where_a_line_holds_and_one_where_nothing_does() {
+    let mut noise = Noise::new(3, 0);
+    let mut rows = |count: usize, slope: f32| -> Vec<Row> {
+        let each = (0..count).map(|_| {
+            let features: [f32; FEATURES] = std::array::from_fn(|_| noise.uniform() as f32);
+            row(&features, slope * features[NEWEST] + (1.0 - slope) * noise.uniform() as f32)
+        });
+        each.collect()
+    };
+    let size = |line: &Linear| line.coefficients().iter().map(|(_, by)| by * by).sum::<f64>();
+    for (slope, shrinks) in [(1.0, false), (0.0, true)] {
+        let rows = rows(120, slope);
+        let terms = Terms::AR5_AND_VELOCITIES;
+        let parts: Vec<Moments> = rows.chunks(24).map(|part| Moments::of(part, terms)).collect();
+        let parts: Vec<&Moments> = parts.iter().collect();
+        let ridge = Moments::fit_ridge(&parts, terms).unwrap();
+        let plain = Linear::fit(&rows, terms).unwrap();
+        assert_eq!(size(&ridge) < 0.9 * size(&plain), shrinks, "{ridge:?} {plain:?}");
+        assert!(shrinks || (size(&ridge) - size(&plain)).abs() < 1e-3, "{ridge:?} {plain:?}");
+    }
 }

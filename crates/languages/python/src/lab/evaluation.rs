@@ -3,7 +3,7 @@
 use joulebus_config::Config;
 use joulebus_eval::EvalReport;
 use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Series};
-use joulebus_eval::score::{Options, Recording, Scored, Subject, score_watched};
+use joulebus_eval::score::{Options, Recording, Reference, Scored, Subject, score_watched};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_statistics::bootstrap::Bootstrap;
 use pyo3::prelude::*;
@@ -33,6 +33,7 @@ impl Asked {
             horizons: self.horizons.clone(),
             origins_every: self.origins_every,
             energy: self.energy,
+            references: Reference::OWN.to_vec(),
             bootstrap: Bootstrap {
                 resamples: self.resamples,
                 confidence: self.confidence,

@@ -1,5 +1,6 @@
 //! `joulebus.report`.
 
+use joulebus_eval::score::Reference;
 use joulebus_predictor::Network;
 use joulebus_report::{
     Document, Recorded, ReportError, Simulated, SimulatedReport, files, html, recorded, simulated,
@@ -99,6 +100,7 @@ pub(crate) fn report_recorded(
             models: &models,
             recordings: &recordings,
             design: &design,
+            references: Reference::OWN.to_vec(),
             published: asked.published,
         });
         Ok(Report { document: document.map_err(refused)?, network: None })

@@ -1,9 +1,14 @@
 //! Training rows equal the features that the live tick passes to the model.
 
+use joulebus_config::builtin_model;
 use joulebus_dataset::rows::trial_rows;
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::split::Split;
+use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_eval::evaluate::evaluate;
+use joulebus_eval::score::read_recordings;
+use joulebus_eval::training_data::{MAX_ROWS, Parts, training_data};
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Model, Network};
+use joulebus_testkit::recordings::trials;
 use joulebus_wire::{InvalidReason, Quality};
 
 use super::model::{ROBOTINO, network, settings};
@@ -89,4 +94,26 @@ fn compare(trial: &Trial, model: &Model) {
         compared += 1;
     }
     assert!(compared > 70, "{compared}");
+}
+
+#[test]
+fn the_shipped_models_of_real_robots_were_trained_on_these_recordings() {
+    for (name, folder) in
+        [("robotino", "robotino"), ("husky", "borealtc_husky"), ("rover", "ase_rover")]
+    {
+        let Some(paths) = trials(folder) else {
+            return;
+        };
+        let files: Vec<_> = paths.into_iter().map(|path| (0, path)).collect();
+        let recordings = read_recordings(&files, &ColumnMap::default()).unwrap();
+        let parts = Parts::Split(&recordings, Split::default());
+        let (dataset, _) = training_data(parts, MAX_ROWS.get()).unwrap();
+        let (_, bytes) = builtin_model(name).unwrap();
+        let network = Network::from_safetensors(bytes).unwrap();
+        let card = network.card();
+        let digest = dataset.sha256(network.feature_set());
+        assert_eq!(card.training_data_sha256, digest, "{name}: python3 tools/recorded_models.py");
+        assert_eq!(card.training_data, dataset.description);
+        assert_eq!(card.step_s, Some(dataset.period_s), "{name}");
+    }
 }

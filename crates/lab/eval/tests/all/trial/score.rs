@@ -1,7 +1,7 @@
 //! Scores against slow references and published figures, and without leakage.
 
 use std::collections::{BTreeSet, HashSet};
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{By, Source, Split, split};
@@ -10,8 +10,9 @@ use joulebus_dataset::trial::Trial;
 use joulebus_eval::energy::EnergyScores;
 use joulebus_eval::evaluate;
 use joulebus_eval::score::{
-    Comparison, Contents, Design, ForecasterScore, Options, Part, Recording, Role, ScoreError,
-    ScoreReport, Scored, ScoredRows, Subject, Verdict, compare, recorded_platform, score,
+    Comparison, Contents, Design, ForecasterScore, Foreign, Options, Part, Recording, Reference,
+    Role, ScoreError, ScoreReport, Scored, ScoredRows, Subject, Verdict, compare,
+    recorded_platform, score,
 };
 use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
@@ -814,4 +815,83 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     let design = Design::folds(&blind);
     let wrong = refused(Subject { settings: &wrong, ..subject(&blind, &models, &design) });
     says(&wrong, ["interval coverage is 1.5"]);
+}
+
+#[test]
+fn a_shift_is_evaluated_and_fitted_on_the_others() {
+    let recordings = made_up(6, 120);
+    let shifted = |name: &str| Design::shifted(&recordings, &[name.to_owned()]);
+    let fold = &shifted("odd").unwrap().folds[0];
+    let places = |parts: &[Part]| parts.iter().map(|part| part.0).collect::<Vec<_>>();
+    assert_eq!((places(&fold.evaluated), places(&fold.fitted)), (vec![1, 3, 5], vec![0, 2, 4]));
+    let file = shifted("even_04.npy").unwrap();
+    assert_eq!(places(&file.folds[0].evaluated), [4]);
+    // Their folder is that of all.
+    let folder = contents(&recordings[0]).trial.path().parent().unwrap().file_name().unwrap();
+    let nothing = shifted(folder.to_str().unwrap()).unwrap_err().to_string();
+    says(&nothing, ["no other recording is left"]);
+    says(&shifted("snow").unwrap_err().to_string(), ["\"snow\"", "even, odd"]);
+}
+
+#[test]
+fn references_are_scored_on_the_same_rows_and_other_programs_with_their_intervals() {
+    let recordings = made_up(6, 200);
+    let design = Design::shifted(&recordings, &["odd".to_owned()]).unwrap();
+    // Another program that says the newest reading, within 5 W.
+    let mut text = "recording,row,power_w,lo_w,hi_w\n".to_owned();
+    for contents in recordings.iter().map(contents) {
+        let name = contents.trial.path().file_name().unwrap().to_str().unwrap();
+        for (row, seq) in contents.rows.rows.iter().zip(&contents.rows.sample_seq) {
+            let newest_w = row.features[NEWEST];
+            let (number, lo_w, hi_w) = (seq + 2, newest_w - 5.0, newest_w + 5.0);
+            text += &format!("{name},{number},{newest_w},{lo_w},{hi_w}\n");
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("theirs.csv");
+    std::fs::write(&file, &text).unwrap();
+    let references = |foreign| {
+        let foreign = Reference::Foreign(Arc::new(foreign));
+        Reference::OWN.into_iter().chain([foreign]).collect()
+    };
+    let theirs = Foreign::read("theirs", &file).unwrap();
+    let options = Options { references: references(theirs), ..quick() };
+    let models = [network(5, FeatureSet::Full, 30.0)];
+    let scored = run(&recordings, &models, &design, &options);
+    let all = &scored.report.all;
+    let of = |name: &str| all.forecasters.iter().find(|one| one.name == name).unwrap();
+    let (theirs, newest) = (of("theirs"), of("persistence"));
+    assert_eq!((theirs.count, theirs.role), (all.rows, Role::Baseline));
+    assert!((theirs.r2.value - newest.r2.value).abs() < 1e-6);
+    let interval = theirs.interval.unwrap();
+    assert!((interval.width.value - 10.0).abs() < 1e-4);
+    assert!(theirs.hindsight.score_w <= interval.scores.score_w);
+    assert!((interval.pinball_w - interval.scores.score_w / 40.0).abs() < 1e-6);
+    let against = |name: &str| {
+        let skills = &all.forecasters[0].skill;
+        skills.iter().find(|skill| skill.against == name).unwrap().skill.value
+    };
+    assert!((against("theirs") - against("persistence")).abs() < 1e-6);
+
+    let (mut readings_w, mut means_w) = (Vec::new(), Vec::new());
+    for recording in recordings.iter().skip(1).step_by(2) {
+        let rows = &contents(recording).rows.rows;
+        let newest_w: Vec<f64> = rows.iter().map(|row| row.features[NEWEST].into()).collect();
+        readings_w.extend(rows.iter().map(|row| f64::from(row.target_w)));
+        means_w.extend(
+            (1..=rows.len()).map(|count| newest_w[..count].iter().sum::<f64>() / count as f64),
+        );
+    }
+    let slow = tally(&readings_w, &means_w, 0.033);
+    assert!(near(of("mean so far").mae_w.value, slow.mae_w()));
+    assert_eq!(of("ridge, AR(5) + velocities").count, all.rows);
+
+    let cut: String = text.lines().take(600).map(|line| format!("{line}\n")).collect();
+    std::fs::write(&file, cut).unwrap();
+    let theirs = Foreign::read("theirs", &file).unwrap();
+    let options = Options { references: references(theirs), ..quick() };
+    let refused = score(subject(&recordings, &models, &design), &options).unwrap_err();
+    says(&refused.to_string(), ["theirs", "odd_", "have no forecast"]);
+    std::fs::write(&file, "recording,row,power_w\na.csv,1,NaN\n").unwrap();
+    says(&Foreign::read("theirs", &file).unwrap_err().to_string(), ["row 1 of a.csv", "finite"]);
 }
