@@ -65,8 +65,9 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         "Back to back: kernel, tick in one pass and tick in two passes are interleaved. In two: first forecasts \
          (features, network, intervals, forecasts written), then scoring (residuals, \
          scores, alarms, ledgers, diagnostics and budgets written).",
-        "Without plan states, which a worker writes while somebody reads them; \
-         tick_with_plan_states_over_tick compares neighbouring ticks in one pass with and without.",
+        "Without plan states and outlooks, which a worker writes while somebody reads them; \
+         tick_with_plan_states_over_tick and tick_with_outlooks_over_tick compare neighbouring \
+         ticks in one pass with and without.",
         "Paced: the tick starts after a sleep, and `due` is the grid time; a grid time that a \
          late tick skipped is a missed tick.",
     ]
@@ -150,6 +151,7 @@ fn push_one_thread(report: &mut Report, size: usize, rounds: &[Round]) {
     };
     ratio("tick_over_kernel", |round| round.tick() / round.kernel);
     ratio("tick_with_plan_states_over_tick", |round| round.with_plan_states / round.tick());
+    ratio("tick_with_outlooks_over_tick", |round| round.with_outlooks / round.tick());
     ratio("forecast_over_kernel", |round| round.forecast / round.kernel);
     ratio("take_and_forecast_over_kernel", |round| {
         (round.take_in_two + round.forecast) / round.kernel

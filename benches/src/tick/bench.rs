@@ -13,7 +13,7 @@ use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 
 use crate::machine::anonymous_bytes;
 use crate::world::World;
@@ -43,6 +43,8 @@ pub(crate) struct Round {
     pub(crate) stages: [f64; 4],
     /// Another tick in one pass, ingest included, that also writes the plan states.
     pub(crate) with_plan_states: f64,
+    /// And another that writes the outlooks.
+    pub(crate) with_outlooks: f64,
     /// Ingest of the tick in two passes.
     pub(crate) take_in_two: f64,
     /// Its first pass.
@@ -80,6 +82,7 @@ pub(super) struct Bench {
     diagnostics: Vec<Diagnostic>,
     budgets: Vec<Budget>,
     plan_states: Vec<PlanState>,
+    outlooks: Vec<Outlook>,
     /// Rounds so far.
     rounds: u64,
     before_bytes: Option<u64>,
@@ -101,6 +104,7 @@ impl Bench {
         let diagnostics = vec![Diagnostic::default(); robots];
         let budgets = vec![Budget::default(); robots];
         let plan_states = vec![PlanState::default(); robots];
+        let outlooks = vec![Outlook::default(); robots];
         let forecasts_w = vec![0.0; robots];
         let before_bytes = anonymous_bytes();
         Ok(Self {
@@ -115,6 +119,7 @@ impl Bench {
             diagnostics,
             budgets,
             plan_states,
+            outlooks,
             rounds: 0,
             before_bytes,
         })
@@ -129,27 +134,28 @@ impl Bench {
         Some(anonymous_bytes()? as f64 - self.before_bytes? as f64)
     }
 
-    /// The kernel and the variants of the tick, one after the other. Every other round, the tick
-    /// that writes plan states comes before the one that does not.
+    /// The kernel and the variants of the tick, one after the other. Every other round, the ticks
+    /// that write plan states or outlooks come before the one that does not.
     pub(super) fn round(&mut self) -> Round {
         let kernel = self.kernel();
         self.rounds += 1;
         let plans_first = self.rounds.is_multiple_of(2);
-        let mut with_plan_states = 0.0;
+        let mut with = [0.0; 2];
         if plans_first {
-            with_plan_states = self.tick_with_plan_states();
+            with = self.ticks_with_more();
         }
         let before = self.pool.spent_ns();
         let (take, run) = self.tick_in_one();
         let after = self.pool.spent_ns();
         if !plans_first {
-            with_plan_states = self.tick_with_plan_states();
+            with = self.ticks_with_more();
         }
         let mut round = Round {
             kernel,
             take,
             run,
-            with_plan_states,
+            with_plan_states: with[0],
+            with_outlooks: with[1],
             stages: std::array::from_fn(|stage| (after[stage] - before[stage]) as f64),
             ..Round::default()
         };
@@ -175,16 +181,18 @@ impl Bench {
 
     /// ns of ingest, and of the rest.
     pub(super) fn tick_in_one(&mut self) -> (f64, f64) {
-        self.one_pass(false)
+        self.one_pass(false, false)
     }
 
-    /// ns of the whole tick that also writes the plan states.
-    fn tick_with_plan_states(&mut self) -> f64 {
-        let (take_ns, run_ns) = self.one_pass(true);
-        take_ns + run_ns
+    /// ns of the whole tick that also writes the plan states, and of one that writes the outlooks.
+    fn ticks_with_more(&mut self) -> [f64; 2] {
+        [(true, false), (false, true)].map(|(plans, outlooks)| {
+            let (take_ns, run_ns) = self.one_pass(plans, outlooks);
+            take_ns + run_ns
+        })
     }
 
-    fn one_pass(&mut self, plans: bool) -> (f64, f64) {
+    fn one_pass(&mut self, plans: bool, outlooks: bool) -> (f64, f64) {
         let now_ns = self.world.now_ns();
         let start = Instant::now();
         let (header, samples) = self.world.frame();
@@ -197,12 +205,13 @@ impl Bench {
                 diagnostics: &mut self.diagnostics,
                 budgets: &mut self.budgets,
                 plan_states: if plans { &mut self.plan_states } else { &mut [] },
+                outlooks: if outlooks { &mut self.outlooks } else { &mut [] },
             },
         };
         self.pool.run(self.fleet.shard(), outputs);
         let done = Instant::now();
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
-        black_box(&self.plan_states);
+        black_box((&self.plan_states, &self.outlooks));
         self.world.advance();
         let ns = |from, to: Instant| to.duration_since(from).as_nanos() as f64;
         (ns(start, taken), ns(taken, done))
@@ -227,6 +236,7 @@ impl Bench {
                 diagnostics: &mut self.diagnostics,
                 budgets: &mut self.budgets,
                 plan_states: &mut [],
+                outlooks: &mut [],
             };
             fleet.shard().account(batch, accounts, &mut |_| {});
         });

@@ -73,7 +73,9 @@ pub use frame::{Frame, KeptForecasts};
 pub use joulebus_bus::{Readiness, clock};
 pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
-pub use joulebus_wire::{self as wire, Budgets, Diagnostics, Forecasts, PlanStates, Queries};
+pub use joulebus_wire::{
+    self as wire, Budgets, Diagnostics, Forecasts, Outlooks, PlanStates, Queries,
+};
 pub use newest::ReadError;
 pub use source_alarms::{SourceAlarms, SourceChange};
 pub use subscriber::{Event, Subscriber};

@@ -17,7 +17,8 @@ use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Lateness, Tracker, place};
 use crate::{
-    Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, PlanStates, Queries, WorkerState,
+    Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, Outlooks, PlanStates, Queries,
+    WorkerState,
 };
 
 /// A function that is called with each frame.
@@ -358,6 +359,16 @@ impl Subscriber {
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.
     pub fn plan_states(&self) -> Result<Feed<PlanStates>, ConnectError> {
+        self.feed()
+    }
+
+    /// Opens the outlooks: the energy that each robot will draw if it goes on as it does. The
+    /// worker computes and sends them while somebody reads them: the first frame comes with the
+    /// next tick.
+    ///
+    /// # Errors
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn outlooks(&self) -> Result<Feed<Outlooks>, ConnectError> {
         self.feed()
     }
 

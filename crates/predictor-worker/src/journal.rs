@@ -59,7 +59,8 @@ impl Journal {
             sent_ns: clock::monotonic_ns(),
             flags: u32::from(deadline_missed) * tick_flag::DEADLINE_MISSED
                 + u32::from(left_out.diagnostics) * tick_flag::NO_DIAGNOSTICS
-                + u32::from(!left_out.plan_states) * tick_flag::PLAN_STATES,
+                + u32::from(!left_out.plan_states) * tick_flag::PLAN_STATES
+                + u32::from(!left_out.outlooks) * tick_flag::OUTLOOKS,
             unlisted: self.unlisted,
         };
         let taken = &self.taken;

@@ -4,19 +4,21 @@ use joulebus_bus::{Bus, Limits, Loan, OpenError, SendError, Waker, Writer, clock
 use joulebus_fleet::{Accounts, Fleet, Outputs};
 use joulebus_wire::{
     BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
-    FrameHeader as _, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
+    FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, SCHEMA_VERSION,
+    WakeEvent,
 };
 
 use crate::standby::watch::CurrentPermit;
 use crate::tick_pool::TickPool;
 
-/// The four ports, and the event that wakes planners.
+/// The five ports, and the event that wakes planners.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     forecasts: Writer<Forecasts>,
     diagnostics: Writer<Diagnostics>,
     budgets: Writer<Budgets>,
     plan_states: Writer<PlanStates>,
+    outlooks: Writer<Outlooks>,
     planners: Waker,
 }
 
@@ -27,13 +29,18 @@ impl Outbox {
             diagnostics: bus.writer(limits)?,
             budgets: bus.writer(limits)?,
             plan_states: bus.writer(limits)?,
+            outlooks: bus.writer(limits)?,
             planners: bus.planner_waker(limits)?,
         })
     }
 
-    /// Whether any planner reads plan states. They are written only then.
-    pub(crate) fn plans(&self) -> bool {
-        self.plan_states.readers() > 0
+    /// The outputs that the next tick does not write.
+    pub(crate) fn left_out(&self, sheds: bool) -> LeftOut {
+        LeftOut {
+            diagnostics: sheds,
+            plan_states: self.plan_states.readers() == 0,
+            outlooks: self.outlooks.readers() == 0,
+        }
     }
 
     /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
@@ -59,10 +66,13 @@ impl Outbox {
         let mut budgets = Some(self.budgets.loan_to_fill(robots));
         let plan_states = !left_out.plan_states;
         let mut plan_states = plan_states.then(|| self.plan_states.loan_to_fill(robots));
+        let outlooks = !left_out.outlooks;
+        let mut outlooks = outlooks.then(|| self.outlooks.loan_to_fill(robots));
         let accounts = Accounts {
             diagnostics: payload(diagnostics.as_mut()),
             budgets: payload(budgets.as_mut()),
             plan_states: payload(plan_states.as_mut()),
+            outlooks: payload(outlooks.as_mut()),
         };
         let mut shard = fleet.shard();
         let unsent = if pool.shares(robots) {
@@ -83,6 +93,7 @@ impl Outbox {
             + send(diagnostics, headers.diagnostics, sent)
             + send(budgets, headers.budgets, sent)
             + send(plan_states, headers.plan_states, sent)
+            + send(outlooks, headers.outlooks, sent)
     }
 
     /// Sends planners the end event.
@@ -100,6 +111,8 @@ pub(crate) struct LeftOut {
     pub(crate) diagnostics: bool,
     /// Left out because nobody reads them.
     pub(crate) plan_states: bool,
+    /// As the plan states.
+    pub(crate) outlooks: bool,
 }
 
 /// Headers of the accounts, without the times of sending.
@@ -107,6 +120,7 @@ struct Headers {
     diagnostics: DiagnosticHeader,
     budgets: BudgetHeader,
     plan_states: PlanStateHeader,
+    outlooks: OutlookHeader,
 }
 
 impl Headers {
@@ -133,6 +147,16 @@ impl Headers {
                 models: fleet.model_hashes(),
                 compute_start_ns: forecasts.compute_start_ns,
                 ..PlanStateHeader::default()
+            },
+            outlooks: OutlookHeader {
+                schema,
+                pid,
+                worker_epoch,
+                tick,
+                period_ns: forecasts.period_ns,
+                model_hash: forecasts.model_hash,
+                compute_start_ns: forecasts.compute_start_ns,
+                ..OutlookHeader::default()
             },
         }
     }

@@ -19,7 +19,7 @@ use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
-use crate::outbox::{LeftOut, Outbox};
+use crate::outbox::Outbox;
 use crate::report::{Parts, Report, by_name};
 use crate::shedding::Shedding;
 use crate::standby::backlog::Held;
@@ -468,8 +468,7 @@ impl Worker {
         let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
-        let sheds = self.shedding.sheds;
-        let left_out = LeftOut { diagnostics: sheds, plan_states: !self.outbox.plans() };
+        let left_out = self.outbox.left_out(self.shedding.sheds);
         let unsent =
             self.outbox.tick((&mut self.fleet, &self.pool), header, left_out, &self.current_permit);
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);

@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, Domain, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{OnDrop, counting};
-use joulebus_wire::{PlanStates, SCHEMA_VERSION, Sample, SampleHeader, State};
+use joulebus_wire::{Outlooks, PlanStates, SCHEMA_VERSION, Sample, SampleHeader, State};
 
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
@@ -74,13 +74,15 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
     }
 }
 
-/// Reads plan states until `stop`, and counts the frames.
+/// Reads plan states and outlooks until `stop`, and counts the ticks of which it found both.
 fn plan(domain: &Domain, config: &Config, plan_states: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "planner").unwrap();
     let mut reader = bus.reader::<PlanStates>(&config.limits()).unwrap();
+    let mut outlooks = bus.reader::<Outlooks>(&config.limits()).unwrap();
     while !stop.load(Ordering::Relaxed) {
-        let found = reader.take_latest().unwrap();
-        plan_states.fetch_add(u64::from(found.is_some()), Ordering::Relaxed);
+        let found = (reader.take_latest().unwrap(), outlooks.take_latest().unwrap());
+        let both = found.0.is_some() && found.1.is_some();
+        plan_states.fetch_add(u64::from(both), Ordering::Relaxed);
         drop(found);
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -151,8 +153,8 @@ fn measure(case: Case) {
         let shed = worker.report().ticks_without_diagnostics - shed_before;
         assert_eq!(
             allocated,
-            5 * ticks - shed,
-            "{case:?}: five a tick are iceoryx2's, {shed} ticks without diagnostics"
+            6 * ticks - shed,
+            "{case:?}: six a tick are iceoryx2's, {shed} ticks without diagnostics"
         );
     });
     let report = worker.finish();

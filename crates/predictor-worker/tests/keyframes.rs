@@ -14,8 +14,8 @@ use joulebus_models::load_models;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::OnDrop;
 use joulebus_wire::{
-    Budget, Budgets, Forecast, Forecasts, SCHEMA_VERSION, Sample, SampleHeader, State, StateHeader,
-    TakenFrame, TickHeader, Ticks, tick_flag,
+    Budget, Budgets, Forecast, Forecasts, Outlooks, PlanStates, SCHEMA_VERSION, Sample,
+    SampleHeader, State, StateHeader, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 const ROBOTS: u32 = 300;
@@ -222,4 +222,34 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
     assert!(both.count() > 0, "all readers get the same keyframes");
     let _ = std::fs::remove_dir(&root);
     assert!(!root.exists(), "stale files: {root:?}");
+}
+
+#[test]
+fn plan_states_and_outlooks_are_computed_while_somebody_reads_them() {
+    let root = format!("/dev/shm/joulebus-test-on-demand-{}", std::process::id());
+    let config = config(&PathBuf::from(root));
+    let (domain, limits) = (config.domain().unwrap(), config.limits());
+    let mut worker = Worker::open(&config).unwrap();
+    let bus = Bus::join(&domain, "recorder").unwrap();
+    let mut ticks = bus.reader::<Ticks>(&limits).unwrap();
+    let mut written = || {
+        let mut done = 0;
+        while done < 3 {
+            done += u32::from(worker.turn().unwrap());
+        }
+        let mut flags = None;
+        while let Some(frame) = ticks.take_next().unwrap() {
+            flags = Some(frame.header().flags);
+        }
+        flags.unwrap() & (tick_flag::PLAN_STATES | tick_flag::OUTLOOKS)
+    };
+    assert_eq!(written(), 0);
+    let outlooks = bus.reader::<Outlooks>(&limits).unwrap();
+    assert_eq!(written(), tick_flag::OUTLOOKS);
+    let plan_states = bus.reader::<PlanStates>(&limits).unwrap();
+    assert_eq!(written(), tick_flag::PLAN_STATES | tick_flag::OUTLOOKS);
+    drop(outlooks);
+    assert_eq!(written(), tick_flag::PLAN_STATES);
+    drop(plan_states);
+    assert_eq!(written(), 0);
 }

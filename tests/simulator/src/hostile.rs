@@ -3,9 +3,9 @@
 use joulebus_config::Config;
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, QueryHeader, SCHEMA_VERSION,
-    Sample, SampleHeader, State, StateHeader, TickHeader, Ticks, WakeEvent, budget_flag,
-    sample_flag,
+    ForecastHeader, Forecasts, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader,
+    PlanStates, QueryHeader, SCHEMA_VERSION, Sample, SampleHeader, State, StateHeader, TickHeader,
+    Ticks, WakeEvent, budget_flag, sample_flag,
 };
 use simulated_bus::Bus;
 use simulated_host::{self as host, time};
@@ -109,6 +109,7 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
     let mut diagnostics = bus.writer::<Diagnostics>(&limits).ok()?;
     let mut budgets = bus.writer::<Budgets>(&limits).ok()?;
     let mut plan_states = bus.writer::<PlanStates>(&limits).ok()?;
+    let mut outlooks = bus.writer::<Outlooks>(&limits).ok()?;
     let mut ticks = bus.writer::<Ticks>(&limits).ok()?;
     let mut state = bus.writer::<State>(&limits).ok()?;
     let waker = bus.planner_waker(&limits).ok()?;
@@ -149,6 +150,9 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
         };
         let row = PlanState { robot: FALSE_ROBOT, ..PlanState::default() };
         let _ = plan_states.send(header, 1, |_| row);
+        let header = OutlookHeader { schema, pid, worker_epoch, tick, ..Default::default() };
+        let row = Outlook { robot: FALSE_ROBOT, ..Outlook::default() };
+        let _ = outlooks.send(header, 1, |_| row);
         let header = TickHeader { schema, pid, worker_epoch, tick, ..Default::default() };
         let _ = ticks.send(header, 0, |_| Default::default());
         let header = StateHeader { schema, pid, worker_epoch, tick, ..Default::default() };

@@ -7,7 +7,9 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
 use joulebus_config::Config;
 use joulebus_plan::{Plan, Question, Reply};
 use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_consumer::{Budgets, Diagnostics, End, Event, Feed, PlanStates, Subscriber};
+use simulated_consumer::{
+    Budgets, Diagnostics, End, Event, Feed, Outlooks, PlanStates, Subscriber,
+};
 use simulated_host::{self as host, time};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
@@ -205,12 +207,13 @@ impl SourceProgram {
     }
 }
 
-/// A planner that reads forecasts, diagnostics, budgets and what plans start from.
+/// A planner that reads forecasts, diagnostics, budgets, what plans start from, and outlooks.
 pub(crate) struct PlannerProgram {
     planner: Subscriber,
     diagnostics: Feed<Diagnostics>,
     budgets: Feed<Budgets>,
     plan_states: Feed<PlanStates>,
+    outlooks: Feed<Outlooks>,
     polls: bool,
     every_ns: u64,
 }
@@ -232,6 +235,7 @@ impl PlannerProgram {
             diagnostics: planner.diagnostics().ok()?,
             budgets: planner.budgets().ok()?,
             plan_states: planner.plan_states().ok()?,
+            outlooks: planner.outlooks().ok()?,
             planner,
         })
     }
@@ -266,6 +270,9 @@ impl PlannerProgram {
                 learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
             }
             if let Ok(Some(frame)) = self.plan_states.latest() {
+                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            }
+            if let Ok(Some(frame)) = self.outlooks.latest() {
                 learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
             }
         }

@@ -36,7 +36,8 @@ fn read(path: &Path) -> (Vec<Entry>, Option<ReadError>) {
 }
 
 /// Messages that are sent in every tick, by the ends of their topics.
-const KINDS: [&str; 6] = ["samples", "ticks", "forecasts", "diagnostics", "budgets", "plan_states"];
+const KINDS: [&str; 7] =
+    ["samples", "ticks", "forecasts", "diagnostics", "budgets", "plan_states", "outlooks"];
 
 /// Identity of a message.
 fn name(entry: &Entry) -> (String, u64, u64) {

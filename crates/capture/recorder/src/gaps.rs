@@ -4,9 +4,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use joulebus_wire::{
-    Diagnostics, Flow, FrameRows, Place, PlanStates, Samples, TickHeader, Ticks, tick_flag,
-};
+use joulebus_wire::{Diagnostics, Flow, FrameRows, Place, Samples, TickHeader, Ticks, tick_flag};
 
 use joulebus_capture_format::{Message, MessageKind};
 
@@ -38,8 +36,8 @@ struct Run {
     unsent: VecDeque<u64>,
     /// Message count at its last frame.
     looked: u64,
-    /// Whether the next gap says nothing: plan states are sent only while somebody reads them, so
-    /// the first one may be of a reader before, and the second of a later tick.
+    /// Whether the next gap says nothing: what is sent only while somebody reads it may begin with
+    /// a frame of a reader before, and the second frame is of a later tick.
     unknown_gap: bool,
 }
 
@@ -102,7 +100,7 @@ impl Gaps {
         let key = (Arc::clone(fleet), kind, source, epoch);
         if !self.runs.contains_key(&key) {
             self.forget_silent();
-            let is_on_demand = kind == MessageKind::of::<PlanStates>();
+            let is_on_demand = kind.flow().is_on_demand();
             let heard_from_the_start = epoch > self.known_since_ns && !is_on_demand;
             let next = if heard_from_the_start { first } else { number };
             let run = Run { next, last: next, unknown_gap: is_on_demand, ..Run::default() };
@@ -160,7 +158,10 @@ impl Run {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{DiagnosticHeader, ForecastHeader, Forecasts, SampleHeader};
+    use joulebus_wire::{
+        Channel, DiagnosticHeader, ForecastHeader, Forecasts, FrameHeader as _, Outlooks,
+        PlanStates, SampleHeader,
+    };
 
     use super::*;
 
@@ -175,16 +176,19 @@ mod tests {
     }
 
     #[test]
-    fn plan_states_count_from_the_second_on() {
-        let fleet: Arc<str> = "lab".into();
-        let mut gaps = Gaps::new(0);
-        let mut missing = |tick| {
-            let header =
-                joulebus_wire::PlanStateHeader { worker_epoch: 5, tick, ..Default::default() };
-            let message = Message::of::<PlanStates>(header, Vec::new());
-            gaps.look(&fleet, &message).missing
-        };
-        assert_eq!([7, 28, 29, 32, 33].map(&mut missing), [0, 0, 0, 2, 0]);
+    fn what_is_sent_while_somebody_reads_it_counts_from_the_second_on() {
+        fn counted<C: Channel>() {
+            let fleet: Arc<str> = "lab".into();
+            let mut gaps = Gaps::new(0);
+            let mut missing = |number| {
+                let mut header = C::Header::default();
+                header.set_place(1, Place { run: 5, number });
+                gaps.look(&fleet, &Message::of::<C>(header, Vec::new())).missing
+            };
+            assert_eq!([7, 28, 29, 32, 33].map(&mut missing), [0, 0, 0, 2, 0]);
+        }
+        counted::<PlanStates>();
+        counted::<Outlooks>();
     }
 
     #[test]

@@ -22,8 +22,8 @@ use joulebus_config::Config;
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
-    SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
+    ForecastHeader, Forecasts, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader,
+    PlanStates, SCHEMA_VERSION, Sample, SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: usize = 10;
@@ -39,6 +39,7 @@ struct Stage {
     diagnostics: BusWriter<Diagnostics>,
     budgets: BusWriter<Budgets>,
     plan_states: BusWriter<PlanStates>,
+    outlooks: BusWriter<Outlooks>,
     ticks: BusWriter<Ticks>,
     bus: Bus,
     _lock: WorkerLock,
@@ -78,6 +79,7 @@ impl Stage {
             diagnostics: bus.writer(&limits).unwrap(),
             budgets: bus.writer(&limits).unwrap(),
             plan_states: bus.writer(&limits).unwrap(),
+            outlooks: bus.writer(&limits).unwrap(),
             ticks: bus.writer(&limits).unwrap(),
             bus,
             _lock: lock,
@@ -158,6 +160,10 @@ impl Stage {
         };
         let plan_state = |robot: usize| PlanState { robot: robot as u32, ..PlanState::default() };
         self.plan_states.send(header, ROBOTS, plan_state).unwrap();
+        let sent_ns = clock::monotonic_ns();
+        let header = OutlookHeader { worker_epoch, tick, sent_ns, ..OutlookHeader::default() };
+        let outlook = |robot: usize| Outlook { robot: robot as u32, ..Outlook::default() };
+        self.outlooks.send(header, ROBOTS, outlook).unwrap();
         let header = TickHeader {
             worker_epoch,
             tick,
@@ -213,8 +219,8 @@ fn lost(summary: &Summary, topic: &str) -> u64 {
     lost.map_or(0, |lost| lost.overwritten + lost.unwritten)
 }
 
-const SERVICES: [&str; 6] =
-    ["samples", "forecasts", "diagnostics", "budgets", "plan_states", "ticks"];
+const SERVICES: [&str; 7] =
+    ["samples", "forecasts", "diagnostics", "budgets", "plan_states", "outlooks", "ticks"];
 
 /// Everything sent is written or counted as lost, service by service.
 fn assert_adds_up(found: &[Entry], summary: &Summary, ticks: u64) {
@@ -414,7 +420,7 @@ fn more_robots_than_a_file_has_channels_are_refused_with_the_numbers() {
     let (clock, none) = (host_clock(), Attachments::default());
     let refused = Recorder::start(&config, Vec::new(), clock, none, target, &options);
     let refused = refused.err().unwrap().to_string();
-    assert!(refused.contains("80009") && refused.contains("65535"), "{refused}");
+    assert!(refused.contains("80010") && refused.contains("65535"), "{refused}");
     assert!(!root.exists());
 }
 

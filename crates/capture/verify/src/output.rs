@@ -5,7 +5,7 @@ use std::fmt;
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
     BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
-    PlanStateHeader, PlanStates, TickHeader, tick_flag,
+    OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TickHeader, tick_flag,
 };
 
 use crate::compare::{self, FieldDifference, Value};
@@ -114,6 +114,15 @@ impl Output {
             },
             |tick, place| tick.fleet.plan_state(place),
         );
+        let outlooks = Self::of::<Outlooks>(
+            &["model_hash", "compute_start_ns"],
+            |tick| OutlookHeader {
+                model_hash: tick.fleet.model_hash(),
+                compute_start_ns: tick.journal.start_ns,
+                ..OutlookHeader::default()
+            },
+            |tick, place| tick.fleet.outlook(place),
+        );
         vec![
             forecasts,
             // Under overload the worker omits them, and reports so.
@@ -122,8 +131,9 @@ impl Output {
                 ..diagnostics
             },
             budgets,
-            // The worker writes them while somebody reads them, and reports so.
+            // The worker writes these while somebody reads them, and reports so.
             Self { is_sent: |journal| journal.flags & tick_flag::PLAN_STATES != 0, ..plan_states },
+            Self { is_sent: |journal| journal.flags & tick_flag::OUTLOOKS != 0, ..outlooks },
         ]
     }
 

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_fleet::StateError;
-use joulebus_wire::PlanStates;
 use serde::Serialize;
 
 use crate::compare::FieldDifference;
@@ -247,8 +246,8 @@ impl Verification {
         for (kind, seen) in std::mem::take(&mut self.outputs) {
             if !seen {
                 let missing = self.outputs_missing.remove(kind.name());
-                // Plan states are sent only while somebody reads them.
-                if kind != MessageKind::of::<PlanStates>() || missing.is_some() {
+                // Some are sent only while somebody reads them.
+                if !kind.flow().is_on_demand() || missing.is_some() {
                     self.not_recorded.push(kind.name());
                 }
             }

@@ -66,7 +66,7 @@ pub(crate) struct Args {
     #[arg(long)]
     resume: bool,
     /// Record only these topics: names of services (samples, forecasts, diagnostics, budgets,
-    /// plan_states, ticks, state, acknowledgements) or complete topics
+    /// plan_states, outlooks, ticks, state, acknowledgements) or complete topics
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
     /// Record topics that match, in addition to --topics

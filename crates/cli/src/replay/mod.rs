@@ -68,7 +68,8 @@ pub(crate) struct Args {
     /// Step by step: each key or line plays up to the next frame
     #[arg(long)]
     step: bool,
-    /// Services to play: samples, forecasts, diagnostics, budgets, plan_states, acknowledgements
+    /// Services to play: samples, forecasts, diagnostics, budgets, plan_states, outlooks,
+    /// acknowledgements
     /// [default: samples]
     #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service)]
     topics: Vec<MessageKind>,

@@ -120,7 +120,7 @@ impl Limits {
                 borrowed: 1,
                 history: 0,
             },
-            Flow::Planners { kept, history } => Shape {
+            Flow::Planners { kept, history, .. } => Shape {
                 publishers: 1 + SPARE,
                 subscribers: self.max_planners + OF_WORKER + RECORDERS + LINKS + SPARE,
                 buffer: self.forecast_frames,

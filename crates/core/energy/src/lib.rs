@@ -9,6 +9,7 @@
 //!   mean at which horizon, and how large the errors were on held-out recordings.
 //! - [`Calibration`] is what all robots of a platform have shown of the model's errors since.
 //! - [`EnergyModel::forecast`] gives the energy of [`Commands`] as an [`EnergyForecast`].
+//! - [`EnergyModel::outlook`] gives the energy of a robot that goes on as it does.
 //!
 //! **The forecast.** A robot's *level* is its power over the last seconds relative to what the
 //! command model says of the commands in that time. The energy of the plan is what the command
@@ -22,6 +23,7 @@ mod forecast;
 mod lasting;
 mod levels;
 mod model;
+mod outlook;
 mod quantiles;
 mod state;
 
@@ -31,5 +33,6 @@ pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use lasting::{Lasting, LastingPower};
 pub use levels::{LEVELS, LEVELS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
+pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};
 pub use state::{EnergySample, EnergyState, Learned, Metered, SHADOWS, SHADOWS_S};

@@ -6,6 +6,7 @@ use thiserror::Error;
 use crate::command::{COMBINED_TERMS, CommandModel};
 use crate::levels::LEVELS;
 use crate::quantiles::{self, KNOTS};
+use crate::state::NEWEST;
 
 /// Number of horizons at which weights and errors are known.
 const HORIZONS: usize = 6;
@@ -205,6 +206,11 @@ impl EnergyModel {
         const MIN: f32 = 1e-3;
         let errors = self.errors_at(horizon_s);
         ((errors[7] - errors[1]) / 3.29).max(MIN)
+    }
+
+    /// As [`EnergyModel::spread_at`] the horizons of the shortest levels.
+    pub(crate) fn newest_spreads(&self) -> [f32; NEWEST] {
+        std::array::from_fn(|level| self.spread_at(HORIZONS_S[level]))
     }
 
     /// Quantiles of the error at a horizon, moved and stretched so that the 90 % interval has this

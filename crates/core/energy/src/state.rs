@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration::{ErrorBounds, class_of};
 use crate::command::Motion;
 use crate::levels::{LEVELS, LEVELS_S, Level, Parts};
-use crate::model::{EnergyModel, HORIZONS_S};
+use crate::model::EnergyModel;
 use crate::quantiles;
 
 /// Number of horizons at which a robot's own errors are watched.
@@ -19,6 +19,8 @@ pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
 
 /// Time before the first shadow forecast, s, because the first readings are not representative.
 const SETTLE_S: f32 = 0.75;
+/// Number of the shortest levels, with which longer ones are compared.
+pub(crate) const NEWEST: usize = 2;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
 /// Share of errors outside the interval that the factor of a robot's errors aims at.
@@ -400,10 +402,7 @@ impl EnergyState {
     /// Middle and half width of the robot's interval at a horizon, linear between the watched ones
     /// and constant beyond.
     pub(crate) fn bounds_at(&self, horizon_s: f32) -> (f32, f32) {
-        let last = SHADOWS - 2;
-        let segment = (0..last).find(|index| horizon_s < SHADOWS_S[index + 1]).unwrap_or(last);
-        let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
-        let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+        let (segment, share) = segment(horizon_s);
         let (from, to) =
             (self.bounds.middle_and_half(segment), self.bounds.middle_and_half(segment + 1));
         (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1))
@@ -417,8 +416,10 @@ impl EnergyState {
     }
 
     fn parts(&self, model: &EnergyModel, horizon_s: f32) -> (Parts, f32) {
-        let (mut weights, added_share) = model.weights_at(horizon_s);
-        let changed = self.forget(model, &mut weights);
+        let (weights, added_share) = model.weights_at(horizon_s);
+        let spreads = model.newest_spreads();
+        let contradictions = contradictions(&self.metered, model.command.mean_w, &spreads);
+        let (weights, changed) = weighted(weights, &contradictions);
         let (spread, mean_w) = (model.spread_at(horizon_s), model.command.mean_w);
         let mut parts = Parts::default();
         for level in 0..LEVELS {
@@ -440,54 +441,87 @@ impl EnergyState {
         }
         (parts, changed)
     }
-
-    /// Takes weight from levels that the newest readings contradict: the floor, the load or the
-    /// robot has changed since. Returns the share that was taken.
-    ///
-    /// A level is compared with each of the two shortest ones that is shorter. The difference of
-    /// what they draw beyond their commands counts in deviations of the errors at about that
-    /// horizon.
-    fn forget(&self, model: &EnergyModel, weights: &mut [f32; LEVELS]) -> f32 {
-        /// Deviations by which a level loses half of its weight.
-        const HALF: f32 = 2.0;
-        /// Least power that a deviation is of, as a share of the platform's mean.
-        const MIN: f32 = 0.02;
-        let metered = &self.metered;
-        let per_s = |level: usize, joules: f32| joules / metered.time_s[level];
-        let above_w =
-            |level: usize| per_s(level, metered.energy_j[level] - metered.command_j[level]);
-        let power_w = |level: usize| per_s(level, metered.energy_j[level]).abs();
-        let is_known = |level: usize| metered.time_s[level] > 0.0 && metered.command_j[level] > 0.0;
-        let mut kept = weights[0];
-        for level in 1..LEVELS {
-            let mut contradiction = 0.0;
-            for newer in (0..level.min(2)).filter(|newer| is_known(*newer) && is_known(level)) {
-                let size_w = (power_w(newer) + power_w(level)).max(MIN * model.command.mean_w);
-                let deviation_w = 0.5 * HALF * size_w * model.spread_at(HORIZONS_S[newer]);
-                let deviations = (above_w(newer) - above_w(level)) / deviation_w;
-                let square = deviations * deviations;
-                contradiction += square * square;
-            }
-            weights[level] /= 1.0 + contradiction;
-            kept += weights[level];
-        }
-        // Without the shortest level, which is never contradicted, nothing may be left.
-        if !(kept > f32::MIN_POSITIVE && kept.is_finite()) {
-            *weights = [1.0, 0.0, 0.0, 0.0];
-            return 1.0;
-        }
-        weights.iter_mut().for_each(|weight| *weight /= kept);
-        (1.0 - kept).clamp(0.0, 1.0)
-    }
 }
+
+/// How far the newest readings contradict each level, 0 or more: the floor, the load or the robot
+/// has changed since. A level of 1 loses half of its weight; the shortest is never contradicted.
+///
+/// A level is compared with each of the two shortest ones that is shorter. The difference of what
+/// they draw beyond their commands counts in deviations of the errors at about that horizon, which
+/// are `spreads`. `mean_w` is the platform's.
+#[inline(always)]
+pub(crate) fn contradictions(
+    metered: &Metered,
+    mean_w: f32,
+    spreads: &[f32; NEWEST],
+) -> [f32; LEVELS] {
+    /// Deviations by which a level loses half of its weight.
+    const HALF: f32 = 2.0;
+    /// Least power that a deviation is of, as a share of the platform's mean.
+    const MIN: f32 = 0.02;
+    let per_s = |level: usize, joules: f32| joules / metered.time_s[level];
+    let above_w = |level: usize| per_s(level, metered.energy_j[level] - metered.command_j[level]);
+    let power_w = |level: usize| per_s(level, metered.energy_j[level]).abs();
+    let is_known = |level: usize| (metered.time_s[level] > 0.0) & (metered.command_j[level] > 0.0);
+    let mut contradictions = [0.0; LEVELS];
+    for (level, contradiction) in contradictions.iter_mut().enumerate().skip(1) {
+        for (newer, spread) in spreads.iter().enumerate().take(level) {
+            let size_w = (power_w(newer) + power_w(level)).max(MIN * mean_w);
+            let deviation_w = 0.5 * HALF * size_w * spread;
+            let deviations = (above_w(newer) - above_w(level)) / deviation_w;
+            let square = deviations * deviations;
+            let known = is_known(newer) & is_known(level);
+            *contradiction += if known { square * square } else { 0.0 };
+        }
+    }
+    contradictions
+}
+
+/// Takes weight from levels that are contradicted. Returns the weights, 1 in all, and the share
+/// that was taken.
+#[inline(always)]
+pub(crate) fn weighted(
+    mut weights: [f32; LEVELS],
+    contradictions: &[f32; LEVELS],
+) -> ([f32; LEVELS], f32) {
+    let mut kept = 0.0;
+    for level in 0..LEVELS {
+        weights[level] /= 1.0 + contradictions[level];
+        kept += weights[level];
+    }
+    // Without the shortest level nothing may be left.
+    let is_left = (kept > f32::MIN_POSITIVE) & kept.is_finite();
+    for (level, weight) in weights.iter_mut().enumerate() {
+        let alone = if level == 0 { 1.0 } else { 0.0 };
+        *weight = if is_left { *weight / kept } else { alone };
+    }
+    (weights, if is_left { (1.0 - kept).clamp(0.0, 1.0) } else { 1.0 })
+}
+
+/// The watched horizon before a horizon, and the share of the one after.
+fn segment(horizon_s: f32) -> (usize, f32) {
+    let last = SHADOWS - 2;
+    let segment = (0..last).find(|index| horizon_s < SHADOWS_S[index + 1]).unwrap_or(last);
+    let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
+    (segment, ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0))
+}
+
+/// The weight of each watched horizon's bounds at a horizon, as in [`EnergyState::bounds_at`].
+pub(crate) fn error_shares(horizon_s: f32) -> [f32; SHADOWS] {
+    let (segment, share) = segment(horizon_s);
+    let mut shares = [0.0; SHADOWS];
+    (shares[segment], shares[segment + 1]) = (1.0 - share, share);
+    shares
+}
+
+/// Time after which most of a deviation is not due to the first readings, s.
+pub(crate) const START_S: f32 = 3.0;
 
 /// Weight of a level after `time_s` of readings. The rest is the platform's level, because few
 /// readings are not representative. `deviation` is the level's distance from the platform's, in
 /// deviations of the forecast errors. A level that is too far away for a robot of this platform,
 /// for instance on another floor, is drawn to the platform's for a shorter time.
 fn shrunk(time_s: f32, prior_s: f32, deviation: f32) -> f32 {
-    /// Time after which most of a deviation is not due to the first readings, s.
-    const START_S: f32 = 3.0;
     let is_level = time_s / (time_s + START_S);
     let square = deviation * deviation * time_s / (time_s + prior_s);
     let prior_s = prior_s / (1.0 + square * is_level * is_level);

@@ -666,3 +666,48 @@ fn a_level_far_from_the_platforms_is_believed_sooner() {
     assert!(error_after_s(1.05) > 0.4, "{}", error_after_s(1.05));
     assert!(error_after_s(5.0) < 0.2, "{}", error_after_s(5.0));
 }
+
+#[test]
+fn a_robot_that_goes_on_draws_its_mean_at_every_horizon() {
+    let model = EnergyModel::untrained(30.0);
+    let state = driven(&model, 60.0, |_| 7.0);
+    let prepared = model.outlook([1.0, 10.0, 60.0, 300.0]);
+    let outlook = prepared.of(&state);
+    for (energy_j, horizon_s) in outlook.energy_j.into_iter().zip([1.0, 10.0, 60.0, 300.0]) {
+        assert!((energy_j / horizon_s - 7.0).abs() < 0.1, "{outlook:?}");
+    }
+    // The errors of a model without training are unknown.
+    let bounds = outlook.lo_j.into_iter().chain(outlook.hi_j);
+    assert_eq!((prepared.bounded(), bounds.filter(|joules| joules.is_nan()).count()), (0, 8));
+}
+
+#[test]
+fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
+    let model = EnergyModel { calibrated: 4, ..driving_model() };
+    let mut state = driven(&model, 20.0, |v_mps| 2.0 + 30.0 * v_mps);
+    state.learned.command_trust = 0.0;
+    state.learned.error_factor = [2.0, 3.0, 4.0];
+    let horizons_s = [1.0, 10.0, 30.0, 60.0];
+    let outlook = model.outlook(horizons_s).of(&state);
+    let near = |found: f32, expected: f32| (found - expected).abs() <= 1e-5 * expected.abs();
+    for (place, horizon_s) in horizons_s.into_iter().enumerate() {
+        let plan = model.forecast(&state, commands(horizon_s, &[0.3], &[1.0]));
+        assert!(
+            near(outlook.energy_j[place], plan.energy_j),
+            "{horizon_s} s: {outlook:?} {plan:?}"
+        );
+        let bounds = [(outlook.lo_j[place], 0.05), (outlook.hi_j[place], 0.95)];
+        for (found, p) in bounds {
+            match plan.quantile_j(p) {
+                Some(expected) => {
+                    assert!(near(found, expected), "{horizon_s} s: {found} {expected}")
+                }
+                None => assert!(found.is_nan() && place == 3, "{horizon_s} s: {found}"),
+            }
+        }
+    }
+    assert_eq!(model.outlook(horizons_s).bounded(), 3);
+    // A new robot draws what its platform does.
+    let new = model.outlook(horizons_s).of(&EnergyState::new(0));
+    assert!(new.energy_j.into_iter().zip(horizons_s).all(|(joules, s)| near(joules, 5.0 * s)));
+}

@@ -5,8 +5,9 @@
 
 use crate::{
     Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
-    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, PlanState, PlanStateHeader, QueriesHeader,
-    RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
+    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, Outlook, OutlookHeader, PlanState, PlanStateHeader,
+    QueriesHeader, RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame,
+    TickHeader,
 };
 
 /// A service of shared memory through which frames go.
@@ -44,6 +45,8 @@ pub enum Flow {
         kept: usize,
         /// Frames that a reader which comes later receives.
         history: usize,
+        /// Whether the worker computes and sends them only while somebody reads them.
+        on_demand: bool,
     },
     /// The worker sends; recorders read.
     Recorders {
@@ -52,6 +55,14 @@ pub enum Flow {
         /// Frames that a reader which comes later receives.
         history: usize,
     },
+}
+
+impl Flow {
+    /// Whether frames are sent only while somebody reads them.
+    #[must_use]
+    pub const fn is_on_demand(self) -> bool {
+        matches!(self, Self::Planners { on_demand: true, .. })
+    }
 }
 
 /// The meaning of a frame's rows, which bounds their number.
@@ -172,17 +183,21 @@ channels! {
     /// variable while it waits for the next, and one more.
     Forecasts: "forecasts", ForecastHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
-        }, Forecast, Flow::Planners { kept: 2, history: 0 }, FrameRows::Robots;
+        }, Forecast, Flow::Planners { kept: 2, history: 0, on_demand: false }, FrameRows::Robots;
     /// Diagnostics, of every tick.
     Diagnostics: "diagnostics", DiagnosticHeader { place: worker_epoch, tick; },
-        Diagnostic, Flow::Planners { kept: 0, history: 0 }, FrameRows::Robots;
+        Diagnostic, Flow::Planners { kept: 0, history: 0, on_demand: false }, FrameRows::Robots;
     /// Budgets: planners need the newest at once, and recorders read all.
     Budgets: "budgets", BudgetHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
-        Budget, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
+        Budget, Flow::Planners { kept: 0, history: 1, on_demand: false }, FrameRows::Robots;
     /// The state that plans start from: sent while somebody reads it.
     PlanStates: "plan_states", PlanStateHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
-        }, PlanState, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
+        }, PlanState, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
+    /// The energy that robots will draw if they go on as they do: sent while somebody reads it.
+    Outlooks: "outlooks", OutlookHeader {
+            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+        }, Outlook, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
     /// The worker's journal: a second of it is queued at 30 Hz.
     Ticks: "ticks", TickHeader { place: worker_epoch, tick; sent: sent_ns; },
         TakenFrame, Flow::Recorders { queued: 32, history: 0 }, FrameRows::Taken;
@@ -195,5 +210,5 @@ channels! {
     /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
     Acknowledgements: "acknowledgements", AcknowledgementHeader {
             place: server_epoch, number; sent: sent_ns, sent_unix_ns;
-        }, Acknowledgement, Flow::Planners { kept: 0, history: 1 }, FrameRows::UpTo(MAX_ACKNOWLEDGED);
+        }, Acknowledgement, Flow::Planners { kept: 0, history: 1, on_demand: false }, FrameRows::UpTo(MAX_ACKNOWLEDGED);
 }

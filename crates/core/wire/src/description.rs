@@ -3,10 +3,10 @@
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
-    PlanState, PlanStateHeader, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS, QUERY_VALUES, Quality,
-    QueryHeader, QueryKind, QueryRefusal, Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader,
-    StructLayout, answer_flag, budget_flag, diagnostic_flag, forecast_flag, plan_state_flag,
-    query_flag, sample_flag,
+    Outlook, OutlookHeader, PlanState, PlanStateHeader, QUERY_CANDIDATES, QUERY_ROBOTS,
+    QUERY_STEPS, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
+    SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag, diagnostic_flag,
+    forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
 };
 
 /// Constants that belong together: bits of a field, or its codes.
@@ -45,6 +45,8 @@ pub fn layouts() -> Vec<StructLayout> {
         DiagnosticHeader::LAYOUT,
         Budget::LAYOUT,
         BudgetHeader::LAYOUT,
+        Outlook::LAYOUT,
+        OutlookHeader::LAYOUT,
         PlanState::LAYOUT,
         PlanStateHeader::LAYOUT,
         QueryHeader::LAYOUT,
@@ -61,6 +63,7 @@ pub fn constants() -> Vec<Constants> {
         ("FORECAST", forecast_flag::TABLE),
         ("DIAGNOSTIC", diagnostic_flag::TABLE),
         ("BUDGET", budget_flag::TABLE),
+        ("OUTLOOK", outlook_flag::TABLE),
         ("PLAN_STATE", plan_state_flag::TABLE),
         ("QUERY", query_flag::TABLE),
         ("ANSWER", answer_flag::TABLE),

@@ -12,6 +12,8 @@ pub mod tick_flag {
     pub const NO_DIAGNOSTICS: u32 = 1 << 1;
     /// Somebody reads [`crate::PlanStates`]: this tick wrote them.
     pub const PLAN_STATES: u32 = 1 << 2;
+    /// Somebody reads [`crate::Outlooks`]: this tick wrote them.
+    pub const OUTLOOKS: u32 = 1 << 3;
 }
 
 rows! {

@@ -23,6 +23,7 @@ mod forecast;
 mod hash;
 mod journal;
 mod layout;
+mod outlook;
 mod plan_state;
 mod query;
 mod reason;
@@ -37,7 +38,7 @@ pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use channel::{
     Acknowledgements, Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows,
-    Place, PlanStates, Queries, Samples, State, Ticks,
+    Outlooks, Place, PlanStates, Queries, Samples, State, Ticks,
 };
 pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
@@ -45,6 +46,7 @@ pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, declare};
+pub use outlook::{OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, OutlookHeader, outlook_flag};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
     ANSWER_RULES, ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS,

@@ -4,8 +4,8 @@
 use joulebus_wire::{
     Acknowledgements, Alarm, AlarmSet, Budgets, Channel, ChargeState, DiagnosticHeader,
     Diagnostics, DropCounts, DropReason, FieldLayout, FieldRole, Forecast, ForecastHeader,
-    Forecasts, FrameHeader as _, InvalidReason, Level, Place, PlanStates, Quality, Queries, Row,
-    Samples, State, TickHeader, Ticks,
+    Forecasts, FrameHeader as _, InvalidReason, Level, Outlooks, Place, PlanStates, Quality,
+    Queries, Row, Samples, State, TickHeader, Ticks,
 };
 
 #[test]
@@ -82,6 +82,7 @@ fn every_time_of_a_frame_is_an_instant_a_run_or_known_to_mean_the_same_everywher
         .chain(fields::<Diagnostics>())
         .chain(fields::<Budgets>())
         .chain(fields::<PlanStates>())
+        .chain(fields::<Outlooks>())
         .chain(fields::<Ticks>())
         .chain(fields::<State>())
         .chain(fields::<Queries>())

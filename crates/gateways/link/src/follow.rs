@@ -210,11 +210,15 @@ struct Following {
 
 impl Following {
     fn poll(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
-        // Plan states are requested only while a planner reads them, as the worker itself writes
-        // them.
-        let plans = Carried::PLAN_STATES.bit();
-        let is_read = self.worker_ports.plan_states.readers() > 0;
-        let services = if is_read { self.requested } else { self.requested & !plans };
+        // Some services are requested only while somebody here reads them, as the worker itself
+        // writes them.
+        let ports = &self.worker_ports;
+        let read = [
+            (Carried::PLAN_STATES, ports.plan_states.readers()),
+            (Carried::OUTLOOKS, ports.outlooks.readers()),
+        ];
+        let unread = read.into_iter().filter(|(_, readers)| *readers == 0);
+        let services = unread.fold(self.requested, |wanted, (unread, _)| wanted & !unread.bit());
         for ingress in self.ingresses() {
             ingress.receiver().select(services);
             ingress.request_if_due();

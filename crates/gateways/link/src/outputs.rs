@@ -10,7 +10,7 @@ use joulebus_bus::{Bus, Reader, Running, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_consumer::{
-    Budgets, Diagnostics, Event, Feed, PlanStates, ReadError, Subscriber, WorkerState,
+    Budgets, Diagnostics, Event, Feed, Outlooks, PlanStates, ReadError, Subscriber, WorkerState,
 };
 use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
@@ -33,8 +33,13 @@ const RETRY_OPEN_NS: u64 = 1_000_000_000;
 /// Pause between a frame of forecasts and the frames that the worker writes after it.
 const BEHIND: Duration = Duration::from_millis(1);
 /// The services that the worker writes after its forecasts.
-const BEHIND_FORECASTS: [Carried; 4] =
-    [Carried::DIAGNOSTICS, Carried::BUDGETS, Carried::PLAN_STATES, Carried::TICKS];
+const BEHIND_FORECASTS: [Carried; 5] = [
+    Carried::DIAGNOSTICS,
+    Carried::BUDGETS,
+    Carried::PLAN_STATES,
+    Carried::OUTLOOKS,
+    Carried::TICKS,
+];
 /// Interval of checks for a newer state of the worker, which writes one a second.
 const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
 /// Number of consecutive frames without a permit after which the worker is reported as started
@@ -201,10 +206,11 @@ struct Feeds<'a> {
     diagnostics: Wanted<Feed<Diagnostics>>,
     budgets: Wanted<Feed<Budgets>>,
     plan_states: Wanted<Feed<PlanStates>>,
+    outlooks: Wanted<Feed<Outlooks>>,
     // Declared in this order: the port is dropped before the membership.
     ticks: Wanted<(Reader<Ticks>, Bus)>,
     /// The last frame of each feed.
-    sent: [Place; 3],
+    sent: [Place; 4],
 }
 
 impl<'a> Feeds<'a> {
@@ -214,19 +220,22 @@ impl<'a> Feeds<'a> {
             diagnostics: Wanted::new("diagnostics"),
             budgets: Wanted::new("budgets"),
             plan_states: Wanted::new("plan states"),
+            outlooks: Wanted::new("outlooks"),
             ticks: Wanted::new("the journal"),
-            sent: [Place { run: 0, number: 0 }; 3],
+            sent: [Place { run: 0, number: 0 }; 4],
         }
     }
 
     fn give(&mut self, planner: &Subscriber, egress: &mut Egress) -> anyhow::Result<()> {
-        let [of_diagnostics, of_budgets, of_plan_states] = &mut self.sent;
+        let [of_diagnostics, of_budgets, of_plan_states, of_outlooks] = &mut self.sent;
         let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
         pass(feed, of_diagnostics, egress, planner)?;
         let feed = (Carried::BUDGETS, &mut self.budgets);
         pass(feed, of_budgets, egress, planner)?;
         let feed = (Carried::PLAN_STATES, &mut self.plan_states);
         pass(feed, of_plan_states, egress, planner)?;
+        let feed = (Carried::OUTLOOKS, &mut self.outlooks);
+        pass(feed, of_outlooks, egress, planner)?;
         self.ticks(egress);
         Ok(())
     }

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use joulebus_bus::{SendError, Writer, clock, process_id};
 use joulebus_config::Config;
-use joulebus_wire::{Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates};
+use joulebus_wire::{
+    Budgets, Diagnostics, Forecasts, Outlooks, Place, PlanStateHeader, PlanStates,
+};
 
 use crate::protocol::carried::Carried;
 use crate::protocol::merge::{Continued, Merge, Merged, Origin};
@@ -33,6 +35,7 @@ pub(crate) struct ShardMerger {
     diagnostics: Merge<Diagnostics>,
     budgets: Merge<Budgets>,
     plan_states: Merge<PlanStates>,
+    outlooks: Merge<Outlooks>,
     /// Shards that compute plans with other settings or models, as last logged.
     differ: Vec<bool>,
 }
@@ -52,6 +55,7 @@ impl ShardMerger {
             diagnostics: Merge::new(count),
             budgets: Merge::new(count),
             plan_states: Merge::new(count),
+            outlooks: Merge::new(count),
             differ: vec![false; count],
         }
     }
@@ -78,6 +82,10 @@ impl ShardMerger {
             Carried::PLAN_STATES => {
                 let header = header_here::<PlanStates>(accepted, every)?;
                 put(&mut self.plan_states, (shard, header), accepted, is_own);
+            }
+            Carried::OUTLOOKS => {
+                let header = header_here::<Outlooks>(accepted, every)?;
+                put(&mut self.outlooks, (shard, header), accepted, is_own);
             }
             // Services of a single worker are not requested.
             _ => {}
@@ -113,6 +121,10 @@ impl ShardMerger {
         if self.budgets.is_due((has_worker, &is_live), at) {
             let live = (is_live.as_slice(), own);
             send(&mut self.budgets, &mut worker_ports.budgets, live, with)?;
+        }
+        if self.outlooks.is_due((has_worker, &is_live), at) {
+            let live = (is_live.as_slice(), own);
+            send(&mut self.outlooks, &mut worker_ports.outlooks, live, with)?;
         }
         if self.plan_states.is_due((has_worker, &is_live), at) {
             let agree = self.agree(&is_live, now_ns);

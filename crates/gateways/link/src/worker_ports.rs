@@ -3,7 +3,8 @@
 use joulebus_bus::{Bus, SendError, Waker, Writer, clock, process_id};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Place, PlanStates, Ticks, WakeEvent,
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Place, PlanStates, Ticks,
+    WakeEvent,
 };
 
 use crate::protocol::carried::Carried;
@@ -16,6 +17,7 @@ pub(crate) struct WorkerPorts {
     pub(crate) diagnostics: Writer<Diagnostics>,
     pub(crate) budgets: Writer<Budgets>,
     pub(crate) plan_states: Writer<PlanStates>,
+    pub(crate) outlooks: Writer<Outlooks>,
     ticks: Writer<Ticks>,
     pub(crate) planners: Waker,
     runs: Runs,
@@ -31,6 +33,7 @@ impl WorkerPorts {
             diagnostics: bus.writer(&limits)?,
             budgets: bus.writer(&limits)?,
             plan_states: bus.writer(&limits)?,
+            outlooks: bus.writer(&limits)?,
             ticks: bus.writer(&limits)?,
             planners: bus.planner_waker(&limits)?,
             runs: Runs::default(),
@@ -57,6 +60,7 @@ impl WorkerPorts {
             Carried::DIAGNOSTICS => pass_on(&mut self.diagnostics, accepted, to),
             Carried::BUDGETS => pass_on(&mut self.budgets, accepted, to),
             Carried::PLAN_STATES => pass_on(&mut self.plan_states, accepted, to),
+            Carried::OUTLOOKS => pass_on(&mut self.outlooks, accepted, to),
             Carried::TICKS => pass_on(&mut self.ticks, accepted, to),
             // Other services are not requested, and therefore not accepted.
             _ => Ok(()),

@@ -5,7 +5,7 @@ use std::io;
 
 use joulebus_wire::{
     ANSWER_WORDS, Acknowledgements, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts,
-    PlanStates, QUERY_VALUES, Queries, QueryHeader, Samples, State, Ticks,
+    Outlooks, PlanStates, QUERY_VALUES, Queries, QueryHeader, Samples, State, Ticks,
 };
 use rustix::process::{Resource, getrlimit};
 
@@ -23,7 +23,7 @@ const CONNECTION_BYTES: usize = 16 * 1024;
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
 /// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, fourteen services.
+/// Descriptors of a process before it connects to anybody: node, locks, fifteen services.
 const BASE_DESCRIPTORS: u64 = 96;
 /// File descriptors that opening a node, service or port takes, upper bound.
 const PORT_DESCRIPTORS: u64 = 16;
@@ -205,12 +205,13 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
         + of::<Diagnostics>(limits)
         + of::<Budgets>(limits)
         + of::<PlanStates>(limits)
+        + of::<Outlooks>(limits)
         + of::<State>(limits)
         + of::<Ticks>(limits)
         + of::<Queries>(limits)
         + of::<Acknowledgements>(limits)
         + server_bytes(limits.query_clients());
-    let connections = ports.workers * (ports.sources + 5 * ports.planners);
+    let connections = ports.workers * (ports.sources + 6 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
     ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
@@ -218,7 +219,7 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
 
 fn descriptors(limits: &Limits) -> u64 {
     let connections =
-        limits.shape(Samples::FLOW).publishers + 6 * limits.shape(Forecasts::FLOW).subscribers;
+        limits.shape(Samples::FLOW).publishers + 7 * limits.shape(Forecasts::FLOW).subscribers;
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 

@@ -106,6 +106,15 @@
 #define JOULEBUS_BUDGET_CONTRADICTED 0x20u
 
 /** A sample has been accepted: stamp_ns is known. */
+#define JOULEBUS_OUTLOOK_SAMPLE 0x1u
+/** mean_w and energy_j are known. */
+#define JOULEBUS_OUTLOOK_ENERGY 0x2u
+/** Time to empty is known. */
+#define JOULEBUS_OUTLOOK_TIME_TO_EMPTY 0x4u
+/** The last row of the model lay outside the range that it was trained on. */
+#define JOULEBUS_OUTLOOK_OUTSIDE_TRAINING 0x8u
+
+/** A sample has been accepted: stamp_ns is known. */
 #define JOULEBUS_PLAN_STATE_SAMPLE 0x1u
 /** The lag window is full: all five lag_w are known. */
 #define JOULEBUS_PLAN_STATE_LAGS 0x2u
@@ -560,6 +569,71 @@ typedef struct joulebus_budget_header {
     /** When the frame was sent, Unix ns: relates stamps to the wall clock over a reboot. */
     uint64_t sent_unix_ns;
 } joulebus_budget_header;
+
+/**
+ * One robot's outlook. 96 bytes.
+ * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast follows from its
+ * own recent power, with the platform's mean as the prior.
+ * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy lies between
+ * the bounds (_lo, _hi) with 90 %. Only the first bounded horizons have bounds: the model has no known errors
+ * beyond.
+ */
+typedef struct joulebus_outlook {
+    /** Id of the robot. */
+    uint32_t robot;
+    /** outlook_flag bits. */
+    uint32_t flags;
+    /** Quality code, as of the forecast of the same tick. */
+    uint16_t quality;
+    /** Detail of the quality. */
+    uint16_t quality_detail;
+    /** Place of the robot's platform, and so of its model, in the config. */
+    uint16_t platform;
+    /** Number of horizons, from the shortest, with bounds. */
+    uint16_t bounded;
+    /** Number of times the robot's slot has been reassigned. */
+    uint32_t generation;
+    /** Mean power expected over the longest horizon, W. */
+    float mean_w;
+    /** Sample::stamp_ns of the last accepted sample. */
+    uint64_t stamp_ns;
+    /** Energy expected over each horizon, J. */
+    float energy_j[4];
+    /** Its lower bounds, J. */
+    float energy_lo_j[4];
+    /** Its upper bounds, J. */
+    float energy_hi_j[4];
+    /** Budget::usable_j of the same tick, J. */
+    float usable_j;
+    /** Budget::time_to_empty_s of the same tick, s. */
+    float time_to_empty_s;
+    /** Its lower bound, s. */
+    float time_to_empty_lo_s;
+    /** Its upper bound, s. */
+    float time_to_empty_hi_s;
+} joulebus_outlook;
+
+/** Header of a frame of Outlooks. */
+typedef struct joulebus_outlook_header {
+    /** SCHEMA_VERSION. */
+    uint32_t schema;
+    /** Process id of the worker. */
+    uint32_t pid;
+    /** As in ForecastHeader::worker_epoch. */
+    uint64_t worker_epoch;
+    /** As in ForecastHeader::tick. */
+    uint64_t tick;
+    /** Period of the tick, ns: a frame older than two of these is stale. */
+    uint64_t period_ns;
+    /** Hash of all models, as in ForecastHeader::model_hash. */
+    uint64_t model_hash;
+    /** When the tick began to compute, monotonic ns. */
+    uint64_t compute_start_ns;
+    /** When the frame was sent, monotonic ns. */
+    uint64_t sent_ns;
+    /** When the frame was sent, Unix ns: informative only. */
+    uint64_t sent_unix_ns;
+} joulebus_outlook_header;
 
 /**
  * What a plan of one robot starts from. 208 bytes.
@@ -1213,6 +1287,24 @@ typedef struct joulebus_budgets {
 } joulebus_budgets;
 
 /**
+ * A frame of outlooks, in the worker's shared memory.
+ */
+typedef struct joulebus_outlooks {
+    /**
+     * Its header; NULL if there is no frame.
+     */
+    const joulebus_outlook_header *header;
+    /**
+     * All robots of the frame, in no particular order.
+     */
+    const joulebus_outlook *robots;
+    /**
+     * How many.
+     */
+    size_t count;
+} joulebus_outlooks;
+
+/**
  * What a subscriber has read.
  */
 typedef struct joulebus_subscriber_status {
@@ -1665,6 +1757,15 @@ joulebus_error joulebus_subscriber_diagnostics(struct joulebus_subscriber *subsc
  */
 joulebus_error joulebus_subscriber_budgets(struct joulebus_subscriber *subscriber,
                                            struct joulebus_budgets *frame);
+
+/**
+ * The fleet's newest outlooks, without waiting: the energy that each robot will draw if it goes on
+ * as it does. The first call opens them, and the worker computes them from the next tick on, until
+ * joulebus_subscriber_close. The header is NULL until the first has arrived. Valid until the next
+ * call of this function, or joulebus_subscriber_close.
+ */
+joulebus_error joulebus_subscriber_outlooks(struct joulebus_subscriber *subscriber,
+                                            struct joulebus_outlooks *frame);
 
 /**
  * The worker as seen by the last call that read, and what was counted.

@@ -353,6 +353,7 @@ private:
 using Forecasts = Frame<joulebus_forecasts, joulebus_forecast_header, joulebus_forecast>;
 using Diagnostics = Frame<joulebus_diagnostics, joulebus_diagnostic_header, joulebus_diagnostic>;
 using Budgets = Frame<joulebus_budgets, joulebus_budget_header, joulebus_budget>;
+using Outlooks = Frame<joulebus_outlooks, joulebus_outlook_header, joulebus_outlook>;
 
 /** The worker has ended; told once. */
 struct Gone {
@@ -414,7 +415,7 @@ struct Readiness {
     std::chrono::nanoseconds look_within;
 };
 
-/** A reader of forecasts, diagnostics and budgets. Belongs to one thread. */
+/** A reader of forecasts, diagnostics, budgets and outlooks. Belongs to one thread. */
 class Subscriber {
 public:
     /** Joins the fleet of a config file. The worker need not run. */
@@ -501,6 +502,14 @@ public:
         joulebus_budgets frame{};
         auto code = joulebus_subscriber_budgets(handle_.get(), &frame);
         return read<Budgets>(code, frame);
+    }
+
+    /** The newest outlooks, if any have arrived; valid until the next call. The worker computes them from the first
+     *  call on. */
+    Result<std::optional<Outlooks>> outlooks() {
+        joulebus_outlooks frame{};
+        auto code = joulebus_subscriber_outlooks(handle_.get(), &frame);
+        return read<Outlooks>(code, frame);
     }
 
     Result<joulebus_subscriber_status> status() const {

@@ -47,7 +47,7 @@ pub struct Signals;
 impl Channel for Signals {
     const SERVICE: Service = Service::named("signals");
     const MESSAGE: &'static str = "Signals";
-    const FLOW: Flow = Flow::Planners { kept: 0, history: 1 };
+    const FLOW: Flow = Flow::Planners { kept: 0, history: 1, on_demand: false };
     const ROWS: FrameRows = FrameRows::Robots;
     type Header = SignalHeader;
     type Row = Signal;

@@ -8,7 +8,7 @@ use joulebus_settings::{
 };
 pub use joulebus_testkit_networks::random;
 use joulebus_wire::{
-    Budget, Diagnostic, Forecast, PlanState, Quality, SCHEMA_VERSION, Sample, SampleHeader,
+    Budget, Diagnostic, Forecast, Outlook, PlanState, Quality, SCHEMA_VERSION, Sample, SampleHeader,
 };
 
 /// A millisecond, ns.
@@ -204,6 +204,8 @@ pub struct Bits {
     pub budget: Vec<u64>,
     /// Bits of its state for plans.
     pub plan_state: Vec<u64>,
+    /// Bits of its outlook.
+    pub outlook: Vec<u64>,
 }
 
 /// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is omitted: it
@@ -215,6 +217,7 @@ pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
         diagnostic: row_bits(&fleet.diagnostic(place)),
         budget: row_bits(&fleet.budget(place)),
         plan_state: row_bits(&PlanState { generation: 0, ..fleet.plan_state(place) }),
+        outlook: row_bits(&Outlook { generation: 0, ..fleet.outlook(place) }),
     })
 }
 
@@ -263,6 +266,14 @@ pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
 /// It is not.
 pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
     fleet.plan_state(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+/// Outlook of a robot that is there.
+///
+/// # Panics
+/// It is not.
+pub fn outlook(fleet: &Fleet, robot: u32) -> Outlook {
+    fleet.outlook(place(fleet, robot).expect("the robot is in the fleet"))
 }
 
 /// Quality of the forecast of a robot that is there.

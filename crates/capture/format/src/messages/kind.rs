@@ -1,8 +1,8 @@
 //! The kinds of messages of all channels.
 
 use joulebus_wire::{
-    Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples,
-    State, Ticks, records,
+    Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, Outlooks, PlanStates, Queries, Row,
+    Samples, State, Ticks, records,
 };
 
 use super::descriptors;
@@ -44,6 +44,7 @@ channels! {
     [Diagnostics] Diagnostics,
     [Budgets] Budgets,
     [] PlanStates,
+    [] Outlooks,
     [] Ticks,
     [] State,
     [] Queries,

@@ -18,7 +18,7 @@ struct Motors;
 impl Channel for Motors {
     const SERVICE: Service = Service::named("motors");
     const MESSAGE: &'static str = "Motors";
-    const FLOW: Flow = Flow::Planners { kept: 0, history: 0 };
+    const FLOW: Flow = Flow::Planners { kept: 0, history: 0, on_demand: false };
     const ROWS: FrameRows = FrameRows::Robots;
     type Header = MotorHeader;
     type Row = MotorPair;

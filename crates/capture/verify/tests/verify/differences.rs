@@ -14,9 +14,9 @@ use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, PlanStateHeader, PlanStates, QUERY_STEPS, QueryRecord, QueryRefusal,
-    Row, SCHEMA_VERSION, Sample, Samples, State, StateHeader, TakenFrame, TickHeader, Ticks, fnv1a,
-    sample_flag, tick_flag,
+    ForecastHeader, Forecasts, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, QUERY_STEPS,
+    QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, State, StateHeader,
+    TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 
@@ -162,7 +162,7 @@ impl Simulation {
             tick: self.tick,
             start_ns,
             flags: u32::from(missed) * tick_flag::DEADLINE_MISSED
-                + u32::from(self.plans()) * tick_flag::PLAN_STATES,
+                + u32::from(self.plans()) * (tick_flag::PLAN_STATES | tick_flag::OUTLOOKS),
             ..TickHeader::default()
         };
         self.sent.push(Message::of::<Ticks>(journal, taken));
@@ -212,8 +212,18 @@ impl Simulation {
             compute_start_ns,
             ..PlanStateHeader::default()
         };
-        let rows = robots.map(|place| self.fleet.plan_state(place));
+        let rows = robots.clone().map(|place| self.fleet.plan_state(place));
         self.sent.push(Message::of::<PlanStates>(header, rows.collect()));
+        let header = OutlookHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            model_hash: self.fleet.model_hash(),
+            compute_start_ns,
+            ..OutlookHeader::default()
+        };
+        let rows = robots.map(|place| self.fleet.outlook(place));
+        self.sent.push(Message::of::<Outlooks>(header, rows.collect()));
     }
 }
 
@@ -471,6 +481,7 @@ fn a_flipped_bit_in_any_output_is_named() {
     flips.all::<Diagnostics>("diagnostic");
     flips.all::<Budgets>("budget");
     flips.all::<PlanStates>("plan_state");
+    flips.all::<Outlooks>("outlook");
 }
 
 #[test]

@@ -11,7 +11,8 @@ use joulebus_energy::{EnergyModel, EnergyState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, PlanState, Refusal, combine_hashes,
+    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, Outlook, PlanState, Refusal,
+    combine_hashes,
 };
 
 use crate::estimate::online::Learned;
@@ -35,6 +36,7 @@ use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::forecasts::Forecasts;
 use crate::tick::write::learned::LearnedLanes;
+use crate::tick::write::outlooks::Outlooks;
 use crate::tick::write::plan_states::PlanStates;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
@@ -279,6 +281,12 @@ impl Fleet {
     pub fn budget(&self, place: usize) -> Budget {
         let (block, lane) = self.block_of(place);
         Budgets::of(&self.tick, block).get(&self.tick, lane)
+    }
+
+    /// The outlook of the robot at `place`, as of the last tick.
+    pub fn outlook(&self, place: usize) -> Outlook {
+        let (block, lane) = self.block_of(place);
+        Outlooks::of(&self.tick, block).get(&self.tick, lane, &self.budget(place))
     }
 
     /// The start of a plan of the robot at `place`, in the last tick.

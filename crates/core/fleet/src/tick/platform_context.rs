@@ -1,8 +1,9 @@
 //! Settings of one platform, prepared for the tick.
 
-use joulebus_energy::{EnergyModel, Lasting};
+use joulebus_energy::{EnergyModel, Lasting, OutlookModel};
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{AlarmSettings, FleetSettings, Platform};
+use joulebus_wire::{OUTLOOK_HORIZONS, OUTLOOK_S};
 
 use crate::estimate::calibration::SharedErrors;
 use crate::estimate::interval::QuantileStep;
@@ -37,6 +38,8 @@ pub(crate) struct PlatformContext {
     pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
     pub errors: SharedErrors,
+    /// The energy of robots that go on as they do.
+    pub outlook: OutlookModel<OUTLOOK_HORIZONS>,
 }
 
 /// The allowed range of features.
@@ -67,6 +70,7 @@ impl PlatformContext {
             alarms: settings.alarms.of(&platform),
             errors: SharedErrors::new(&energy),
             lasting: energy.lasting(),
+            outlook: energy.outlook(OUTLOOK_S),
             energy,
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),

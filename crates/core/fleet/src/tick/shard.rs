@@ -3,7 +3,7 @@
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 
 use crate::layout::slots::words_of;
 use crate::state::columns::ColumnsMut;
@@ -24,7 +24,7 @@ pub enum Stage {
     Network,
     /// Ledgers, scores, residuals and alarms.
     Bookkeeping,
-    /// Forecasts, diagnostics, budgets and plan states written.
+    /// Forecasts, diagnostics, budgets, plan states and outlooks written.
     Writing,
 }
 
@@ -67,6 +67,8 @@ pub struct Accounts<'a> {
     pub budgets: &'a mut [Budget],
     /// Starts of plans.
     pub plan_states: &'a mut [PlanState],
+    /// Outlooks.
+    pub outlooks: &'a mut [Outlook],
 }
 
 impl<'a> Outputs<'a> {
@@ -88,6 +90,7 @@ impl<'a> Accounts<'a> {
             diagnostics: self.diagnostics.iter_mut(),
             budgets: self.budgets.iter_mut(),
             plan_states: self.plan_states.iter_mut(),
+            outlooks: self.outlooks.iter_mut(),
         }
     }
 
@@ -95,12 +98,14 @@ impl<'a> Accounts<'a> {
         let (diagnostics, more_diagnostics) = split(self.diagnostics, robots);
         let (budgets, more_budgets) = split(self.budgets, robots);
         let (plan_states, more_plan_states) = split(self.plan_states, robots);
+        let (outlooks, more_outlooks) = split(self.outlooks, robots);
         (
-            Self { diagnostics, budgets, plan_states },
+            Self { diagnostics, budgets, plan_states, outlooks },
             Self {
                 diagnostics: more_diagnostics,
                 budgets: more_budgets,
                 plan_states: more_plan_states,
+                outlooks: more_outlooks,
             },
         )
     }

@@ -5,7 +5,7 @@ use joulebus_testkit::counting;
 use joulebus_testkit_fleets::{
     self as world, MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings,
 };
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState, Sample, sample_flag};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 100;
@@ -48,6 +48,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
     let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
     let mut budgets = vec![Budget::default(); ROBOTS as usize];
     let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
+    let mut outlooks = vec![Outlook::default(); ROBOTS as usize];
     let mut least_and_most = (usize::MAX, 0);
     for step in 1..4_000u64 {
         let now_ns = START_NS + step * PERIOD_NS;
@@ -64,6 +65,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
             diagnostics[place] = fleet.diagnostic(place);
             budgets[place] = fleet.budget(place);
             plan_states[place] = fleet.plan_state(place);
+            outlooks[place] = fleet.outlook(place);
         }
         assert_eq!(counting::calls() - before, 0, "allocations in tick {step}");
         if step > 1_000 {

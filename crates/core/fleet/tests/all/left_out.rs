@@ -2,7 +2,7 @@
 
 use joulebus_fleet::{Accounts, Batch, Outputs};
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, fleet, healthy};
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState, Sample};
 
 const ROBOTS: u32 = 100;
 const START_NS: u64 = 60_000 * MS;
@@ -12,16 +12,21 @@ const START_NS: u64 = 60_000 * MS;
 struct With {
     diagnostics: bool,
     plan_states: bool,
+    outlooks: bool,
 }
+
+/// The outputs of a tick.
+type Rows = (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>, Vec<PlanState>, Vec<Outlook>);
 
 /// All outputs of the last of several ticks, in two passes or one; those that are left out stay as
 /// they were.
-fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>, Vec<PlanState>) {
+fn run(halves: bool, with: With) -> Rows {
     let (mut fleet, mut source) = (fleet(ROBOTS), Source::new(1, 1));
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
     let mut budgets = vec![Budget::default(); ROBOTS as usize];
     let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
     let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
+    let mut outlooks = vec![Outlook::default(); ROBOTS as usize];
     for step in 0..12 {
         let now_ns = START_NS + step * PERIOD_NS;
         let sample = |robot| healthy(robot, step, now_ns, PERIOD_NS);
@@ -33,6 +38,7 @@ fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>
             diagnostics: if with.diagnostics { &mut diagnostics } else { &mut [] },
             budgets: &mut budgets,
             plan_states: if with.plan_states { &mut plan_states } else { &mut [] },
+            outlooks: if with.outlooks { &mut outlooks } else { &mut [] },
         };
         let outputs = Outputs { forecasts: &mut forecasts, accounts };
         if halves {
@@ -45,32 +51,35 @@ fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>
             shard.account(&mut batch, outputs.accounts, &mut |_| {});
         }
     }
-    (forecasts, budgets, diagnostics, plan_states)
+    (forecasts, budgets, diagnostics, plan_states, outlooks)
 }
 
 #[test]
 fn an_output_is_the_same_whatever_else_is_left_out() {
-    let with = |diagnostics, plan_states| With { diagnostics, plan_states };
     // As text, in which NaN equals NaN.
     let text = |rows: &dyn std::fmt::Debug| format!("{rows:?}");
-    let all = run(false, with(true, true));
-    for whole in [text(&all.0), text(&all.1), text(&all.2), text(&all.3)] {
+    let all = run(false, With { diagnostics: true, plan_states: true, outlooks: true });
+    for whole in [text(&all.0), text(&all.1), text(&all.2), text(&all.3), text(&all.4)] {
         assert!(whole.contains(&format!("robot: {}", ROBOTS - 1)), "{whole}");
     }
-    for halves in [false, true] {
-        for (diagnostics, plan_states) in
-            [(false, false), (false, true), (true, false), (true, true)]
-        {
-            let with = with(diagnostics, plan_states);
-            let found = run(halves, with);
-            assert_eq!(text(&found.0), text(&all.0), "{halves} {with:?}");
-            assert_eq!(text(&found.1), text(&all.1), "{halves} {with:?}");
-            let untouched = text(&vec![Diagnostic::default(); ROBOTS as usize]);
-            let expected = if diagnostics { text(&all.2) } else { untouched };
-            assert_eq!(text(&found.2), expected, "{halves} {with:?}");
-            let untouched = text(&vec![PlanState::default(); ROBOTS as usize]);
-            let expected = if plan_states { text(&all.3) } else { untouched };
-            assert_eq!(text(&found.3), expected, "{halves} {with:?}");
-        }
+    let untouched = (
+        text(&vec![Diagnostic::default(); ROBOTS as usize]),
+        text(&vec![PlanState::default(); ROBOTS as usize]),
+        text(&vec![Outlook::default(); ROBOTS as usize]),
+    );
+    for bits in 0..16 {
+        let [halves, diagnostics, plan_states, outlooks] = [1, 2, 4, 8].map(|bit| bits & bit != 0);
+        let with = With { diagnostics, plan_states, outlooks };
+        let found = run(halves, with);
+        let or =
+            |written: bool, all: String, other: &String| if written { all } else { other.clone() };
+        assert_eq!(text(&found.0), text(&all.0), "{halves} {with:?}");
+        assert_eq!(text(&found.1), text(&all.1), "{halves} {with:?}");
+        let expected = or(diagnostics, text(&all.2), &untouched.0);
+        assert_eq!(text(&found.2), expected, "{halves} {with:?}");
+        let expected = or(plan_states, text(&all.3), &untouched.1);
+        assert_eq!(text(&found.3), expected, "{halves} {with:?}");
+        let expected = or(outlooks, text(&all.4), &untouched.2);
+        assert_eq!(text(&found.4), expected, "{halves} {with:?}");
     }
 }

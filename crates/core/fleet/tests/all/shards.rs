@@ -5,7 +5,7 @@ use joulebus_fleet::{Accounts, Batch, Fleet, Outputs, Shard};
 use joulebus_predictor::Kernel;
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, SLOW_NS, Source, healthy, row_bits};
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState, Sample, sample_flag};
 use proptest::prelude::*;
 
 const START_NS: u64 = 60_000 * MS;
@@ -88,6 +88,7 @@ proptest! {
         let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
         let mut budgets = vec![Budget::default(); ROBOTS as usize];
         let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
+        let mut outlooks = vec![Outlook::default(); ROBOTS as usize];
         let mut lengths = (usize::MAX, 0);
         for step in 1..260 {
             let now_ns = START_NS + step * SLOW_NS;
@@ -107,6 +108,7 @@ proptest! {
                     diagnostics: &mut diagnostics[..robots],
                     budgets: &mut budgets[..robots],
                     plan_states: &mut plan_states[..robots],
+                    outlooks: &mut outlooks[..robots],
                 },
             };
             scatter(shared.shard(), outputs, noise.next_u64(), depth);
@@ -120,6 +122,8 @@ proptest! {
                 prop_assert_eq!(row_bits(&budgets[place]), expected, "step {}", step);
                 let expected = row_bits(&whole.plan_state(place));
                 prop_assert_eq!(row_bits(&plan_states[place]), expected, "step {}", step);
+                let expected = row_bits(&whole.outlook(place));
+                prop_assert_eq!(row_bits(&outlooks[place]), expected, "step {}", step);
             }
             if step > 100 {
                 lengths = (lengths.0.min(robots), lengths.1.max(robots));

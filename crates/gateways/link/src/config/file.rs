@@ -109,7 +109,7 @@ pub(super) struct FollowSection {
 }
 
 fn services() -> Vec<Carries> {
-    vec![Carries::Diagnostics, Carries::Budgets, Carries::PlanStates]
+    vec![Carries::Diagnostics, Carries::Budgets, Carries::PlanStates, Carries::Outlooks]
 }
 
 const fn one() -> u32 {
@@ -123,6 +123,7 @@ pub(super) enum Carries {
     Diagnostics,
     Budgets,
     PlanStates,
+    Outlooks,
     Ticks,
 }
 
@@ -132,6 +133,7 @@ impl Carries {
             Self::Diagnostics => Carried::DIAGNOSTICS,
             Self::Budgets => Carried::BUDGETS,
             Self::PlanStates => Carried::PLAN_STATES,
+            Self::Outlooks => Carried::OUTLOOKS,
             Self::Ticks => Carried::TICKS,
         }
     }

@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameRows, PlanStates,
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameRows, Outlooks, PlanStates,
     SCHEMA_VERSION, Samples, State, Ticks,
 };
 
@@ -39,6 +39,7 @@ const CHANNELS: &[Frames] = &[
     Frames::of::<Ticks>(),
     Frames::of::<Samples>(),
     Frames::of::<State>(),
+    Frames::of::<Outlooks>(),
     #[cfg(test)]
     Frames::of::<joulebus_testkit_channels::Signals>(),
 ];
@@ -57,8 +58,9 @@ impl Carried {
     pub(crate) const SAMPLES: Self = Self(6);
     /// A worker's whole state, for standbys. The elements are its bytes.
     pub(crate) const STATE: Self = Self(7);
+    pub(crate) const OUTLOOKS: Self = Self(8);
     #[cfg(test)]
-    pub(crate) const SIGNALS: Self = Self(8);
+    pub(crate) const SIGNALS: Self = Self(9);
 
     pub(crate) fn all() -> impl Iterator<Item = Self> {
         (1..).take(CHANNELS.len()).map(Self)

@@ -2,9 +2,9 @@
 
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
-    Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, Place, PlanState,
-    PlanStateHeader, PlanStates, Quality, SCHEMA_VERSION, combine_hashes, forecast_flag,
-    plan_state_flag,
+    Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, OUTLOOK_HORIZONS,
+    Outlook, OutlookHeader, Outlooks, Place, PlanState, PlanStateHeader, PlanStates, Quality,
+    SCHEMA_VERSION, combine_hashes, forecast_flag, outlook_flag, plan_state_flag,
 };
 
 /// The origin that a merged frame states.
@@ -234,6 +234,30 @@ impl Merged for PlanStates {
 
     fn silence(row: &mut PlanState) {
         row.flags &= !plan_state_flag::LAGS;
+        (row.quality, row.quality_detail) = STALE.encode();
+    }
+}
+
+impl Merged for Outlooks {
+    fn merged(parts: &[OutlookHeader], _: &[OutlookHeader]) -> OutlookHeader {
+        let of = |field: fn(&OutlookHeader) -> u64| parts.iter().map(field);
+        let hashes = of(|it| it.model_hash);
+        OutlookHeader {
+            schema: SCHEMA_VERSION,
+            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            model_hash: common(hashes.clone()).unwrap_or_else(|| combine_hashes(hashes)),
+            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            ..OutlookHeader::default()
+        }
+    }
+
+    fn silence(row: &mut Outlook) {
+        row.flags &= !(outlook_flag::ENERGY | outlook_flag::TIME_TO_EMPTY);
+        let unknown = [f32::NAN; OUTLOOK_HORIZONS];
+        (row.energy_j, row.energy_lo_j, row.energy_hi_j) = (unknown, unknown, unknown);
+        (row.mean_w, row.bounded, row.usable_j) = (f32::NAN, 0, f32::NAN);
+        row.time_to_empty_s = f32::NAN;
+        (row.time_to_empty_lo_s, row.time_to_empty_hi_s) = (f32::NAN, f32::NAN);
         (row.quality, row.quality_detail) = STALE.encode();
     }
 }

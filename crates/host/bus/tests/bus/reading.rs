@@ -5,7 +5,7 @@ use std::path::Path;
 use joulebus_bus::{Bus, Domain, Limits, OpenError, WorkerLock};
 use joulebus_wire::{
     Acknowledgements, Budgets, Channel, Diagnostics, Flow, Forecast, ForecastHeader, Forecasts,
-    PlanStates, Queries, Samples, State, Ticks,
+    Outlooks, PlanStates, Queries, Samples, State, Ticks,
 };
 
 #[test]
@@ -89,6 +89,7 @@ fn planners_and_views_leave_the_places_of_worker_recorders_links_and_operators()
     filling.channel::<Diagnostics>();
     filling.channel::<Budgets>();
     filling.channel::<PlanStates>();
+    filling.channel::<Outlooks>();
     filling.channel::<Ticks>();
     filling.channel::<State>();
     filling.channel::<Queries>();

@@ -1,4 +1,4 @@
-//! A reader of forecasts, diagnostics and budgets, in place.
+//! A reader of forecasts, diagnostics, budgets and outlooks, in place.
 
 use std::ffi::c_char;
 use std::os::fd::AsRawFd;
@@ -6,15 +6,15 @@ use std::ptr;
 use std::time::Duration;
 
 use joulebus_consumer::{
-    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, ReadError,
-    Subscriber, WorkerState,
+    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, Outlooks,
+    ReadError, Subscriber, WorkerState,
 };
 use joulebus_wire::{Channel, Forecast};
 
 use crate::abi::types::{
     joulebus_budgets, joulebus_diagnostics, joulebus_end, joulebus_error, joulebus_event,
-    joulebus_event_kind, joulebus_forecasts, joulebus_frame, joulebus_subscriber,
-    joulebus_subscriber_status, joulebus_worker,
+    joulebus_event_kind, joulebus_forecasts, joulebus_frame, joulebus_outlooks,
+    joulebus_subscriber, joulebus_subscriber_status, joulebus_worker,
 };
 use crate::failure::{Failure, entry};
 use crate::handles::{self, kind};
@@ -26,6 +26,7 @@ pub(crate) struct Ports {
     subscriber: Subscriber,
     diagnostics: Option<Feed<Diagnostics>>,
     budgets: Option<Feed<Budgets>>,
+    outlooks: Option<Feed<Outlooks>>,
 }
 
 kind!(Ports, joulebus_subscriber, "subscriber", 2);
@@ -70,6 +71,7 @@ pub unsafe extern "C" fn joulebus_subscriber_open(
             subscriber: ports.map_err(|error| connect(error.to_string()))?,
             diagnostics: None,
             budgets: None,
+            outlooks: None,
         };
         subscriber.set(handles::open(ports)?);
         Ok(())
@@ -224,15 +226,8 @@ pub unsafe extern "C" fn joulebus_subscriber_diagnostics(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
-        let found = handles::with(subscriber, |ports: &mut Ports| {
-            let feed = match &mut ports.diagnostics {
-                Some(feed) => feed,
-                none => none.insert(ports.subscriber.diagnostics().map_err(not_opened)?),
-            };
-            let found = feed.latest().map_err(|error| read_failed(&error))?;
-            Ok(parts(found))
-        })?;
-        let (header, robots, count) = found;
+        let (header, robots, count) =
+            newest(subscriber, |ports| (&ports.subscriber, &mut ports.diagnostics))?;
         frame.set(joulebus_diagnostics { header, robots, count });
         Ok(())
     })
@@ -249,16 +244,28 @@ pub unsafe extern "C" fn joulebus_subscriber_budgets(
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
-        let found = handles::with(subscriber, |ports: &mut Ports| {
-            let feed = match &mut ports.budgets {
-                Some(feed) => feed,
-                none => none.insert(ports.subscriber.budgets().map_err(not_opened)?),
-            };
-            let found = feed.latest().map_err(|error| read_failed(&error))?;
-            Ok(parts(found))
-        })?;
-        let (header, robots, count) = found;
+        let (header, robots, count) =
+            newest(subscriber, |ports| (&ports.subscriber, &mut ports.budgets))?;
         frame.set(joulebus_budgets { header, robots, count });
+        Ok(())
+    })
+}
+
+/// The fleet's newest outlooks, without waiting: the energy that each robot will draw if it goes on
+/// as it does. The first call opens them, and the worker computes them from the next tick on, until
+/// joulebus_subscriber_close. The header is NULL until the first has arrived. Valid until the next
+/// call of this function, or joulebus_subscriber_close.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_subscriber_outlooks(
+    subscriber: *mut joulebus_subscriber,
+    frame: *mut joulebus_outlooks,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut frame = unsafe { out("frame", frame) }?;
+        let (header, robots, count) =
+            newest(subscriber, |ports| (&ports.subscriber, &mut ports.outlooks))?;
+        frame.set(joulebus_outlooks { header, robots, count });
         Ok(())
     })
 }
@@ -316,6 +323,22 @@ fn forecasts(frame: &Frame<'_, Forecasts>) -> joulebus_forecasts {
         ticks_missed: arrival.ticks_missed,
         restarted: arrival.restarted.into(),
     }
+}
+
+/// The newest frame of a channel, which the first call opens.
+fn newest<C: Channel>(
+    subscriber: *mut joulebus_subscriber,
+    of: fn(&mut Ports) -> (&Subscriber, &mut Option<Feed<C>>),
+) -> Result<(*const C::Header, *const C::Row, usize), Failure> {
+    handles::with(subscriber, |ports: &mut Ports| {
+        let (subscriber, feed) = of(ports);
+        let feed = match feed {
+            Some(feed) => feed,
+            none => none.insert(subscriber.feed().map_err(not_opened)?),
+        };
+        let found = feed.latest().map_err(|error| read_failed(&error))?;
+        Ok(parts(found))
+    })
 }
 
 fn parts<C: Channel>(frame: Option<Frame<'_, C>>) -> (*const C::Header, *const C::Row, usize) {

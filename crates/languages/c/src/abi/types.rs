@@ -3,6 +3,7 @@
 
 use joulebus_wire::{
     AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader,
+    Outlook, OutlookHeader,
 };
 
 /// What a call returns.
@@ -161,6 +162,18 @@ pub struct joulebus_budgets {
     pub header: *const BudgetHeader,
     /// All robots of the frame, in no particular order.
     pub robots: *const Budget,
+    /// How many.
+    pub count: usize,
+}
+
+/// A frame of outlooks, in the worker's shared memory.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct joulebus_outlooks {
+    /// Its header; NULL if there is no frame.
+    pub header: *const OutlookHeader,
+    /// All robots of the frame, in no particular order.
+    pub robots: *const Outlook,
     /// How many.
     pub count: usize,
 }

@@ -87,10 +87,12 @@ void frames(const std::string &config) {
     HOLDS(frame.find(7) == subscriber->robot(7).value() && frame.find(7)->robot == 7);
     HOLDS(frame.find(4000000000u) == nullptr);
     HOLDS(subscriber->latest()->has_value());
-    while (!subscriber->budgets()->has_value() || !subscriber->diagnostics()->has_value()) {
+    while (!subscriber->budgets()->has_value() || !subscriber->diagnostics()->has_value() ||
+           !subscriber->outlooks()->has_value()) {
         std::this_thread::sleep_for(2ms);
     }
     HOLDS(subscriber->budgets().value()->find(7)->robot == 7);
+    HOLDS(subscriber->outlooks().value()->find(7)->robot == 7);
     HOLDS(subscriber->status()->worker == JOULEBUS_WORKER_ALIVE || subscriber->status()->worker == JOULEBUS_WORKER_STALE);
     subscriber.reset();
     // The frame's memory stays.

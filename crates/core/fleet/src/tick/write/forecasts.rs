@@ -106,12 +106,39 @@ const HELD: u16 = Quality::Held.encode().0;
 
 /// Whether the code belongs to a forecast from a reading.
 #[inline(always)]
-pub(super) const fn is_read(code: u16) -> bool {
+const fn is_read(code: u16) -> bool {
     (code == FRESH) | (code == HELD)
 }
 
+/// The quality of the robot in a lane at the time of the tick, encoded, given the forecast that is
+/// shown.
+#[inline(always)]
+pub(super) fn quality_of(
+    tick: &TickContext,
+    block: &BlockRef<'_>,
+    lane: usize,
+    (power_w, open_steps): (f32, u16),
+) -> (u16, u16) {
+    let (admission, made) = (&block.admissions[lane], block.lasts.quality(lane));
+    let plain = is_read(made.0) & power_w.is_finite() & (open_steps == 0);
+    let now = plain & admission.invalid.is_none() & !tick.is_stale(admission);
+    if now { made } else { otherwise(tick, admission, made, (power_w, open_steps)) }
+}
+
+/// The quality of a robot whose last sample had no reading, or that is overdue or invalid.
+#[cold]
+#[inline(never)]
+fn otherwise(
+    tick: &TickContext,
+    admission: &AdmissionState,
+    (code, detail): (u16, u16),
+    (power_w, open_steps): (f32, u16),
+) -> (u16, u16) {
+    quality_now(tick, admission, Quality::decode(code, detail), power_w, open_steps).encode()
+}
+
 /// The quality of the output at the time of the tick; `quality`: as of the robot's last sample.
-pub(super) fn quality_now(
+fn quality_now(
     tick: &TickContext,
     admission: &AdmissionState,
     quality: Quality,

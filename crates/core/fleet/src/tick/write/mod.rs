@@ -6,12 +6,13 @@ pub(crate) mod diagnostics;
 mod flag;
 pub(crate) mod forecasts;
 pub(crate) mod learned;
+pub(crate) mod outlooks;
 pub(crate) mod plan_states;
 
 use std::slice;
 
 use joulebus_predictor::simd::{SimdTask, prefetch};
-use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 
 use crate::layout::lanes::{AHEAD, LANES};
 use crate::layout::slots;
@@ -21,6 +22,7 @@ use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::forecasts::Forecasts;
 use crate::tick::write::learned::LearnedLanes;
+use crate::tick::write::outlooks::Outlooks;
 use crate::tick::write::plan_states::PlanStates;
 
 /// Prefetches the places of the next robots.
@@ -53,7 +55,7 @@ impl SimdTask for WriteForecasts<'_, '_, '_> {
     }
 }
 
-/// Writes the diagnostics, the budgets and the plan states of a tile.
+/// Writes the diagnostics, the budgets, the plan states and the outlooks of a tile.
 pub(crate) struct WriteAccounts<'a, 'b, 'c> {
     pub tick: &'a TickContext,
     pub columns: &'a ColumnsMut<'b>,
@@ -65,22 +67,30 @@ pub(crate) struct AccountPlaces<'a> {
     pub diagnostics: slice::IterMut<'a, Diagnostic>,
     pub budgets: slice::IterMut<'a, Budget>,
     pub plan_states: slice::IterMut<'a, PlanState>,
+    pub outlooks: slice::IterMut<'a, Outlook>,
 }
 
 impl SimdTask for WriteAccounts<'_, '_, '_> {
     #[inline(always)]
     fn run(self) {
         let (tick, columns) = (self.tick, self.columns);
-        let AccountPlaces { diagnostics, budgets, plan_states } = self.places;
+        let AccountPlaces { diagnostics, budgets, plan_states, outlooks } = self.places;
         for (block, lanes) in slots::blocks(columns.words) {
             prefetch_ahead(diagnostics.as_slice());
             prefetch_ahead(budgets.as_slice());
             prefetch_ahead(plan_states.as_slice());
+            prefetch_ahead(outlooks.as_slice());
             let block = columns.block(block);
-            if budgets.len() > 0 {
+            if budgets.len() + outlooks.len() > 0 {
                 let rows = Budgets::of(tick, block);
                 for (lane, place) in slots::bits(lanes).zip(budgets.by_ref()) {
                     *place = rows.get(tick, lane);
+                }
+                if outlooks.len() > 0 {
+                    let ahead = Outlooks::of(tick, block);
+                    for (lane, place) in slots::bits(lanes).zip(outlooks.by_ref()) {
+                        *place = ahead.get(tick, lane, &rows.get(tick, lane));
+                    }
                 }
             }
             if diagnostics.len() + plan_states.len() == 0 {

@@ -1,13 +1,12 @@
 //! Writes the starts of plans.
 
-use joulebus_wire::{PlanState, Quality, plan_state_flag};
+use joulebus_wire::{PlanState, plan_state_flag};
 
-use crate::estimate::window::PlanStart;
 use crate::layout::lanes::Block as _;
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
 use crate::tick::write::flag::flag;
-use crate::tick::write::forecasts::{is_read, quality_now};
+use crate::tick::write::forecasts::quality_of;
 use crate::tick::write::learned::LearnedLanes;
 
 /// The plan states of a block.
@@ -31,12 +30,8 @@ impl<'a, 'b> PlanStates<'a, 'b> {
         let interval = self.block.intervals.get(lane).scale();
         let errors = &tick.platforms[usize::from(admission.platform)].errors;
         let energy = self.block.energy.state(lane, errors);
-        let plain = is_read(self.block.lasts.quality(lane).0)
-            & start.power_w.is_finite()
-            & (start.steps == 0);
-        let now = plain & admission.invalid.is_none() & !tick.is_stale(admission);
-        let (quality, quality_detail) =
-            if now { self.block.lasts.quality(lane) } else { self.otherwise(tick, lane, &start) };
+        let shown = (start.power_w, start.steps);
+        let (quality, quality_detail) = quality_of(tick, &self.block, lane, shown);
         let (learns, learned) = self.learned.get(&self.block, lane);
         let [weight_last, weight_network, weight_stack] = learned.weights;
         let [_, held_weight_stack] = learned.held_weights;
@@ -92,20 +87,5 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             command_trust: energy.learned.command_trust,
             reserved: 0,
         }
-    }
-
-    /// The quality of a robot whose last sample had no reading, or that is overdue or invalid.
-    #[cold]
-    #[inline(never)]
-    fn otherwise(&self, tick: &TickContext, lane: usize, start: &PlanStart) -> (u16, u16) {
-        let (code, detail) = self.block.lasts.quality(lane);
-        quality_now(
-            tick,
-            &self.block.admissions[lane],
-            Quality::decode(code, detail),
-            start.power_w,
-            start.steps,
-        )
-        .encode()
     }
 }

@@ -4,7 +4,7 @@ use joulebus_energy::EnergyState;
 use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
 use joulebus_testkit_fleets as world;
-use joulebus_wire::{Quality, diagnostic_flag, plan_state_flag};
+use joulebus_wire::{OUTLOOK_S, Quality, diagnostic_flag, outlook_flag, plan_state_flag};
 use proptest::prelude::*;
 
 use super::intake::{Member, Oracle};
@@ -26,6 +26,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_energy(fleet, oracle, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
         compare_plan_state(fleet, oracle, *id, member, now_ns)?;
+        compare_outlook(fleet, *id, member)?;
         one_nan(fleet, *id)?;
     }
     for (id, account) in &oracle.departed {
@@ -39,6 +40,7 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
     let (forecast, diagnostic) = (world::forecast(fleet, id), world::diagnostic(fleet, id));
     let budget = world::budget(fleet, id);
     let plan_state = world::plan_state(fleet, id);
+    let outlook = world::outlook(fleet, id);
     let singles = [
         forecast.reading_w,
         forecast.power_w,
@@ -77,8 +79,11 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
         plan_state.error_lower[2],
         plan_state.error_upper[0],
         plan_state.command_trust,
+        outlook.mean_w,
+        outlook.time_to_empty_hi_s,
     ];
-    for value in singles.into_iter().filter(|value| value.is_nan()) {
+    let outlooks = [outlook.energy_j, outlook.energy_lo_j, outlook.energy_hi_j].concat();
+    for value in singles.into_iter().chain(outlooks).filter(|value| value.is_nan()) {
         prop_assert_eq!(value.to_bits(), f32::NAN.to_bits(), "robot {}", id);
     }
     let doubles = [
@@ -267,6 +272,47 @@ fn compare_plan_state(
     prop_assert_eq!(u64::from(found.interval_steps), interval.unwrap_or(0));
     let is_known = found.flags & plan_state_flag::READING_AGE != 0;
     prop_assert_eq!(is_known, interval.is_some(), "robot {}", id);
+    Ok(())
+}
+
+/// Quality is that of the forecast, energy that of the pure function, and time to empty that of the
+/// budget.
+fn compare_outlook(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
+    let found = world::outlook(fleet, id);
+    let (forecast, budget) = (world::forecast(fleet, id), world::budget(fleet, id));
+    prop_assert_eq!(
+        (found.robot, found.quality(), found.stamp_ns, found.generation),
+        (forecast.robot, forecast.quality(), forecast.stamp_ns, forecast.generation)
+    );
+    prop_assert_eq!(usize::from(found.platform), member.context);
+    for (found, expected) in [
+        (found.usable_j, budget.usable_j),
+        (found.time_to_empty_s, budget.time_to_empty_s),
+        (found.time_to_empty_lo_s, budget.time_to_empty_lo_s),
+        (found.time_to_empty_hi_s, budget.time_to_empty_hi_s),
+    ] {
+        prop_assert_eq!(found.to_bits(), expected.to_bits(), "robot {}", id);
+    }
+    let state = fleet.energy(id).expect("it is in the fleet");
+    let is_metered = state.metered.time_s[0] > 0.0;
+    let is_known = is_metered && !matches!(forecast.quality(), Quality::Invalid(_));
+    prop_assert_eq!(found.flags & outlook_flag::ENERGY != 0, is_known, "robot {}", id);
+    if !is_known {
+        prop_assert!(found.energy_j.iter().all(|joules| joules.is_nan()));
+        prop_assert_eq!((found.bounded, found.mean_w.is_nan()), (0, true));
+        return Ok(());
+    }
+    let model = fleet.energy_model(member.context).expect("its platform has one");
+    let ahead = model.outlook(OUTLOOK_S);
+    let expected = ahead.of(&state);
+    prop_assert_eq!(usize::from(found.bounded), ahead.bounded());
+    for (found, expected) in [
+        (found.energy_j, expected.energy_j),
+        (found.energy_lo_j, expected.lo_j),
+        (found.energy_hi_j, expected.hi_j),
+    ] {
+        prop_assert_eq!(found.map(f32::to_bits), expected.map(f32::to_bits), "robot {}", id);
+    }
     Ok(())
 }
 

@@ -1,0 +1,137 @@
+//! The energy of a robot that goes on as it does.
+
+// Several arrays are indexed alike, and the lanes of a block are computed side by side.
+#![allow(clippy::needless_range_loop)]
+
+use crate::levels::LEVELS;
+use crate::model::EnergyModel;
+use crate::quantiles;
+use crate::state::{EnergyState, NEWEST, SHADOWS, START_S, contradictions, error_shares, weighted};
+
+/// Energy of a robot over several horizons, if it goes on as it does: its future commands are
+/// unknown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergyOutlook<const HORIZONS: usize> {
+    /// Expected energy, J.
+    pub energy_j: [f32; HORIZONS],
+    /// Lower end of its 90 % interval, J; NaN if errors are unknown.
+    pub lo_j: [f32; HORIZONS],
+    /// Upper end, J; NaN if errors are unknown.
+    pub hi_j: [f32; HORIZONS],
+}
+
+/// What outlooks of all robots of a platform need of its model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutlookModel<const HORIZONS: usize> {
+    horizons: [Horizon; HORIZONS],
+    bounded: usize,
+    prior_s: [f32; LEVELS],
+    mean_w: f32,
+    mean_share: f32,
+    /// Deviations of the errors, with which levels are compared.
+    newest_spreads: [f32; NEWEST],
+}
+
+/// The model at one horizon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Horizon {
+    seconds: f32,
+    weights: [f32; LEVELS],
+    /// 1 through the square of the errors' deviation.
+    per_variance: f32,
+    /// Weights of the bounds of a robot's errors.
+    shares: [f32; SHADOWS],
+    /// Middle and half width of the trained 90 % interval, relative; NaN if unknown.
+    middle: f32,
+    half: f32,
+}
+
+impl EnergyModel {
+    /// Prepares outlooks over horizons, s, above 0, ascending.
+    pub fn outlook<const HORIZONS: usize>(
+        &self,
+        horizons_s: [f32; HORIZONS],
+    ) -> OutlookModel<HORIZONS> {
+        let horizon = |seconds: f32| {
+            let (spread, errors) = (self.spread_at(seconds), self.errors_at(seconds));
+            let known = |value| if self.covers(seconds) { value } else { f32::NAN };
+            let (middle, half) = quantiles::middle_and_half(&errors);
+            Horizon {
+                seconds,
+                weights: self.weights_at(seconds).0,
+                per_variance: 1.0 / (spread * spread),
+                shares: error_shares(seconds),
+                middle: known(middle),
+                half: known(half),
+            }
+        };
+        OutlookModel {
+            horizons: horizons_s.map(horizon),
+            bounded: horizons_s.into_iter().filter(|seconds| self.covers(*seconds)).count(),
+            prior_s: self.prior_s,
+            mean_w: self.command.mean_w,
+            mean_share: self.mean_share,
+            newest_spreads: self.newest_spreads(),
+        }
+    }
+}
+
+impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
+    /// Number of horizons, from the shortest, with bounds.
+    pub const fn bounded(&self) -> usize {
+        self.bounded
+    }
+
+    /// The energy of a robot: the mean power of its levels, weighted for each horizon, with the
+    /// platform's mean as the prior. Up to rounding the part of [`EnergyModel::forecast`] that no
+    /// command explains. Its errors, too, are those of that forecast, which knows the commands.
+    ///
+    /// Without branches.
+    #[inline(always)]
+    pub fn of(&self, state: &EnergyState) -> EnergyOutlook<HORIZONS> {
+        let mut mean_w = [0.0; HORIZONS];
+        let contradictions = contradictions(&state.metered, self.mean_w, &self.newest_spreads);
+        let weights = self.horizons.map(|horizon| weighted(horizon.weights, &contradictions));
+        for level in 0..LEVELS {
+            let (time_s, energy_j) = (state.metered.time_s[level], state.metered.energy_j[level]);
+            let command_j = state.metered.command_j[level];
+            let known = (time_s > 0.0) & (command_j > 0.0);
+            let prior_s = self.prior_s[level];
+            // As `shrunk`, with fewer divisions: a level that is far from the platform's is
+            // believed sooner.
+            let differs = (energy_j - command_j) / command_j;
+            let started_s = (time_s + START_S) * (time_s + START_S);
+            let is_level = time_s * time_s * time_s / (started_s * (time_s + prior_s));
+            let square = differs * differs * is_level;
+            let above_j = energy_j - self.mean_w * time_s;
+            for (place, horizon) in self.horizons.iter().enumerate() {
+                let sooner = 1.0 + square * horizon.per_variance;
+                let above_w = sooner * above_j / (sooner * time_s + prior_s);
+                let above_w = if known { above_w } else { 0.0 };
+                mean_w[place] += weights[place].0[level] * (self.mean_w + above_w);
+            }
+        }
+        let mut outlook = EnergyOutlook {
+            energy_j: [0.0; HORIZONS],
+            lo_j: [0.0; HORIZONS],
+            hi_j: [0.0; HORIZONS],
+        };
+        for (place, horizon) in self.horizons.iter().enumerate() {
+            let energy_j = mean_w[place] * horizon.seconds;
+            let mean_j = self.mean_w * horizon.seconds;
+            let (mut lower, mut upper) = (0.0, 0.0);
+            for shadow in 0..SHADOWS {
+                lower += horizon.shares[shadow] * state.bounds.lower[shadow];
+                upper += horizon.shares[shadow] * state.bounds.upper[shadow];
+            }
+            // A level that was contradicted widens the interval at once.
+            let wider = 0.5 * weights[place].1 * (upper - lower);
+            let (lower, upper) = (lower - wider, upper + wider);
+            let scale_j = energy_j.abs() + self.mean_share * (mean_j - energy_j.abs());
+            outlook.energy_j[place] = energy_j;
+            outlook.lo_j[place] = energy_j + scale_j * (horizon.middle + horizon.half * lower);
+            outlook.hi_j[place] = energy_j + scale_j * (horizon.middle + horizon.half * upper);
+        }
+        outlook
+    }
+}
