@@ -270,6 +270,9 @@ describe("a fleet of 20 robots", () => {
       await live(page);
       await page.waitForFunction(() => document.querySelectorAll("#robot .chart canvas").length === 3);
       await page.waitForFunction(() => document.querySelector("[data-chart='power']").ariaLabel?.includes("read "));
+      await page.waitForFunction(() => document.querySelector("[data-outlook='fan'] polyline")?.points.length === 4);
+      const ahead = await page.locator("[data-outlook='rows'] > div").allInnerTexts();
+      assert.ok(ahead.length === 4 && ahead.every((text) => /[\d.]+\u202f(J|Wh)/.test(text)), ahead.join("; "));
       const frame = await fleet.once();
       const robot = frame.robots.find((candidate) => candidate.robot === 4);
       const drawn = await page.locator("[data-robot='drawn']").innerText();

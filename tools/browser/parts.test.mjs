@@ -7,6 +7,7 @@ import * as address from "./page/address.js";
 import { emptyBoard, take } from "./page/board.js";
 import * as format from "./page/format.js";
 import { niceAbove } from "./page/list.js";
+import { fan, rows } from "./page/outlook.js";
 import { parseEvent } from "./page/stream.js";
 import { question } from "./page/what_if.js";
 
@@ -33,6 +34,20 @@ test("numbers carry their unit and sensible digits", () => {
     [format.range(3.46, 3.72, format.watts), "3.46 – 3.72 W"], [format.range(900, 7200, format.energy), "900 J – 2.00 Wh"],
   ];
   for (const [found, expected] of cases) assert.equal(plain(found), expected);
+});
+
+test("the fan has a point for each horizon and a band as far as there are bounds", () => {
+  const outlook = {
+    horizon_s: [1, 10, 60, 300], energy_j: [4, 40, 240, 1200], energy_lo_j: [3, 30, null, null], energy_hi_j: [5, 50, null, null],
+  };
+  const all = rows(outlook);
+  assert.deepEqual(all[1], { horizonS: 10, energy: 40, lo: 30, hi: 50, watts: 4, loW: 3, hiW: 5 });
+  const { line, band } = fan(all, 400, 100);
+  assert.deepEqual(line.map(([x]) => x), [50, 150, 250, 350]);
+  assert.ok(line.every(([, y]) => Math.abs(y - 20) < 1e-9), "4 of 5 W");
+  assert.deepEqual(band.map(([x]) => x), [50, 150, 150, 50]);
+  const unknown = { ...outlook, energy_j: [null, null, null, null] };
+  assert.deepEqual(fan(rows(unknown), 400, 100).line, []);
 });
 
 test("a robot lacks a battery only if its energy is counted and no battery is known", () => {

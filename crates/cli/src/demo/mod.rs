@@ -166,7 +166,7 @@ impl Demo<'_> {
         if let Some(capture) = &self.capture {
             self.supervisor.add(recorder(place, capture));
         }
-        let feed = Feed::start(place.config(), "demo", true)?;
+        let feed = Feed::start(place.config(), "demo", (true, true))?;
         self.wait_for_worker(&feed, stop)?;
         if self.capture.is_some() {
             self.wait_for_line(&feed, stop, RECORDER, "recording ");

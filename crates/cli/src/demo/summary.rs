@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use joulebus_board::{Board, Raised, Scores};
-use joulebus_wire::Level;
+use joulebus_board::{AheadScores, Board, Raised, Scores};
+use joulebus_wire::{Level, OUTLOOK_HORIZONS};
 use serde::Serialize;
 
 use super::account::Account;
@@ -74,6 +74,8 @@ pub(super) struct Summary {
     adds_up: bool,
     /// The planner's report; `None` if it did not run at the end.
     planner: Option<PlannerReport>,
+    /// Scores of the outlooks, by horizon; `None` if no second was metered.
+    ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
     /// Scores of the last worker.
     scores: Scores,
     stand_out: Vec<StandsOut>,
@@ -116,6 +118,7 @@ impl Summary {
             adds_up: samples.adds_up(),
             samples,
             planner,
+            ahead: board.ahead(),
             scores: board.scores(),
             unnoticed: planted.iter().filter(unnoticed).cloned().collect(),
             stand_out,
@@ -181,6 +184,40 @@ impl Summary {
             Some(failure) => writeln!(out, "; stopped: {failure}"),
             None => writeln!(out),
         }
+    }
+
+    fn ahead_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(ahead) = &self.ahead else {
+            return Ok(());
+        };
+        writeln!(
+            out,
+            "energy     ahead, if each robot goes on as it does: error of the energy, %"
+        )?;
+        writeln!(
+            out,
+            "  {:<12}{:>9}{:>14}{:>14}{:>9}{:>16}",
+            "over", "outlook", "last reading", "mean of 5 s", "inside", "interval score"
+        )?;
+        let percent = |share: Option<f64>| {
+            share.map_or_else(|| "–".to_owned(), |share| format!("{:.1}", 100.0 * share))
+        };
+        for scores in ahead.iter().filter(|scores| scores.compared > 0) {
+            writeln!(
+                out,
+                "  {:<12}{:>9}{:>14}{:>14}{:>9}{:>16}",
+                format!("{} s", scores.horizon_s),
+                percent(scores.error),
+                percent(scores.last_reading_error),
+                percent(scores.mean_5s_error),
+                percent(scores.coverage),
+                percent(scores.interval_score)
+            )?;
+        }
+        writeln!(
+            out,
+            "  90 % of the energies shall lie inside; the interval score is relative, too"
+        )
     }
 
     fn scores_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -286,6 +323,7 @@ impl fmt::Display for Summary {
             )?,
             None => writeln!(out, "latency    the planner did not run at the end")?,
         }
+        self.ahead_text(out)?;
         self.scores_text(out)?;
         self.robots_text(out)?;
         for death in &self.deaths {

@@ -1,13 +1,18 @@
 //! Data of a robot as text, the same in every view.
 
 use joulebus_board::Row;
-use joulebus_wire::{Budget, ChargeState, Quality, budget_flag, diagnostic_flag, forecast_flag};
+use joulebus_wire::{
+    Budget, ChargeState, Outlook, Quality, budget_flag, diagnostic_flag, forecast_flag,
+};
 
 /// Text of an unknown value.
 const UNKNOWN: &str = "–";
 
+/// Number of columns.
+const COLUMNS: usize = 14;
+
 /// Column heads, in the order of [`cells`], and the width of each column.
-pub(crate) const HEADS: [(&str, u16); 13] = [
+pub(crate) const HEADS: [(&str, u16); COLUMNS] = [
     ("robot", 5),
     ("quality", 12),
     ("read W", 7),
@@ -20,11 +25,12 @@ pub(crate) const HEADS: [(&str, u16); 13] = [
     ("drawn J", 8),
     ("charge", 6),
     ("lasts", 8),
+    ("next min J", 19),
     ("state", 20),
 ];
 
 /// Columns that a narrow view omits, in this order.
-const DISPENSABLE: [&str; 11] = [
+const DISPENSABLE: [&str; 12] = [
     "drawn J",
     "inside",
     "skill",
@@ -34,17 +40,25 @@ const DISPENSABLE: [&str; 11] = [
     "lasts",
     "read W",
     "charge",
+    "next min J",
     "quality",
     "forecast W",
 ];
 
 /// Columns that are empty in a fleet without batteries.
 const OF_BATTERIES: [&str; 2] = ["charge", "lasts"];
+/// The column that is empty unless outlooks are read.
+const OF_OUTLOOKS: &str = "next min J";
+/// Place of its horizon among those of an outlook.
+const NEXT_MINUTE: usize = 2;
 
 /// Indices of the columns that fit into `width` with a space between, and the width of the last
 /// one.
-pub(crate) fn fitting(width: u16, has_batteries: bool) -> (Vec<usize>, u16) {
-    let mut places: Vec<usize> = (0..HEADS.len()).collect();
+pub(crate) fn fitting(
+    width: u16,
+    (has_batteries, has_outlooks): (bool, bool),
+) -> (Vec<usize>, u16) {
+    let mut places = columns(has_outlooks);
     places.retain(|place| has_batteries || !OF_BATTERIES.contains(&HEADS[*place].0));
     let taken = |places: &[usize]| -> u16 { places.iter().map(|place| HEADS[*place].1 + 1).sum() };
     for dispensable in DISPENSABLE {
@@ -57,7 +71,12 @@ pub(crate) fn fitting(width: u16, has_batteries: bool) -> (Vec<usize>, u16) {
     (places, width.saturating_sub(others))
 }
 
-pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
+/// Indices of the columns of a table without limits of width.
+pub(crate) fn columns(has_outlooks: bool) -> Vec<usize> {
+    (0..COLUMNS).filter(|place| has_outlooks || HEADS[*place].0 != OF_OUTLOOKS).collect()
+}
+
+pub(crate) fn cells(robot: u32, row: &Row, outlook: Option<&Outlook>) -> [String; COLUMNS] {
     let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
     let read = forecast.flags & forecast_flag::READING != 0;
     let scored = diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0);
@@ -77,6 +96,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
         or_unknown(metered.map(|budget| format!("{:.1}", budget.drawn_j()))),
         or_unknown(battery.map(|budget| percent(budget.soc.into()))),
         or_unknown(battery.as_ref().map(lasts)),
+        or_unknown(outlook.and_then(next_minute)),
         state(row),
     ]
 }
@@ -88,6 +108,14 @@ pub(crate) fn lacks_battery(row: &Row) -> bool {
 
 fn or_unknown(text: Option<String>) -> String {
     text.unwrap_or_else(|| UNKNOWN.to_owned())
+}
+
+/// The energy of the next minute, with its interval.
+fn next_minute(outlook: &Outlook) -> Option<String> {
+    let energy_j = outlook.expected_j(NEXT_MINUTE)?;
+    let bounds_j = outlook.bounds_j(NEXT_MINUTE);
+    let bounds = bounds_j.map(|(lo_j, hi_j)| format!(" ({lo_j:.0} – {hi_j:.0})"));
+    Some(format!("{energy_j:.0}{}", bounds.unwrap_or_default()))
 }
 
 fn skill(skill: f64) -> Option<String> {
@@ -186,18 +214,20 @@ pub(crate) fn micros(us: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_wire::outlook_flag;
+
     use super::*;
 
     #[test]
     fn a_narrow_view_omits_columns_instead_of_truncating_them() {
         let heads = |width, has_batteries| -> Vec<&str> {
-            let (places, _) = fitting(width, has_batteries);
+            let (places, _) = fitting(width, (has_batteries, false));
             places.iter().map(|place| HEADS[*place].0).collect()
         };
-        assert_eq!(heads(127, true).len(), HEADS.len());
+        assert_eq!(heads(127, true).len(), HEADS.len() - 1);
         let without = |left_out: &[&str]| -> Vec<&str> {
             let heads = HEADS.map(|(head, _)| head).into_iter();
-            heads.filter(|head| !left_out.contains(head)).collect()
+            heads.filter(|head| !left_out.contains(head) && *head != OF_OUTLOOKS).collect()
         };
         assert_eq!(heads(126, true), without(&["drawn J"]));
         assert_eq!(heads(127, false), without(&["charge", "lasts"]));
@@ -210,12 +240,27 @@ mod tests {
         assert_eq!(heads(0, true), ["robot", "state"]);
         // No column is wider than what is left.
         for width in 0..200 {
-            let (places, left) = fitting(width, true);
+            let (places, left) = fitting(width, (true, true));
             let others = &places[..places.len() - 1];
             let others: u16 = others.iter().map(|place| HEADS[*place].1 + 1).sum();
             assert_eq!(left, width.saturating_sub(others), "{width}");
             assert!(left >= 20 || places.len() == 2, "{width}: {left}");
         }
+    }
+
+    #[test]
+    fn the_next_minute_is_shown_with_bounds_where_there_are_any() {
+        let outlook = Outlook {
+            flags: outlook_flag::ENERGY,
+            bounded: 3,
+            energy_j: [4.0, 40.0, 240.4, 1_200.0],
+            energy_lo_j: [3.0, 30.0, 200.0, f32::NAN],
+            energy_hi_j: [5.0, 50.0, 290.0, f32::NAN],
+            ..Outlook::default()
+        };
+        assert_eq!(next_minute(&outlook).unwrap(), "240 (200 – 290)");
+        assert_eq!(next_minute(&Outlook { bounded: 2, ..outlook }).unwrap(), "240");
+        assert_eq!(next_minute(&Outlook { flags: 0, ..outlook }), None);
     }
 
     #[test]

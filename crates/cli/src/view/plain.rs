@@ -6,7 +6,7 @@ use joulebus_board::{Board, Row};
 use joulebus_settings::NO_BATTERY;
 use joulebus_wire::Level;
 
-use super::cells::{HEADS, cells, lacks_battery, micros};
+use super::cells::{HEADS, cells, columns, lacks_battery, micros};
 
 /// Maximum number of robots named in a line.
 const NAMED: usize = 4;
@@ -48,11 +48,13 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
 /// Table of all robots or of one.
 pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
     let mut text = String::new();
+    let columns = columns(!board.outlooks.is_empty());
     let heads = HEADS.map(|(head, _)| head.to_owned());
-    push_row(&mut text, &heads);
+    push_row(&mut text, &heads, &columns);
     for (robot, row) in &board.rows {
         if only.is_none_or(|only| only == *robot) {
-            push_row(&mut text, &cells(*robot, row));
+            let cells = cells(*robot, row, board.outlooks.get(robot));
+            push_row(&mut text, &cells, &columns);
         }
     }
     let mut shown = board.rows.iter().filter(|(robot, _)| only.is_none_or(|only| only == **robot));
@@ -62,10 +64,11 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
     text
 }
 
-fn push_row(text: &mut String, cells: &[String; 13]) {
-    let columns = HEADS.iter().zip(cells).map(|((head, width), cell)| {
-        let width = usize::from(*width);
-        match *head {
+fn push_row(text: &mut String, cells: &[String], columns: &[usize]) {
+    let columns = columns.iter().map(|place| {
+        let ((head, width), cell) = (HEADS[*place], &cells[*place]);
+        let width = usize::from(width);
+        match head {
             "quality" | "state" => format!("{cell:<width$}"),
             _ => format!("{cell:>width$}"),
         }

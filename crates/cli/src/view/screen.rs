@@ -244,7 +244,8 @@ impl Screen {
         }
         self.table.select(Some(listed.selected));
         let width = area.width.saturating_sub(if has_border { 2 } else { 0 });
-        let (places, state_columns) = fitting(width, has_batteries(board));
+        let (places, state_columns) =
+            fitting(width, (has_batteries(board), !board.outlooks.is_empty()));
         let heads = places.iter().map(|place| HEADS[*place]);
         let widths = heads.clone().map(|(head, width)| match head {
             "state" => Constraint::Length(state_columns),
@@ -256,7 +257,8 @@ impl Screen {
         let rows =
             listed.robots.iter().enumerate().map(|(place, robot)| match board.rows.get(robot) {
                 Some(row) if place >= from && place <= from + 2 * seen => {
-                    table_row(*robot, row, &places, state_columns)
+                    let texts = cells(*robot, row, board.outlooks.get(robot));
+                    table_row(texts, row, &places, state_columns)
                 }
                 _ => TableRow::default(),
             });
@@ -296,8 +298,12 @@ fn right_or_left(head: &str, text: &str) -> Cell<'static> {
     })
 }
 
-fn table_row(robot: u32, row: &Row, places: &[usize], state_columns: u16) -> TableRow<'static> {
-    let mut texts = cells(robot, row);
+fn table_row(
+    mut texts: [String; HEADS.len()],
+    row: &Row,
+    places: &[usize],
+    state_columns: u16,
+) -> TableRow<'static> {
     texts[HEADS.len() - 1] = state_within(row, usize::from(state_columns));
     let level = row.level();
     let known = row.forecast.expected_w().is_some();

@@ -50,6 +50,10 @@ pub(crate) struct Args {
     /// Lines also on a terminal
     #[arg(long)]
     plain: bool,
+    /// Also the energy that each robot will draw if it goes on as it does, which the worker computes
+    /// while somebody asks: over the next minute in the table, over 1, 10, 60 and 300 s as JSON
+    #[arg(long, conflicts_with = "summary")]
+    outlook: bool,
     /// Only a summary of latencies and gaps at the end
     #[arg(long)]
     summary: bool,
@@ -81,6 +85,7 @@ impl Args {
     fn once(&self, config: &Config, output: Output, stop: &Stop) -> anyhow::Result<Outcome> {
         let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;
+        reading.want_outlooks(self.outlook)?;
         let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
         let mut counts_by_ns = give_up_ns;
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
@@ -89,6 +94,7 @@ impl Args {
             let board = board.borrow();
             let whole = |row: &Row| row.diagnostic.is_some() && row.budget.is_some();
             if board.rows.values().any(whole)
+                && (!self.outlook || !board.outlooks.is_empty())
                 && self.robot.is_none_or(|robot| board.rows.contains_key(&robot))
             {
                 let now_ns = clock::monotonic_ns();
@@ -137,6 +143,7 @@ impl Args {
     ) -> anyhow::Result<Outcome> {
         let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;
+        reading.want_outlooks(self.outlook)?;
         let mut reporter = LinkReporter::default();
         while !stop.is_asked() && clock::monotonic_ns() < end_ns {
             let came = reading.turn(|| board.borrow_mut())?;
@@ -151,7 +158,7 @@ impl Args {
 
     /// The live view, or one line per second.
     fn live(&self, config: &Config, stop: &Stop, end_ns: u64) -> anyhow::Result<Outcome> {
-        let feed = Feed::start(config, "watch", false)?;
+        let feed = Feed::start(config, "watch", (false, self.outlook))?;
         let began_ns = clock::monotonic_ns();
         if !self.plain && std::io::stdout().is_terminal() && std::io::stdin().is_terminal() {
             let mut screen =

@@ -1,12 +1,13 @@
 //! A planner's view of a fleet: the newest data of every robot, and the runs of workers.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
-    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, QueryCounts,
-    budget_flag, forecast_flag,
+    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, OUTLOOK_HORIZONS,
+    Outlook, QueryCounts, budget_flag, forecast_flag,
 };
 
+use crate::ahead::{Ahead, AheadScores};
 use crate::scores::{Pooled, Scores};
 use crate::stages::Stages;
 
@@ -144,6 +145,8 @@ pub struct Board {
     pub is_reliable: bool,
     /// Robots by id.
     pub rows: BTreeMap<u32, Row>,
+    /// The newest outlooks by robot; empty unless they are read.
+    pub outlooks: HashMap<u32, Outlook>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
     pub raised: BTreeMap<u32, Vec<Raised>>,
     /// Runs of workers, oldest first.
@@ -165,6 +168,7 @@ pub struct Board {
     /// Event log: time since the start, s, and text; oldest first.
     pub notes: VecDeque<(f64, String)>,
     pooled: Pooled,
+    ahead: Ahead,
 }
 
 impl Board {
@@ -176,6 +180,7 @@ impl Board {
             link: Link::Waiting,
             is_reliable: false,
             rows: BTreeMap::new(),
+            outlooks: HashMap::new(),
             raised: BTreeMap::new(),
             runs: Vec::new(),
             merged_runs: 0,
@@ -187,6 +192,7 @@ impl Board {
             queries: None,
             notes: VecDeque::new(),
             pooled: Pooled::default(),
+            ahead: Ahead::default(),
         }
     }
 
@@ -252,6 +258,7 @@ impl Board {
         }
         if self.rows.len() > forecasts.len() {
             self.rows.retain(|_, row| row.frame == self.frames);
+            self.ahead.keep(|robot| self.rows.contains_key(&robot));
         }
         let heard = forecasts
             .iter()
@@ -338,6 +345,20 @@ impl Board {
         }
     }
 
+    /// Replaces the outlooks, which come after the other rows of their tick, and compares earlier
+    /// ones with the energy that was drawn.
+    pub fn outlooks(&mut self, outlooks: &[Outlook]) {
+        self.outlooks.clear();
+        self.outlooks.extend(outlooks.iter().map(|outlook| (outlook.robot, *outlook)));
+        for outlook in outlooks {
+            if let Some(row) = self.rows.get(&outlook.robot)
+                && let Some(budget) = &row.budget
+            {
+                self.ahead.add(outlook, budget, &row.forecast);
+            }
+        }
+    }
+
     /// Adds a frame of budgets.
     pub fn budgets(&mut self, budgets: &[Budget]) {
         for budget in budgets {
@@ -345,6 +366,12 @@ impl Board {
                 row.budget = Some(*budget);
             }
         }
+    }
+
+    /// Scores of the outlooks, if any were compared.
+    #[must_use]
+    pub fn ahead(&self) -> Option<[AheadScores; OUTLOOK_HORIZONS]> {
+        Some(self.ahead.scores()).filter(|[shortest, ..]| shortest.compared > 0)
     }
 
     /// Scores of the forecasts.

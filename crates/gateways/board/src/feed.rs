@@ -9,7 +9,8 @@ use joulebus_bus::{Background, Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
-    self as consumer, Budgets, Diagnostics, End, Queries, ReadError, Subscriber, WorkerState,
+    self as consumer, Budgets, Diagnostics, End, Outlooks, Queries, ReadError, Subscriber,
+    WorkerState,
 };
 
 use crate::board::{Board, Link};
@@ -38,6 +39,8 @@ pub enum FeedError {
 pub struct Reading {
     diagnostics: consumer::Feed<Diagnostics>,
     budgets: consumer::Feed<Budgets>,
+    /// None while nobody wants them: the worker computes them only for readers.
+    outlooks: Option<consumer::Feed<Outlooks>>,
     /// None if there are too many readers.
     queries: Option<consumer::Feed<Queries>>,
     tap: Option<Tap>,
@@ -74,6 +77,7 @@ impl Reading {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
+            outlooks: None,
             queries: planner.queries().ok(),
             tap: None,
             polls: false,
@@ -135,6 +139,19 @@ impl Reading {
         Ok(tick.is_some())
     }
 
+    /// Begins or ceases to read outlooks. The board has them from the next ticks on.
+    ///
+    /// # Errors
+    /// There are too many readers.
+    pub fn want_outlooks(&mut self, wanted: bool) -> Result<(), ConnectError> {
+        match (wanted, &self.outlooks) {
+            (true, None) => self.outlooks = Some(self.planner.outlooks()?),
+            (false, Some(_)) => self.outlooks = None,
+            _ => {}
+        }
+        Ok(())
+    }
+
     /// The planner, for further feeds of the same fleet.
     #[must_use]
     pub const fn planner(&self) -> &Subscriber {
@@ -168,6 +185,11 @@ impl Reading {
                 }
                 if let Some(budgets) = budgets {
                     board.budgets(budgets.robots());
+                }
+                // They are sent right after the budgets. Those of the tick before may be found.
+                match self.outlooks.as_mut().map(consumer::Feed::latest) {
+                    None => board.outlooks.clear(),
+                    Some(found) => found?.into_iter().for_each(|it| board.outlooks(it.robots())),
                 }
                 return Ok(());
             }
@@ -231,15 +253,21 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Starts the thread and waits until it has joined the fleet.
+    /// Starts the thread and waits until it has joined the fleet. With `taps` it also reads the
+    /// frames of the sources, with `outlooks` those.
     ///
     /// # Errors
     /// It cannot join.
-    pub fn start(config: &Config, name: &'static str, taps: bool) -> Result<Self, FeedError> {
+    pub fn start(
+        config: &Config,
+        name: &'static str,
+        (taps, outlooks): (bool, bool),
+    ) -> Result<Self, FeedError> {
         let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())));
         let (shared, config) = (Arc::clone(&board), config.clone());
         let (thread, ()) = Background::run("joulebus-feed", move |thread| {
             let mut reading = Reading::open(&config, name, taps)?;
+            reading.want_outlooks(outlooks)?;
             thread.joined(());
             while !thread.is_stopping() {
                 reading.turn(|| lock(&shared))?;

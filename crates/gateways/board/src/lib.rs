@@ -4,6 +4,7 @@
 //! a thread. [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
 #![forbid(unsafe_code)]
 
+mod ahead;
 mod alarm;
 mod board;
 mod feed;
@@ -13,10 +14,11 @@ mod search;
 mod sort;
 mod stages;
 
+pub use ahead::AheadScores;
 pub use alarm::{AcknowledgedRecord, AlarmRecord, CardRecord};
 pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
 pub use feed::{Feed, FeedError, Reading};
-pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
+pub use record::{FrameRecord, LearnedRecord, OutlookRecord, RobotRecord, quality_name};
 pub use scores::Scores;
 pub use search::{Platforms, Search};
 pub use sort::{Sort, SortKey};

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_wire::{
-    ChargeState, Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag,
+    ChargeState, Diagnostic, OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, Quality, budget_flag,
+    diagnostic_flag, forecast_flag,
 };
 use serde::Serialize;
 
@@ -81,6 +82,35 @@ pub struct RobotRecord {
     time_to_empty_s: Option<f64>,
     time_to_empty_lo_s: Option<f64>,
     time_to_empty_hi_s: Option<f64>,
+    /// Absent unless outlooks are read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    outlook: Option<OutlookRecord>,
+}
+
+/// The energy that a robot will draw over each horizon if it goes on as it does, with the ends of
+/// its 90 % intervals.
+#[derive(Debug, Serialize)]
+pub struct OutlookRecord {
+    mean_w: Option<f64>,
+    horizon_s: [f32; OUTLOOK_HORIZONS],
+    energy_j: [Option<f64>; OUTLOOK_HORIZONS],
+    energy_lo_j: [Option<f64>; OUTLOOK_HORIZONS],
+    energy_hi_j: [Option<f64>; OUTLOOK_HORIZONS],
+}
+
+impl OutlookRecord {
+    /// An outlook; what is unknown is none.
+    #[must_use]
+    pub fn of(outlook: &Outlook) -> Self {
+        let joules = |of: [f32; OUTLOOK_HORIZONS]| of.map(|joules| known(joules.into()));
+        Self {
+            mean_w: known(outlook.mean_w.into()),
+            horizon_s: OUTLOOK_S,
+            energy_j: joules(outlook.energy_j),
+            energy_lo_j: joules(outlook.energy_lo_j),
+            energy_hi_j: joules(outlook.energy_hi_j),
+        }
+    }
 }
 
 /// Results of learning from the robot's readings: the weights of last reading, network and stack,
@@ -127,7 +157,10 @@ impl FrameRecord {
             .rows
             .iter()
             .filter(|(robot, _)| only.is_none_or(|only| only == **robot))
-            .map(|(robot, row)| RobotRecord::of(*robot, &row.newest()))
+            .map(|(robot, row)| RobotRecord {
+                outlook: board.outlooks.get(robot).map(OutlookRecord::of),
+                ..RobotRecord::of(*robot, &row.newest())
+            })
             .collect();
         Some(Self {
             worker_epoch: header.worker_epoch,
@@ -214,6 +247,7 @@ impl RobotRecord {
             time_to_empty_s: lasting.and_then(|b| known(b.time_to_empty_s.into())),
             time_to_empty_lo_s: lasting.and_then(|b| known(b.time_to_empty_lo_s.into())),
             time_to_empty_hi_s: lasting.and_then(|b| known(b.time_to_empty_hi_s.into())),
+            outlook: None,
         }
     }
 }

@@ -298,9 +298,10 @@ impl Bridge {
         let (config, name) = (config.clone(), settings.name.clone());
         let shared = Arc::clone(&self.shared);
         let every = settings.publish_interval();
+        let outlooks = settings.writes_outlooks();
         let (thread, ()) = Background::run("joulebus-tell", move |thread| {
             yield_to_the_worker(NICE);
-            outbound::run(&config, (&name, every), &shared, &mut sides, thread)
+            outbound::run(&config, (&name, every, outlooks), &shared, &mut sides, thread)
         })?;
         self.others.push(thread);
         Ok(())

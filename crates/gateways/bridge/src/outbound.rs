@@ -46,18 +46,19 @@ fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, Connect
 }
 
 /// Reads the fleet and publishes it until the bridge stops. The most frequent topic is due every
-/// `every`. Says when the fleet is joined.
+/// `every`. `outlooks`: whether these are among the values. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or reading fails permanently.
 pub(crate) fn run(
     config: &Config,
-    (name, every): (&str, Duration),
+    (name, every, outlooks): (&str, Duration, bool),
     shared: &Arc<Shared>,
     sides: &mut [Box<dyn Sink>],
     thread: &Running,
 ) -> anyhow::Result<()> {
     let mut reading = open(config, name, every)?;
+    reading.want_outlooks(outlooks)?;
     thread.joined(());
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
     while !shared.is_stopped() {

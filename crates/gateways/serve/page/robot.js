@@ -3,6 +3,7 @@
 import { changeItems, raisedItems } from "./alarms.js";
 import { Charts } from "./charts.js";
 import * as format from "./format.js";
+import { OutlookView } from "./outlook.js";
 
 const HISTORY_EVERY_MS = 1000;
 /** The stream that has the robot takes a moment. */
@@ -60,6 +61,7 @@ export class RobotView {
     this.fields = new Map(Object.keys(FIELDS).map((name) => [name, this.root.querySelector(`[data-robot="${name}"]`)]));
     this.part = (name) => this.root.querySelector(`[data-robot="${name}"]`);
     this.charts = new Charts(this.root);
+    this.outlook = new OutlookView(this.root);
     for (const kind of ["last", "network", "stack"]) {
       const share = document.createElement("i");
       share.className = `w-${kind}`;
@@ -80,6 +82,7 @@ export class RobotView {
     this.openedAt = performance.now();
     for (const node of this.fields.values()) node.textContent = "";
     this.charts.clear();
+    this.outlook.clear();
     this.#loadHistory(id);
   }
 
@@ -116,6 +119,9 @@ export class RobotView {
       if (!document.hidden) {
         const answer = await fetch(`/api/v1/robots/${id}/history`, { cache: "no-store" });
         if (answer.ok && this.id === id) this.#showHistory(await answer.json());
+        const outlook = await fetch(`/api/v1/robots/${id}/outlook`, { cache: "no-store" });
+        const found = outlook.ok ? await outlook.json() : null;
+        if (found !== null && this.id === id) this.outlook.show(found);
       }
     } catch {
       // The stream says that the server is gone; the charts keep what they show.

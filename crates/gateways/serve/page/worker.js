@@ -75,6 +75,13 @@ export class WorkerView {
     for (const [name, node] of this.fields) setText(node, FIELDS[name](fleet));
     TICK_BARS.forEach(([name], at) => this.#bar(this.bars.children[at], fleet.tick_s?.[name], fleet.period_s));
     this.#histogram(fleet.latency_s);
+    const ahead = (fleet.ahead ?? []).filter((scores) => scores.compared > 0);
+    const none = [["Compared", "none yet: open a robot"]];
+    fillFacts(this.facts("ahead"), ahead.length === 0 ? none : ahead.map((scores) => [
+      `Error over ${format.duration(scores.horizon_s)}`,
+      `${format.percent(scores.error, 1)} (last reading ${format.percent(scores.last_reading_error, 1)}, ` +
+        `mean of 5\u202fs ${format.percent(scores.mean_5s_error, 1)}); ${format.percent(scores.coverage)} inside`,
+    ]));
     fillFacts(this.facts("samples"), [
       ["Accepted", format.count(fleet.samples_accepted)],
       ...counted(fleet.samples_dropped).map(([reason, count]) => [`Dropped: ${reason}`, format.count(count), "bad"]),

@@ -20,7 +20,7 @@ use toml::Value;
 use crate::config::check::Check;
 use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
-use crate::mapping::outgoing::What;
+use crate::mapping::outgoing::{What, is_of_outlook};
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::RosWhat;
 
@@ -90,6 +90,13 @@ impl Settings {
         let mut ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
         mqtt.any(|write| write.what == What::Budget)
             || ros2.any(|write| write.what == RosWhat::Budget)
+    }
+
+    /// Whether values of outlooks are written: only then the worker computes them.
+    pub(crate) fn writes_outlooks(&self) -> bool {
+        let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes).flat_map(|write| &write.fields);
+        let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes).flat_map(|write| &write.value);
+        mqtt.chain(ros2).any(|field| is_of_outlook(&field.value))
     }
 
     /// Interval of the most frequent topic. Alarm changes are read separately.

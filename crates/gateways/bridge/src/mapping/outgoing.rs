@@ -1,6 +1,7 @@
 //! JSON documents about robots: a mapping of values to names, units and signs.
 
 use joulebus_board::{Newest, RobotRecord};
+use joulebus_consumer::wire::{OUTLOOK_S, Outlook};
 use serde_json::{Map, Value, json};
 
 use crate::mapping::units::{Quantity, Unit};
@@ -16,6 +17,8 @@ pub(crate) enum What {
     Forecast,
     /// The energy that a robot has drawn and has left.
     Budget,
+    /// The energy that a robot will draw if it goes on as it does.
+    Outlook,
     /// The raised alarms of a robot.
     Alarms,
     /// Every raise and clearance of an alarm, of robots and of the worker.
@@ -27,7 +30,7 @@ pub(crate) enum What {
 impl What {
     /// Whether each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
-        matches!(self, Self::Forecast | Self::Budget | Self::Alarms)
+        matches!(self, Self::Forecast | Self::Budget | Self::Outlook | Self::Alarms)
     }
 
     /// Whether the broker retains the newest document for later subscribers by default.
@@ -69,6 +72,27 @@ impl What {
                 "time_to_empty_lo_s",
                 "time_to_empty_hi_s",
             ],
+            Self::Outlook => &[
+                "robot",
+                "name",
+                "stamp_unix_ns",
+                "energy_1s_j",
+                "energy_1s_lo_j",
+                "energy_1s_hi_j",
+                "energy_10s_j",
+                "energy_10s_lo_j",
+                "energy_10s_hi_j",
+                "energy_60s_j",
+                "energy_60s_lo_j",
+                "energy_60s_hi_j",
+                "energy_300s_j",
+                "energy_300s_lo_j",
+                "energy_300s_hi_j",
+                "usable_j",
+                "time_to_empty_s",
+                "time_to_empty_lo_s",
+                "time_to_empty_hi_s",
+            ],
             Self::Alarms => &["robot", "name", "level", "alarms"],
             Self::AlarmChanges | Self::Status => &[],
         }
@@ -105,7 +129,24 @@ const VALUES: &[(&str, Quantity)] = &[
     ("time_to_empty_s", Quantity::Time),
     ("time_to_empty_lo_s", Quantity::Time),
     ("time_to_empty_hi_s", Quantity::Time),
+    ("energy_1s_j", Quantity::Energy),
+    ("energy_1s_lo_j", Quantity::Energy),
+    ("energy_1s_hi_j", Quantity::Energy),
+    ("energy_10s_j", Quantity::Energy),
+    ("energy_10s_lo_j", Quantity::Energy),
+    ("energy_10s_hi_j", Quantity::Energy),
+    ("energy_60s_j", Quantity::Energy),
+    ("energy_60s_lo_j", Quantity::Energy),
+    ("energy_60s_hi_j", Quantity::Energy),
+    ("energy_300s_j", Quantity::Energy),
+    ("energy_300s_lo_j", Quantity::Energy),
+    ("energy_300s_hi_j", Quantity::Energy),
 ];
+
+/// Whether the value `name` is of an outlook, which the worker computes only for readers.
+pub(crate) fn is_of_outlook(name: &str) -> bool {
+    name.starts_with("energy_")
+}
 
 /// The quantity of the value `name`. `None` if there is no such value.
 pub(crate) fn quantity(name: &str) -> Option<Quantity> {
@@ -186,9 +227,9 @@ fn insert(object: &mut Object, path: &[String], value: Value) {
 
 /// All values of a robot. `unix_ns` converts this host's monotonic time to Unix time.
 pub(crate) fn values(
-    robot: u32,
-    name: &str,
+    (robot, name): (u32, &str),
     newest: &Newest,
+    outlook: Option<&Outlook>,
     unix_ns: impl Fn(u64) -> u64,
 ) -> Object {
     // A record is a struct with named fields, so it serialises to an object.
@@ -204,13 +245,23 @@ pub(crate) fn values(
     let age_ns = values.remove("reading_age_ns").and_then(|age| age.as_f64());
     values.insert("reading_age_s".to_owned(), json!(age_ns.map(|age_ns| age_ns * 1e-9)));
     values.insert("name".to_owned(), json!(name));
+    for (place, horizon_s) in OUTLOOK_S.into_iter().enumerate() {
+        let bounds_j = outlook.and_then(|outlook| outlook.bounds_j(place));
+        for (kind, joules) in [
+            ("j", outlook.and_then(|outlook| outlook.expected_j(place))),
+            ("lo_j", bounds_j.map(|(lo_j, _)| lo_j)),
+            ("hi_j", bounds_j.map(|(_, hi_j)| hi_j)),
+        ] {
+            values.insert(format!("energy_{horizon_s}s_{kind}"), json!(joules));
+        }
+    }
     values
 }
 
 #[cfg(test)]
 mod tests {
     use joulebus_consumer::wire::{
-        Budget, Diagnostic, Forecast, Quality, budget_flag, forecast_flag,
+        Budget, Diagnostic, Forecast, Quality, budget_flag, forecast_flag, outlook_flag,
     };
 
     use super::*;
@@ -246,13 +297,25 @@ mod tests {
         }
     }
 
+    fn outlook() -> Outlook {
+        Outlook {
+            robot: 7,
+            flags: outlook_flag::ENERGY,
+            bounded: 2,
+            energy_j: [4.0, 40.0, 240.0, 1_200.0],
+            energy_lo_j: [3.0, 30.0, f32::NAN, f32::NAN],
+            energy_hi_j: [5.0, 50.0, f32::NAN, f32::NAN],
+            ..Outlook::default()
+        }
+    }
+
     #[test]
     fn every_value_that_a_mapping_may_name_exists_and_usual_ones_are_among_them() {
-        let values = values(7, "r7", &newest(), |at_ns| at_ns + 1_000);
+        let values = values((7, "r7"), &newest(), Some(&outlook()), |at_ns| at_ns + 1_000);
         for name in value_names() {
             assert!(values.contains_key(name), "{name}");
         }
-        for what in [What::Forecast, What::Budget, What::Alarms] {
+        for what in [What::Forecast, What::Budget, What::Outlook, What::Alarms] {
             for name in what.usual() {
                 assert!(quantity(name).is_some(), "{name}");
             }
@@ -262,12 +325,20 @@ mod tests {
             (&json!(1_100), &json!(1_130))
         );
         assert_eq!((&values["reading_age_s"], &values["quality"]), (&json!(0.5), &json!("Held")));
+        assert_eq!(
+            (&values["energy_10s_j"], &values["energy_10s_hi_j"]),
+            (&json!(40.0), &json!(50.0))
+        );
+        assert_eq!(
+            (&values["energy_60s_j"], &values["energy_60s_hi_j"]),
+            (&json!(240.0), &Value::Null)
+        );
         assert_eq!((&values["lo_w"], &values["alarms"]), (&Value::Null, &json!(["StuckSensor"])));
     }
 
     #[test]
     fn a_mapping_sets_names_units_and_signs() {
-        let values = values(7, "r7", &newest(), |at_ns| at_ns);
+        let values = values((7, "r7"), &newest(), None, |at_ns| at_ns);
         let field = |value: &str, path: &[&str], unit: &str, negate| OutgoingValue {
             value: value.to_owned(),
             path: path.iter().map(|part| (*part).to_owned()).collect(),

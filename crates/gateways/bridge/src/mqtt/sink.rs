@@ -213,7 +213,9 @@ impl MqttSink {
                 continue;
             };
             left.remove(robot);
-            let values = values(*robot, name, &row.newest(), |at_ns| times.unix_ns(at_ns));
+            let outlook = board.outlooks.get(robot);
+            let unix_ns = |at_ns| times.unix_ns(at_ns);
+            let values = values((*robot, name), &row.newest(), outlook, unix_ns);
             topic.publish(*robot, name, &values, &self.outlet);
         }
         for robot in left {
@@ -235,12 +237,15 @@ impl MqttSink {
 impl Write {
     /// A message about the robot `name`. What is written again is not to be read later.
     fn message(&self, name: &str, payload: Vec<u8>) -> Outgoing {
-        let is_renewed = matches!(self.what, What::Forecast | What::Budget | What::Status);
+        let is_renewed = !matches!(self.what, What::Alarms | What::AlarmChanges);
         let expires_ns = EXPIRES_AFTER.saturating_mul(self.every_ns);
         Outgoing {
             topic: self.topic.of(name),
             payload,
-            qos: if self.what == What::Forecast { QoS::AtMostOnce } else { QoS::AtLeastOnce },
+            qos: match self.what {
+                What::Forecast | What::Outlook => QoS::AtMostOnce,
+                _ => QoS::AtLeastOnce,
+            },
             retain: self.retain,
             // An interval is at most an hour.
             expires_s: is_renewed.then(|| expires_ns.div_ceil(1_000_000_000) as u32),

@@ -100,7 +100,9 @@ impl RosSink {
             else {
                 continue;
             };
-            let values = values(*robot, name, &row.newest(), |at_ns| times.unix_ns(at_ns));
+            let outlook = board.outlooks.get(robot);
+            let unix_ns = |at_ns| times.unix_ns(at_ns);
+            let values = values((*robot, name), &row.newest(), outlook, unix_ns);
             let voltage_v = self.shared.intake().voltage_v(*robot, times.now_ns);
             let message = match (topic.write.what, &topic.write.value) {
                 (RosWhat::Budget, _) => encode(&budget(name, &values, voltage_v)),
@@ -135,7 +137,7 @@ impl RosSink {
                 || unknown_status(name, board.link.name()),
                 |row| {
                     let unix_ns = |at_ns| times.unix_ns(at_ns);
-                    robot_status(name, &values(robot, name, &row.newest(), unix_ns))
+                    robot_status(name, &values((robot, name), &row.newest(), None, unix_ns))
                 },
             );
             for found in implausible.iter().filter(|found| found.robot == robot) {

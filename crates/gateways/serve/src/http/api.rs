@@ -12,10 +12,10 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
-use joulebus_board::CardRecord;
+use joulebus_board::{CardRecord, OutlookRecord};
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_wire::AlarmCard;
+use joulebus_wire::{AlarmCard, Outlook};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::sync::{Semaphore, oneshot, watch};
@@ -107,6 +107,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/robots", get(robots))
         .route("/api/v1/robots/{id}", get(robot))
         .route("/api/v1/robots/{id}/history", get(history))
+        .route("/api/v1/robots/{id}/outlook", get(outlook))
         .route("/api/v1/alarms", get(alarms))
         .route("/api/v1/alarms/acknowledge", post(acknowledge))
         .route("/api/v1/alarms/cards", get(cards))
@@ -148,7 +149,13 @@ async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer
     let accept = headers.get(header::ACCEPT).and_then(|it| it.to_str().ok());
     let format = metrics::TextFormat::accepted(accept);
     let now_ns = clock::monotonic_ns();
-    let text = metrics::text(&app.newest(), now_ns, app.config.fleet(), app.metrics_robots, format);
+    // Without series of robots nothing needs to be computed for them.
+    let outlooks = match app.metrics_robots {
+        0 => Vec::new(),
+        _ => outlooks(&app, None).await.unwrap_or_default(),
+    };
+    let limits = (app.config.fleet(), app.metrics_robots);
+    let text = metrics::text(&app.newest(), outlooks, now_ns, limits, format);
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
     Ok(typed(format.kind(), text))
@@ -221,6 +228,23 @@ async fn history(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer 
     app.ask(Ask::History(robot, reply))?;
     let record = within(answer).await?;
     Ok(json(&record.ok_or_else(|| no_robot(robot))?))
+}
+
+async fn outlook(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
+    let robot = id_of(&id)?;
+    let found = outlooks(&app, Some(robot)).await?;
+    let missing = || match app.newest().robot(robot) {
+        Some(_) => ApiError::busy("no outlook of the worker within 1 s: ask again"),
+        None => no_robot(robot),
+    };
+    Ok(json(&OutlookRecord::of(found.first().ok_or_else(missing)?)))
+}
+
+/// The outlooks of one robot, or of all. The worker computes them for some time from now on.
+async fn outlooks(app: &App, robot: Option<u32>) -> Result<Vec<Outlook>, ApiError> {
+    let (reply, answer) = oneshot::channel();
+    app.ask(Ask::Outlooks(robot, reply))?;
+    within(answer).await
 }
 
 /// Waits for the answer of the reading thread.

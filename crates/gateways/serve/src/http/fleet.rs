@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_board::{Board, Counted, Link, UPPER_S};
-use joulebus_wire::{budget_flag, forecast_flag};
+use joulebus_board::{AheadScores, Board, Counted, Link, UPPER_S};
+use joulebus_wire::{OUTLOOK_HORIZONS, budget_flag, forecast_flag};
 use serde::Serialize;
 
 /// The state of a fleet.
@@ -30,6 +30,8 @@ pub(super) struct FleetRecord {
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
     recorders: Option<Vec<Recorder>>,
+    /// Scores of the outlooks that clients have asked for, by horizon; none if none were compared.
+    ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
 }
 
 /// The worker.
@@ -161,6 +163,7 @@ impl FleetRecord {
             model_warnings: around.model_warnings.to_vec(),
             totals: Totals::of(board),
             recorders: around.recorders.clone(),
+            ahead: board.ahead(),
         }
     }
 }

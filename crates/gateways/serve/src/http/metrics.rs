@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use joulebus_board::{Counted, UPPER_S};
 use joulebus_wire::{
-    Alarm, AlarmCard, Budget, Diagnostic, Forecast, budget_flag, diagnostic_flag, forecast_flag,
+    Alarm, AlarmCard, Budget, Diagnostic, Forecast, OUTLOOK_S, Outlook, budget_flag,
+    diagnostic_flag, forecast_flag,
 };
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, NoLabelSet};
@@ -84,15 +85,16 @@ fn classic(open: &str) -> String {
 /// those with the smallest ids.
 pub(super) fn text(
     snapshot: &Arc<Snapshot>,
+    outlooks: Vec<Outlook>,
     now_ns: u64,
-    fleet: &str,
-    max_robots: usize,
+    (fleet, max_robots): (&str, usize),
     format: TextFormat,
 ) -> Result<String, fmt::Error> {
     let mut registry =
         Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
     registry.register_collector(Box::new(Metrics {
         snapshot: Arc::clone(snapshot),
+        outlooks,
         now_ns,
         max_robots,
     }));
@@ -107,6 +109,7 @@ pub(super) fn text(
 #[derive(Debug)]
 struct Metrics {
     snapshot: Arc<Snapshot>,
+    outlooks: Vec<Outlook>,
     now_ns: u64,
     max_robots: usize,
 }
@@ -281,6 +284,30 @@ impl Metrics {
             Some(&Unit::Seconds),
             left,
         )?;
+        let last = robots.last().map_or(0, |entry| entry.robot);
+        let outlooks = self.outlooks.iter().filter(|outlook| outlook.robot <= last);
+        let ahead = outlooks.flat_map(|outlook| {
+            OUTLOOK_S.into_iter().enumerate().flat_map(move |(place, horizon_s)| {
+                let bounds_j = outlook.bounds_j(place);
+                let kinds = [
+                    ("forecast", outlook.expected_j(place)),
+                    ("lo", bounds_j.map(|(lo_j, _)| lo_j)),
+                    ("hi", bounds_j.map(|(_, hi_j)| hi_j)),
+                ];
+                kinds.into_iter().filter_map(move |(kind, joules)| {
+                    let robot = ("robot", outlook.robot.to_string());
+                    let horizon = ("horizon_s", horizon_s.to_string());
+                    Some((vec![robot, horizon, ("kind", kind.to_owned())], joules?.into()))
+                })
+            })
+        });
+        gauges(
+            encoder,
+            "joulebus_energy_ahead",
+            "Energy over the next seconds if the robot goes on as it does, and its interval",
+            Some(&Unit::Joules),
+            ahead,
+        )?;
         let age = series(&|entry| Some(entry.sample_age_ns(now_ns)? as f64 * 1e-9));
         gauges(
             encoder,
@@ -423,7 +450,8 @@ mod tests {
         for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
-            let text = text(&snapshot, now_ns, "lab", 0, TextFormat::Classic).unwrap();
+            let text =
+                text(&snapshot, Vec::new(), now_ns, ("lab", 0), TextFormat::Classic).unwrap();
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }

@@ -16,6 +16,7 @@ mod fleet;
 mod history;
 mod listen;
 mod metrics;
+mod outlooks;
 mod page;
 mod plan_rows;
 mod questions;

@@ -33,6 +33,7 @@ static PAGE: &[File] = &[
     file!("favicon.svg", SVG),
     file!("format.js", JS),
     file!("list.js", JS),
+    file!("outlook.js", JS),
     file!("meaning.js", JS),
     file!("page.css", CSS),
     file!("page.js", JS),

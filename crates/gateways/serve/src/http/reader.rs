@@ -22,6 +22,7 @@ use tokio::sync::{oneshot, watch};
 use super::alarms::AlarmLog;
 use super::fleet::{Around, Distributions, FleetRecord, Recorder};
 use super::history::{self, History, HistoryRecord};
+use super::outlooks::{self, OutlookRequests};
 use super::plan_rows::{PlanRows, RowsError};
 use super::snapshot::Snapshot;
 use super::totals::Accumulator;
@@ -46,6 +47,8 @@ const MAX_QUEUED: usize = 64;
 pub(super) enum Ask {
     History(u32, oneshot::Sender<Option<HistoryRecord>>),
     Rows(Vec<u32>, oneshot::Sender<Result<Vec<RobotRows>, RowsError>>),
+    /// Of one robot, or of all.
+    Outlooks(Option<u32>, outlooks::Reply),
 }
 
 /// Why the thread ended.
@@ -111,6 +114,7 @@ struct Work {
     platforms: Arc<Platforms>,
     model_warnings: Vec<String>,
     plan_rows: PlanRows,
+    outlooks: OutlookRequests,
     asked: Receiver<Ask>,
     show: watch::Sender<Arc<Snapshot>>,
     show_at_ns: u64,
@@ -166,6 +170,7 @@ impl Work {
             platforms,
             model_warnings,
             plan_rows: PlanRows::default(),
+            outlooks: OutlookRequests::default(),
             asked,
             show,
             show_at_ns: 0,
@@ -178,7 +183,8 @@ impl Work {
     /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
     fn turn(&mut self) -> Result<(), ReaderError> {
         let Self { reading, board, .. } = self;
-        let longest = if self.plan_rows.are_asked() { ANSWER_EVERY } else { SHOW_EVERY };
+        let are_asked = self.plan_rows.are_asked() || self.outlooks.are_asked();
+        let longest = if are_asked { ANSWER_EVERY } else { SHOW_EVERY };
         reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
         self.source_alarms.changes(|change| alarms.add(change.into()));
@@ -238,8 +244,10 @@ impl Work {
                 // A client that has left does not wait for its answer.
                 Ask::History(robot, reply) => drop(reply.send(self.history.of(robot))),
                 Ask::Rows(robots, reply) => self.plan_rows.ask(robots, reply, now_ns),
+                Ask::Outlooks(robot, reply) => self.outlooks.ask(robot, reply, now_ns),
             }
         }
         self.plan_rows.turn(self.reading.planner(), now_ns);
+        self.outlooks.turn(&mut self.reading, &self.board.borrow(), now_ns);
     }
 }

@@ -11,7 +11,7 @@ use joulebus_ros_messages::{
 };
 use serde_json::Value;
 
-use crate::mapping::outgoing::{Object, OutgoingValue, value_names};
+use crate::mapping::outgoing::{Object, OutgoingValue, is_of_outlook, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
 
 /// `diagnostic_msgs/DiagnosticStatus`: not measured.
@@ -31,9 +31,10 @@ const NOT_DIAGNOSED: [&str; 8] = [
     "unmetered_s",
 ];
 
-/// The values of a robot among the diagnostics, beside its alarms.
+/// The values of a robot among the diagnostics, beside its alarms. Not those of outlooks, which the
+/// worker would have to compute.
 fn diagnosed() -> impl Iterator<Item = &'static str> {
-    value_names().filter(|name| !NOT_DIAGNOSED.contains(name))
+    value_names().filter(|name| !NOT_DIAGNOSED.contains(name) && !is_of_outlook(name))
 }
 
 /// The contents of a ROS 2 topic.

@@ -58,6 +58,16 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let mut source = fleet.joulebus("publish sim --robots 7 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&["--metrics-robots", "5"]);
     eventually("an alarm", || has_alarm(&address, 2, "StuckSensor"));
+    // A scrape has them computed for the next one.
+    let ahead = |robot: &str| {
+        let text = get(&address, "/metrics").text();
+        let mut lines =
+            text.lines().filter(|line| line.starts_with("joulebus_energy_ahead_joules{"));
+        let labels = [robot, "horizon_s=\"10\"", "kind=\"hi\""];
+        lines.any(|line| labels.iter().all(|label| line.contains(label)))
+    };
+    eventually("outlooks", || ahead("robot=\"4\""));
+    assert!(!ahead("robot=\"5\""), "beyond the cap");
     source.end();
     worker.stop();
     eventually("the worker's end", || {

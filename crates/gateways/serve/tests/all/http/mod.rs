@@ -227,6 +227,14 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     let points = history["reading_w"].as_array().unwrap();
     assert!(points.iter().any(Value::is_number), "{history}");
     assert_eq!(history["power_w"].as_array().unwrap().len(), points.len());
+    let outlook = get_json(&address, "/api/v1/robots/1/outlook");
+    assert_eq!(outlook["horizon_s"], json!([1.0, 10.0, 60.0, 300.0]));
+    let joules = |place: usize| outlook["energy_j"][place].as_f64().unwrap();
+    assert!(joules(0) > 0.0 && joules(3) > 100.0 * joules(0), "{outlook}");
+    // From the first request on they are compared with the energy that is drawn.
+    events.until("outlooks compared", |view| {
+        view["fleet"]["ahead"][0]["compared"].as_u64() > Some(0)
+    });
     // With the worker stopped, the sum of all deltas is what a new client gets.
     source.end();
     worker.stop();
@@ -283,6 +291,7 @@ fn the_server_sorts_filters_and_cuts() {
     assert_eq!(get(&address, "/api/v1/robots/77").status, 404);
     assert_eq!(get(&address, "/api/v1/robots/x").status, 400);
     assert_eq!(get(&address, "/api/v1/robots/77/history").status, 404);
+    assert_eq!(get(&address, "/api/v1/robots/77/outlook").status, 404);
     for child in [&mut source, &mut rovers] {
         child.end();
     }
