@@ -1,6 +1,6 @@
 //! Energy over the next seconds to minutes, given the commands that were really driven. Compares
 //! errors and intervals of the energy model with simpler forecasts and with the network in open
-//! loop.
+//! loop. The outlook does not know the commands, as the last reading and the means do not.
 
 use std::fmt;
 
@@ -22,9 +22,18 @@ const EVERY: usize = 10;
 /// Coverage of the intervals.
 const COVERAGE: f32 = 0.9;
 
-/// The forecasts, in the order of [`HorizonErrors::errors`].
-pub const FORECASTS: [&str; 7] =
-    ["energy model", "last reading", "mean 1 s", "mean 5 s", "mean of all", "AR(5)", "network"];
+/// The forecasts, in the order of [`HorizonErrors::errors`]. The last one is that of
+/// [`EnergyModel::outlook`].
+pub const FORECASTS: [&str; 8] = [
+    "energy model",
+    "last reading",
+    "mean 1 s",
+    "mean 5 s",
+    "mean of all",
+    "AR(5)",
+    "network",
+    "outlook",
+];
 
 /// Errors at one horizon.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -47,6 +56,11 @@ pub struct HorizonErrors {
     /// Interval score through the mean energy: the width, and twenty times the distance of a
     /// measured energy outside. Less is better; NaN without intervals.
     pub score: f64,
+    /// Share of measured energies inside the outlook's 90 % interval; NaN without intervals.
+    pub outlook_coverage: f64,
+    /// Interval score of the outlook through the mean energy: the mean of its interval's width and
+    /// of 20 times the distance of the energies outside; NaN without intervals.
+    pub outlook_interval_score: f64,
 }
 
 fn by_name<S: Serializer>(errors: &[f64; FORECASTS.len()], to: S) -> Result<S::Ok, S::Error> {
@@ -71,6 +85,8 @@ struct Scored {
     forecasts_j: [f64; FORECASTS.len()],
     /// Lower and upper end.
     interval_j: Option<[f64; 2]>,
+    /// Those of the outlook.
+    outlook_interval_j: Option<[f64; 2]>,
 }
 
 /// Forecasts of several recordings, to be [summed up](EnergyScores::errors).
@@ -171,6 +187,14 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
         .sum();
     let intervals = known.count() as f64;
     let per_mean = 1.0 / intervals / (energy_j / count);
+    let ahead: Vec<(f64, [f64; 2])> =
+        scored.iter().filter_map(|one| Some((one.energy_j, one.outlook_interval_j?))).collect();
+    let ahead_inside = ahead.iter().filter(|(joules, [lo, hi])| (*lo..=*hi).contains(joules));
+    let misses = f64::from(1.0 - COVERAGE);
+    let ahead_scores_j = ahead.iter().map(|(joules, [lo_j, hi_j])| {
+        hi_j - lo_j + 2.0 / misses * (lo_j - joules).max(joules - hi_j).max(0.0)
+    });
+    let ahead_score_j = ahead_scores_j.sum::<f64>() / ahead.len() as f64;
     let mut residuals: Vec<f64> =
         scored.iter().map(|one| one.energy_j - one.forecasts_j[0]).collect();
     residuals.sort_by(f64::total_cmp);
@@ -186,7 +210,9 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
         coverage: inside.count() as f64 / intervals,
         width: width_j * per_mean,
         narrowest: widths.fold(f64::INFINITY, f64::min) / (energy_j / count),
-        score: (width_j + 2.0 / (1.0 - f64::from(COVERAGE)) * missed_j) * per_mean,
+        score: (width_j + 2.0 / misses * missed_j) * per_mean,
+        outlook_coverage: ahead_inside.count() as f64 / ahead.len() as f64,
+        outlook_interval_score: ahead_score_j / (energy_j / count),
     }
 }
 
@@ -271,6 +297,10 @@ impl<'a> Recorded<'a> {
         let end = |p: f32| forecast.quantile_j(p).map(f64::from);
         let lo_j = end((1.0 - COVERAGE) / 2.0);
         let trained = self.model.energy().is_some();
+        let ahead = self.energy.outlook([duration_s as f32]);
+        let outlook = ahead.of(state);
+        let ([ahead_j], [ahead_lo_j], [ahead_hi_j]) =
+            (outlook.energy_j, outlook.lo_j, outlook.hi_j);
         let mean = |window_s: f64| self.mean_w(row, window_s) * duration_s;
         let lag_w = std::array::from_fn(|lag| self.samples[row - lag].power_w);
         Some(Scored {
@@ -285,7 +315,10 @@ impl<'a> Recorded<'a> {
                     autoregression(linear, lag_w, steps) * f64::from(period_s)
                 }),
                 self.network(plan, row, lag_w, age).unwrap_or(f64::NAN),
+                if trained { ahead_j.into() } else { f64::NAN },
             ],
+            outlook_interval_j: (ahead.bounded() > 0)
+                .then(|| [ahead_lo_j, ahead_hi_j].map(f64::from)),
             interval_j: lo_j.zip(end((1.0 + COVERAGE) / 2.0)).map(|(lo_j, hi_j)| [lo_j, hi_j]),
         })
     }
@@ -358,8 +391,11 @@ impl fmt::Display for EnergyErrors {
         for name in FORECASTS {
             write!(out, " {name} |")?;
         }
-        writeln!(out, " coverage % | width | narrowest | score |")?;
-        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 6))?;
+        writeln!(
+            out,
+            " coverage % | width | narrowest | score | outlook's coverage % | its score |"
+        )?;
+        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 8))?;
         for row in &self.horizons {
             write!(out, "| {:>9} | {:>9} |", row.horizon_s, row.origins)?;
             for (name, error) in FORECASTS.iter().zip(row.errors) {
@@ -369,8 +405,10 @@ impl fmt::Display for EnergyErrors {
                 [row.width, row.narrowest, row.score].map(|value| share(value, 2));
             writeln!(
                 out,
-                " {:>10} | {width:>5} | {narrowest:>9} | {score:>5} |",
-                share(100.0 * row.coverage, 1)
+                " {:>10} | {width:>5} | {narrowest:>9} | {score:>5} | {:>20} | {:>9} |",
+                share(100.0 * row.coverage, 1),
+                share(100.0 * row.outlook_coverage, 1),
+                share(row.outlook_interval_score, 2)
             )?;
         }
         Ok(())

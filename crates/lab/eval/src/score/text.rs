@@ -395,7 +395,8 @@ fn write_energy(out: &mut Formatter<'_>, model: &ModelReport) -> fmt::Result {
         out,
         "\nEnergy of the next seconds by {}, with the commands that were driven: sum of |forecast − measured| over \
          that of the measured energy; coverage and mean width of the 90 % interval, and the narrowest that would have \
-         covered as much",
+         covered as much. The outlook, the last reading and the means do not know the commands; its score is the \
+         interval score through the mean energy",
         model.name
     )?;
     if energy.horizons.is_empty() {
