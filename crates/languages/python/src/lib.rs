@@ -73,11 +73,13 @@ mod _native {
             ("FORECAST", "Forecast"),
             ("DIAGNOSTIC", "Diagnostic"),
             ("BUDGET", "Budget"),
+            ("OUTLOOK", "Outlook"),
             ("PLAN_STATE", "PlanState"),
             ("ANSWER_ROW", "AnswerRow"),
         ] {
             module.add(constant, crate::dtype::layout(payload))?;
         }
+        module.add("OUTLOOK_S", <(f32, f32, f32, f32)>::from(joulebus_wire::OUTLOOK_S))?;
         Ok(())
     }
 }

@@ -1,13 +1,14 @@
-//! The connection of a planner: events with frames in shared memory, diagnostics and budgets.
+//! The connection of a planner: events with frames in shared memory, diagnostics, budgets and
+//! outlooks.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use bytemuck::cast_slice;
-use joulebus_consumer::wire::{ForecastHeader, Quality};
+use joulebus_consumer::wire::{Channel, ForecastHeader, FrameHeader as _, Quality};
 use joulebus_consumer::{
-    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, ReadError,
+    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, Outlooks, ReadError,
     Subscriber as Ports, WorkerState,
 };
 use pyo3::IntoPyObjectExt as _;
@@ -39,6 +40,7 @@ struct Open {
     planner: Ports,
     diagnostics: Option<Feed<Diagnostics>>,
     budgets: Option<Feed<Budgets>>,
+    outlooks: Option<Feed<Outlooks>>,
 }
 
 /// An event, as the thread reports it.
@@ -74,8 +76,7 @@ impl PlannerPorts {
         let open = move || {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let planner = Ports::with_config(&config, &name).map_err(|error| error.to_string())?;
-            let (diagnostics, budgets) = (None, None);
-            let open = Open { planner, diagnostics, budgets };
+            let open = Open { planner, diagnostics: None, budgets: None, outlooks: None };
             Ok(State { ports: Some(open), frames: HashMap::new(), next: 0 })
         };
         let thread = py.detach(|| PortThread::start(open))?;
@@ -111,7 +112,9 @@ impl PlannerPorts {
         py: Python<'py>,
         timeout_s: Option<f64>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        self.poll(py, timeout_s, State::diagnostics)
+        self.poll(py, timeout_s, |state| {
+            state.newest(|open| (&open.planner, &mut open.diagnostics))
+        })
     }
 
     /// The fleet's newest budgets: tick and bytes; `None` if none arrived within `timeout_s`.
@@ -120,7 +123,16 @@ impl PlannerPorts {
         py: Python<'py>,
         timeout_s: Option<f64>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        self.poll(py, timeout_s, State::budgets)
+        self.poll(py, timeout_s, |state| state.newest(|open| (&open.planner, &mut open.budgets)))
+    }
+
+    /// The fleet's newest outlooks: tick and bytes; `None` if none arrived within `timeout_s`.
+    fn outlooks<'py>(
+        &self,
+        py: Python<'py>,
+        timeout_s: Option<f64>,
+    ) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        self.poll(py, timeout_s, |state| state.newest(|open| (&open.planner, &mut open.outlooks)))
     }
 
     /// The worker as seen by the last event, and what was counted.
@@ -218,31 +230,19 @@ impl State {
         Ok(Told::Frame(memory))
     }
 
-    fn diagnostics(&mut self) -> Rows {
+    /// The newest frame of a channel, which the first call opens.
+    fn newest<C: Channel>(&mut self, of: fn(&mut Open) -> (&Ports, &mut Option<Feed<C>>)) -> Rows {
         let (open, kept) = self.open()?;
-        if open.diagnostics.is_none() {
-            let feed = open.planner.diagnostics();
-            open.diagnostics =
-                Some(feed.map_err(|error| ConnectError::new_err(error.to_string()))?);
-        }
-        let Some(feed) = &mut open.diagnostics else {
-            return Ok(None);
+        let (planner, feed) = of(open);
+        let feed = match feed {
+            Some(feed) => feed,
+            none => {
+                let opened = planner.feed();
+                none.insert(opened.map_err(|error| ConnectError::new_err(error.to_string()))?)
+            }
         };
         let frame = feed.latest().map_err(|error| read_failed(&error, kept))?;
-        Ok(frame.map(|frame| (frame.header().tick, cast_slice(frame.robots()).to_vec())))
-    }
-
-    fn budgets(&mut self) -> Rows {
-        let (open, kept) = self.open()?;
-        if open.budgets.is_none() {
-            let feed = open.planner.budgets();
-            open.budgets = Some(feed.map_err(|error| ConnectError::new_err(error.to_string()))?);
-        }
-        let Some(feed) = &mut open.budgets else {
-            return Ok(None);
-        };
-        let frame = feed.latest().map_err(|error| read_failed(&error, kept))?;
-        Ok(frame.map(|frame| (frame.header().tick, cast_slice(frame.robots()).to_vec())))
+        Ok(frame.map(|frame| (frame.header().place().number, cast_slice(frame.robots()).to_vec())))
     }
 }
 

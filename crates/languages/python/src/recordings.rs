@@ -9,7 +9,9 @@ use joulebus_capture_format::{Frame, Message, MessageKind, ReadError, Reader};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
-use joulebus_wire::{Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Samples};
+use joulebus_wire::{
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Samples,
+};
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -21,11 +23,12 @@ use crate::error::{RecordingError, of_file};
 type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
 
 /// The readable channels of a capture.
-const READABLE: [Readable; 4] = [
+const READABLE: [Readable; 5] = [
     Readable::of::<Samples>(),
     Readable::of::<Forecasts>(),
     Readable::of::<Diagnostics>(),
     Readable::of::<Budgets>(),
+    Readable::of::<Outlooks>(),
 ];
 /// Messages between two looks at Python's signals.
 const AT_ONCE: usize = 64;

@@ -28,6 +28,7 @@ def table(name: str) -> tuple[int, list[tuple[int, str, np.dtype]]]:
         ("Forecast", _native.FORECAST, 14),
         ("Diagnostic", _native.DIAGNOSTIC, 35),
         ("Budget", _native.BUDGET, 25),
+        ("Outlook", _native.OUTLOOK, 16),
         ("PlanState", _native.PLAN_STATE, 39),
         ("AnswerRow", _native.ANSWER_ROW, 17),
     ],
@@ -46,5 +47,6 @@ def test_public_types_are_those():
         (joulebus.FORECAST, _native.FORECAST),
         (joulebus.DIAGNOSTIC, _native.DIAGNOSTIC),
         (joulebus.BUDGET, _native.BUDGET),
+        (joulebus.OUTLOOK, _native.OUTLOOK),
     ]:
         assert public == _dtype(layout)

@@ -248,6 +248,10 @@ def test_diagnostics_and_budgets_are_tables(running):
     budgets = until("budgets", running.budgets)
     assert budgets.rows.dtype == joulebus.BUDGET
     assert until("energy", lambda: running.budgets().drawn_uj.min() > 0)
+    assert until("outlooks", lambda: (running.outlooks().flags & 2).all())
+    outlooks = running.outlooks()
+    assert outlooks.rows.dtype == joulebus.OUTLOOK and outlooks.energy_j.shape == (ROBOTS, len(joulebus.OUTLOOK_S))
+    assert (np.diff(outlooks.energy_j) > 0).all()
     with pytest.raises(KeyError, match="99"):
         budgets[99]
     with pytest.raises(AttributeError, match="drawn_uj"):
@@ -261,6 +265,8 @@ def test_frames_and_tables_become_data_frames(running):
     assert isinstance(found, pandas.DataFrame) and sorted(found.index) == IDS.tolist()
     assert np.array_equal(bits(found["power_w"]), bits(frame.power_w))
     assert list(running.budgets().to_pandas().columns) == list(joulebus.BUDGET.names[1:])
+    found = until("outlooks", running.outlooks).to_pandas()
+    assert {"mean_w", "energy_j_10s", "energy_hi_j_300s"} < set(found.columns) and "energy_j" not in found
 
 
 def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):

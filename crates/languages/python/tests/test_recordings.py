@@ -19,6 +19,7 @@ TOPICS = {
     "forecasts": joulebus.FORECAST,
     "diagnostics": joulebus.DIAGNOSTIC,
     "budgets": joulebus.BUDGET,
+    "outlooks": joulebus.OUTLOOK,
 }
 
 

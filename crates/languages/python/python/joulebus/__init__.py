@@ -55,7 +55,7 @@ from ._native import (
 from .demonstration import Demo, demo
 from .figures import Figure
 from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
-from .live import BUDGET, DIAGNOSTIC, FORECAST, Forecast, Frame, Gone, Planner, Publisher, Stale, Table
+from .live import BUDGET, DIAGNOSTIC, FORECAST, OUTLOOK, OUTLOOK_S, Forecast, Frame, Gone, Planner, Publisher, Stale, Table
 from .network import arrays, forward
 from .predictor import Predictor
 from .questions import Answer, Answers
@@ -80,6 +80,8 @@ __all__ = [
     "Frame",
     "Gone",
     "ModelError",
+    "OUTLOOK",
+    "OUTLOOK_S",
     "Planner",
     "Predictor",
     "PublishError",

@@ -23,10 +23,13 @@ def _dtype(layout: tuple[list[tuple[str, str, int]], int]) -> np.dtype:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-#: NumPy's types of a row of forecasts, diagnostics and budgets: names and units as in `joulebus-wire`.
+#: NumPy's types of a row of forecasts, diagnostics, budgets and outlooks: names and units as in `joulebus-wire`.
 FORECAST = _dtype(_native.FORECAST)
 DIAGNOSTIC = _dtype(_native.DIAGNOSTIC)
 BUDGET = _dtype(_native.BUDGET)
+OUTLOOK = _dtype(_native.OUTLOOK)
+#: Horizons of an outlook, s: the columns of its `energy_j`, `energy_lo_j` and `energy_hi_j`.
+OUTLOOK_S: tuple[float, ...] = _native.OUTLOOK_S
 
 # Bits of a forecast's flags.
 _POWER, _INTERVAL, _READING = 1, 2, 4
@@ -162,7 +165,7 @@ class Frame:
 
 
 class Table:
-    """Diagnostics or budgets of all robots as of one tick: a copy. ``rows`` and columns as in a `Frame`."""
+    """Diagnostics, budgets or outlooks of all robots as of one tick: a copy. ``rows`` and columns as in a `Frame`."""
 
     def __init__(self, tick: int, rows: np.ndarray) -> None:
         self.tick = tick
@@ -226,7 +229,7 @@ def _close_all() -> None:
 
 
 class Planner(_Connection):
-    """Reads a fleet's forecasts, diagnostics and budgets. The worker may start later, end and be restarted.
+    """Reads a fleet's forecasts, diagnostics, budgets and outlooks. The worker may start later, end and be restarted.
 
         with joulebus.Planner("configs/fleet.toml") as planner:
             for event in planner.events(timeout=5.0):
@@ -277,6 +280,12 @@ class Planner(_Connection):
         """The newest budgets: energy drawn and left, state of charge (`joulebus.BUDGET`); None if there is none
         within `timeout` seconds."""
         return _table(self._ports.budgets(timeout), BUDGET)
+
+    def outlooks(self, timeout: float | None = 1.0) -> Table | None:
+        """The newest outlooks (`joulebus.OUTLOOK`): the energy that each robot will draw over `joulebus.OUTLOOK_S` if it
+        goes on as it does, and its time to empty, with bounds. The first call opens the service, and the worker computes
+        them from then on; None if there is none within `timeout` seconds."""
+        return _table(self._ports.outlooks(timeout), OUTLOOK)
 
     def what_if(
         self,
@@ -407,4 +416,15 @@ def _table(found: tuple[int, bytes] | None, dtype: np.dtype) -> Table | None:
 
 def _data_frame(rows: np.ndarray) -> Any:
     pandas = needed("pandas", "data frames")
-    return pandas.DataFrame({name: rows[name].copy() for name in rows.dtype.names}).set_index("robot")
+    return pandas.DataFrame(_columns({name: rows[name] for name in rows.dtype.names})).set_index("robot")
+
+
+def _columns(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Copies, one for each horizon of an outlook's energy: ``energy_j_10s``."""
+    columns = {}
+    for name, values in found.items():
+        if values.ndim == 1:
+            columns[name] = values.copy()
+        else:
+            columns |= {f"{name}_{seconds:g}s": values[:, place].copy() for place, seconds in enumerate(OUTLOOK_S)}
+    return columns

@@ -10,12 +10,18 @@ import numpy as np
 
 from . import _native
 from ._optional import lab, needed
-from .live import BUDGET, DIAGNOSTIC, FORECAST, _dtype
+from .live import BUDGET, DIAGNOSTIC, FORECAST, OUTLOOK, _columns, _dtype
 
 #: NumPy's type of a sample: names and units as in `joulebus-wire`.
 SAMPLE = _dtype(_native.SAMPLE)
 
-_ROWS = {"samples": SAMPLE, "forecasts": FORECAST, "diagnostics": DIAGNOSTIC, "budgets": BUDGET}
+_ROWS = {
+    "samples": SAMPLE,
+    "forecasts": FORECAST,
+    "diagnostics": DIAGNOSTIC,
+    "budgets": BUDGET,
+    "outlooks": OUTLOOK,
+}
 
 
 class RecordingDamaged(UserWarning):
@@ -25,10 +31,11 @@ class RecordingDamaged(UserWarning):
 def read_arrays(
     path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None
 ) -> dict[str, np.ndarray]:
-    """What a capture (`joulebus record`, MCAP) holds of ``samples``, ``forecasts``, ``diagnostics`` or ``budgets``.
+    """What a capture (`joulebus record`, MCAP) holds of ``samples``, ``forecasts``, ``diagnostics``, ``budgets``
+    or ``outlooks``.
 
     One element for each robot and message, in the order of the file: the fields of `joulebus.SAMPLE`, `FORECAST`,
-    `DIAGNOSTIC` or `BUDGET`, to the bit, and of its message ``tick`` (number of the source's frame, of samples),
+    `DIAGNOSTIC`, `BUDGET` or `OUTLOOK`, to the bit, and of its message ``tick`` (number of the source's frame, of samples),
     ``log_ns`` (received by the recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the
     capture has several. Of a damaged file, what is before the damage is returned with a warning `RecordingDamaged`.
     """
@@ -43,7 +50,7 @@ def read_arrays(
 def read(path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None) -> Any:
     """As `read_arrays`, as a DataFrame. Needs pandas."""
     pandas = needed("pandas", "data frames")
-    return pandas.DataFrame(read_arrays(path, topic, fleet=fleet, robots=robots))
+    return pandas.DataFrame(_columns(read_arrays(path, topic, fleet=fleet, robots=robots)))
 
 
 @dataclass
