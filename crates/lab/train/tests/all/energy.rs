@@ -116,7 +116,8 @@ fn robots_of_other_levels_are_forecast_by_their_commands_and_intervals_hold() {
     println!("error {error:.4}, coverage {coverage:.3} of {count}");
     // The commands alone move the mean power of ten seconds by a tenth, levels by a quarter.
     assert!(error < 0.02, "{error}");
-    assert!((0.82..=0.96).contains(&coverage), "{coverage}");
+    // Alone, each narrows its interval slowly: the robots of a platform do that together.
+    assert!((0.82..=0.97).contains(&coverage), "{coverage}");
 }
 
 #[test]
