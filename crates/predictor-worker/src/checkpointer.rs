@@ -233,7 +233,7 @@ impl Checkpointer {
                 "ticks take longer than their period: diagnostics are left out"
             ),
             (false, true) => {
-                tracing::info!(ticks, "ticks are within their period again: diagnostics resume")
+                tracing::info!(ticks, "ticks are within their period again: diagnostics resume");
             }
             _ => {}
         }

@@ -32,9 +32,10 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
         Some(QueryKind::Idle) => {
             Plan::Idle { robots: robots.to_vec(), duration_s: from.duration_s }
         }
-        // SAFETY: as above.
         Some(QueryKind::Follow) => {
-            follow(from, robots, unsafe { array("path", from.path, from.points) }?)
+            // SAFETY: as above.
+            let path = unsafe { array("path", from.path, from.points) }?;
+            follow(from, robots, path)
         }
         Some(QueryKind::Acknowledge) | None => {
             return Err(Failure::argument(format!(
