@@ -13,9 +13,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::levels::{SHADOWS, SHADOWS_S};
 use crate::model::EnergyModel;
 use crate::quantiles;
-use crate::state::{SHADOWS, SHADOWS_S};
 
 /// Number of classes of an error: as many below the middle of the interval as above.
 pub const CLASSES: usize = 32;

@@ -1,10 +1,19 @@
-//! Time constants of a robot's levels.
+//! Time constants of a robot's levels, and horizons of its shadow forecasts.
 
 /// Number of levels of a robot.
 pub const LEVELS: usize = 4;
 
 /// Time constants of the levels, s, ascending.
 pub const LEVELS_S: [f32; LEVELS] = [0.5, 2.0, 12.0, 600.0];
+
+/// Number of the shortest levels, with which longer ones are compared.
+pub(crate) const NEWEST: usize = 2;
+
+/// Number of horizons at which a robot's own errors are watched.
+pub const SHADOWS: usize = 3;
+
+/// Horizons at which a robot's own errors are watched, s, ascending.
+pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
 
 /// A factor and an addend that turn the power of commands into a plan's power.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,9 +4,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::command::{COMBINED_TERMS, CommandModel};
-use crate::levels::LEVELS;
+use crate::levels::{LEVELS, NEWEST};
 use crate::quantiles::{self, KNOTS};
-use crate::state::NEWEST;
 
 /// Number of horizons at which weights and errors are known.
 const HORIZONS: usize = 6;

@@ -3,10 +3,10 @@
 // Several arrays are indexed alike, and the lanes of a block are computed side by side.
 #![allow(clippy::needless_range_loop)]
 
-use crate::levels::LEVELS;
+use crate::levels::{LEVELS, NEWEST, SHADOWS};
 use crate::model::EnergyModel;
 use crate::quantiles;
-use crate::state::{EnergyState, NEWEST, SHADOWS, START_S, contradictions, error_shares, weighted};
+use crate::state::{EnergyState, START_S, contradictions, error_shares, weighted};
 
 /// Energy of a robot over several horizons, if it goes on as it does: its future commands are
 /// unknown.

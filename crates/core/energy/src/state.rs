@@ -7,20 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibration::{ErrorBounds, class_of};
 use crate::command::Motion;
-use crate::levels::{LEVELS, LEVELS_S, Level, Parts};
+use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
-/// Number of horizons at which a robot's own errors are watched.
-pub const SHADOWS: usize = 3;
-
-/// Horizons at which a robot's own errors are watched, s, ascending.
-pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
-
 /// Time before the first shadow forecast, s, because the first readings are not representative.
 const SETTLE_S: f32 = 0.75;
-/// Number of the shortest levels, with which longer ones are compared.
-pub(crate) const NEWEST: usize = 2;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
 /// Share of errors outside the interval that the factor of a robot's errors aims at.

@@ -9,8 +9,8 @@
 //! It does cross-validation on two halves of each set of recordings. It also scores each surface,
 //! terrain and platform with training on all others. Robots come one after the other, in the order
 //! of their files, and learn the errors of the energy together. The intervals of the first and of
-//! the second half of the recordings are scored apart, too. With `--quick` the networks train for two
-//! epochs only. `--every=1` forecasts at every row instead of every tenth, `--from=15` at none
+//! the second half of the recordings are scored apart, too. With `--quick` the networks train for
+//! two epochs only. `--every=1` forecasts at every row instead of every tenth, `--from=15` at none
 //! before that row.
 
 use std::error::Error;

@@ -97,8 +97,8 @@ pub struct EnergyScores {
 
 impl EnergyScores {
     /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
-    /// start as new ones, each alone on its platform. Only readings with `true` in `scored` are forecast; those beyond its end
-    /// are not.
+    /// start as new ones, each alone on its platform. Only readings with `true` in `scored` are
+    /// forecast; those beyond its end are not.
     pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
         self.add_every(EVERY, model, trial, scored);
     }

@@ -31,6 +31,7 @@ mod common;
 mod compare;
 mod corrected;
 mod design;
+mod error;
 mod kept;
 mod members;
 mod open;
@@ -47,15 +48,15 @@ mod text;
 mod trained_on;
 
 pub use cell::{
-    Blocks, Cell, ConstantInterval, ForecasterScore, Horizon, HorizonCell, HorizonScore,
-    IntervalScore, Role, Skill,
+    Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, IntervalScore, Role, Skill,
 };
 pub use common::BaselineReport;
 pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
+pub use error::{MAX_HORIZON, ScoreError};
 pub(crate) use open::each;
 pub use open::{ROWS_IN_MEMORY, open_recordings, read_recordings};
-pub use options::{MAX_HORIZON, Options, ScoreError};
+pub use options::Options;
 pub(crate) use portion::Misfit;
 pub use portion::{Portion, score_portion};
 pub(crate) use recording::sources;
@@ -64,4 +65,5 @@ pub use references::{Foreign, Reference};
 pub use report::{ModelReport, ScoreReport};
 pub use run::{Reported, Scored, score, score_reported, score_watched};
 pub use subject::Subject;
+pub use tallied::ConstantInterval;
 pub use trained_on::{ScoredRows, TrainedOn};

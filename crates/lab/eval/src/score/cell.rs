@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Options;
 use super::blocks::{Block, Draws, HorizonSums};
-use super::tallied::{Set, Tallied};
+use super::tallied::{ConstantInterval, Set, Tallied};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{Coverage, CoverageTally, ResidualQuantiles, Tally};
 
@@ -129,15 +129,6 @@ impl IntervalScore {
             wis_w: (mae_w / 2.0 + outside / 2.0 * scores.score_w) / 1.5,
         }
     }
-}
-
-/// A constant interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct ConstantInterval {
-    /// Its width, W.
-    pub width_w: f64,
-    /// Its mean interval score, W.
-    pub score_w: f64,
 }
 
 /// The open-loop scores of a set of recordings.

@@ -8,11 +8,19 @@ use serde::{Deserialize, Serialize};
 
 use super::Recording;
 use super::blocks::{Block, HorizonSums, Sums};
-use super::cell::ConstantInterval;
 use super::kept::Kept;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{CoverageTally, ResidualQuantiles, Tally};
 use joulebus_statistics::order::residual_quantiles;
+
+/// A constant interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ConstantInterval {
+    /// Its width, W.
+    pub width_w: f64,
+    /// Its mean interval score, W.
+    pub score_w: f64,
+}
 
 /// Blocks above which neighbours are joined: some 10 MB of sums, and as many for each table that is
 /// resampled.
