@@ -11,8 +11,13 @@
 static const uint64_t TIMEOUT_NS = 1000ull * 1000 * 1000;
 static const int MAX_SILENT = 10;
 
-/* Nothing to do: a signal ends the wait, and the wait says so. */
-static void on_signal(int signal_number) { (void)signal_number; }
+static volatile sig_atomic_t stop;
+
+/* A signal ends the wait. One that comes between two waits is seen before the next. */
+static void on_signal(int signal_number) {
+    (void)signal_number;
+    stop = 1;
+}
 
 static int failed(const char *what) {
     fprintf(stderr, "%s: %s\n", what, joulebus_last_error());
@@ -52,7 +57,7 @@ int main(int count, char **arguments) {
     }
     unsigned long seen = 0;
     int ends = 0, silent = 0;
-    while (!ends && (frames == 0 || seen < frames)) {
+    while (!stop && !ends && (frames == 0 || seen < frames)) {
         joulebus_event event;
         if (joulebus_subscriber_wait(subscriber, TIMEOUT_NS, &event)) {
             /* The next call may succeed. */
