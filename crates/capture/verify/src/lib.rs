@@ -151,7 +151,7 @@ impl Verifier {
                     }
                 }
                 Event::Tick { worker_epoch, tick, parts } => {
-                    self.tick(Waiting { worker_epoch, tick, parts })
+                    self.tick(Waiting { worker_epoch, tick, parts });
                 }
             }
             self.resume();

@@ -312,7 +312,7 @@ impl Demo<'_> {
             (Some(last), Some(told)) => (last.sent, last.unsure) = (told, 0),
             // The reporting run was not observed by any worker.
             (None, Some(told)) if told > 0 => {
-                sources.push(SourceRun { epoch: 0, sent: told, unsure: 0 })
+                sources.push(SourceRun { epoch: 0, sent: told, unsure: 0 });
             }
             _ => {}
         }

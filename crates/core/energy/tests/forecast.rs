@@ -700,7 +700,7 @@ fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
         for (found, p) in bounds {
             match plan.quantile_j(p) {
                 Some(expected) => {
-                    assert!(near(found, expected), "{horizon_s} s: {found} {expected}")
+                    assert!(near(found, expected), "{horizon_s} s: {found} {expected}");
                 }
                 None => assert!(found.is_nan() && place == 3, "{horizon_s} s: {found}"),
             }

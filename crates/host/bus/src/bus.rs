@@ -21,7 +21,7 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left, check_stack};
+use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_left, check_memory, check_stack};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -83,7 +83,7 @@ impl Bus {
         joined.incomplete += remove_incomplete(domain)?;
         remove_dead_nodes(&member.config, &mut joined);
         // Memory held by dead processes has been freed.
-        check_free(PROCESS_BYTES)?;
+        check_memory(PROCESS_BYTES)?;
         let node = create_node(domain, &member.config, &node_name)?;
         make_private(domain)?;
         let monitor = named(domain, &node.id().value().to_string(), &[".node_monitor"]);

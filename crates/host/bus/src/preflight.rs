@@ -146,13 +146,15 @@ pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
 
 /// Checks that a file of `needed` bytes in shared memory could be created and mapped.
 pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
-    check_free(needed)?;
+    let (needed, (free, _)) = (needed as u64, shared_memory()?);
+    if needed > free {
+        return Err(CapacityError::Memory { needed, free });
+    }
     let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
     // A file system without a limit states 0 of 0.
     if shm.f_files > 0 && shm.f_favail == 0 {
         return Err(CapacityError::Files { files: shm.f_files });
     }
-    let needed = needed as u64;
     let Some(limit) = getrlimit(Resource::As).current else { return Ok(()) };
     let used = address_space().unwrap_or(0);
     if used.saturating_add(needed) > limit {
@@ -166,15 +168,6 @@ fn address_space() -> Option<u64> {
     let pages: u64 =
         std::fs::read_to_string("/proc/self/statm").ok()?.split(' ').next()?.parse().ok()?;
     Some(pages.saturating_mul(rustix::param::page_size() as u64))
-}
-
-/// Checks that `needed` bytes are free in shared memory.
-pub(crate) fn check_free(needed: usize) -> Result<(), CapacityError> {
-    let (needed, (free, _)) = (needed as u64, shared_memory()?);
-    if needed > free {
-        return Err(CapacityError::Memory { needed, free });
-    }
-    Ok(())
 }
 
 /// Bytes of the memory that one publisher writes its frames to: a header and up to `max_len` rows.

@@ -12,7 +12,7 @@ use rustix::io::Errno;
 use crate::directory::RETRY_LIMIT;
 use crate::os::files::{effective_uid, is_same};
 use crate::os::process::lock_holders;
-use crate::preflight::{PROCESS_BYTES, check_free};
+use crate::preflight::{PROCESS_BYTES, check_memory};
 use crate::{CapacityError, Domain, RootError, clock};
 
 /// The exclusive right to be a fleet's worker, held while this value lives. The kernel releases the
@@ -332,12 +332,12 @@ impl WorkerOwner {
 }
 
 impl WorkerLockError {
-    /// The numbers, if shared memory is full.
+    /// The numbers, if shared memory is full, or its files are.
     fn or_shortage(self) -> Self {
         let (Self::Io { source, .. } | Self::Root(RootError::Io { source, .. })) = &self else {
             return self;
         };
-        match check_free(PROCESS_BYTES) {
+        match check_memory(PROCESS_BYTES) {
             Err(full) if source.kind() == ErrorKind::StorageFull => full.into(),
             _ => self,
         }

@@ -38,7 +38,7 @@ use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
 use crate::os::memory;
-use crate::preflight::{check_free, client_bytes, server_bytes};
+use crate::preflight::{check_memory, client_bytes, server_bytes};
 use crate::{Bus, Domain, FilesRemoved, Limits, PeerWatch, clock};
 
 type ServerPort = (Server<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFactory);
@@ -75,7 +75,7 @@ pub struct OpenQuery {
 impl QueryServer {
     pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         let needed = server_bytes(limits.query_clients());
-        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
+        check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The waiter first: a question that arrives in between is found without an event.
         let asked = Waiter::open(bus, Service::ASKED, limits, (events.1, events.0), None)?;
@@ -236,7 +236,7 @@ pub struct QueryClient {
 impl QueryClient {
     pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         let needed = client_bytes();
-        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
+        check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The first of a client's three ports: who finds no place makes none of them.
         let open = Open { places: limits.open_query_clients(), own: OPERATORS };

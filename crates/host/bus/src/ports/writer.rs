@@ -21,7 +21,7 @@ use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::membership::Membership;
 use crate::os::memory;
-use crate::preflight::{check_free, segment_bytes};
+use crate::preflight::{check_memory, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 type Port<C> = (Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>, Factory<C>);
@@ -41,7 +41,7 @@ impl<C: Channel> Writer<C> {
     pub(super) fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
         let service = C::SERVICE;
         let needed = segment_bytes::<C>(limits, max_len);
-        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
+        check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let failures = Failures::new();
         let factory = service::open::<C>(bus, limits)?;
         let create = || {
