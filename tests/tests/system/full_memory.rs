@@ -101,7 +101,7 @@ impl Left {
     fn is_told(self, said: &str) -> bool {
         match self {
             Self::Bytes(_) => said.contains("bytes needed") && said.contains("free"),
-            Self::Files(_) => said.contains("files that /dev/shm may hold are there"),
+            Self::Files(_) => said.contains("files needed") && said.contains("free"),
         }
     }
 }

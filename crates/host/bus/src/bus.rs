@@ -21,7 +21,7 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_left, check_memory, check_stack};
+use crate::preflight::{PORT_BYTES, check_left, check_stack, check_start};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -62,7 +62,7 @@ impl Bus {
         let _section = fork::enter();
         // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {
-            let full = check_left(PROCESS_BYTES).err();
+            let full = check_start().err();
             remove_unused(domain);
             match full {
                 Some(full) if error.may_be_shortage() => full.into(),
@@ -83,7 +83,7 @@ impl Bus {
         joined.incomplete += remove_incomplete(domain)?;
         remove_dead_nodes(&member.config, &mut joined);
         // Memory held by dead processes has been freed.
-        check_memory(PROCESS_BYTES)?;
+        check_start()?;
         let node = create_node(domain, &member.config, &node_name)?;
         make_private(domain)?;
         let monitor = named(domain, &node.id().value().to_string(), &[".node_monitor"]);

@@ -21,6 +21,8 @@ const SEGMENT_OVERHEAD: usize = 16 * 1024;
 const CONNECTION_BYTES: usize = 16 * 1024;
 /// Services, nodes, events and what rounding to pages costs, per process.
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
+/// Files in shared memory that a process makes at most until it has all of its ports.
+const START_FILES: u64 = 128;
 /// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
 /// Descriptors of a process before it connects to anybody: node, locks, fifteen services.
@@ -150,15 +152,28 @@ pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
     if needed > free {
         return Err(CapacityError::Memory { needed, free });
     }
-    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
-    // A file system without a limit states 0 of 0.
-    if shm.f_files > 0 && shm.f_favail == 0 {
-        return Err(CapacityError::Files { files: shm.f_files });
-    }
+    check_files(1)?;
     let Some(limit) = getrlimit(Resource::As).current else { return Ok(()) };
     let used = address_space().unwrap_or(0);
     if used.saturating_add(needed) > limit {
         return Err(CapacityError::AddressSpace { needed, used, limit });
+    }
+    Ok(())
+}
+
+/// Checks that a process could join. Of one that could not, what it made is removed again: what is
+/// left then does not show what was lacking.
+pub(crate) fn check_start() -> Result<(), CapacityError> {
+    check_left(PROCESS_BYTES)?;
+    check_files(START_FILES)
+}
+
+fn check_files(needed: u64) -> Result<(), CapacityError> {
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
+    let (free, files) = (shm.f_favail, shm.f_files);
+    // A file system without a limit states 0 of 0.
+    if files > 0 && free < needed {
+        return Err(CapacityError::Files { needed, free, files });
     }
     Ok(())
 }
@@ -245,12 +260,17 @@ pub enum CapacityError {
         /// Allowed.
         limit: u64,
     },
-    /// No file can be created in shared memory, although bytes are free.
+    /// Too few files can be created in shared memory, although bytes are free.
     #[error(
-        "shared memory: all {files} files that {SHM_DIR} may hold are there; remove some (stale ones \
-         with `joulebus doctor --fix`), or allow more (`mount -o remount,nr_inodes=… {SHM_DIR}`)"
+        "shared memory: {needed} files needed, {free} of the {files} that {SHM_DIR} may hold are \
+         free; remove some (stale ones with `joulebus doctor --fix`), or allow more (`mount -o \
+         remount,nr_inodes=… {SHM_DIR}`)"
     )]
     Files {
+        /// Files needed.
+        needed: u64,
+        /// Files that can be created.
+        free: u64,
         /// Files that the file system may hold.
         files: u64,
     },

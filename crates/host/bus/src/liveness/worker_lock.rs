@@ -12,7 +12,7 @@ use rustix::io::Errno;
 use crate::directory::RETRY_LIMIT;
 use crate::os::files::{effective_uid, is_same};
 use crate::os::process::lock_holders;
-use crate::preflight::{PROCESS_BYTES, check_memory};
+use crate::preflight::check_start;
 use crate::{CapacityError, Domain, RootError, clock};
 
 /// The exclusive right to be a fleet's worker, held while this value lives. The kernel releases the
@@ -337,7 +337,7 @@ impl WorkerLockError {
         let (Self::Io { source, .. } | Self::Root(RootError::Io { source, .. })) = &self else {
             return self;
         };
-        match check_memory(PROCESS_BYTES) {
+        match check_start() {
             Err(full) if source.kind() == ErrorKind::StorageFull => full.into(),
             _ => self,
         }
