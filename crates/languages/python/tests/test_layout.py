@@ -29,7 +29,7 @@ def table(name: str) -> tuple[int, list[tuple[int, str, np.dtype]]]:
         ("Diagnostic", _native.DIAGNOSTIC, 35),
         ("Budget", _native.BUDGET, 25),
         ("Outlook", _native.OUTLOOK, 16),
-        ("PlanState", _native.PLAN_STATE, 39),
+        ("PlanState", _native.PLAN_STATE, 41),
         ("AnswerRow", _native.ANSWER_ROW, 17),
     ],
 )
