@@ -21,7 +21,7 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::preflight::{PORT_BYTES, check_left, check_stack, check_start};
+use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_left, check_stack, check_start};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -62,7 +62,7 @@ impl Bus {
         let _section = fork::enter();
         // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {
-            let full = check_start().err();
+            let full = check_start().and_then(|()| check_left(PROCESS_BYTES)).err();
             remove_unused(domain);
             match full {
                 Some(full) if error.may_be_shortage() => full.into(),

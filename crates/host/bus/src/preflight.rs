@@ -164,7 +164,7 @@ pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
 /// Checks that a process could join. Of one that could not, what it made is removed again: what is
 /// left then does not show what was lacking.
 pub(crate) fn check_start() -> Result<(), CapacityError> {
-    check_left(PROCESS_BYTES)?;
+    check_memory(PROCESS_BYTES)?;
     check_files(START_FILES)
 }
 
