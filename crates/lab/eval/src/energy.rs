@@ -174,27 +174,35 @@ fn observe(
     state.bounds = platform.bounds().scaled(&state.learned.error_factor);
 }
 
+/// How intervals fit the measured energies: means over the forecasts that have one, NaN without.
+struct Intervals {
+    coverage: f64,
+    width_j: f64,
+    score_j: f64,
+}
+
+impl Intervals {
+    fn of(scored: &[Scored], interval_j: impl Fn(&Scored) -> Option<[f64; 2]>) -> Self {
+        let (mut count, mut inside, mut width_j, mut missed_j) = (0.0, 0.0, 0.0, 0.0);
+        for one in scored {
+            let Some([lo_j, hi_j]) = interval_j(one) else { continue };
+            count += 1.0;
+            inside += if (lo_j..=hi_j).contains(&one.energy_j) { 1.0 } else { 0.0 };
+            width_j += hi_j - lo_j;
+            missed_j += (lo_j - one.energy_j).max(one.energy_j - hi_j).max(0.0);
+        }
+        let misses = f64::from(1.0 - COVERAGE);
+        let score_j = (width_j + 2.0 / misses * missed_j) / count;
+        Self { coverage: inside / count, width_j: width_j / count, score_j }
+    }
+}
+
 fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
     let count = scored.len() as f64;
     let energy_j: f64 = scored.iter().map(|one| one.energy_j.abs()).sum();
-    let known = scored.iter().filter_map(|one| Some((one, one.interval_j?)));
-    let inside =
-        known.clone().filter(|(one, [lo_j, hi_j])| (*lo_j..=*hi_j).contains(&one.energy_j));
-    let width_j: f64 = known.clone().map(|(_, [lo_j, hi_j])| hi_j - lo_j).sum();
-    let missed_j: f64 = known
-        .clone()
-        .map(|(one, [lo_j, hi_j])| (lo_j - one.energy_j).max(one.energy_j - hi_j).max(0.0))
-        .sum();
-    let intervals = known.count() as f64;
-    let per_mean = 1.0 / intervals / (energy_j / count);
-    let ahead: Vec<(f64, [f64; 2])> =
-        scored.iter().filter_map(|one| Some((one.energy_j, one.outlook_interval_j?))).collect();
-    let ahead_inside = ahead.iter().filter(|(joules, [lo, hi])| (*lo..=*hi).contains(joules));
-    let misses = f64::from(1.0 - COVERAGE);
-    let ahead_scores_j = ahead.iter().map(|(joules, [lo_j, hi_j])| {
-        hi_j - lo_j + 2.0 / misses * (lo_j - joules).max(joules - hi_j).max(0.0)
-    });
-    let ahead_score_j = ahead_scores_j.sum::<f64>() / ahead.len() as f64;
+    let mean_j = energy_j / count;
+    let plans = Intervals::of(scored, |one| one.interval_j);
+    let outlooks = Intervals::of(scored, |one| one.outlook_interval_j);
     let mut residuals: Vec<f64> =
         scored.iter().map(|one| one.energy_j - one.forecasts_j[0]).collect();
     residuals.sort_by(f64::total_cmp);
@@ -207,12 +215,12 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
             let error = |one: &Scored| (one.forecasts_j[place] - one.energy_j).abs();
             scored.iter().map(error).sum::<f64>() / energy_j
         }),
-        coverage: inside.count() as f64 / intervals,
-        width: width_j * per_mean,
-        narrowest: widths.fold(f64::INFINITY, f64::min) / (energy_j / count),
-        score: (width_j + 2.0 / misses * missed_j) * per_mean,
-        outlook_coverage: ahead_inside.count() as f64 / ahead.len() as f64,
-        outlook_interval_score: ahead_score_j / (energy_j / count),
+        coverage: plans.coverage,
+        width: plans.width_j / mean_j,
+        narrowest: widths.fold(f64::INFINITY, f64::min) / mean_j,
+        score: plans.score_j / mean_j,
+        outlook_coverage: outlooks.coverage,
+        outlook_interval_score: outlooks.score_j / mean_j,
     }
 }
 
