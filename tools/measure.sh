@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures everything on this machine, in order, and fills the tables of docs/performance.md.
+# Measures everything on this machine, in order, and fills the tables of docs/measured/performance.md.
 #
 #   tools/measure.sh            about 15 minutes after the builds; leave the machine alone meanwhile
 #   tools/measure.sh --quick    a minute: a smoke test
@@ -38,7 +38,7 @@ bench rollout
 bench plan
 bench latency --seconds "$long"
 step "$peers/target/release/joulebus-transport-peers" --seconds "$long" --json "$results/transport.json"
-step python3 tools/peers/network.py --directory "$peers" --json "$results/peers.json" --picture docs/peers.svg "${quick[@]}"
+step python3 tools/peers/network.py --directory "$peers" --json "$results/peers.json" --picture docs/measured/peers.svg "${quick[@]}"
 if command -v valgrind >/dev/null; then
     step python3 tools/instructions.py --json "$results/instructions.json"
 fi

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Fills the marked blocks of docs/performance.md from the figures in bench-results/.
+"""Fills the marked blocks of docs/measured/performance.md from the figures in bench-results/.
 
 A block begins with `<!-- figures: NAME -->`, ends with `<!-- end of figures -->`, and is replaced by
 the tables of bench-results/NAME.json. A block whose file is missing is unchanged.
@@ -213,7 +213,7 @@ RENDER = {
 
 
 def main():
-    page = ROOT / "docs" / "performance.md"
+    page = ROOT / "docs/measured/performance.md"
     results = ROOT / "bench-results"
 
     def fill(match):
