@@ -39,7 +39,7 @@ fn the_page_about_alarms_has_every_card() {
             .unwrap();
     }
     table.push('\n');
-    assert_says("docs/alarms.md", "<!-- cards", &table);
+    assert_says("docs/reference/alarms.md", "<!-- cards", &table);
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn the_page_about_bridges_has_the_table_of_findings() {
     let source = fs::read_to_string(path).unwrap();
     let (_, table) = source.split_once("const TABLE: &str = \"").unwrap();
     let (table, _) = table.split_once("\";").unwrap();
-    assert_says("docs/bridges.md", "<!-- doors", table);
+    assert_says("docs/explanation/bridges.md", "<!-- doors", table);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The tables of docs/energy.md: energy forecasts of recordings and of simulated robots that
+//! The tables of docs/measured/energy.md: energy forecasts of recordings and of simulated robots that
 //! neither the energy model nor the network was trained on.
 //!
 //! ```text
