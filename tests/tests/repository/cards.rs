@@ -1,5 +1,5 @@
-//! The documents say of alarms what their cards say. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests
-//! --test repository cards` writes them again.
+//! The documents say of alarms what their cards say, and of a config's keys what the table of keys
+//! says. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes them again.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -40,6 +40,25 @@ fn the_page_about_alarms_has_every_card() {
     }
     table.push('\n');
     assert_says("docs/reference/alarms.md", "<!-- cards", &table);
+}
+
+#[test]
+fn the_page_about_configs_has_every_key() {
+    let (mut text, mut section) = (String::new(), "");
+    for key in KEYS {
+        let (of, name) = key.path.rsplit_once('.').unwrap();
+        if of != section {
+            section = of;
+            write!(text, "\n## `[{of}]`\n\n").unwrap();
+            text += "| key | meaning | unit | allowed | default |\n|---|---|---|---|---|\n";
+        }
+        let default = key.default_words();
+        let default = default.trim_start_matches("default").trim_start_matches([':', ' ']);
+        let cells = [key.doc, key.unit, &key.range(), default].join(" | ");
+        writeln!(text, "| `{name}` | {} |", cells.replace('<', "\\<")).unwrap();
+    }
+    text.push('\n');
+    assert_says("docs/reference/config.md", "<!-- keys", &text);
 }
 
 #[test]
