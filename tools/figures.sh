@@ -24,12 +24,14 @@ while [ $# -gt 0 ]; do
     shift
 done
 last=$((120 * 60))
-commit=$(git rev-parse HEAD)
+# What is measured. A commit of pages alone leaves its figures valid.
+sources=(crates benches Cargo.toml Cargo.lock configs/models tools/instructions.py tools/peers)
+commit=$(git log -1 --format=%H -- "${sources[@]}")
 processor=$(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -1)
 
 # The figures are of the commit that they state.
-if [ -z "$list" ] && [ ${#quick[@]} = 0 ] && [ -n "$(git status --porcelain -- crates benches tools Cargo.toml Cargo.lock configs)" ]; then
-    echo "tools/figures.sh: crates, benches, tools or configs differ from the commit: commit them first" >&2
+if [ -z "$list" ] && [ ${#quick[@]} = 0 ] && [ -n "$(git status --porcelain -- "${sources[@]}")" ]; then
+    echo "tools/figures.sh: these differ from the commit, so commit them first: ${sources[*]}" >&2
     exit 1
 fi
 
@@ -78,7 +80,7 @@ measure() {
     # A file appears when it is whole.
     local whole=target/figure-$name.json
     eval "$*" --json "$whole"
-    python3 tools/page_figures.py --stamp "$whole"
+    python3 tools/page_figures.py --stamp "$whole" "$commit"
     mv "$whole" "$results/$name.json"
 }
 

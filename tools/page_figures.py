@@ -23,7 +23,6 @@ import datetime
 import json
 import pathlib
 import re
-import subprocess
 import sys
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
@@ -404,12 +403,11 @@ def check(folder, write):
     sys.exit(1 if problems else 0)
 
 
-def stamp(file):
-    """Adds the commit of the sources and the day to a file of figures."""
+def stamp(file, commit):
+    """Adds the commit of what was measured and the day to a file of figures."""
     suite = json.loads(file.read_text())
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
     today = datetime.datetime.now(datetime.timezone.utc).date().isoformat()
-    figures.write(file, {"commit": commit, "date": today} | suite)
+    figures.write(file, {"commit": commit, "date": today} | {name: value for name, value in suite.items() if name not in ("commit", "date")})
 
 
 def main():
@@ -419,11 +417,11 @@ def main():
     action.add_argument("--write", action="store_true")
     action.add_argument("--bare", metavar="PAGE")
     action.add_argument("--names", nargs="?", const="", metavar="FILE")
-    action.add_argument("--stamp", type=pathlib.Path, metavar="FILE", help="add commit and date (tools/figures.sh)")
+    action.add_argument("--stamp", nargs=2, metavar=("FILE", "COMMIT"), help="add commit and date (tools/figures.sh)")
     parser.add_argument("--figures", type=pathlib.Path, default=FIGURES, metavar="DIR", help="other files [docs/figures]")
     given = parser.parse_args()
     if given.stamp:
-        stamp(given.stamp)
+        stamp(pathlib.Path(given.stamp[0]), given.stamp[1])
     elif given.bare:
         for number, figure in bare((ROOT / given.bare).read_text()):
             print(f"{given.bare}:{number}: {figure}")
