@@ -224,7 +224,7 @@ def spreads(suite):
 
 RENDER = {
     "kernel": kernel, "tick": tick, "rollout": rollout, "peers": peers, "instructions": instructions,
-    "plan": spreads, "latency": spreads, "transport": spreads,
+    "plan": spreads, "questions": spreads, "learning": tick, "latency": spreads, "transport": spreads,
 }
 
 
