@@ -56,7 +56,7 @@ fn heading() {
          the same, network alone |",
         VARIANTS.map(|(name, _)| name).join(" | ")
     );
-    println!("|{}", "---|".repeat(11));
+    println!("|{}", "---|".repeat(12));
 }
 
 fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
