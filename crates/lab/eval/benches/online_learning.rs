@@ -1,4 +1,5 @@
-//! Gain of online learning on recordings and simulated robots: the table of `docs/measured/online.md`.
+//! Gain of online learning on recordings and simulated robots: the table of
+//! `docs/measured/online.md`.
 //!
 //! `cargo bench -p joulebus-eval --bench online_learning` computes all of it (some minutes: 18
 //! networks are trained); names after `--`, such as `husky rover robotino simulated elsewhere`,
