@@ -9,7 +9,7 @@
 # Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
 # BrOleg5/research-wheel-slippage
 # at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/pictures/dataflow.svg is drawn by
-# hand; docs/measured/peers.svg is written by tools/measure.sh.
+# hand; docs/measured/peers.svg is written by tools/figures.sh.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 screenshots=${1:-target/pictures}
