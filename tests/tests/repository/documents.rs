@@ -197,6 +197,31 @@ fn sources_that_documents_and_comments_name_exist() {
     assert!(checked > 60, "only {checked} paths were found");
 }
 
+/// Pages of decisions name the tests of a promise below a heading of its own.
+#[test]
+fn tests_that_decisions_name_exist() {
+    let documents = documents();
+    let mut functions = BTreeSet::new();
+    for (_, text) in documents.iter().filter(|(path, _)| !path.ends_with(".md")) {
+        for begin in ["fn ", "def "] {
+            functions.extend(text.split(begin).skip(1).filter_map(|rest| rest.split('(').next()));
+        }
+    }
+    let (mut checked, mut missing) = (0, Vec::new());
+    for (path, text) in documents.iter().filter(|(path, _)| path.starts_with("docs/decisions/")) {
+        let (_, after) = text.split_once("\n## Tests\n").unwrap_or_default();
+        let section = after.split("\n## ").next().unwrap();
+        for name in section.split('`').skip(1).step_by(2) {
+            checked += 1;
+            if !functions.contains(name) {
+                missing.push(format!("{path}: {name}"));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{missing:#?}");
+    assert!(checked > 60, "only {checked} names of tests were found");
+}
+
 #[test]
 fn lines_of_comments_have_at_most_100_columns() {
     let (mut checked, mut long) = (0, Vec::new());
