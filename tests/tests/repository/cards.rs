@@ -57,8 +57,9 @@ fn the_page_about_configs_has_every_key() {
         }
         let default = key.default_words();
         let default = default.trim_start_matches("default").trim_start_matches([':', ' ']);
-        let cells = [key.doc, key.unit, &key.range(), default].join(" | ");
-        writeln!(text, "| `{name}` | {} |", cells.replace('<', "\\<")).unwrap();
+        let cell = |text: &str| text.replace('<', "\\<").replace('|', "\\|");
+        let cells = [key.doc, key.unit, &key.range(), default].map(cell).join(" | ");
+        writeln!(text, "| `{name}` | {cells} |").unwrap();
     }
     text.push('\n');
     assert_says("docs/reference/config.md", "<!-- keys", &text);

@@ -1,6 +1,6 @@
 //! Packages, targets and sources that documents, scripts and comments name exist. Links of
-//! documents lead somewhere, tables are whole, and pages of the book are short. Comments have at most
-//! 100 columns.
+//! documents lead somewhere, tables are whole, and pages of the book are short. Comments have at
+//! most 100 columns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

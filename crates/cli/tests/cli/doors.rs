@@ -1,4 +1,5 @@
-//! Every kind of finding at every door, in every format: docs/reference/plausibility.md has the table.
+//! Every kind of finding at every door, in every format: docs/reference/plausibility.md has the
+//! table.
 //! `JOULEBUS_WRITE=1 cargo test -p joulebus --test cli doors` writes it again.
 
 use std::collections::BTreeMap;
