@@ -32,6 +32,8 @@ step actionlint - 'tools/actionlint.sh'
 step gelu - 'python3 tools/fit_gelu.py'
 step gate - 'JOULEBUS_AGAIN=1 .ci/run'
 step readme - 'python3 tools/readme_projects.py'
+# mdBook compiles once, some minutes.
+step book - 'tools/book.sh'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
 step walk-csv - 'tools/walks/csv.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'

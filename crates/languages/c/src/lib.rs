@@ -1,6 +1,6 @@
 //! The C library `libjoulebus`: publisher, subscriber, questions and predictor for C and C++.
 //!
-//! `include/joulebus.h`, `include/joulebus.hpp` and `docs/c.md` are its documentation. This crate
+//! `include/joulebus.h`, `include/joulebus.hpp` and `docs/tutorial/cpp.md` are its documentation. This crate
 //! is no library for Rust: [`abi`] holds what C calls, the other modules what makes such calls
 //! safe.
 //!
