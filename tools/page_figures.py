@@ -11,15 +11,20 @@ with commit and date. All files are of one commit and one machine. A page includ
 
     <!-- figures: kernel -->                    the tables of a file, up to <!-- end of figures -->
     <!-- figure: tick.tick_over_kernel[1,000 robots].p99 -->2.07<!-- /figure -->
+    <!-- figure: benchmark.coverage[*, LightGBM].min:.1% -->65.6 %<!-- /figure -->
 
-A table whose file is missing stays as it is. A bare figure is a number with a unit in a sentence or
+The second has a file, a figure's name, its case, a quantile (p50 if none is named) and a format of Python. With `*`
+min and max are those of all cases. `benchmark` is docs/measured/benchmark.csv: a column, [task, forecaster].
+What a missing file would have stays as it is. A bare figure is a number with a unit in a sentence or
 a table that is in neither marker. Code, the journal, generated pages, and lines that end with
 `<!-- definition -->` have none. docs/figures/bare.tsv has their number in each page, which may only shrink.
 The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`.
 Standard library only.
 """
 import argparse
+import csv
 import datetime
+import fnmatch
 import json
 import pathlib
 import re
@@ -32,7 +37,8 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs/figures"
 BASELINE = FIGURES / "bare.tsv"
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
-INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))? -->).*?(<!-- /figure -->)")
+BENCHMARK = ROOT / "docs/measured/benchmark.csv"
+INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.%]+))? -->).*?(<!-- /figure -->)")
 SPREAD = ("p50", "p99", "p999", "max")
 
 
@@ -275,25 +281,75 @@ def suites(folder):
     return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
 
 
-def value(suites, file, name, case, quantile):
+def benchmark():
+    """docs/measured/benchmark.csv by column and [task, forecaster]."""
+    with open(BENCHMARK) as file:
+        return {(column, f"{row['task']}, {row['forecaster']}"): float(text) for row in csv.DictReader(file)
+                for column, text in row.items() if column not in ("task", "forecaster") and text}
+
+
+def value(suites, file, name, case, quantile, shown):
     """The text of one figure, or `None`."""
-    found = [figure for report in suites.get(file, {"reports": []})["reports"] for figure in report["figures"]
-             if figure["name"] == name and (case is None or figure["case"] == case)]
-    if len(found) != 1 or not isinstance(found[0].get(quantile or "p50"), (int, float)):
+    quantile = quantile or "p50"
+    if file == "benchmark":
+        of = {key: {quantile: number} for key, number in benchmark().items()}
+    else:
+        reports = suites.get(file, {"reports": []})["reports"]
+        of = {(figure["name"], figure["case"]): figure for report in reports for figure in report["figures"]}
+    found = [figure.get(quantile) for (known, its), figure in of.items()
+             if known == name and (case is None or fnmatch.fnmatchcase(its, case))]
+    found = [number for number in found if isinstance(number, (int, float))]
+    if len(found) > 1 and quantile in ("min", "max"):
+        found = [min(found) if quantile == "min" else max(found)]
+    if len(found) != 1:
         return None
-    return figures.shown(found[0][quantile or "p50"])
+    text = format(found[0], shown) if shown else figures.shown(found[0])
+    return text.replace("%", " %").replace("-", "−")
 
 
-def filled(name, text, suites, problems):
+def worth():
+    """R² of the benchmark's tasks, and what intervals and energies are worth: docs/explanation/where-to-use-it.md."""
+    of = benchmark()
+    names = ["joulebus (online)", "LightGBM", "joulebus (network)", "AR(5)", "persistence"]
+    groups = {
+        "known floors: Robotino · Husky · rover": ["robotino/trial", "husky/trial", "rover/trial"],
+        "Robotino on brown · table": ["robotino/brown", "robotino/table"],
+        "Husky on ice · sandy loam · snow": ["husky/ICE", "husky/SANDY_LOAM", "husky/SNOW"],
+        "rover before · after its change": ["rover/before", "rover/after"],
+    }
+    tasks = list(dict.fromkeys(case.split(", ", 1)[0] for _, case in of))
+    shifts = [task for task in tasks if not task.endswith("/trial")]
+    r2 = lambda task, name: of["r2", f"{task}, {name}"]
+    number = lambda value, shown=".3f": format(value, shown).replace("-", "−")
+    rows = [[title, *(" · ".join(number(r2(task, name)) for task in its) for name in names)] for title, its in groups.items()]
+    below = [str(sum(r2(task, name) < r2(task, "persistence") for task in shifts)) for name in names[:-1]]
+    rows.append([f"below the last reading, of the {len(shifts)}", *below, "–"])
+
+    def spread(column, name):
+        found = [100 * of[column, f"{task}, {name}"] for task in tasks if (column, f"{task}, {name}") in of]
+        return f"{number(min(found), '.1f')} to {number(max(found), '.1f')} %" if found else "–"
+
+    rows.append([f"readings in the 90 % interval, lowest and highest of all {len(tasks)} tasks",
+                 *(spread("coverage", name) for name in names)])
+    rows.append([f"bias of the energy, of all {len(tasks)} tasks", *(spread("energy_bias", name) for name in names)])
+    return table(["", "joulebus, online", "LightGBM", "network alone", "AR(5)", "last reading"], rows)
+
+
+def filled(name, text, suites, absent, problems):
     """The page with its tables and figures as the files have them."""
     def block(match):
         begin, file, end = match.groups()
+        if file == "worth":
+            return f"{begin}{worth()}\n{end}"
         if file not in suites or file not in RENDER:
             return match[0]
         return f"{begin}{date(suites[file])}{RENDER[file](suites[file])}\n{end}"
 
     def inline(match):
         begin, *figure, end = match.groups()
+        if figure[0] not in ("benchmark", *suites):
+            absent.add(figure[0])
+            return match[0]
         shown = value(suites, *figure)
         if shown is None:
             problems.append(f"{name}: docs/figures has not one figure {begin[12:-4].strip()} (--names lists them)")
@@ -366,11 +422,11 @@ def missing_tests():
 
 
 def check(folder, write):
-    known, problems, stale = suites(folder), [], []
+    known, absent, problems, stale = suites(folder), set(), [], []
     problems += of_one_run(known) if folder == FIGURES else []
     for name, page in pages().items():
         before = page.read_text()
-        after = filled(name, before, known, problems)
+        after = filled(name, before, known, absent, problems)
         if before == after:
             continue
         if write:
@@ -397,7 +453,7 @@ def check(folder, write):
     for problem in problems:
         print(problem, file=sys.stderr)
     tables = {match[2] for page in pages().values() for match in BLOCK.finditer(page.read_text()) if match[2] in RENDER}
-    if missing := sorted(tables - known.keys()):
+    if missing := sorted((tables | absent) - known.keys()):
         print(f"of an earlier run, since docs/figures has no file: {', '.join(missing)}")
     print(f"{sum(now.values())} bare figures in {len(now)} pages, {len(known)} files of figures")
     sys.exit(1 if problems else 0)
