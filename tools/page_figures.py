@@ -39,6 +39,7 @@ BASELINE = FIGURES / "bare.tsv"
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 BENCHMARK = ROOT / "docs/measured/benchmark.csv"
 INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.%]+))? -->).*?(<!-- /figure -->)")
+BENCHMARK_BLOCK = re.compile(r"(<!-- benchmark: (\w+) -->\n).*?(<!-- end of benchmark -->)", re.DOTALL)
 SPREAD = ("p50", "p99", "p999", "max")
 
 
@@ -307,6 +308,26 @@ def value(suites, file, name, case, quantile, shown):
     return text.replace("%", " %").replace("-", "−")
 
 
+def benchmark_table(what):
+    """A table of docs/measured/benchmark.md."""
+    with open(BENCHMARK) as file:
+        rows = list(csv.DictReader(file))
+    tasks, forecasters = unique(row["task"] for row in rows), unique(row["forecaster"] for row in rows)
+    of = {(row["task"], row["forecaster"]): row for row in rows}
+    number = lambda value, digits: f"{float(value):.{digits}f}" if value else "–"
+    leading = ["joulebus (online)", "LightGBM"]
+    names, cell = {
+        "r2": (forecasters, lambda row: number(row["r2"], 3)),
+        "skill": (leading, lambda row: f"{number(row['skill'], 3)} [{number(row['skill_lo'], 2)}, {number(row['skill_hi'], 2)}]"),
+        "interval": ([*leading, "persistence", "AR(5)"], lambda row: " · ".join([
+            number(row["interval_score_w"] or row["constant_interval_score_w"], 2),
+            number(row["coverage"] and 100 * float(row["coverage"]), 1)])),
+        "bias": ([*leading, "persistence", "mean so far"], lambda row: number(100 * float(row["energy_bias"] or "nan"), 2)),
+    }[what]
+    body = [[task, *(cell(of[task, name]) if (task, name) in of else "–" for name in names)] for task in tasks]
+    return table(["task", *names], body)
+
+
 def worth():
     """R² of the benchmark's tasks, and what intervals and energies are worth: docs/explanation/where-to-use-it.md."""
     of = benchmark()
@@ -356,6 +377,7 @@ def filled(name, text, suites, absent, problems):
             return match[0]
         return f"{begin}{shown}{end}"
 
+    text = BENCHMARK_BLOCK.sub(lambda match: f"{match[1]}{benchmark_table(match[2])}\n{match[3]}", text)
     return INLINE.sub(inline, BLOCK.sub(block, text))
 
 
