@@ -16,8 +16,9 @@ with commit and date. All files are of one commit and one machine. A page includ
 The second has a file, a figure's name, its case, a quantile (p50 if none is named) and a format of Python. With `*`
 min and max are those of all cases. `benchmark` is docs/measured/benchmark.csv: a column, [task, forecaster].
 What a missing file would have stays as it is. A bare figure is a number with a unit in a sentence or
-a table that is in neither marker. Code, the journal, generated pages, and lines that end with
-`<!-- definition -->` have none. docs/figures/bare.tsv has their number in each page, which may only shrink.
+a table that is in neither marker. Code, the journal and generated pages have none, nor has
+a paragraph, an item of a list or a row of a table with `<!-- definition -->`. docs/figures/bare.tsv has their number
+in each page, which may only shrink.
 The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`.
 Standard library only.
 """
@@ -237,10 +238,9 @@ RENDER = {
 
 # What is no sentence: blocks and figures that are filled in, code, comments, targets of links.
 FILLED = [
-    re.compile(r"<!-- (figures|benchmark|cards|begin)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (figures|benchmark|cards|doors|keys)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
     re.compile(r"^ *```.*?^ *```", re.DOTALL | re.MULTILINE),
     re.compile(r"<!-- figure: .*?<!-- /figure -->"),
-    re.compile(r"^.*<!-- definition -->$", re.MULTILINE),
     re.compile(r"<!--.*?-->", re.DOTALL),
     re.compile(r"`[^`]*`"),
     re.compile(r"\]\([^)]*\)"),
@@ -257,8 +257,19 @@ def pages():
     return {str(page.relative_to(ROOT)): page for page in found}
 
 
+def without_definitions(text):
+    """The text, with lines emptied of paragraphs, items of lists and rows of tables that define something."""
+    parts = [[]]
+    for line in text.splitlines():
+        if not line.strip() or line.lstrip().startswith(("|", "- ", "#")):
+            parts.append([])
+        parts[-1].append(line)
+    return "\n".join("" if "<!-- definition -->" in "".join(part) else line for part in parts for line in part)
+
+
 def bare(text):
     """The bare figures of a page, each with the number of its line."""
+    text = without_definitions(text)
     for pattern in FILLED:
         # Lines keep their numbers.
         text = pattern.sub(lambda match: "\n" * match[0].count("\n"), text)
@@ -466,7 +477,7 @@ def check(folder, write):
         for name, count in now.items():
             if count > (before := (allowed or {}).get(name, 0)):
                 problems.append(f"{name}: {count} bare figures, {before} in {BASELINE.relative_to(ROOT)}. `--bare {name}` shows them. "
-                                "Include a figure of docs/figures, or end the line with <!-- definition -->. "
+                                "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
         problems += missing_tests()
