@@ -111,42 +111,7 @@ def main():
     if not given.tasks and not given.forecasts:
         with open(ROOT / "docs/measured/benchmark.csv", "w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(table)
-        fill()
-
-
-def fill():
-    """The tables of docs/measured/benchmark.md, from docs/measured/benchmark.csv."""
-    with open(ROOT / "docs/measured/benchmark.csv") as file:
-        rows = list(csv.DictReader(file))
-    tasks, forecasters = list(dict.fromkeys(row["task"] for row in rows)), list(dict.fromkeys(row["forecaster"] for row in rows))
-    of = {(row["task"], row["forecaster"]): row for row in rows}
-
-    def table(what, names):
-        lines = [["task", *names], ["---"] * (len(names) + 1)]
-        for task in tasks:
-            lines.append([task, *(what(of[task, name]) if (task, name) in of else "–" for name in names)])
-        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-    number = lambda value, digits: f"{float(value):.{digits}f}" if value else "–"
-    r2 = lambda row: number(row["r2"], 3)
-    skill = lambda row: f"{number(row['skill'], 3)} [{number(row['skill_lo'], 2)}, {number(row['skill_hi'], 2)}]"
-    interval = lambda row: " · ".join([number(row["interval_score_w"] or row["constant_interval_score_w"], 2),
-                                       number(row["coverage"] and 100 * float(row["coverage"]), 1)])
-    bias = lambda row: number(100 * float(row["energy_bias"] or "nan"), 2)
-    leading = ["joulebus (online)", "LightGBM"]
-    tables = {
-        "r2": table(r2, forecasters),
-        "skill": table(skill, leading),
-        "interval": table(interval, [*leading, "persistence", "AR(5)"]),
-        "bias": table(bias, [*leading, "persistence", "mean so far"]),
-    }
-    page = ROOT / "docs/measured/benchmark.md"
-    text = page.read_text()
-    for name, lines in tables.items():
-        begin, end = f"<!-- benchmark: {name} -->\n", "<!-- end of benchmark -->"
-        before, rest = text.split(begin)
-        text = before + begin + lines + "\n" + end + rest.split(end, 1)[1]
-    page.write_text(text)
+        subprocess.run([sys.executable, ROOT / "tools/page_figures.py", "--write"], check=True)
 
 
 if __name__ == "__main__":

@@ -11,15 +11,21 @@ with commit and date. All files are of one commit and one machine. A page includ
 
     <!-- figures: kernel -->                    the tables of a file, up to <!-- end of figures -->
     <!-- figure: tick.tick_over_kernel[1,000 robots].p99 -->2.07<!-- /figure -->
+    <!-- figure: benchmark.coverage[*, LightGBM].min:.1% -->65.6 %<!-- /figure -->
 
-A table whose file is missing stays as it is. A bare figure is a number with a unit in a sentence or
-a table that is in neither marker. Code, the journal, generated pages, and lines that end with
-`<!-- definition -->` have none. docs/figures/bare.tsv has their number in each page, which may only shrink.
+The second has a file, a figure's name, its case, a quantile (p50 if none is named) and a format of Python. With `*`
+min and max are those of all cases. `benchmark` is docs/measured/benchmark.csv: a column, [task, forecaster].
+What a missing file would have stays as it is. A bare figure is a number with a unit in a sentence or
+a table that is in neither marker. Code, the journal and generated pages have none, nor has
+a paragraph, an item of a list or a row of a table with `<!-- definition -->`. docs/figures/bare.tsv has their number
+in each page, which may only shrink.
 The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`.
 Standard library only.
 """
 import argparse
+import csv
 import datetime
+import fnmatch
 import json
 import pathlib
 import re
@@ -32,7 +38,9 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs/figures"
 BASELINE = FIGURES / "bare.tsv"
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
-INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))? -->).*?(<!-- /figure -->)")
+BENCHMARK = ROOT / "docs/measured/benchmark.csv"
+INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.%]+))? -->).*?(<!-- /figure -->)")
+BENCHMARK_BLOCK = re.compile(r"(<!-- benchmark: (\w+) -->\n).*?(<!-- end of benchmark -->)", re.DOTALL)
 SPREAD = ("p50", "p99", "p999", "max")
 
 
@@ -230,10 +238,9 @@ RENDER = {
 
 # What is no sentence: blocks and figures that are filled in, code, comments, targets of links.
 FILLED = [
-    re.compile(r"<!-- (figures|benchmark|cards|begin)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (figures|benchmark|cards|doors|keys)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
     re.compile(r"^ *```.*?^ *```", re.DOTALL | re.MULTILINE),
     re.compile(r"<!-- figure: .*?<!-- /figure -->"),
-    re.compile(r"^.*<!-- definition -->$", re.MULTILINE),
     re.compile(r"<!--.*?-->", re.DOTALL),
     re.compile(r"`[^`]*`"),
     re.compile(r"\]\([^)]*\)"),
@@ -250,8 +257,19 @@ def pages():
     return {str(page.relative_to(ROOT)): page for page in found}
 
 
+def without_definitions(text):
+    """The text, with lines emptied of paragraphs, items of lists and rows of tables that define something."""
+    parts = [[]]
+    for line in text.splitlines():
+        if not line.strip() or line.lstrip().startswith(("|", "- ", "#")):
+            parts.append([])
+        parts[-1].append(line)
+    return "\n".join("" if "<!-- definition -->" in "".join(part) else line for part in parts for line in part)
+
+
 def bare(text):
     """The bare figures of a page, each with the number of its line."""
+    text = without_definitions(text)
     for pattern in FILLED:
         # Lines keep their numbers.
         text = pattern.sub(lambda match: "\n" * match[0].count("\n"), text)
@@ -275,31 +293,102 @@ def suites(folder):
     return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
 
 
-def value(suites, file, name, case, quantile):
+def benchmark():
+    """docs/measured/benchmark.csv by column and [task, forecaster]."""
+    with open(BENCHMARK) as file:
+        return {(column, f"{row['task']}, {row['forecaster']}"): float(text) for row in csv.DictReader(file)
+                for column, text in row.items() if column not in ("task", "forecaster") and text}
+
+
+def value(suites, file, name, case, quantile, shown):
     """The text of one figure, or `None`."""
-    found = [figure for report in suites.get(file, {"reports": []})["reports"] for figure in report["figures"]
-             if figure["name"] == name and (case is None or figure["case"] == case)]
-    if len(found) != 1 or not isinstance(found[0].get(quantile or "p50"), (int, float)):
+    quantile = quantile or "p50"
+    if file == "benchmark":
+        of = {key: {quantile: number} for key, number in benchmark().items()}
+    else:
+        reports = suites.get(file, {"reports": []})["reports"]
+        of = {(figure["name"], figure["case"]): figure for report in reports for figure in report["figures"]}
+    found = [figure.get(quantile) for (known, its), figure in of.items()
+             if known == name and (case is None or fnmatch.fnmatchcase(its, case))]
+    found = [number for number in found if isinstance(number, (int, float))]
+    if len(found) > 1 and quantile in ("min", "max"):
+        found = [min(found) if quantile == "min" else max(found)]
+    if len(found) != 1:
         return None
-    return figures.shown(found[0][quantile or "p50"])
+    text = format(found[0], shown) if shown else figures.shown(found[0])
+    return text.replace("%", " %").replace("-", "−")
 
 
-def filled(name, text, suites, problems):
+def benchmark_table(what):
+    """A table of docs/measured/benchmark.md."""
+    with open(BENCHMARK) as file:
+        rows = list(csv.DictReader(file))
+    tasks, forecasters = unique(row["task"] for row in rows), unique(row["forecaster"] for row in rows)
+    of = {(row["task"], row["forecaster"]): row for row in rows}
+    number = lambda value, digits: f"{float(value):.{digits}f}" if value else "–"
+    leading = ["joulebus (online)", "LightGBM"]
+    names, cell = {
+        "r2": (forecasters, lambda row: number(row["r2"], 3)),
+        "skill": (leading, lambda row: f"{number(row['skill'], 3)} [{number(row['skill_lo'], 2)}, {number(row['skill_hi'], 2)}]"),
+        "interval": ([*leading, "persistence", "AR(5)"], lambda row: " · ".join([
+            number(row["interval_score_w"] or row["constant_interval_score_w"], 2),
+            number(row["coverage"] and 100 * float(row["coverage"]), 1)])),
+        "bias": ([*leading, "persistence", "mean so far"], lambda row: number(100 * float(row["energy_bias"] or "nan"), 2)),
+    }[what]
+    body = [[task, *(cell(of[task, name]) if (task, name) in of else "–" for name in names)] for task in tasks]
+    return table(["task", *names], body)
+
+
+def worth():
+    """R² of the benchmark's tasks, and what intervals and energies are worth: docs/explanation/where-to-use-it.md."""
+    of = benchmark()
+    names = ["joulebus (online)", "LightGBM", "joulebus (network)", "AR(5)", "persistence"]
+    groups = {
+        "known floors: Robotino · Husky · rover": ["robotino/trial", "husky/trial", "rover/trial"],
+        "Robotino on brown · table": ["robotino/brown", "robotino/table"],
+        "Husky on ice · sandy loam · snow": ["husky/ICE", "husky/SANDY_LOAM", "husky/SNOW"],
+        "rover before · after its change": ["rover/before", "rover/after"],
+    }
+    tasks = list(dict.fromkeys(case.split(", ", 1)[0] for _, case in of))
+    shifts = [task for task in tasks if not task.endswith("/trial")]
+    r2 = lambda task, name: of["r2", f"{task}, {name}"]
+    number = lambda value, shown=".3f": format(value, shown).replace("-", "−")
+    rows = [[title, *(" · ".join(number(r2(task, name)) for task in its) for name in names)] for title, its in groups.items()]
+    below = [str(sum(r2(task, name) < r2(task, "persistence") for task in shifts)) for name in names[:-1]]
+    rows.append([f"below the last reading, of the {len(shifts)}", *below, "–"])
+
+    def spread(column, name):
+        found = [100 * of[column, f"{task}, {name}"] for task in tasks if (column, f"{task}, {name}") in of]
+        return f"{number(min(found), '.1f')} to {number(max(found), '.1f')} %" if found else "–"
+
+    rows.append([f"readings in the 90 % interval, lowest and highest of all {len(tasks)} tasks",
+                 *(spread("coverage", name) for name in names)])
+    rows.append([f"bias of the energy, of all {len(tasks)} tasks", *(spread("energy_bias", name) for name in names)])
+    return table(["", "joulebus, online", "LightGBM", "network alone", "AR(5)", "last reading"], rows)
+
+
+def filled(name, text, suites, absent, problems):
     """The page with its tables and figures as the files have them."""
     def block(match):
         begin, file, end = match.groups()
+        if file == "worth":
+            return f"{begin}{worth()}\n{end}"
         if file not in suites or file not in RENDER:
             return match[0]
         return f"{begin}{date(suites[file])}{RENDER[file](suites[file])}\n{end}"
 
     def inline(match):
         begin, *figure, end = match.groups()
+        if figure[0] not in ("benchmark", *suites):
+            absent.add(figure[0])
+            return match[0]
         shown = value(suites, *figure)
         if shown is None:
             problems.append(f"{name}: docs/figures has not one figure {begin[12:-4].strip()} (--names lists them)")
             return match[0]
         return f"{begin}{shown}{end}"
 
+    text = BENCHMARK_BLOCK.sub(lambda match: f"{match[1]}{benchmark_table(match[2])}\n{match[3]}", text)
     return INLINE.sub(inline, BLOCK.sub(block, text))
 
 
@@ -366,11 +455,11 @@ def missing_tests():
 
 
 def check(folder, write):
-    known, problems, stale = suites(folder), [], []
+    known, absent, problems, stale = suites(folder), set(), [], []
     problems += of_one_run(known) if folder == FIGURES else []
     for name, page in pages().items():
         before = page.read_text()
-        after = filled(name, before, known, problems)
+        after = filled(name, before, known, absent, problems)
         if before == after:
             continue
         if write:
@@ -388,7 +477,7 @@ def check(folder, write):
         for name, count in now.items():
             if count > (before := (allowed or {}).get(name, 0)):
                 problems.append(f"{name}: {count} bare figures, {before} in {BASELINE.relative_to(ROOT)}. `--bare {name}` shows them. "
-                                "Include a figure of docs/figures, or end the line with <!-- definition -->. "
+                                "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
         problems += missing_tests()
@@ -397,7 +486,7 @@ def check(folder, write):
     for problem in problems:
         print(problem, file=sys.stderr)
     tables = {match[2] for page in pages().values() for match in BLOCK.finditer(page.read_text()) if match[2] in RENDER}
-    if missing := sorted(tables - known.keys()):
+    if missing := sorted((tables | absent) - known.keys()):
         print(f"of an earlier run, since docs/figures has no file: {', '.join(missing)}")
     print(f"{sum(now.values())} bare figures in {len(now)} pages, {len(known)} files of figures")
     sys.exit(1 if problems else 0)
