@@ -3,7 +3,7 @@
 Needs nothing but Python 3.9.
 
     tmux new-session -d -s view -x 120 -y 40 'target/release/joulebus demo'
-    sleep 18; tmux capture-pane -t view -p -e > last; tools/ansi_svg.py last > docs/live-view.svg
+    sleep 18; tmux capture-pane -t view -p -e > last; tools/ansi_svg.py last > docs/pictures/live-view.svg
     tools/ansi_svg.py --seconds 2 first second last > moving.svg
 
 Of several, what is the same in all is drawn once. Who has asked the system for less motion sees the

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Energy forecasting over open robot recordings: fixed splits, one table.
 
-    python3 tools/benchmark.py                         # all tasks, from ../shared/data; fills docs/benchmark.csv
+    python3 tools/benchmark.py                         # all tasks, from ../shared/data; fills docs/measured/benchmark.csv
     python3 tools/benchmark.py DATA --tasks husky/ICE  # some tasks; nothing is filled
     python3 tools/benchmark.py --list DIR              # writes which recordings each task holds out, DIR/TASK.csv
-    python3 tools/benchmark.py --forecasts mine=DIR    # and DIR/TASK.csv of another program: docs/benchmark.md
+    python3 tools/benchmark.py --forecasts mine=DIR    # and DIR/TASK.csv of another program: docs/measured/benchmark.md
 
 It fetches no data. LightGBM comes from PyPI, pinned, into target/boosting. A task trains joulebus' network
 and LightGBM on the recordings that are not held out, and scores both and the baselines on the same rows.
@@ -109,44 +109,9 @@ def main():
     table = [[digits(value) for value in row] for row in table]
     out.writerows(table)
     if not given.tasks and not given.forecasts:
-        with open(ROOT / "docs/benchmark.csv", "w", newline="") as file:
+        with open(ROOT / "docs/measured/benchmark.csv", "w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(table)
-        fill()
-
-
-def fill():
-    """The tables of docs/benchmark.md, from docs/benchmark.csv."""
-    with open(ROOT / "docs/benchmark.csv") as file:
-        rows = list(csv.DictReader(file))
-    tasks, forecasters = list(dict.fromkeys(row["task"] for row in rows)), list(dict.fromkeys(row["forecaster"] for row in rows))
-    of = {(row["task"], row["forecaster"]): row for row in rows}
-
-    def table(what, names):
-        lines = [["task", *names], ["---"] * (len(names) + 1)]
-        for task in tasks:
-            lines.append([task, *(what(of[task, name]) if (task, name) in of else "–" for name in names)])
-        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-    number = lambda value, digits: f"{float(value):.{digits}f}" if value else "–"
-    r2 = lambda row: number(row["r2"], 3)
-    skill = lambda row: f"{number(row['skill'], 3)} [{number(row['skill_lo'], 2)}, {number(row['skill_hi'], 2)}]"
-    interval = lambda row: " · ".join([number(row["interval_score_w"] or row["constant_interval_score_w"], 2),
-                                       number(row["coverage"] and 100 * float(row["coverage"]), 1)])
-    bias = lambda row: number(100 * float(row["energy_bias"] or "nan"), 2)
-    leading = ["joulebus (online)", "LightGBM"]
-    tables = {
-        "r2": table(r2, forecasters),
-        "skill": table(skill, leading),
-        "interval": table(interval, [*leading, "persistence", "AR(5)"]),
-        "bias": table(bias, [*leading, "persistence", "mean so far"]),
-    }
-    page = ROOT / "docs/benchmark.md"
-    text = page.read_text()
-    for name, lines in tables.items():
-        begin, end = f"<!-- benchmark: {name} -->\n", "<!-- end of benchmark -->"
-        before, rest = text.split(begin)
-        text = before + begin + lines + "\n" + end + rest.split(end, 1)[1]
-    page.write_text(text)
+        subprocess.run([sys.executable, ROOT / "tools/page_figures.py", "--write"], check=True)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 # Playwright and axe, whose versions tools/browser/package-lock.json fixes.
 #
 #     tools/browser.sh              # the tests
-#     tools/browser.sh --pictures   # docs/page-*.png again
+#     tools/browser.sh --pictures   # docs/pictures/page*.png again
 #
 # Root installs Debian's Chromium. Without node 20, npm, Chromium or npm's registry it prints a note and passes, except with CI=true. CHROMIUM names
 # another browser, JOULEBUS_BIN another directory of the programs (default: built here, target/debug).
@@ -42,7 +42,7 @@ if [ -z "${JOULEBUS_BIN:-}" ]; then
 fi
 export CHROMIUM JOULEBUS_BIN JOULEBUS_ROOT=$PWD
 if [ "${1:-}" = --pictures ]; then
-    exec node "$folder/pictures.mjs" "${2:-docs}"
+    exec node "$folder/pictures.mjs" "${2:-docs/pictures}"
 fi
 node --test --test-reporter=spec "$folder/parts.test.mjs"
 node --test --test-reporter=spec "$folder/page.test.mjs"

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Extracts the first panel, the upper left quarter, from a figure of `joulebus report`, at twice its size.
 
-    tools/first_panel.py report/figures/figure-4-time.svg > docs/forecast.svg
+    tools/first_panel.py report/figures/figure-4-time.svg > docs/pictures/forecast.svg
 """
 import re
 import sys

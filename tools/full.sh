@@ -32,6 +32,8 @@ step actionlint - 'tools/actionlint.sh'
 step gelu - 'python3 tools/fit_gelu.py'
 step gate - 'JOULEBUS_AGAIN=1 .ci/run'
 step readme - 'python3 tools/readme_projects.py'
+# mdBook compiles once, some minutes.
+step book - 'tools/book.sh'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
 step walk-csv - 'tools/walks/csv.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
@@ -51,7 +53,7 @@ step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
 step train-peer - 'python3 tools/train_peer.py --quick'
 # Figures of --quick are none for a document; the tables are filled from them to see that they can be.
-step measure - 'tools/measure.sh --quick; python3 tools/performance_tables.py'
+step measure - 'tools/figures.sh --quick; tools/page_figures.py --write --figures target/figures'
 step instructions valgrind 'python3 tools/instructions.py'
 step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -p joulebus-link
     python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'

@@ -8,8 +8,8 @@
 #
 # Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
 # BrOleg5/research-wheel-slippage
-# at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/dataflow.svg is drawn by
-# hand; docs/peers.svg is written by tools/measure.sh.
+# at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/pictures/dataflow.svg is drawn by
+# hand; docs/measured/peers.svg is written by tools/figures.sh.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 screenshots=${1:-target/pictures}
@@ -35,7 +35,7 @@ for at in 01 02 03 04 05 06 07 08 09; do
     tmux -L pictures capture-pane -t view -p -e > "$work/frame-$at"
     frames+=("$work/frame-$at")
 done
-python3 tools/ansi_svg.py --seconds 1.5 "${frames[@]}" > docs/live-view.svg
+python3 tools/ansi_svg.py --seconds 1.5 "${frames[@]}" > docs/pictures/live-view.svg
 tmux -L pictures kill-server
 
 # Forecast and report: trained on every second trial, shown on held-out trials. The picture of the
@@ -43,21 +43,21 @@ tmux -L pictures kill-server
 "$joulebus" train trials "$data/*exp*[02468].csv.gz" --split trial --out "$work/robotino.safetensors" > /dev/null
 gzip -dc "$data/one_surface_type_gray_surface_exp05.csv.gz" | head -n 201 > "$work/gray_surface_exp05.csv"
 "$joulebus" report "$work/gray_surface_exp05.csv" --model "$work/robotino.safetensors" -o "$work/forecast" > /dev/null
-python3 tools/first_panel.py "$work/forecast/figures/figure-4-time.svg" > docs/forecast.svg
+python3 tools/first_panel.py "$work/forecast/figures/figure-4-time.svg" > docs/pictures/forecast.svg
 "$joulebus" report "$data/*gray_surface_exp*[13579].csv.gz" --model "$work/robotino.safetensors" -o "$work/report" > /dev/null
 
-"$joulebus" mission --seeds 1 --hours 0.45 --picture docs/mission.svg > /dev/null
+"$joulebus" mission --seeds 1 --hours 0.45 --picture docs/pictures/mission.svg > /dev/null
 
 screenshot() { # page, width, height, file
     chromium --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking \
         --disable-component-update --disable-sync --user-data-dir="$work/chromium" --hide-scrollbars \
         --screenshot="$4" --window-size="$2,$3" "file://$1" > "$work/chromium.log" 2>&1
 }
-screenshot "$work/report/report.html" 1100 1250 "$PWD/docs/report-page.png"
-for picture in docs/*.svg; do
+screenshot "$work/report/report.html" 1100 1250 "$PWD/docs/pictures/report-page.png"
+for picture in docs/pictures/*.svg docs/measured/*.svg; do
     size=$(python3 -c 'import re,sys; t=open(sys.argv[1]).read(); print(*re.search(r"<svg[^>]*? width=\"(\d+)[^>]*? height=\"(\d+)", t).groups())' "$picture")
     screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
 done
 JOULEBUS_BIN=$JOULEBUS_BIN tools/browser.sh --pictures
-cp docs/*.png "$screenshots"
+cp docs/pictures/*.png "$screenshots"
 echo "rendered into docs/; inspect the screenshots in $screenshots"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Reads a running fleet's forecasts with the PyPI package iceoryx2, by docs/layout.md alone, and checks what it sees.
+"""Reads a running fleet's forecasts with the PyPI package iceoryx2, by docs/reference/layout.md alone, and checks what it sees.
 
 Nothing of joulebus is used: the layout is read from the page, the frames by iceoryx2's own Python package. Until stdin
 ends it follows the worker, also a killed and restarted one, and checks that
@@ -30,7 +30,7 @@ import time
 from pinned_environment import python_of
 
 PINNED = ["iceoryx2==0.10.0"]
-PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "layout.md"
+PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "reference" / "layout.md"
 # Which version of each struct the page describes; iceoryx2 compares it.
 VERSION = {"Forecast": "joulebus.Forecast.v1", "ForecastHeader": "joulebus.ForecastHeader.v1"}
 # Between two looks; an event would wake it, but belongs to a service of its own.
@@ -51,7 +51,7 @@ def arguments():
 
 
 class Layout:
-    """A struct as docs/layout.md has it."""
+    """A struct as docs/reference/layout.md has it."""
 
     def __init__(self, page, name):
         section = page.split(f"\n## {name}\n")[1].split("\n## ")[0]

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Builds what users would: programs against the packages that crates.io would get, not against paths of this repository.
 
-Each program of the README and of docs/planning.md is pasted, with the [dependencies] above it, into a new project and
-built, and so are those of docs/queries.md and of the publisher's page; then they run beside the other languages'
+Each program of the README and of docs/how-to/ask.md is pasted, with the [dependencies] above it, into a new project and
+built, and so are those of docs/how-to/ask-the-worker.md and of the publisher's page; then they run beside the other languages'
 (tools/snippets.py). A project that also uses iceoryx2, on its defaults (tests/beside_iceoryx2), is built and run. Their
 dependencies on joulebus are the unpacked files of `cargo package`.
 
@@ -24,7 +24,7 @@ TARGET = ROOT / "target"
 # One folder for all runs, so that what was compiled of it is reused.
 UNPACKED = TARGET / "unpacked"
 # Pages, and how many programs each has at least.
-PAGES = {"README.md": 2, "docs/planning.md": 1}
+PAGES = {"README.md": 2, "docs/how-to/ask.md": 1}
 PROGRAM = re.compile(r"```toml\n(\[dependencies\]\n.*?)```\s*```rust,no_run\n(.*?)```", re.DOTALL)
 BESIDE = ROOT / "tests/beside_iceoryx2"
 # A dependency on the clone beside a project, as the pages have it.
@@ -107,7 +107,7 @@ def main() -> int:
     # Two more, with the dependencies of those that use the same packages.
     others = [
         (programs[0], "crates/publisher/README.md", [("new(0)", "new(51)"), ("new(1)", "new(52)")]),
-        (programs[-1], "docs/queries.md", []),
+        (programs[-1], "docs/how-to/ask-the-worker.md", []),
     ]
     for (dependencies, _), page, ids in others:
         text = snippets.block(page, "rust,no_run", "fn main()")

@@ -6,7 +6,7 @@
     python3 tools/recorded_models.py --program P      # with this joulebus-lab instead of a release build
 
 DATA has the folders robotino, borealtc_husky and ase_rover. Their recipes are configs/recipes/NAME.toml, and
-docs/models.md has their cards. Standard library only.
+docs/reference/models.md has their cards. Standard library only.
 """
 import argparse
 import pathlib

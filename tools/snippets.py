@@ -95,8 +95,8 @@ def built(folder, built_at):
     flags = [f"-I{folder}/prefix/include", f"-L{folder}/prefix/lib", "-ljoulebus", "-pthread"]
     c, cpp = ["cc", "-std=gnu11"], ["c++", "-std=c++17"]
     sources = {
-        "docs-c": (c, ".c", moved(block("docs/c.md", "c", "joulebus_publisher_open"), "FIRST = 0", "FIRST = 40")),
-        "docs-cpp": (cpp, ".cpp", moved(block("docs/c.md", "cpp", "Publisher::open"), "RobotState(0)", "RobotState(50)")),
+        "docs-c": (c, ".c", moved(block("docs/tutorial/cpp.md", "c", "joulebus_publisher_open"), "FIRST = 0", "FIRST = 40")),
+        "docs-cpp": (cpp, ".cpp", moved(block("docs/tutorial/cpp.md", "cpp", "Publisher::open"), "RobotState(0)", "RobotState(50)")),
         "example-c": (c, ".c", moved((ROOT / "examples/c/controller.c").read_text(), ".robot = robot", ".robot = 60 + robot")),
         "example-cpp": (cpp, ".cpp", moved((ROOT / "examples/cpp/controller.cpp").read_text(), "RobotState(robot)", "RobotState(70 + robot)")),
     }
@@ -122,14 +122,14 @@ def complaints(folder, target, programs):
     """Runs everything for a minute; what was wrong, as text."""
     config, joulebus, rust = folder / "configs/fleet.toml", target / "debug/joulebus", target / "debug"
     python = target / "python/bin/python"
-    publishes = moved(block("docs/python.md", "python", "joulebus.Publisher("), "np.arange(0, 8)", "np.arange(80, 88)")
+    publishes = moved(block("docs/reference/python.md", "python", "joulebus.Publisher("), "np.arange(0, 8)", "np.arange(80, 88)")
     controllers = dict(built(folder, target / "debug/deps")) | {
         "controller": [rust / "controller"],
         "two-robots": [rust / "two-robots"],
         "example": [rust / "example", config, "1000000"],
         "docs-python": [python, "-c", publishes],
     }
-    planners = {"planner": [rust / "planner"], "python-planner": [python, "-c", block("docs/python.md", "python", "planner.events(")]}
+    planners = {"planner": [rust / "planner"], "python-planner": [python, "-c", block("docs/reference/python.md", "python", "planner.events(")]}
     programs.start("worker", joulebus, "run", "--config", config)
     programs.until("worker", "ready: fleet")
     programs.start("page", rust / "joulebus-serve", "--http", "127.0.0.1:0", "--config", config)

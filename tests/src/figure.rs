@@ -1,4 +1,4 @@
-//! Figures for `RELIABILITY.md`, and reproducible random numbers.
+//! Figures that tests print, for `docs/measured/journal.md`, and reproducible random numbers.
 
 use std::fmt;
 use std::time::Duration;

@@ -9,7 +9,7 @@ import { Fleet, sleep } from "./programs.mjs";
 const RECORDED_MS = 125_000;
 const SHOWN = { width: 1280, height: 800 };
 
-const folder = resolve(process.argv[2] ?? "docs");
+const folder = resolve(process.argv[2] ?? "docs/pictures");
 const platforms = [
   { name: "gternal", robots: "0-23", wh: 2.0, soc: 0.82 },
   { name: "gternal-b", robots: "24-33", wh: 1.4, soc: 0.47 },

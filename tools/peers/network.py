@@ -529,9 +529,9 @@ def drive(arguments):
     inputs = {"model": arguments.model.name, "seed": arguments.seed, "seconds": seconds, "rounds": rounds}
     inputs |= {peer: version for peer, version in versions(errors).items()}
     suite = to_suite(times, errors, inputs)
-    import performance_tables
+    import page_figures
 
-    print(performance_tables.peers(suite))
+    print(page_figures.peers(suite))
     figures.write(arguments.json, suite)
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
     picture(arguments.picture, times)

@@ -27,7 +27,7 @@ use crate::service_manager::ServiceManager;
     joulebus run --config configs/fleet.toml\n  \
     joulebus run --format json > report.json &\n  \
     joulebus run --record run.mcap\n  \
-    joulebus run --standby        serves when the link of this host permits it: docs/scale.md\n\n\
+    joulebus run --standby        serves when the link of this host permits it: docs/how-to/standby.md\n\n\
     A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
     of a robot's alarm is one line of the log on stderr, and one for more than eight robots at once; \
     --log-format json makes each an object. Under \

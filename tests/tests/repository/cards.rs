@@ -1,5 +1,5 @@
-//! The documents say of alarms what their cards say. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests
-//! --test repository cards` writes them again.
+//! The documents say of alarms what their cards say, and of a config's keys what the table of keys
+//! says. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes them again.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -28,18 +28,41 @@ fn assert_says(file: &str, mark: &str, text: &str) {
 
 #[test]
 fn the_page_about_alarms_has_every_card() {
-    let mut table =
-        "\n| alarm | meaning | what to check | set by | found within |\n|---|---|---|---|---|\n"
-            .to_owned();
+    let mut text = String::new();
     for card in AlarmCard::all() {
         let keys: Vec<String> = card.keys.iter().map(|key| format!("`{key}`")).collect();
+        let keys = if keys.is_empty() { "no key".to_owned() } else { keys.join(", ") };
         let AlarmCard { name, meaning, check, found_within, .. } = card;
-        let (level, keys) = (card.level.name(), keys.join(", "));
-        writeln!(table, "| `{name}` ({level}) | {meaning} | {check} | {keys} | {found_within} |")
-            .unwrap();
+        let level = card.level.name();
+        write!(
+            text,
+            "\n## {name}\n\n*{level}.* {meaning}\n\n- **Check**: {check}\n- **Set by**: {keys}\n\
+             - **Found within**: {found_within}\n"
+        )
+        .unwrap();
     }
-    table.push('\n');
-    assert_says("docs/alarms.md", "<!-- cards", &table);
+    text.push('\n');
+    assert_says("docs/reference/alarms.md", "<!-- cards", &text);
+}
+
+#[test]
+fn the_page_about_configs_has_every_key() {
+    let (mut text, mut section) = (String::new(), "");
+    for key in KEYS {
+        let (of, name) = key.path.rsplit_once('.').unwrap();
+        if of != section {
+            section = of;
+            write!(text, "\n## `[{of}]`\n\n").unwrap();
+            text += "| key | meaning | unit | allowed | default |\n|---|---|---|---|---|\n";
+        }
+        let default = key.default_words();
+        let default = default.trim_start_matches("default").trim_start_matches([':', ' ']);
+        let cell = |text: &str| text.replace('<', "\\<").replace('|', "\\|");
+        let cells = [key.doc, key.unit, &key.range(), default].map(cell).join(" | ");
+        writeln!(text, "| `{name}` | {cells} |").unwrap();
+    }
+    text.push('\n');
+    assert_says("docs/reference/config.md", "<!-- keys", &text);
 }
 
 #[test]
@@ -49,7 +72,7 @@ fn the_page_about_bridges_has_the_table_of_findings() {
     let source = fs::read_to_string(path).unwrap();
     let (_, table) = source.split_once("const TABLE: &str = \"").unwrap();
     let (table, _) = table.split_once("\";").unwrap();
-    assert_says("docs/bridges.md", "<!-- doors", table);
+    assert_says("docs/explanation/bridges.md", "<!-- doors", table);
 }
 
 #[test]

@@ -1,9 +1,10 @@
-//! Packages, targets and sources that documents, scripts and comments name exist. Comments have at
+//! Packages, targets and sources that documents, scripts and comments name exist. Links of
+//! documents lead somewhere, tables are whole, and pages of the book are short. Comments have at
 //! most 100 columns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde_json::Value;
 
@@ -17,6 +18,18 @@ const KINDS: [&str; 4] = ["--test", "--bin", "--example", "--bench"];
 
 /// Maximum width of a comment's line, as of code.
 const MAX_COLUMNS: usize = 100;
+
+/// Maximum number of words of a page of the book.
+const MAX_WORDS: usize = 1_500;
+
+/// Pages that a test writes from the sources: they may be long.
+const GENERATED: [&str; 1] = ["docs/reference/layout.md"];
+
+/// Pages that are too long, with their words. This list may only shrink.
+const LONG: [(&str, usize); 0] = [];
+
+/// What comments that enclose a generated part of a page begin with.
+const MARKS: [&str; 6] = ["figures:", "benchmark:", "cards", "doors", "keys", "end of"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -184,6 +197,31 @@ fn sources_that_documents_and_comments_name_exist() {
     assert!(checked > 60, "only {checked} paths were found");
 }
 
+/// Pages of decisions name the tests of a promise below a heading of its own.
+#[test]
+fn tests_that_decisions_name_exist() {
+    let documents = documents();
+    let mut functions = BTreeSet::new();
+    for (_, text) in documents.iter().filter(|(path, _)| !path.ends_with(".md")) {
+        for begin in ["fn ", "def "] {
+            functions.extend(text.split(begin).skip(1).filter_map(|rest| rest.split('(').next()));
+        }
+    }
+    let (mut checked, mut missing) = (0, Vec::new());
+    for (path, text) in documents.iter().filter(|(path, _)| path.starts_with("docs/decisions/")) {
+        let (_, after) = text.split_once("\n## Tests\n").unwrap_or_default();
+        let section = after.split("\n## ").next().unwrap();
+        for name in section.split('`').skip(1).step_by(2) {
+            checked += 1;
+            if !functions.contains(name) {
+                missing.push(format!("{path}: {name}"));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{missing:#?}");
+    assert!(checked > 60, "only {checked} names of tests were found");
+}
+
 #[test]
 fn lines_of_comments_have_at_most_100_columns() {
     let (mut checked, mut long) = (0, Vec::new());
@@ -203,4 +241,173 @@ fn lines_of_comments_have_at_most_100_columns() {
     }
     assert!(long.is_empty(), "{long:#?}");
     assert!(checked > 10_000, "only {checked} lines were found");
+}
+
+/// Documents at the top level and pages of the book: path and text.
+fn pages() -> Vec<(String, String)> {
+    let is_page = |path: &str| {
+        let is_top = !path.contains('/') && path != "CHANGELOG.md";
+        path.ends_with(".md") && (is_top || path.starts_with("docs/"))
+    };
+    documents().into_iter().filter(|(path, _)| is_page(path)).collect()
+}
+
+/// Lines of a page with their numbers, without blocks of code.
+fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let mut is_code = false;
+    (1..).zip(text.lines()).filter(move |(_, line)| {
+        let is_fence = line.trim_start().starts_with("```");
+        is_code ^= is_fence;
+        !is_code && !is_fence
+    })
+}
+
+/// A line without its inline code.
+fn without_code(line: &str) -> String {
+    line.split('`').step_by(2).collect::<Vec<_>>().join("``")
+}
+
+/// The anchors of a page's headings, as GitHub and mdBook make them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let headings = prose(text).filter_map(|(_, line)| {
+        let title = line.trim_start_matches('#');
+        (title.len() < line.len()).then(|| title.strip_prefix(' ')).flatten()
+    });
+    let kept = |c: &char| c.is_alphanumeric() || ['-', '_', ' '].contains(c);
+    let anchor = |title: &str| -> String { title.trim().chars().filter(kept).collect() };
+    headings.map(|title| anchor(title).to_lowercase().replace(' ', "-")).collect()
+}
+
+/// The targets of a line's links and pictures.
+fn links(line: &str) -> Vec<&str> {
+    let after = |(begin, end): (&'static str, char)| {
+        line.split(begin).skip(1).filter_map(move |rest| Some(rest.split_once(end)?.0))
+    };
+    [("](", ')'), ("src=\"", '"'), ("srcset=\"", '"')].into_iter().flat_map(after).collect()
+}
+
+/// A path without `.` and `..`.
+fn normal(path: &Path) -> PathBuf {
+    let mut normal = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => assert!(normal.pop(), "{path:?} leaves the repository"),
+            Component::CurDir => {}
+            part => normal.push(part),
+        }
+    }
+    normal
+}
+
+#[test]
+fn links_of_documents_lead_to_files_and_headings() {
+    let pages: BTreeMap<String, String> = pages().into_iter().collect();
+    let (mut checked, mut broken) = (0, Vec::new());
+    for (path, text) in &pages {
+        for (number, line) in prose(text) {
+            for link in links(&without_code(line)) {
+                let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+                if target.contains("://") || target.starts_with("mailto:") {
+                    continue;
+                }
+                checked += 1;
+                let target = match target {
+                    "" => PathBuf::from(path),
+                    _ => normal(&Path::new(path).parent().unwrap().join(target)),
+                };
+                let page = pages.get(target.to_str().unwrap());
+                let is_there = match page {
+                    Some(page) => anchor.is_empty() || anchors(page).contains(anchor),
+                    None => root().join(&target).exists(),
+                };
+                if !is_there {
+                    broken.push(format!("{path}:{number}: {link}"));
+                }
+            }
+        }
+    }
+    assert!(broken.is_empty(), "{broken:#?}");
+    assert!(checked > 300, "only {checked} links were found");
+}
+
+#[test]
+fn tables_of_documents_are_whole() {
+    let (mut checked, mut broken) = (0, Vec::new());
+    for (path, text) in pages() {
+        // Lines and cells of the table so far.
+        let (mut last, mut rows, mut cells) = (0, 0, 0);
+        for (number, line) in prose(&text) {
+            let line = line.trim();
+            if !line.starts_with('|') {
+                continue;
+            }
+            let found = line.replace("\\|", "").matches('|').count();
+            let is_rule = line.contains("---") && line.chars().all(|c| "|-: ".contains(c));
+            rows = if number == last + 1 { rows + 1 } else { 0 };
+            if rows == 0 {
+                (cells, checked) = (found, checked + 1);
+            }
+            if (rows == 1) != is_rule {
+                broken.push(format!("{path}:{number}: the rule belongs below the head"));
+            }
+            if found != cells {
+                broken.push(format!("{path}:{number}: another number of cells than the head"));
+            }
+            last = number;
+        }
+    }
+    assert!(broken.is_empty(), "{broken:#?}");
+    assert!(checked > 100, "only {checked} tables were found");
+}
+
+#[test]
+fn the_summary_has_every_page_of_the_book_once() {
+    let summary = fs::read_to_string(root().join("docs/SUMMARY.md")).unwrap();
+    let mut listed: Vec<String> = summary
+        .lines()
+        .flat_map(links)
+        .filter(|link| !link.is_empty())
+        .map(|link| normal(&Path::new("docs").join(link)).to_str().unwrap().to_owned())
+        .collect();
+    listed.sort();
+    let mut pages: Vec<String> = pages().into_iter().map(|(path, _)| path).collect();
+    pages.retain(|path| path.starts_with("docs/") && path != "docs/SUMMARY.md");
+    pages.sort();
+    assert_eq!(listed, pages);
+}
+
+/// Words outside of generated parts. A word has a letter or a digit.
+fn words(text: &str) -> usize {
+    let mut is_generated = false;
+    let written = text.lines().filter(|line| {
+        let comment = line.trim().strip_prefix("<!-- ");
+        let is_mark = comment.is_some_and(|text| MARKS.iter().any(|mark| text.starts_with(mark)));
+        is_generated ^= is_mark;
+        !is_generated && !is_mark
+    });
+    let is_word = |word: &&str| word.contains(char::is_alphanumeric);
+    written.map(|line| line.split_whitespace().filter(is_word).count()).sum()
+}
+
+#[test]
+fn pages_of_the_book_are_short() {
+    let allowed: BTreeMap<&str, usize> = LONG.into_iter().collect();
+    let (mut wrong, mut all) = (Vec::new(), 0);
+    for (path, text) in pages() {
+        let words = words(&text);
+        if !path.starts_with("docs/") || GENERATED.contains(&path.as_str()) {
+            continue;
+        }
+        all += words;
+        match allowed.get(path.as_str()) {
+            Some(&most) if words > most => {
+                wrong.push(format!("{path}: {words} words, {most} before"));
+            }
+            Some(_) if words <= MAX_WORDS => wrong.push(format!("{path} is short now: LONG")),
+            None if words > MAX_WORDS => wrong.push(format!("{path}: {words} words: split it")),
+            _ => {}
+        }
+    }
+    println!("{all} words");
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }

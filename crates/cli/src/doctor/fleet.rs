@@ -241,7 +241,7 @@ pub(super) fn removed_files(removed: &[RemovedFiles]) -> Check {
         processes.join("; ")
     );
     let remedy = "end these processes and start them again; if it happened when a user logged out, set \
-                  `RemoveIPC=no` in logind.conf, or enable lingering (docs/operation.md)";
+                  `RemoveIPC=no` in logind.conf, or enable lingering (docs/how-to/removeipc.md)";
     Check::new(name, Status::Fail, found, remedy)
 }
 

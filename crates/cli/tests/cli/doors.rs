@@ -1,4 +1,5 @@
-//! Every kind of finding at every door, in every format: docs/datasets.md has the table.
+//! Every kind of finding at every door, in every format: docs/reference/plausibility.md has the
+//! table.
 //! `JOULEBUS_WRITE=1 cargo test -p joulebus --test cli doors` writes it again.
 
 use std::collections::BTreeMap;
@@ -310,7 +311,7 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         }
     }
     text.push('\n');
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/datasets.md");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/plausibility.md");
     let old = fs::read_to_string(&path).unwrap();
     let (before, rest) = old.split_once("<!-- doors -->\n").unwrap();
     let (_, after) = rest.split_once("<!-- doors end -->").unwrap();
@@ -320,7 +321,7 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
     } else {
         assert!(
             old == new,
-            "docs/datasets.md has another table: run this test with JOULEBUS_WRITE=1\n{text}"
+            "docs/reference/plausibility.md has another table: run this test with JOULEBUS_WRITE=1\n{text}"
         );
     }
 }

@@ -1,5 +1,5 @@
 //! What each alarm means and what to do about it: the one source of `joulebus alarms --explain`,
-//! the page, webhooks, the alert rules for Prometheus and docs/alarms.md.
+//! the page, webhooks, the alert rules for Prometheus and docs/reference/alarms.md.
 
 use crate::{Alarm, Level};
 

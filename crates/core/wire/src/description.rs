@@ -1,4 +1,5 @@
-//! The layouts as data, from which the C header, NumPy's types and `docs/layout.md` are made.
+//! The layouts as data. The C header, NumPy's types and `docs/reference/layout.md` are made of
+//! them.
 
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,

@@ -16,7 +16,7 @@ use joulebus_program::config_file::ConfigFile;
     joulebus bridge ros2 --robots 'robot{id}=0-9'         the usual topics, without a file\n  \
     joulebus bridge mqtt --robots 'robot{id}=0-9' --write my-bridge.toml   the same as a file, to be changed\n\n\
     FILE says which robots are meant by which names, where values stand in messages, with units and signs: \
-    docs/bridges.md. A bridge is a source and a planner like any other; several may run beside each other, each \
+    docs/reference/bridge-file.md. A bridge is a source and a planner like any other; several may run beside each other, each \
     with a name of its own. It connects again by itself. What it cannot map is counted, named once on stderr, and \
     listed at the end.\n\n\
     Exit codes: 0 ended by a signal; 1 the fleet or the ROS domain cannot be joined, or the broker refuses the login at the start; \

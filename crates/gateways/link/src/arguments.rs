@@ -14,7 +14,7 @@ use joulebus_program::config_file::ConfigFile;
   \
     joulebus link my-link.toml --check          only checks the file\n  \
     joulebus link my-link.toml --take-over      this host's worker serves, in place of another's\n\n\
-    FILE says what this host gives and takes, and how it reaches the others (zenoh): docs/scale.md. Planners, \
+    FILE says what this host gives and takes, and how it reaches the others (zenoh): docs/reference/link-file.md. Planners, \
     `ask`, `watch`, `record` and `serve` work on a linked host as beside the worker. It connects again by itself. \
     Every host of a fleet needs the same release and the same config of the fleet.\n\n\
     Exit codes: 0 ended by a signal; 1 the fleet cannot be joined, it has a worker already, or the network is \

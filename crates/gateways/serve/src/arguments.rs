@@ -23,7 +23,7 @@ use joulebus_program::config_file::ConfigFile;
     --http: the page at /, the API at /api/v1/openapi.json, OpenMetrics at /metrics, /healthz and /readyz. \
     An address that other hosts reach needs --token-file, a file of mode 0600 with one line of at least 16 \
     characters; browsers open /?token=TOKEN once, programs send `Authorization: Bearer TOKEN`. There is no \
-    TLS: docs/operators.md shows a reverse proxy.\n\n\
+    TLS: docs/how-to/open-the-page.md shows a reverse proxy.\n\n\
     --socket: the same at a Unix socket of mode 0660, without a token: whoever may enter its folder and is in \
     its group can read the fleet and ask what plans cost, and change nothing. `curl --unix-socket FILE \
     http://localhost/api/v1/fleet`.\n\n\

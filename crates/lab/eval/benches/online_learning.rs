@@ -1,4 +1,5 @@
-//! Gain of online learning on recordings and simulated robots: the table of `docs/beyond.md`.
+//! Gain of online learning on recordings and simulated robots: the table of
+//! `docs/measured/online.md`.
 //!
 //! `cargo bench -p joulebus-eval --bench online_learning` computes all of it (some minutes: 18
 //! networks are trained); names after `--`, such as `husky rover robotino simulated elsewhere`,
@@ -56,7 +57,7 @@ fn heading() {
          the same, network alone |",
         VARIANTS.map(|(name, _)| name).join(" | ")
     );
-    println!("|{}", "---|".repeat(11));
+    println!("|{}", "---|".repeat(12));
 }
 
 fn line(trained_on: &str, tested_on: &str, judged: &Judged) {

@@ -1,5 +1,5 @@
-//! The tables of docs/energy.md: energy forecasts of recordings and of simulated robots that
-//! neither the energy model nor the network was trained on.
+//! The tables of docs/measured/energy.md: energy forecasts of recordings and of simulated robots
+//! that neither the energy model nor the network was trained on.
 //!
 //! ```text
 //! cargo run --release -p joulebus-eval --example energy -- \

@@ -1,8 +1,8 @@
 //! Physical parameters of a simulated robot: its loads, and the variation between robots.
 
 /// Magnitudes and time constants of the loads of a robot. [`Parts::default`] is the fit to the
-/// published figures (`docs/plant.md` states which were fitted and which only checked); other
-/// values are for what-if runs and for the fit itself.
+/// published figures (`docs/measured/plant.md` states which were fitted and which only checked);
+/// other values are for what-if runs and for the fit itself.
 ///
 /// A *drift* below is a mean-reverting process of mean 0 and deviation 1 with a time constant. All
 /// powers are electrical, at the battery.

@@ -37,7 +37,7 @@ use joulebus_program::utc::Utc;
     what they show, and says so. Then faults are put into the second half: how soon they are found, beside the \
     textbook's CUSUM (limit 5) and limits of power and voltage.\n\
     --out writes the platform's file with these limits and their evidence; nothing is overwritten. \
-    docs/alarms.md has results.")]
+    docs/measured/alarms.md has results.")]
 pub(crate) struct Args {
     #[command(flatten)]
     recordings: Recordings,

@@ -238,7 +238,7 @@ pub(super) fn section(draws: &[Numbers]) -> Section {
             Part::Words(
                 "The paper's figures for its real robots, and the same figures for the simulated ones: \
                  those of the plain network, since the paper has no other. The plant was fitted to \
-                 some of these numbers (docs/plant.md says which). The linear models are fitted on \
+                 some of these numbers (docs/measured/plant.md says which). The linear models are fitted on \
                  trials 1 to 4 and scored on all six."
                     .to_owned(),
             ),

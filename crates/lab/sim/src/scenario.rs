@@ -20,7 +20,7 @@ use joulebus_plant::protocol::SAMPLES;
 use joulebus_statistics::noise::Noise;
 use std::f64::consts::PI;
 
-/// Steps of the scenario in the table of `docs/plant.md`: as many as a trial's.
+/// Steps of the scenario in the table of `docs/measured/plant.md`: as many as a trial's.
 pub const SCENARIO_STEPS: usize = SAMPLES;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;

@@ -1,7 +1,7 @@
 /**
  * @file
  * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
- * robot fleets. docs/c.md has the whole picture; joulebus.hpp is a layer above for C++17.
+ * robot fleets. docs/tutorial/cpp.md has the whole picture; joulebus.hpp is a layer above for C++17.
  *
  * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
  *

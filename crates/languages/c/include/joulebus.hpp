@@ -1,7 +1,7 @@
 /**
  * @file
  * libjoulebus for C++17: handles that close themselves, results instead of error codes, frames as ranges in place.
- * Everything is in this header, above joulebus.h, whose rules of threads and processes hold; docs/c.md has the whole
+ * Everything is in this header, above joulebus.h, whose rules of threads and processes hold; docs/tutorial/cpp.md has the whole
  * picture.
  *
  * No function throws, but Result::value() of a failed call, and what the standard library's containers throw.

@@ -1,8 +1,8 @@
 //! The C library `libjoulebus`: publisher, subscriber, questions and predictor for C and C++.
 //!
-//! `include/joulebus.h`, `include/joulebus.hpp` and `docs/c.md` are its documentation. This crate
-//! is no library for Rust: [`abi`] holds what C calls, the other modules what makes such calls
-//! safe.
+//! `include/joulebus.h`, `include/joulebus.hpp` and `docs/tutorial/cpp.md` are its documentation.
+//! This crate is no library for Rust: [`abi`] holds what C calls, the other modules what makes
+//! such calls safe.
 //!
 //! - `handles`: a handle is a number in the shape of a pointer. It is looked up in a table of the
 //!   thread that opened it, so one that is closed, of another thread, or of the process that forked

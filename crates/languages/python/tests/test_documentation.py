@@ -75,12 +75,15 @@ def test_every_public_function_and_method_is_annotated():
     assert not missing, missing
 
 
-@pytest.mark.parametrize("marked", ["learning online", "gymnasium", "PettingZoo", "JAX"])
-def test_the_lines_of_the_document_run(marked, tmp_path, monkeypatch):
-    page = (ROOT / "docs/python.md").read_text()
+@pytest.mark.parametrize(
+    ("name", "marked"),
+    [("python-forecasts", "learning online"), ("gymnasium", "gymnasium"), ("gymnasium", "PettingZoo"), ("gymnasium", "JAX")],
+)
+def test_the_lines_of_the_document_run(name, marked, tmp_path, monkeypatch):
+    page = (ROOT / f"docs/how-to/{name}.md").read_text()
     lines = page.split(f"<!-- {marked} -->")[1].split("```python\n")[1].split("```")[0]
     monkeypatch.chdir(tmp_path)
-    exec(compile(lines, "docs/python.md", "exec"), {})
+    exec(compile(lines, f"docs/how-to/{name}.md", "exec"), {})
 
 
 def test_the_pages_of_the_api_are_made(tmp_path):

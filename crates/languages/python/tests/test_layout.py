@@ -10,7 +10,7 @@ from conftest import ROOT
 from joulebus import _native
 from joulebus.live import _dtype
 
-PAGE = (ROOT / "docs/layout.md").read_text()
+PAGE = (ROOT / "docs/reference/layout.md").read_text()
 
 
 def table(name: str) -> tuple[int, list[tuple[int, str, np.dtype]]]:

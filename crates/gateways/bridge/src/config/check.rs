@@ -41,7 +41,7 @@ impl Check<'_> {
             .map_err(|error| {
                 let start = Some(place.span().start).filter(|_| !place.span().is_empty());
                 let what = format!("= {:?} {error}", place.get_ref());
-                self.problem(start, key, what, "docs/bridges.md has examples");
+                self.problem(start, key, what, "docs/reference/bridge-file.md has examples");
             })
             .ok()
     }

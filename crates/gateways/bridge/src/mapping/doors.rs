@@ -1,5 +1,5 @@
-//! Every kind of finding in every format that comes in live. docs/bridges.md has the table:
-//! `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes it there.
+//! Every kind of finding in every format that comes in live. docs/explanation/bridges.md has the
+//! table: `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes it there.
 
 use joulebus_plausibility::Expired;
 use joulebus_ros_messages::{BatteryState, Header, Time, encode};
@@ -208,6 +208,6 @@ fn no_format_is_silent_about_any_kind() {
         text += &format!("| {kind} | {} | {cells} |\n", planted.1);
     }
     text.push('\n');
-    // docs/bridges.md has it from here.
+    // docs/explanation/bridges.md has it from here.
     assert_eq!(text, TABLE, "write this table:\n{text}");
 }

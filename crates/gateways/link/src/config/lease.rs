@@ -109,7 +109,7 @@ impl Check<'_> {
         };
         if let Err(error) = read {
             let what = format!("= {:?} cannot be read: {error}", text.get_ref());
-            let remedy = "docs/scale.md has what each file contains";
+            let remedy = "docs/how-to/standby.md has what each file contains";
             self.problem(Some(text.span().start), key, what, remedy);
         }
         path

@@ -109,7 +109,8 @@ impl Check<'_> {
             };
             if let Err(error) = read {
                 let what = format!("= {:?} cannot be read: {error}", text.get_ref());
-                let remedy = "docs/scale.md has the commands that make the fleet's certificates";
+                let remedy =
+                    "docs/how-to/hosts.md has the commands that make the fleet's certificates";
                 self.problem(Some(text.span().start), key, what, remedy);
             }
             path

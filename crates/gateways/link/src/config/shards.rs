@@ -37,7 +37,7 @@ impl Check<'_> {
             Err(error) => {
                 let at = error.span().map(|span| span.start);
                 let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
-                self.problem(at, "", what, "docs/scale.md has all keys");
+                self.problem(at, "", what, "docs/how-to/shards.md has all keys");
                 return None;
             }
         };

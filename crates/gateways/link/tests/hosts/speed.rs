@@ -238,7 +238,7 @@ fn show(what: &str, robots: usize, cost: Cost) {
 /// Measures zenoh alone, the path to a planner beside the worker, and a link, in turn and with the
 /// same worker and robots.
 #[test]
-#[ignore = "prints figures: docs/scale.md has the command"]
+#[ignore = "prints figures: docs/measured/links.md"]
 fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
     for robots in [100, 1_000, 10_000] {
         let (mut raws, mut hops, mut links) = (Vec::new(), Vec::new(), Vec::new());
@@ -284,7 +284,7 @@ const SHARDS: usize = 4;
 
 /// Robots on one host, four workers with a shard each, and planners on a further host.
 #[test]
-#[ignore = "prints figures: docs/scale.md has the command"]
+#[ignore = "prints figures: docs/measured/links.md"]
 fn speed_of_a_fleet_on_four_shards() {
     for robots in [1_000, 4_000, 10_000] {
         let hosts: Vec<Host> = (0..SHARDS).map(|_| of_shards(robots)).collect();

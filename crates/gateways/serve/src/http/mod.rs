@@ -141,7 +141,7 @@ impl HttpServer {
         if let Some(address) = options.address.filter(is_open) {
             let text = format!(
                 "{address} can be reached from other hosts: give --token-file FILE (mode 0600), or serve at \
-                 127.0.0.1 behind a proxy with TLS (docs/operators.md)"
+                 127.0.0.1 behind a proxy with TLS (docs/how-to/open-the-page.md)"
             );
             return Err(UsageError(text).into());
         }

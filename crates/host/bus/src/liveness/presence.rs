@@ -107,7 +107,7 @@ fn identity(path: &Path) -> Option<Identity> {
 #[error(
     "{path:?} was removed or cut short while this process used it: what starts now cannot reach it. End this process and \
      start it again; a supervisor does that. If it happened when a user logged out, systemd-logind did it: \
-     set `RemoveIPC=no`, or enable lingering for the user (docs/operation.md)"
+     set `RemoveIPC=no`, or enable lingering for the user (docs/how-to/removeipc.md)"
 )]
 pub struct FilesRemoved {
     /// The first missing file.

@@ -1,8 +1,8 @@
 //! The table of the simulated plant for the docs, and the fit of its parameters.
 //!
 //! `cargo run --release -p joulebus-eval --example plant -- table` prints the table of
-//! `docs/plant.md`; `-- fit` searches for the parameters and prints improvements. `name=value`
-//! after either overrides a parameter, as in `-- table burst_w=0.4`.
+//! `docs/measured/plant.md`; `-- fit` searches for the parameters and prints improvements.
+//! `name=value` after either overrides a parameter, as in `-- table burst_w=0.4`.
 
 #[allow(dead_code, reason = "the test uses some of it, the example other parts")]
 mod statistics;

@@ -15,10 +15,10 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     values.sum::<f64>() / count
 }
 
-/// The table of `docs/plant.md`, recomputed.
+/// The table of `docs/measured/plant.md`, recomputed.
 #[test]
 fn every_figure_of_the_paper_is_within_its_band_on_average_and_in_the_docs() {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/plant.md");
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/measured/plant.md");
     let docs = std::fs::read_to_string(docs).expect("the docs are in the repository");
     let seeds: Vec<_> = (1..=10)
         .map(|seed| {
@@ -33,7 +33,7 @@ fn every_figure_of_the_paper_is_within_its_band_on_average_and_in_the_docs() {
             wrong.push(format!("not within its band: {averaged}"));
         }
         if !docs.contains(&averaged.to_string()) {
-            wrong.push(format!("docs/plant.md lacks {averaged}"));
+            wrong.push(format!("docs/measured/plant.md lacks {averaged}"));
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");

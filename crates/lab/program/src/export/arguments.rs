@@ -13,7 +13,7 @@ use crate::recordings::ColumnArguments;
     joulebus eval archive/ --model my.safetensors\n\n\
     Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit. \
     What no recording has, as the fleet and day of a CSV, is no folder; recordings that have it go into another DIR. \
-    docs/datasets.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
+    docs/how-to/archives.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
     exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
     add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
     Exit codes: 1 if something cannot be read or written: whole recordings before it are in DIR; 2 for wrong usage, \

@@ -13,7 +13,7 @@ use std::path::PathBuf;
     Twenty simulated robots with small batteries and varied parts do tasks that arrive; three chargers take \
     one robot each. Every policy gets the same tasks, robots, dispatcher and account of its batteries, and \
     faces the same seeds; settings were chosen on seeds from 1001 on (--tune). Intervals are at 95 %, by \
-    bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/mission.md has \
+    bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/measured/mission.md has \
     results.")]
 pub(crate) struct Args {
     /// Number of missions of each policy

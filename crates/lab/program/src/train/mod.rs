@@ -38,7 +38,7 @@ enum Verb {
         joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n  \
         joulebus train sim --seed 7 --features freshness --out configs/models/gternal-sim-freshness.safetensors\n\n\
         The shipped models were made with these three commands: 12 robots on trials 1 to 4 train, 4 on \
-        trial 5 validate, 8 on trial 6 are held out (docs/plant.md). A model from simulation supports no \
+        trial 5 validate, 8 on trial 6 are held out (docs/measured/plant.md). A model from simulation supports no \
         claim about real robots; its file states this.")]
     Sim(Sim),
     /// Train on recorded trials (.npy, .csv, .csv.gz), one robot per file

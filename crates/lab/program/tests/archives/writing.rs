@@ -215,11 +215,11 @@ fn wrong_words_are_refused_with_what_is_allowed() {
 
 #[test]
 fn the_documents_table_has_every_column_with_its_type_and_unit() {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/datasets.md");
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/how-to/archives.md");
     let docs = fs::read_to_string(docs).unwrap();
     for field in fields() {
         let row = format!("| `{}` | {} | {} |", field.name, field.kind.name(), field.unit);
-        assert!(docs.contains(&row), "docs/datasets.md lacks {row}");
+        assert!(docs.contains(&row), "docs/how-to/archives.md lacks {row}");
     }
 }
 

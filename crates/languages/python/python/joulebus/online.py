@@ -192,7 +192,7 @@ class OnlineForecaster(OnlineConformal):
 
     Its members are the regressor, the robot's last reading, and two stacks of these, the robot's mean and an
     autoregression. They are weighted by their errors so far: the forecast is never much worse than the best of them, on a
-    robot unlike any in the training too (docs/beyond.md). Until a robot has five readings, it is the regressor's own.
+    robot unlike any in the training too (docs/measured/online.md). Until a robot has five readings, it is the regressor's own.
 
     Arguments and methods are those of `OnlineConformal`. With ``regressor=Predictor(file)``, and with the platform's
     `resolution` and `limits`, forecasts and intervals have the bits of a worker with that model.

@@ -1,4 +1,4 @@
-//! `docs/layout.md`.
+//! `docs/reference/layout.md`.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use super::{compare, text_of};
 
 #[test]
 fn the_table_in_the_documentation_is_made_from_the_sources() {
-    compare("docs/layout.md", &made());
+    compare("docs/reference/layout.md", &made());
 }
 
 fn made() -> String {
