@@ -42,7 +42,8 @@ const PATIENCE: Duration = Duration::from_secs(3);
     or the robot's state is weak (it is listed); no, it does not fit; unknown, with the reason. \
     Computed in this process, unless --through worker says otherwise, from the worker's state in shared \
     memory and the models of the config, which must be the worker's: no queue, no load on the worker, and \
-    paths of any length. --through worker needs no models here, and asks what programs in other languages \
+    paths of any length. Of several robots, those that are not there are named and the others answered. \
+    --through worker needs no models here, and asks what programs in other languages \
     ask: the answer is recorded, paths take at most five minutes at 30 Hz, and the bits are the same.\n\
     Exit codes: 0 answered, whatever the verdict; 1 no worker, no answer in time, no such robot, or another config or model \
     than the worker's; 2 a wrong question, or one that is too large for the worker."
@@ -136,28 +137,73 @@ impl Args {
         let mut planner = Planner::with_config(config, "ask")?;
         let fleet = planner.fleet().clone();
         let view = planner.wait(PATIENCE)?;
+        let (question, missing) = self.among(question, |robot| Ok(view.rows(robot).is_some()))?;
         let answered = question.answer(&fleet, |robot| view.rows(robot), MAX_STEPS);
         let reply = answered.map_err(|error| match error {
             QuestionError::Ask(error) => UsageError(error.to_string()).into(),
             error => anyhow::Error::from(error),
         })?;
-        Ok(self.report(config, (view.tick(), view.age_ns()), &reply))
+        Ok(self.report(config, (view.tick(), view.age_ns()), &reply, missing))
     }
 
     /// Lets the worker answer.
     fn send(&self, config: &Config, question: &Question) -> anyhow::Result<AnswersReport> {
         let mut client = PlanClient::with_config(config, "ask")?;
-        let answered = client.ask(question, PATIENCE).map_err(|error| match error {
+        let mut missing = Vec::new();
+        let mut answered = client.ask(question, PATIENCE);
+        if answered.as_ref().is_err_and(is_unknown_robot) {
+            let (others, unknown) = self.among(question.clone(), |robot| {
+                let plan = Plan::Idle { robots: vec![robot], duration_s: 1.0 };
+                let asked = client.ask(&Question { plan, ..Question::default() }, PATIENCE);
+                match asked {
+                    Err(error) if !is_unknown_robot(&error) => Err(error.into()),
+                    asked => Ok(asked.is_ok()),
+                }
+            })?;
+            missing = unknown;
+            if !missing.is_empty() {
+                answered = client.ask(&others, PATIENCE);
+            }
+        }
+        let answered = answered.map_err(|error| match error {
             ClientError::Refused(refused) if is_wrong(refused.reason) => {
                 UsageError(refused.text).into()
             }
             error => anyhow::Error::from(error),
         })?;
         let of = (answered.tick, answered.age_ns);
-        Ok(self.report(config, of, &answered.reply))
+        Ok(self.report(config, of, &answered.reply, missing))
     }
 
-    fn report(&self, config: &Config, (tick, age_ns): (u64, u64), reply: &Reply) -> AnswersReport {
+    /// Of several robots the question about those that are there, and the others. Asked about none
+    /// that is there, the question stays as it is and is refused.
+    fn among(
+        &self,
+        mut question: Question,
+        mut is_there: impl FnMut(u32) -> anyhow::Result<bool>,
+    ) -> anyhow::Result<(Question, Vec<u32>)> {
+        let mut missing = Vec::new();
+        for robot in &self.rank {
+            if !is_there(*robot)? {
+                missing.push(*robot);
+            }
+        }
+        if missing.len() == self.rank.len() {
+            return Ok((question, Vec::new()));
+        }
+        if let Plan::Follow { robots, .. } | Plan::Idle { robots, .. } = &mut question.plan {
+            robots.retain(|robot| !missing.contains(robot));
+        }
+        Ok((question, missing))
+    }
+
+    fn report(
+        &self,
+        config: &Config,
+        (tick, age_ns): (u64, u64),
+        reply: &Reply,
+        missing: Vec<u32>,
+    ) -> AnswersReport {
         let answers = reply.rows.iter().map(|row| {
             let mut answer = AnswerReport::new(config.settings(), row);
             answer.asked_to_return = self.return_to.is_some();
@@ -172,8 +218,13 @@ impl Args {
             age_s: age_ns as f64 * 1e-9,
             coverage: self.coverage,
             answers: answers.collect(),
+            missing,
         }
     }
+}
+
+fn is_unknown_robot(error: &ClientError) -> bool {
+    matches!(error, ClientError::Refused(refused) if refused.reason == QueryRefusal::UnknownRobot)
 }
 
 /// Refuses speeds above the platform's maximum: the follower would take that maximum, and the

@@ -1,12 +1,14 @@
 //! Checks of the fleet's models, shared memory and members.
 
 use std::path::Path;
+use std::time::Duration;
 
 use joulebus_bus::{
     CapacityError, Domain, Inspection, NodeInfo, Ports, RemovedFiles, RootError, check_capacity,
     clock,
 };
 use joulebus_config::Config;
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_models::load_models;
 use joulebus_standby::{Permit, Places};
 use rustix::fs::{Access, access, statfs};
@@ -17,6 +19,8 @@ use crate::other_users;
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Magic number of tmpfs.
 const TMPFS: u64 = 0x0102_1994;
+/// Timeout for a frame from another host.
+const PATIENCE: Duration = Duration::from_secs(3);
 const FIX: &str = "run `joulebus doctor --fix`";
 
 /// Whether the models can be loaded.
@@ -148,12 +152,46 @@ fn missing_root(root: &Path, slow: &str) -> Check {
     }
 }
 
-/// The worker.
-pub(super) fn worker(inspection: &Inspection) -> Check {
+/// The worker, or, where a link holds its place, what comes from the worker of another host.
+pub(super) fn worker(config: &Config, inspection: &Inspection) -> Check {
+    if let Some(link) = inspection.worker.filter(|owner| owner.is_link()) {
+        return linked(config, link.pid.unwrap_or_default());
+    }
     match inspection.worker.map(|owner| owner.pid) {
         Some(Some(pid)) => Check::ok("worker", format!("runs, pid {pid}")),
         Some(None) => Check::ok("worker", "runs, in another container or unseen from here"),
         None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
+    }
+}
+
+/// What a host without a worker hears.
+fn linked(config: &Config, pid: u32) -> Check {
+    let name = "worker";
+    let place = format!("on another host: link, pid {pid}");
+    let heard = Subscriber::with_config(config, "doctor").map(|mut subscriber| {
+        loop {
+            match subscriber.wait_next(PATIENCE) {
+                Ok(Event::Frame(frame)) => {
+                    let (robots, tick) = (frame.robots().len(), frame.header().tick);
+                    let age_ms = frame.age_ns() as f64 * 1e-6;
+                    break Ok(format!(
+                        "{place}, hears forecasts of {robots} robots, tick {tick}, {age_ms:.1} ms old"
+                    ));
+                }
+                Ok(Event::Interrupted) => {}
+                Ok(_) => break Err(format!("{place}, hears nothing")),
+                Err(error) => break Err(format!("{place}: {error}")),
+            }
+        }
+    });
+    match heard {
+        Ok(Ok(found)) => Check::ok(name, found),
+        Ok(Err(found)) => {
+            let remedy = "nothing is told before a robot's first sample; otherwise see the link's log, and \
+                          `joulebus link FILE --check` on both hosts. A link that only gives samples hears nothing";
+            Check::new(name, Status::Warn, found, remedy)
+        }
+        Err(error) => Check::new(name, Status::Warn, format!("{place}: {error}"), ""),
     }
 }
 

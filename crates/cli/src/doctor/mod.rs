@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::memory(&config, &inspection),
         fleet::memory_rights(),
         fleet::root(&domain, &inspection),
-        fleet::worker(&inspection),
+        fleet::worker(&config, &inspection),
         fleet::nodes(&inspection),
         fleet::removed_files(&removed_files(&domain)),
         fleet::stale_files(&inspection),

@@ -111,6 +111,13 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
         answers.iter().map(|answer| number(&answer["energy"]["mean_j"])).collect();
     assert!(costs.is_sorted(), "one verdict, the cheapest first: {ranked}");
 
+    // Of several robots, one that is not there is named beside the others' answers.
+    for through in ["", " --through worker"] {
+        let ranked = ask(&fleet, &format!("--rank 0,9,2 --path FILE{through}"));
+        assert_eq!(ranked["missing"], serde_json::json!([9]), "{ranked}");
+        assert_eq!(ranked["answers"].as_array().map(Vec::len), Some(2), "{ranked}");
+    }
+
     let told = outcome(&fleet, "ask --robot 2 --idle 30", |told| code(told) == 0);
     assert!(stdout(&told).starts_with("robot 2 (gternal): "), "{told:?}");
     // A robot that is not there, and a dock of words.

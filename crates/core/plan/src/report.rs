@@ -21,6 +21,9 @@ pub struct AnswersReport {
     pub coverage: f32,
     /// The best first.
     pub answers: Vec<AnswerReport>,
+    /// Robots that were asked about and are not in the fleet, or not followed on this host.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<u32>,
 }
 
 /// One robot's answer.
@@ -153,6 +156,8 @@ impl fmt::Display for AnswersReport {
                 write!(out, "\n  {line}")?;
             }
         }
-        Ok(())
+        self.missing.iter().try_for_each(|robot| {
+            write!(out, "\n\nrobot {robot}: not in the fleet, or not followed on this host")
+        })
     }
 }

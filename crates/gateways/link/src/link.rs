@@ -6,24 +6,25 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use crate::arguments::LinkArguments;
+use crate::arguments::{LinkArguments, LinkVerb};
 use anyhow::Context as _;
 use joulebus_bus::{Background, Running, WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
-use joulebus_program::exit::Outcome;
+use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use joulebus_standby::Places;
 use serde::Serialize;
 
+use crate::certificates::{self, CertificateReport};
 use crate::config::{Mode, Settings, Side};
 use crate::egress::EgressRecord;
 use crate::ingress::IngressRecord;
 use crate::leadership::Leadership;
 use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::{follow, forward, intake, outputs, standby, take_over, tls_workaround};
+use crate::{follow, forward, init, intake, outputs, standby, take_over, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -31,6 +32,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 const RETRY_ROUTER_NS: u64 = 500_000_000;
 /// Nice value of all threads, so that the worker and its sources run first.
 const NICE: u8 = 5;
+/// A certificate that expires sooner is warned of.
+const WARN_DAYS: i64 = 30;
 
 /// The report of a link that has ended.
 #[derive(Debug, Serialize)]
@@ -52,6 +55,7 @@ struct CheckReport {
     connect: Vec<String>,
     listen: Vec<String>,
     encrypted: bool,
+    certificate: Option<CertificateReport>,
     /// Number of the config's robots in each shard.
     shards: BTreeMap<String, usize>,
     /// The shard that this host's worker may lead.
@@ -67,10 +71,21 @@ struct CheckReport {
 }
 
 pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
+    match &args.verb {
+        Some(LinkVerb::Init(init)) => return init::run(init, output),
+        None => {}
+    }
+    let file = args.file.as_deref().context("clap requires a file")?;
     let config = args.config.load()?;
-    let settings = Settings::load(&args.file, &config)?;
+    let settings = Settings::load(file, &config)?;
+    let certificate = match &settings.network.tls {
+        Some(tls) => Some(certificates::check(tls, &settings.name)),
+        None => None,
+    };
     if args.check {
-        output.report(&checked(&config, &settings))?;
+        let certificate = certificate.transpose();
+        let certificate = certificate.map_err(|error| UsageError(format!("{error:#}")))?;
+        output.report(&checked(&config, &settings, certificate))?;
         return Ok(Outcome::Done);
     }
     if settings.network.tls.is_some() && !args.take_over {
@@ -81,6 +96,13 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     if args.take_over {
         take_over::run(&config, &settings, &stop)?;
         return Ok(Outcome::Done);
+    }
+    match certificate {
+        Some(Err(error)) => tracing::warn!("{error:#}"),
+        Some(Ok(it)) if it.days_left < WARN_DAYS => {
+            tracing::warn!("the certificate expires in {} days", it.days_left);
+        }
+        _ => {}
     }
     yield_to_the_worker(NICE);
     let Some(mut link) = Link::start(&config, &settings, &stop)? else {
@@ -95,7 +117,11 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     Ok(Outcome::unless_lost(lost))
 }
 
-fn checked(config: &Config, settings: &Settings) -> CheckReport {
+fn checked(
+    config: &Config,
+    settings: &Settings,
+    certificate: Option<CertificateReport>,
+) -> CheckReport {
     let network = &settings.network;
     let (takes, gives) = match &settings.side {
         Side::Worker(takes) => (takes.iter().map(|take| take.from.clone()).collect(), Vec::new()),
@@ -126,6 +152,7 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
         connect: network.connect.clone(),
         listen: network.listen.clone(),
         encrypted: network.tls.is_some(),
+        certificate,
         takes,
         gives,
         stands_by_with: settings
@@ -416,6 +443,10 @@ impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let way = if self.encrypted { "encrypted" } else { "not encrypted" };
         writeln!(out, "link {} of fleet {}: {}, {way}", self.link, self.fleet, self.mode)?;
+        if let Some(CertificateReport { name, addresses, days_left }) = &self.certificate {
+            let at = addresses.join(", ");
+            writeln!(out, "certificate of {name}, to be reached as {at}: {days_left} days left")?;
+        }
         for (shard, robots) in &self.shards {
             let own =
                 if self.speaks_for.as_ref() == Some(shard) { ", whose worker this is" } else { "" };

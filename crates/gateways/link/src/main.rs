@@ -5,12 +5,14 @@
 #![forbid(unsafe_code)]
 
 mod arguments;
+mod certificates;
 mod config;
 mod egress;
 mod etcd;
 mod follow;
 mod forward;
 mod ingress;
+mod init;
 mod intake;
 mod leadership;
 mod link;

@@ -124,7 +124,10 @@ impl Verb {
             .args(self.options.iter().map(Described::arg))
             .groups(self.required_groups.iter().map(Group::group))
             .subcommands(self.verbs.iter().map(Self::command));
-        if !self.verbs.is_empty() {
+        let is_required = self.options.iter().any(|option| option.required);
+        if !self.verbs.is_empty() && is_required {
+            command = command.args_conflicts_with_subcommands(true).subcommand_negates_reqs(true);
+        } else if !self.verbs.is_empty() {
             command = command.subcommand_required(true).arg_required_else_help(true);
         }
         if let Some(about) = &self.about {

@@ -144,6 +144,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "predictor-worker/src/checkpointer.rs",
         // Clocks that an operator states are limited by round trips of the monotonic one.
         "link/src/wall_clock.rs",
+        // From when to when certificates are valid.
+        "link/src/certificates.rs",
         // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
         // When a person acknowledged an alarm.

@@ -27,7 +27,7 @@ use crate::protocol::selection::{MAX_RANGES, Selection};
 use crate::protocol::shards::Shards;
 
 pub(crate) use lease::LeaseSettings;
-pub(crate) use network::{Mode, NetworkSettings};
+pub(crate) use network::{Mode, NetworkSettings, TlsSettings};
 
 /// Maximum size of the file, bytes.
 const MAX_BYTES: u64 = 1 << 20;

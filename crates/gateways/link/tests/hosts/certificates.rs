@@ -170,3 +170,59 @@ fn a_key_that_others_can_read_or_that_is_missing_is_refused_with_its_line() {
     let refused = Child::spawn("link", host.link_command(&text)).wait();
     assert_eq!(refused.code(), Some(2), "{refused:?}");
 }
+
+#[test]
+fn init_writes_files_and_certificates_that_check_compares() {
+    let host = Host::new();
+    let init = |words: &[&str]| {
+        let mut command = host.program(&["init", "--out", "made", "base=127.0.0.1", "edge-1"]);
+        Child::spawn("init", {
+            command.args(words);
+            command
+        })
+        .wait()
+    };
+    let check = |file: &str| {
+        let mut command = host.program(&[file, "--check", "--config", "fleet.toml"]);
+        Child::spawn("check", {
+            command.args(["--format", "json"]);
+            command
+        })
+        .wait()
+    };
+    let (base, edge) = ("made/base/link.toml", "made/edge-1/link.toml");
+    let made = init(&["--port", "17447", "--days", "90"]);
+    assert_eq!(made.code(), Some(0), "{made:?}");
+    for (file, left, address) in
+        [(base, "listen", "tls/0.0.0.0"), (edge, "connect", "tls/127.0.0.1")]
+    {
+        let report = check(file).json();
+        let days_left = report["certificate"]["days_left"].as_i64();
+        assert!((89..=90).contains(&days_left.unwrap()), "{report}");
+        assert_eq!(report[left][0], format!("{address}:17447"), "{report}");
+    }
+    let key = |host: &Host, name: &str| host.read(&format!("made/{name}/{name}.key"));
+    let before = key(&host, "edge-1");
+    // What is there stays, so that it may have been copied and changed.
+    let more = init(&["edge-2"]);
+    assert!(more.text().contains("from = \"edge-2\""), "{more:?}");
+    assert_eq!(key(&host, "edge-1"), before);
+    assert_eq!(init(&["--replace", "--days", "1"]).code(), Some(0));
+    assert_ne!(key(&host, "edge-1"), before);
+    assert!(check(edge).json()["certificate"]["days_left"].as_i64() <= Some(1));
+    // The key of another certificate, the name of another link, and another authority.
+    let text = host.read(edge);
+    for (change, told) in [
+        (text.replace("edge-1.key", "../base/base.key"), "is not the key of"),
+        (text.replace("\"edge-1\"", "\"edge-2\""), "is for the link \"edge-1\""),
+        (text.replace("\"fleet-ca.pem\"", "\"../base/base.pem\""), "peers refuse"),
+    ] {
+        host.write(edge, &change);
+        let refused = check(edge);
+        assert_eq!(refused.code(), Some(2), "{change}");
+        assert!(refused.errors().contains(told), "{told}: {refused:?}");
+    }
+    for wrong in ["base=10.0.0.9", "../x", "a/b", "x=tls/10.0.0.1:7447"] {
+        assert_eq!(init(&[wrong]).code(), Some(2), "{wrong}");
+    }
+}

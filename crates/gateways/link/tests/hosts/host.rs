@@ -112,6 +112,18 @@ impl Host {
         Child::spawn("sim", self.joulebus(&words))
     }
 
+    /// Reads a file beside this host's other files.
+    pub(crate) fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.directory.path().join(name)).unwrap()
+    }
+
+    /// The program `joulebus-link` with these arguments, in the folder of this host's files.
+    pub(crate) fn program(&self, words: &[&str]) -> Command {
+        let mut command = self.command(Path::new(env!("CARGO_BIN_EXE_joulebus-link")));
+        command.args(words).current_dir(self.directory.path());
+        command
+    }
+
     /// The command of a link with this file, not started.
     pub(crate) fn link_command(&self, text: &str) -> Command {
         let path = self.directory.path().join("link.toml");

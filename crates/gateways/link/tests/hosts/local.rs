@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use joulebus_testkit::{Child, Ended, eventually};
+use serde_json::Value;
 
 use crate::host::{
     ATTEMPTS, FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by, of_other, of_worker,
@@ -337,7 +338,16 @@ fn a_host_has_a_worker_or_a_link_in_its_place_and_the_second_is_refused() {
     let _desk = there.link(&of_other("desk", &address, FOLLOW));
     let refused = Child::spawn("run", there.joulebus(&["run"])).wait();
     assert_eq!(refused.code(), Some(1), "{refused:?}");
-    assert!(refused.errors().contains("already has a worker"), "{refused:?}");
+    let told = "already has a worker on another host: the link here holds its place";
+    assert!(refused.errors().contains(told), "{refused:?}");
+    assert!(!refused.errors().contains("kill"), "{refused:?}");
+    let _robots = here.robots(&["--robots", "2"]);
+    let mut doctor = Value::Null;
+    eventually("the doctor tells what the host hears", || {
+        doctor =
+            Child::spawn("doctor", there.joulebus(&["doctor", "--format", "json"])).wait().json();
+        doctor.to_string().contains("hears forecasts of 2 robots")
+    });
     let second = Child::spawn("link", here.link_command(&of_other("x", &address, FOLLOW))).wait();
     assert_eq!(second.code(), Some(1), "{second:?}");
     assert!(second.errors().contains("already has a worker"), "{second:?}");

@@ -174,6 +174,7 @@ pub(super) fn report(
             .map_or(0.0, |rows| rows.now_ns.saturating_sub(rows.header.sent_ns) as f64 * 1e-9),
         coverage,
         answers: answers.map(|row| AnswerReport::new(config.settings(), row)).collect(),
+        missing: Vec::new(),
     }
 }
 

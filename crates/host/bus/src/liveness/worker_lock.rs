@@ -396,8 +396,23 @@ pub enum WorkerLockError {
     },
 }
 
+impl WorkerOwner {
+    /// Whether the holder is a link, which has the worker's place on a host without one.
+    #[must_use]
+    pub fn is_link(self) -> bool {
+        let program = self.pid.and_then(|pid| fs::read_link(format!("/proc/{pid}/exe")).ok());
+        // The program may have been replaced since: its name ends differently then.
+        let name = program.as_deref().and_then(Path::file_name).unwrap_or_default();
+        name.as_encoded_bytes().starts_with(b"joulebus-link")
+    }
+}
+
 fn remedy(owner: WorkerOwner, path: &Path) -> String {
     match owner.pid {
+        Some(pid) if owner.is_link() => format!(
+            " on another host: the link here holds its place, pid {pid}. Run the worker beside a link whose file has \
+             [worker]"
+        ),
         Some(pid) => format!(", pid {pid}; stop it first (`kill {pid}`)"),
         None => format!(
             " whose process is not visible here (it holds {}; is it in another container?); stop it first",

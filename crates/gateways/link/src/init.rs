@@ -1,0 +1,218 @@
+//! `joulebus link init`: writes the files of links between hosts, and their certificates.
+
+use std::fmt;
+use std::fs;
+use std::io::Write as _;
+use std::net::Ipv6Addr;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
+use serde::Serialize;
+
+use crate::arguments::InitArguments;
+use crate::certificates::Authority;
+
+const MAX_BYTES: u64 = 1 << 20;
+
+/// A host as the command line names it.
+#[derive(Debug)]
+struct Host<'a> {
+    name: &'a str,
+    address: &'a str,
+}
+
+impl<'a> Host<'a> {
+    fn parse(text: &'a str) -> Result<Self, UsageError> {
+        let (name, address) = text.split_once('=').unwrap_or((text, text));
+        // A folder has this name, too: none that is hidden, or another one's.
+        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+        let is_name = (1..=64).contains(&name.len()) && !name.starts_with(['.', '-']);
+        if !is_name || !name.bytes().all(allowed) || address.contains(['/', '"', '\\', '#', '?']) {
+            let what = format!(
+                "{text:?} is no link: a name of 1 to 64 letters, digits and `-_.`, and, if others reach that host by \
+                 another name or an IP address, =ADDRESS without a port"
+            );
+            return Err(UsageError(what));
+        }
+        Ok(Self { name, address })
+    }
+
+    /// The address that others connect to.
+    fn endpoint(&self, port: u16) -> String {
+        match self.address.parse::<Ipv6Addr>() {
+            Ok(address) => format!("tls/[{address}]:{port}"),
+            Err(_) => format!("tls/{}:{port}", self.address),
+        }
+    }
+}
+
+/// What `init` has written, and what to do with it.
+#[derive(Debug, Serialize)]
+struct InitReport {
+    folder: PathBuf,
+    /// Whether the authority is new.
+    new_authority: bool,
+    hosts: Vec<HostReport>,
+    /// Lines that the worker's file lacks, because it was there before.
+    add_to_worker: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct HostReport {
+    link: String,
+    folder: PathBuf,
+    address: String,
+    /// False if the folder was there before: it is left as it is.
+    written: bool,
+    worker: bool,
+}
+
+pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcome> {
+    let hosts: Vec<Host<'_>> =
+        args.hosts.iter().map(|text| Host::parse(text)).collect::<Result<_, _>>()?;
+    let (worker, others) = hosts.split_first().context("clap requires hosts")?;
+    if let Some(twice) = others.iter().find(|host| {
+        host.name == worker.name || others.iter().filter(|it| it.name == host.name).count() > 1
+    }) {
+        let what = format!("{:?} is named twice: every link needs a name of its own", twice.name);
+        return Err(UsageError(what).into());
+    }
+    let (authority, new_authority) = authority(&args.out)?;
+    let mut reports = Vec::new();
+    for host in &hosts {
+        let folder = args.out.join(host.name);
+        let is_worker = host.name == worker.name;
+        let written = args.replace || !folder.join("link.toml").exists();
+        if written {
+            let text = match is_worker {
+                true => worker_file(host, others, args.port),
+                false => other_file(host, worker, args.port),
+            };
+            let identity = authority
+                .sign(host.name, host.address, args.days)
+                .with_context(|| format!("cannot make the certificate of {}", host.name))?;
+            make_private(&folder)?;
+            write(&folder.join("fleet-ca.pem"), &authority.pem, 0o644)?;
+            write(&folder.join(format!("{}.pem", host.name)), &identity.certificate, 0o644)?;
+            write(&folder.join(format!("{}.key", host.name)), &identity.key, 0o600)?;
+            write(&folder.join("link.toml"), &text, 0o644)?;
+        }
+        let address = host.endpoint(args.port);
+        let link = host.name.to_owned();
+        reports.push(HostReport { link, folder, address, written, worker: is_worker });
+    }
+    let new = others.iter().zip(&reports[1..]).filter(|(_, report)| report.written);
+    let lines: String = new.map(|(host, _)| take(host)).collect();
+    let add_to_worker = (!reports[0].written && !lines.is_empty()).then_some(lines);
+    let folder = args.out.clone();
+    output.report(&InitReport { folder, new_authority, hosts: reports, add_to_worker })?;
+    Ok(Outcome::Done)
+}
+
+/// The authority of the folder, made if it has none.
+fn authority(folder: &Path) -> anyhow::Result<(Authority, bool)> {
+    let (pem, key) = (folder.join("fleet-ca.pem"), folder.join("fleet-ca.key"));
+    if !key.exists() {
+        let (authority, key_pem) = Authority::make()?;
+        make_private(folder)?;
+        write(&key, &key_pem, 0o600)?;
+        write(&pem, &authority.pem, 0o644)?;
+        return Ok((authority, true));
+    }
+    let text = joulebus_files::read_to_string(&pem, MAX_BYTES)
+        .with_context(|| pem.display().to_string())?;
+    let secret =
+        joulebus_files::read_secret(&key, MAX_BYTES).with_context(|| key.display().to_string())?;
+    let opened = Authority::open(text, &secret);
+    Ok((opened.with_context(|| format!("{} is damaged", key.display()))?, false))
+}
+
+fn make_private(folder: &Path) -> anyhow::Result<()> {
+    fs::DirBuilder::new()
+        .recursive(true)
+        .mode(0o700)
+        .create(folder)
+        .with_context(|| format!("cannot make {}", folder.display()))
+}
+
+/// Writes a whole file under a name that a reader sees only when it is complete.
+fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".new");
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create(true).truncate(true).mode(mode);
+    options
+        .open(&partial)
+        .and_then(|mut file| file.write_all(text.as_bytes()))
+        .and_then(|()| fs::rename(&partial, path))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn head(host: &Host<'_>, which: &str, network: &str) -> String {
+    let name = host.name;
+    format!(
+        "# Written by `joulebus link init`: {which}. docs/scale.md explains every key.\n\n\
+         name = \"{name}\"\n\n[network]\n{network}\n\n\
+         [network.tls]\nca = \"fleet-ca.pem\"\ncertificate = \"{name}.pem\"\nkey = \"{name}.key\"\n"
+    )
+}
+
+fn worker_file(host: &Host<'_>, others: &[Host<'_>], port: u16) -> String {
+    let any = if host.address.parse::<Ipv6Addr>().is_ok() { "[::]" } else { "0.0.0.0" };
+    let head = head(
+        host,
+        "the host of the worker, beside `joulebus run`",
+        &format!("listen = [\"tls/{any}:{port}\"]"),
+    );
+    let takes: String = others.iter().map(take).collect();
+    format!(
+        "{head}\n# `robots = [\"0-9\"]` in a section lets that host speak for these only.\n{takes}"
+    )
+}
+
+fn take(host: &Host<'_>) -> String {
+    format!("[[worker.take]]\nfrom = \"{}\"\n", host.name)
+}
+
+fn other_file(host: &Host<'_>, worker: &Host<'_>, port: u16) -> String {
+    let head = head(
+        host,
+        "a host without a worker, instead of `joulebus run`",
+        &format!("connect = [\"{}\"]", worker.endpoint(port)),
+    );
+    let worker = worker.name;
+    format!(
+        "{head}\n# Samples that are published on this host go to the worker.\n[samples]\nto = \"{worker}\"\n\n\
+         # What the worker writes is read on this host; `robots` leaves some out.\n[follow]\nworker = \"{worker}\"\n"
+    )
+}
+
+impl fmt::Display for InitReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let folder = self.folder.display();
+        let state = if self.new_authority { "made" } else { "kept" };
+        writeln!(out, "{state} the fleet's authority: {folder}/fleet-ca.key stays here")?;
+        for host in &self.hosts {
+            let (link, folder, address) = (&host.link, host.folder.display(), &host.address);
+            let state = if host.written { "wrote" } else { "left as it was" };
+            writeln!(out, "\n{link}: {state} {folder}")?;
+            writeln!(out, "  copy it to that host   scp -r {folder} {link}:")?;
+            let beside = if host.worker { "beside" } else { "instead of" };
+            writeln!(out, "  check it there         joulebus link {link}/link.toml --check")?;
+            writeln!(out, "  {beside:<10} the worker  joulebus link {link}/link.toml")?;
+            if host.worker {
+                writeln!(out, "  the others connect to  {address}")?;
+            }
+        }
+        if let (Some(lines), Some(worker)) = (&self.add_to_worker, self.hosts.first()) {
+            writeln!(out, "\nadd to {}/link.toml:\n{lines}", worker.folder.display())?;
+        }
+        writeln!(
+            out,
+            "\nEvery host needs the same config of the fleet: `--config FILE` of each program."
+        )
+    }
+}
