@@ -50,6 +50,13 @@ pub fn lab_beside(program: &str) -> &'static Path {
     PROGRAM.get_or_init(|| beside(program, "joulebus-lab"))
 }
 
+/// The program `joulebus-link` beside `program`, which `joulebus bridge` runs for ROS 2 over zenoh;
+/// built as [`joulebus_beside`] is.
+pub fn link_beside(program: &str) -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| beside(program, "joulebus-link"))
+}
+
 fn beside(program: &str, name: &str) -> PathBuf {
     let found = Path::new(program).with_file_name(name);
     if !found.exists() {

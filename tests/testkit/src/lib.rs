@@ -19,7 +19,7 @@ pub mod trials;
 
 pub use certificates::certificates;
 pub use child::{
-    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, run,
+    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, link_beside, run,
 };
 pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};

@@ -26,7 +26,7 @@ use crate::mapping::ros::names::ros_type;
 use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
-use crate::ros2::{Counts, Ros2};
+use crate::ros2::{Counts, Reading, Ros2, RosSink, Zenoh, is_zenoh};
 use crate::shared::Shared;
 use crate::usual;
 
@@ -87,6 +87,8 @@ struct CheckReport {
 #[derive(Debug, Serialize)]
 struct RosCheckReport {
     domain_id: u16,
+    /// Whether messages go over zenoh, and not over DDS.
+    zenoh: bool,
     networks: Vec<String>,
     reads: Vec<String>,
     writes: Vec<String>,
@@ -136,6 +138,7 @@ fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
     RosCheckReport {
         domain_id: ros2.domain_id,
+        zenoh: is_zenoh(),
         networks: ros2.networks.iter().map(ToString::to_string).collect(),
         reads: ros2.routes.iter().map(read).collect(),
         writes: ros2.writes.iter().map(write).collect(),
@@ -219,13 +222,28 @@ impl Bridge {
         ros2: &Ros2Settings,
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
-        let (ros2, robots) = (ros2.clone(), settings.robots.clone());
-        let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
+        let mut sink = RosSink {
+            fleet: config.fleet().to_owned(),
+            name: settings.name.clone(),
+            robots: settings.robots.clone(),
+            topics: Vec::new(),
+            counts: Arc::clone(&self.ros2),
+            shared: Arc::clone(&self.shared),
+        };
+        let reading = Reading {
+            routes: ros2.routes.clone(),
+            robots: settings.robots.clone(),
+            shared: Arc::clone(&self.shared),
+        };
+        let ros2 = ros2.clone();
         let (thread, sink) = Background::run("joulebus-ros2", move |thread| {
             yield_to_the_worker(NICE);
-            let of = (fleet.as_str(), name.as_str());
-            let (connection, sink) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
+            if is_zenoh() {
+                let connection = Zenoh::open(&ros2, reading, &mut sink)?;
+                thread.joined(sink);
+                return connection.run().map_err(anyhow::Error::from);
+            }
+            let connection = Ros2::open(&ros2, reading, &mut sink)?;
             thread.joined(sink);
             connection.run().map_err(anyhow::Error::from)
         })?;
@@ -399,9 +417,10 @@ impl fmt::Display for CheckReport {
         let Some(ros2) = ros2 else {
             return Ok(());
         };
-        let RosCheckReport { domain_id, networks, reads, writes } = ros2;
+        let RosCheckReport { domain_id, zenoh, networks, reads, writes } = ros2;
         let networks =
             if networks.is_empty() { "all networks".to_owned() } else { networks.join(", ") };
+        let networks = if *zenoh { "zenoh (RMW_IMPLEMENTATION)".to_owned() } else { networks };
         writeln!(out, "ROS domain {domain_id} on {networks}")?;
         let mut lines = reads
             .iter()

@@ -42,6 +42,8 @@ pub(crate) struct LinkArguments {
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum LinkVerb {
     Init(InitArguments),
+    /// Carry messages of `joulebus bridge` as ROS 2's rmw_zenoh does; the bridge starts it
+    RmwZenoh,
 }
 
 /// Write the files of links between hosts, with certificates of the fleet's own authority

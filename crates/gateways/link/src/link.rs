@@ -24,7 +24,7 @@ use crate::ingress::IngressRecord;
 use crate::leadership::Leadership;
 use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::{follow, forward, init, intake, outputs, standby, take_over, tls_workaround};
+use crate::{follow, forward, init, intake, outputs, rmw, standby, take_over, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -73,6 +73,7 @@ struct CheckReport {
 pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
     match &args.verb {
         Some(LinkVerb::Init(init)) => return init::run(init, output),
+        Some(LinkVerb::RmwZenoh) => return rmw::run(),
         None => {}
     }
     let file = args.file.as_deref().context("clap requires a file")?;

@@ -20,6 +20,7 @@ mod network;
 mod outputs;
 mod protocol;
 mod refusals;
+mod rmw;
 mod shard_merger;
 mod standby;
 mod take_over;

@@ -55,11 +55,13 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
     assert_eq!(mapping, Vec::<String>::new());
 }
 
-/// One file names the network between hosts. The protocol of links needs neither it nor a clock.
+/// One file names the network between hosts, one that of ROS 2. The protocols need neither it nor a
+/// clock.
 #[test]
-fn only_one_file_of_the_link_uses_zenoh() {
+fn only_two_files_of_the_link_use_zenoh() {
     for member in members() {
-        let found = places(&member.directory.join("src"), &["zenoh::"], &["link/src/network.rs"]);
+        let files = ["link/src/network.rs", "link/src/rmw.rs"];
+        let found = places(&member.directory.join("src"), &["zenoh::"], &files);
         assert_eq!(found, Vec::<String>::new());
     }
     let words = [
@@ -146,6 +148,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "link/src/wall_clock.rs",
         // From when to when certificates are valid.
         "link/src/certificates.rs",
+        // Times at which messages were sent, for their readers.
+        "link/src/rmw.rs",
         // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
         // When a person acknowledged an alarm.

@@ -4,18 +4,20 @@
 //! have left.
 
 mod raw;
+mod reading;
+mod rmw;
 mod sink;
+mod writer;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::pin::pin;
-use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
 use futures_util::StreamExt as _;
 use futures_util::stream::SelectAll;
-use joulebus_bus::clock;
 use joulebus_program::output::say;
+use joulebus_ros_messages::encode;
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::DataReader;
 use rustdds::policy::{Durability, History, ResourceLimits};
@@ -29,14 +31,18 @@ use tokio::time::sleep;
 
 use crate::config::{Ros2Settings, RosWrite};
 use crate::mapping::account::Reason;
-use crate::mapping::robots::Robots;
-use crate::mapping::ros::discovery::announced;
-use crate::mapping::ros::incoming::{Received, RosRoute};
+use crate::mapping::ros::discovery::{GRAPH, ParticipantEntities, announced};
+use crate::mapping::ros::incoming::Received;
 use crate::mapping::ros::names::{dds_topic, dds_type};
+use crate::mapping::ros::outgoing::RosWhat;
 use crate::ros2::raw::Raw;
-use crate::ros2::sink::{Topic, Writer};
+use crate::ros2::reading::{POLL_INTERVAL, Ros2Error};
+use crate::ros2::sink::Topic;
+use crate::ros2::writer::{DdsWriter, Writer};
 use crate::shared::Shared;
 
+pub(crate) use reading::Reading;
+pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
 
 /// Maximum number of queued messages of a topic. Of several between two samples the newest counts.
@@ -50,28 +56,8 @@ const LEASE_NS: u64 = 30_000_000_000;
 /// Pause after each topic. DDS's queue for discovery holds 1,024 entries, and does not announce the
 /// others.
 const ANNOUNCE_PAUSE: Duration = Duration::from_millis(1);
-/// Delay until a stop is noticed.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of remembered writers. They are remembered so that each is counted once.
 const MAX_ANNOUNCED: usize = 100_000;
-
-/// Why ROS 2 could not be joined, or was left.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum Ros2Error {
-    #[error(
-        "cannot take part in ROS domain {domain_id}: {source}. Another process may have its ports, 7400 + 250 × domain and on; \
-         `ulimit -Hn` limits the topics, three descriptors each"
-    )]
-    Join { domain_id: u16, source: CreateError },
-    #[error(
-        "cannot open topic {topic}: {source}. `ulimit -Hn` limits the topics, three descriptors each"
-    )]
-    Topic { topic: String, source: CreateError },
-    #[error("the threads of DDS have ended: {0}")]
-    Ended(ReadError),
-    #[error("cannot start the runtime: {0}")]
-    Runtime(#[from] std::io::Error),
-}
 
 /// The reader of a robot's topic.
 struct Incoming {
@@ -83,12 +69,12 @@ struct Incoming {
 /// The open participant and its readers.
 pub(crate) struct Ros2 {
     participant: DomainParticipant,
-    routes: Vec<RosRoute>,
-    robots: Robots,
+    reading: Reading,
     incoming: Vec<Incoming>,
     /// The topic of each of our endpoints, for error messages.
     endpoints: HashMap<GUID, String>,
-    shared: Arc<Shared>,
+    /// Announces the node to participants that come later.
+    graph: Option<DdsWriter>,
 }
 
 impl Ros2 {
@@ -99,11 +85,9 @@ impl Ros2 {
     /// [`Ros2Error`].
     pub(crate) fn open(
         settings: &Ros2Settings,
-        (fleet, name): (&str, &str),
-        robots: &Robots,
-        shared: &Arc<Shared>,
-        counts: &Arc<Counts>,
-    ) -> Result<(Self, RosSink), Ros2Error> {
+        reading: Reading,
+        sink: &mut RosSink,
+    ) -> Result<Self, Ros2Error> {
         allow_descriptors();
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if !settings.networks.is_empty() {
@@ -116,11 +100,10 @@ impl Ros2 {
         let publisher = participant.create_publisher(&usual).map_err(join)?;
         let mut ros = Self {
             participant,
-            routes: settings.routes.clone(),
-            robots: robots.clone(),
+            reading,
             incoming: Vec::new(),
             endpoints: HashMap::new(),
-            shared: Arc::clone(shared),
+            graph: None,
         };
         ros.open_readers(&subscriber)?;
         let topics = settings.writes.iter().map(|write| ros.open_writers(&publisher, write));
@@ -132,15 +115,9 @@ impl Ros2 {
             ros.participant.participant_id(),
             ros.incoming.len(),
         ));
-        let sink = RosSink {
-            fleet: fleet.to_owned(),
-            name: name.to_owned(),
-            robots: robots.clone(),
-            topics,
-            counts: Arc::clone(counts),
-            shared: Arc::clone(shared),
-        };
-        Ok((ros, sink))
+        ros.announce_node(&publisher, &sink.name, &topics)?;
+        sink.topics = topics;
+        Ok(ros)
     }
 
     fn open_readers(&mut self, subscriber: &Subscriber) -> Result<(), Ros2Error> {
@@ -151,8 +128,8 @@ impl Ros2 {
             .durability(Durability::Volatile)
             .history(History::KeepLast { depth: READ_DEPTH })
             .build();
-        for (place, route) in self.routes.iter().enumerate() {
-            for (robot, name) in self.robots.iter() {
+        for (place, route) in self.reading.routes.iter().enumerate() {
+            for (robot, name) in self.reading.robots.iter() {
                 let name = route.topic.of(name);
                 let kind = dds_type(route.kind);
                 let opened = self
@@ -181,7 +158,10 @@ impl Ros2 {
         // queue is counted at once, because the bridge never waits for a reader.
         let qos = QosPolicyBuilder::new()
             .reliable(rustdds::Duration::ZERO)
-            .durability(Durability::Volatile)
+            .durability(match write.what {
+                RosWhat::Budget | RosWhat::Diagnostics => Durability::TransientLocal,
+                RosWhat::Forecast | RosWhat::Value => Durability::Volatile,
+            })
             .history(History::KeepLast { depth: 1 })
             .resource_limits(ResourceLimits {
                 max_samples: depth,
@@ -191,7 +171,7 @@ impl Ros2 {
             .build();
         let robots: Vec<(u32, String)> = if write.what.is_of_robot() {
             let topic = |(robot, name): (u32, &str)| (robot, write.topic.of(name));
-            self.robots.iter().map(topic).collect()
+            self.reading.robots.iter().map(topic).collect()
         } else {
             vec![(0, write.topic.of(""))]
         };
@@ -200,15 +180,47 @@ impl Ros2 {
             let opened = self
                 .topic(&name, write.what.dds_type(), &qos)
                 .and_then(|topic| publisher.create_datawriter_no_key(&topic, None));
-            let writer: Writer = opened.map_err(|source| {
+            let writer: DdsWriter = opened.map_err(|source| {
                 let topic = name.clone();
                 Ros2Error::Topic { topic, source }
             })?;
             self.endpoints.insert(writer.guid(), name);
-            writers.insert(robot, writer);
+            writers.insert(robot, Writer::Dds(Box::new(writer)));
             thread::sleep(ANNOUNCE_PAUSE);
         }
         Ok(Topic { write: write.clone(), writers, due_ns: 0 })
+    }
+
+    /// Announces the node with its endpoints in the graph of ROS 2.
+    fn announce_node(
+        &mut self,
+        publisher: &Publisher,
+        bridge: &str,
+        topics: &[Topic],
+    ) -> Result<(), Ros2Error> {
+        let (name, kind) = GRAPH;
+        let qos = QosPolicyBuilder::new()
+            .reliable(rustdds::Duration::ZERO)
+            .durability(Durability::TransientLocal)
+            .history(History::KeepLast { depth: 1 })
+            .build();
+        let (name, kind) = (name.to_owned(), kind.to_owned());
+        let opened = self
+            .participant
+            .create_topic(name.clone(), kind, &qos, TopicKind::NoKey)
+            .and_then(|topic| publisher.create_datawriter_no_key(&topic, None));
+        let graph: DdsWriter = opened.map_err(|source| Ros2Error::Topic { topic: name, source })?;
+        let readers = self.incoming.iter().map(|it| it.reader.guid().to_bytes()).collect();
+        let writers = topics.iter().flat_map(|topic| topic.writers.values());
+        let writers = writers.filter_map(Writer::guid).map(|guid| guid.to_bytes()).collect();
+        let participant = self.participant.guid().to_bytes();
+        let entities = ParticipantEntities::new(participant, bridge, (readers, writers));
+        let is_sent = encode(&entities).is_ok_and(|message| graph.write(message, None).is_ok());
+        if !is_sent {
+            tracing::warn!("the node of ROS 2's graph is not announced");
+        }
+        self.graph = Some(graph);
+        Ok(())
     }
 
     fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<DdsTopic, CreateError> {
@@ -235,41 +247,19 @@ impl Ros2 {
         let listener = self.participant.status_listener();
         let mut events = pin!(listener.as_async_status_stream());
         let mut seen = HashSet::new();
+        let encoding = Reason::WrongEncoding;
         loop {
             tokio::select! {
                 Some((of, read)) = messages.next() => match read {
-                    Ok(sample) => self.take(of, Some(sample.value())),
-                    Err(ReadError::Deserialization { .. }) => self.take(of, None),
+                    Ok(sample) => self.reading.take(of, Some(sample.value()), encoding),
+                    Err(ReadError::Deserialization { .. }) => self.reading.take(of, None, encoding),
                     // These topics have no keys.
                     Err(ReadError::UnknownKey { .. }) => {}
                     Err(error) => return Err(Ros2Error::Ended(error)),
                 },
                 Some(event) = events.next() => self.heed(event, &mut seen),
-                () = closed(&self.shared) => return Ok(()),
+                () = closed(&self.reading.shared) => return Ok(()),
             }
-        }
-    }
-
-    /// Takes a message. `None` if it is not plain CDR.
-    fn take(&self, (route, robot): (usize, u32), received: Option<&Received>) {
-        let at_ns = clock::monotonic_ns();
-        self.shared.count_message();
-        let (Some(route), Some(name)) = (self.routes.get(route), self.robots.name(robot)) else {
-            return;
-        };
-        let seen = {
-            let mut account = self.shared.account();
-            match received {
-                Some(received) => route.read(name, received, &mut account),
-                None => {
-                    account.count(&route.name, Reason::WrongEncoding, name);
-                    None
-                }
-            }
-        };
-        match seen {
-            Some(seen) => self.shared.intake().take(robot, &seen, at_ns),
-            None => self.shared.log_news(),
         }
     }
 
@@ -281,7 +271,8 @@ impl Ros2 {
                 let is_new = seen.len() < MAX_ANNOUNCED && seen.insert(writer.guid);
                 if is_new {
                     let topic = (writer.topic_name.as_str(), writer.type_name.as_str());
-                    announced(&self.routes, &self.robots, topic, &mut self.shared.account());
+                    let Reading { routes, robots, shared } = &self.reading;
+                    announced(routes, robots, topic, &mut shared.account());
                 }
             }
             Event::WriterLost { guid, .. } => {
@@ -290,13 +281,13 @@ impl Ros2 {
             Event::RemoteWriterQosIncompatible { local_reader: ours, .. }
             | Event::RemoteReaderQosIncompatible { local_writer: ours, .. } => {
                 if let Some(topic) = self.endpoints.get(&ours) {
-                    let mut account = self.shared.account();
+                    let mut account = self.reading.shared.account();
                     account.count(topic, Reason::IncompatibleQos, "a participant");
                 }
             }
             _ => {}
         }
-        self.shared.log_news();
+        self.reading.shared.log_news();
     }
 }
 

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_board::{Board, Link};
 use joulebus_ros_messages::{RosError, encode};
-use rustdds::no_key::DataWriter;
 
 use crate::config::RosWrite;
 use crate::mapping::outgoing::values;
@@ -16,14 +15,11 @@ use crate::mapping::ros::outgoing::{
     worker_status,
 };
 use crate::outbound::{Sink, Times, next_due_ns};
-use crate::ros2::raw::Raw;
+use crate::ros2::writer::Writer;
 use crate::shared::Shared;
 
-/// A writer of encoded messages.
-pub(super) type Writer = DataWriter<Vec<u8>, Raw>;
-
 /// A topic with its writers.
-pub(super) struct Topic {
+pub(crate) struct Topic {
     pub(super) write: RosWrite,
     /// Writers by robot. A topic of the fleet has one, under 0.
     pub(super) writers: BTreeMap<u32, Writer>,
@@ -38,7 +34,7 @@ pub(crate) struct Counts {
 }
 
 impl Counts {
-    /// Number of messages handed to DDS.
+    /// Number of messages handed to the middleware.
     pub(crate) fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
@@ -49,7 +45,7 @@ impl Counts {
     }
 
     fn write(&self, writer: &Writer, message: Result<Vec<u8>, RosError>) {
-        let is_sent = message.is_ok_and(|message| writer.write(message, None).is_ok());
+        let is_sent = message.is_ok_and(|message| writer.write(message));
         let count = if is_sent { &self.sent } else { &self.lost };
         count.fetch_add(1, Ordering::Relaxed);
     }
@@ -57,12 +53,12 @@ impl Counts {
 
 /// Publishes to ROS 2.
 pub(crate) struct RosSink {
-    pub(super) fleet: String,
-    pub(super) name: String,
-    pub(super) robots: Robots,
-    pub(super) topics: Vec<Topic>,
-    pub(super) counts: Arc<Counts>,
-    pub(super) shared: Arc<Shared>,
+    pub(crate) fleet: String,
+    pub(crate) name: String,
+    pub(crate) robots: Robots,
+    pub(crate) topics: Vec<Topic>,
+    pub(crate) counts: Arc<Counts>,
+    pub(crate) shared: Arc<Shared>,
 }
 
 impl Sink for RosSink {

@@ -1,4 +1,5 @@
-//! The protocol between two links: pure, without clock, network, thread and shared memory.
+//! The protocol between two links, and that of ROS 2's rmw_zenoh: pure, without clock, network,
+//! thread and shared memory.
 
 pub(crate) mod carried;
 #[cfg(test)]
@@ -8,6 +9,7 @@ pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;
 pub(crate) mod receiver;
+pub(crate) mod rmw;
 pub(crate) mod selection;
 pub(crate) mod shards;
 pub(crate) mod shift;

@@ -1,10 +1,44 @@
 //! Announcements of other participants: topics of robots that the mapping does not have, or of
-//! another type.
+//! another type. And that of this one: the node of the graph.
+
+use serde::Serialize;
 
 use crate::mapping::account::{Account, Reason};
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::RosRoute;
-use crate::mapping::ros::names::{dds_type, ros_topic};
+use crate::mapping::ros::names::{dds_type, node_name, ros_topic};
+
+/// The DDS topic of the graph, and its type.
+pub(crate) const GRAPH: (&str, &str) =
+    ("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_");
+
+/// `rmw_dds_common/ParticipantEntitiesInfo` of ROS 2 Iron and later: the participant with its
+/// nodes, which `ros2 node list` reads.
+#[derive(Debug, Serialize)]
+pub(crate) struct ParticipantEntities {
+    participant: [u8; 16],
+    nodes: Vec<NodeEntities>,
+}
+
+#[derive(Debug, Serialize)]
+struct NodeEntities {
+    namespace: &'static str,
+    name: String,
+    readers: Vec<[u8; 16]>,
+    writers: Vec<[u8; 16]>,
+}
+
+impl ParticipantEntities {
+    /// A participant with one node, which has all its readers and writers.
+    pub(crate) fn new(
+        participant: [u8; 16],
+        bridge: &str,
+        (readers, writers): (Vec<[u8; 16]>, Vec<[u8; 16]>),
+    ) -> Self {
+        let node = NodeEntities { namespace: "/", name: node_name(bridge), readers, writers };
+        Self { participant, nodes: vec![node] }
+    }
+}
 
 /// Counts an announced writer, if none of its messages are read.
 pub(crate) fn announced(

@@ -56,6 +56,12 @@ pub(crate) fn ros_topic(dds: &str) -> Option<&str> {
     dds.strip_prefix("rt").filter(|topic| topic.starts_with('/'))
 }
 
+/// The name of the bridge's node in the graph: letters, digits and underscores.
+pub(crate) fn node_name(bridge: &str) -> String {
+    let letter = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '_' };
+    format!("joulebus_{}", bridge.chars().map(letter).collect::<String>())
+}
+
 /// Refuses a text that is no absolute topic.
 pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
     let is_part = |part: &str| {

@@ -2,6 +2,7 @@
 //! Without it the tests log that they skip, and with CI=true they fail.
 
 pub(crate) mod peer;
+mod rmw;
 
 use std::net::UdpSocket;
 use std::path::PathBuf;
@@ -99,13 +100,28 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     let mut peer = Peer::start(&python, &domain);
     for (topic, kind) in [
         ("/r1/joulebus/forecast", "BatteryState"),
-        ("/r1/joulebus/budget", "BatteryState"),
         ("/r1/joulebus/reading_w", "Float64"),
         ("/r1/joulebus/power_w", "Float64"),
         ("/diagnostics", "DiagnosticArray"),
     ] {
         peer.subscribe(topic, kind);
     }
+    // As a latched topic.
+    peer.order(
+        &json!({"hear": "/r1/joulebus/budget", "type": "BatteryState", "transient_local": true}),
+    );
+    // It has come after the bridge, whose node it is told of.
+    let graph = json!({"hear": "ros_discovery_info", "type": "ParticipantEntitiesInfo", "transient_local": true});
+    peer.order(&graph);
+    let node =
+        peer.wait_for("ros_discovery_info", 0, |it| it["node_entities_info_seq"][0].is_object());
+    let node = &node["node_entities_info_seq"][0];
+    assert_eq!(
+        (&node["node_namespace"], &node["node_name"]),
+        (&json!("/"), &json!("joulebus_bridge"))
+    );
+    let endpoints = |of: &str| node[of].as_array().map(Vec::len);
+    assert_eq!((endpoints("reader_gid_seq"), endpoints("writer_gid_seq")), (Some(6), Some(13)));
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
     peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
     peer.publish("/fleet/stranger/battery_state", "BatteryState", &discharging());

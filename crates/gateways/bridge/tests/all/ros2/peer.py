@@ -1,11 +1,14 @@
-"""A participant of ROS 2's DDS by Eclipse Cyclone DDS, told by lines of JSON what to say; prints what it hears.
+"""A participant of ROS 2's DDS by Eclipse Cyclone DDS, or of its zenoh by Eclipse zenoh, told by lines of JSON what to say; prints what it hears.
 
-    peer.py DOMAIN < {"say": topic, "type": name, "fields": {...}, "hz": 30} | {"hush": topic} | {"hear": topic, "type": name}
+Of zenoh it speaks as rmw_zenoh_cpp does in ROS domain 7, and also prints the tokens of the graph.
+
+    peer.py DOMAIN|tcp/HOST:PORT < {"say": topic, "type": name, "fields": {...}, "hz": 30} | {"hush": topic} | {"hear": topic, "type": name}
 """
 
 import dataclasses
 import json
 import math
+import struct
 import sys
 import threading
 import time
@@ -135,6 +138,25 @@ class DiagnosticArray_(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnost
     status: sequence[DiagnosticStatus_] = dataclasses.field(default_factory=list)
 
 
+@dataclass
+class Gid_(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data: array[uint8, 16] = dataclasses.field(default_factory=lambda: [0] * 16)
+
+
+@dataclass
+class NodeEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace: str = ""
+    node_name: str = ""
+    reader_gid_seq: sequence[Gid_] = dataclasses.field(default_factory=list)
+    writer_gid_seq: sequence[Gid_] = dataclasses.field(default_factory=list)
+
+
+@dataclass
+class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid: Gid_ = dataclasses.field(default_factory=Gid_)
+    node_entities_info_seq: sequence[NodeEntitiesInfo_] = dataclasses.field(default_factory=list)
+
+
 # What is no battery's state, though its name says so: it ends too early, and it has a text of 4 GB.
 @dataclass
 class Truncated_(IdlStruct, typename="sensor_msgs::msg::dds_::BatteryState_"):
@@ -169,12 +191,23 @@ def made(kind, fields):
 
 
 def plain(found):
-    """As JSON: NaN is null."""
+    """As JSON: NaN is null, and bytes are their digits."""
+    if isinstance(found, bytes):
+        return found.hex()
     if dataclasses.is_dataclass(found):
         return {field.name: plain(getattr(found, field.name)) for field in dataclasses.fields(found)}
     if isinstance(found, (list, tuple)):
         return [plain(one) for one in found]
     return None if isinstance(found, float) and not math.isfinite(found) else found
+
+
+TELLING = threading.Lock()
+
+
+def tell(found):
+    """One line, whichever thread has it."""
+    with TELLING:
+        print(json.dumps(found), flush=True)
 
 
 def qos(order):
@@ -186,8 +219,74 @@ def qos(order):
     )
 
 
+class Dds:
+    def __init__(self, domain):
+        self.participant = DomainParticipant(int(domain))
+
+    def topic(self, name, kind, order):
+        name = "rt" + name if name.startswith("/") else name
+        return Topic(self.participant, name, kind, qos=qos(order))
+
+    def writer(self, name, kind, order):
+        return DataWriter(self.participant, self.topic(name, kind, order), qos=qos(order))
+
+    def reader(self, name, kind, order):
+        return DataReader(self.participant, self.topic(name, kind, order), qos=qos(order))
+
+
+class Zenoh:
+    """Keys, tokens and attachments as rmw_zenoh_cpp's design and sources have them."""
+
+    def __init__(self, address):
+        import zenoh
+
+        config = zenoh.Config()
+        config.insert_json5("listen/endpoints", json.dumps([address]))
+        config.insert_json5("scouting/multicast/enabled", "false")
+        self.session = zenoh.open(config)
+        self.count = 0
+
+        def change(token):
+            is_alive = token.kind == zenoh.SampleKind.PUT
+            tell({"topic": "@", "message": {"token": str(token.key_expr), "alive": is_alive}})
+
+        self.kept = [self.session.liveliness().declare_subscriber("@ros2_lv/7/**", change, history=True)]
+
+    def key(self, name, kind, order):
+        return f"7/{name.strip('/')}/{kind.__idl_typename__.replace('.', '::')}/{order.get('hash', 'RIHS01_0')}"
+
+    def writer(self, name, kind, order):
+        self.count += 1
+        key, sent = self.key(name, kind, order), 0
+        typename, digest = key.rsplit("/", 2)[1:]
+        entity = f"{self.session.zid()}/0/{self.count}/MP/%/%/talker/{name.replace('/', '%')}"
+        token = f"@ros2_lv/7/{entity}/{typename}/{digest}/::,10:,:,:,,"
+        self.kept.append(self.session.liveliness().declare_token(token))
+        publisher = self.session.declare_publisher(key)
+
+        class Writer:
+            def write(_, message):
+                nonlocal sent
+                sent += 1
+                attached = struct.pack("<qqB16s", sent, time.time_ns(), 16, b"peer".ljust(16))
+                publisher.put(message.serialize(), attachment=attached)
+
+        return Writer()
+
+    def reader(self, name, kind, order):
+        def hear(sample):
+            number, sent_ns, length, gid = struct.unpack("<qqB16s", sample.attachment.to_bytes())
+            age_s = (time.time_ns() - sent_ns) * 1e-9
+            attached = {"number": number, "age_s": age_s, "length": length, "gid": gid.hex()}
+            message = plain(kind.deserialize(sample.payload.to_bytes()))
+            tell({"topic": name, "message": {**message, "attached": attached}})
+
+        self.kept.append(self.session.declare_subscriber(self.key(name, kind, order), hear))
+
+
 def main():
-    participant = DomainParticipant(int(sys.argv[1]))
+    place = sys.argv[1]
+    middleware = Zenoh(place) if place.startswith("tcp/") else Dds(place)
     lock, says, hears = threading.Lock(), {}, []
 
     def speak():
@@ -207,12 +306,12 @@ def main():
             for topic, reader in readers:
                 for heard in reader.take(100):
                     if dataclasses.is_dataclass(heard):
-                        print(json.dumps({"topic": topic, "message": plain(heard)}), flush=True)
+                        tell({"topic": topic, "message": plain(heard)})
             time.sleep(0.005)
 
     for work in (speak, listen):
         threading.Thread(target=work, daemon=True).start()
-    print(json.dumps({"ready": True}), flush=True)
+    tell({"ready": True})
     for line in sys.stdin:
         order = json.loads(line)
         if "hush" in order:
@@ -221,18 +320,18 @@ def main():
             continue
         name = order.get("say") or order["hear"]
         kind = TYPES[order["type"]]
-        topic = Topic(participant, "rt" + name, kind, qos=qos(order))
         if "say" in order:
             message = made(kind, order.get("fields", {}))
             every = max(1, round(100 / order.get("hz", 30)))
             with lock:
                 before = says.get(name)
-                writer = before[0] if before else DataWriter(participant, topic, qos=qos(order))
+                writer = before[0] if before else middleware.writer(name, kind, order)
                 says[name] = (writer, message, every)
         else:
-            reader = DataReader(participant, topic, qos=qos(order))
-            with lock:
-                hears.append((name, reader))
+            reader = middleware.reader(name, kind, order)
+            if reader:
+                with lock:
+                    hears.append((name, reader))
 
 
 main()

@@ -19,7 +19,7 @@ pub(crate) fn cyclonedds() -> Option<PathBuf> {
     let named = std::env::var_os("JOULEBUS_CYCLONEDDS").filter(|named| !named.is_empty());
     let program = named.map_or_else(|| PathBuf::from("python3"), PathBuf::from);
     let mut check = Command::new(&program);
-    check.args(["-c", "import cyclonedds.domain"]);
+    check.args(["-c", "import cyclonedds.domain, zenoh"]);
     let is_there = check.output().is_ok_and(|output| output.status.success());
     if !is_there {
         eprintln!("skipped: there is no cyclonedds (JOULEBUS_CYCLONEDDS=$(tools/cyclonedds.sh))");
@@ -58,10 +58,15 @@ pub(crate) struct Peer {
 impl Peer {
     /// Starts a participant in the domain.
     pub(crate) fn start(python: &Path, domain: &RosDomain) -> Self {
+        Self::within(python, &domain.id.to_string())
+    }
+
+    /// Starts a participant: in a domain of DDS, or of zenoh at `tcp/host:port`.
+    pub(crate) fn within(python: &Path, place: &str) -> Self {
         let mut command = Command::new(python);
         command
             .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/ros2/peer.py"))
-            .arg(domain.id.to_string())
+            .arg(place)
             .env("CYCLONEDDS_URI", CYCLONE)
             .env("PYTHONDONTWRITEBYTECODE", "1");
         let child = Child::spawn("peer", command);

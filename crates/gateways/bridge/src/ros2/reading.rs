@@ -1,0 +1,72 @@
+//! What both middlewares share: the account of messages, and errors.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use joulebus_bus::clock;
+use rustdds::dds::{CreateError, ReadError};
+
+use crate::mapping::account::Reason;
+use crate::mapping::robots::Robots;
+use crate::mapping::ros::incoming::{Received, RosRoute};
+use crate::shared::Shared;
+
+/// Delay until a stop is noticed.
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Why ROS 2 could not be joined, or was left.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Ros2Error {
+    #[error(
+        "cannot take part in ROS domain {domain_id}: {source}. Another process may have its ports, 7400 + 250 × domain and on; \
+         `ulimit -Hn` limits the topics, three descriptors each"
+    )]
+    Join { domain_id: u16, source: CreateError },
+    #[error(
+        "cannot open topic {topic}: {source}. `ulimit -Hn` limits the topics, three descriptors each"
+    )]
+    Topic { topic: String, source: CreateError },
+    #[error("the threads of DDS have ended: {0}")]
+    Ended(ReadError),
+    #[error("cannot start the runtime: {0}")]
+    Runtime(#[from] std::io::Error),
+    #[error("ROS 2 over zenoh (RMW_IMPLEMENTATION): {0:#}")]
+    Zenoh(anyhow::Error),
+}
+
+/// What both middlewares read, and where messages go.
+pub(crate) struct Reading {
+    pub(crate) routes: Vec<RosRoute>,
+    pub(crate) robots: Robots,
+    pub(crate) shared: Arc<Shared>,
+}
+
+impl Reading {
+    /// Takes a message. `None` for one that has no encoding, which is counted.
+    pub(super) fn take(
+        &self,
+        (route, robot): (usize, u32),
+        received: Option<&Received>,
+        otherwise: Reason,
+    ) {
+        let at_ns = clock::monotonic_ns();
+        self.shared.count_message();
+        let (Some(route), Some(name)) = (self.routes.get(route), self.robots.name(robot)) else {
+            return;
+        };
+        let seen = {
+            let mut account = self.shared.account();
+            match received {
+                Some(received) => route.read(name, received, &mut account),
+                None => {
+                    account.count(&route.name, otherwise, name);
+                    None
+                }
+            }
+        };
+        match seen {
+            Some(seen) => self.shared.intake().take(robot, &seen, at_ns),
+            None => self.shared.log_news(),
+        }
+    }
+}

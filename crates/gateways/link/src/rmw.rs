@@ -1,0 +1,182 @@
+//! `joulebus link rmw-zenoh`: carries the messages of `joulebus bridge` over zenoh, as ROS 2's
+//! `rmw_zenoh_cpp` does.
+//!
+//! The bridge starts this program, so that it need not have zenoh itself. It writes a line of JSON
+//! to stdin ([`Asked`]) and then frames: the index of a written topic and the length of the
+//! message, u32 in little endian each, and the message in CDR. Frames of read topics come back on
+//! stdout. Frames with the index [`NOTICE`] name a publisher's topic and type in two lines; an
+//! empty one says that the session is open. The end of stdin ends the program.
+
+use std::collections::HashSet;
+use std::io::{self, BufRead as _, ErrorKind, Read as _, Write as _};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow};
+use joulebus_bus::clock;
+use joulebus_program::exit::Outcome;
+use serde::Deserialize;
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Config, Session, Wait as _};
+
+use crate::protocol::rmw::{Endpoint, Node, Topic, announced, attachment};
+
+/// Index of frames that are no message.
+const NOTICE: u32 = u32::MAX;
+/// Maximum size of a message that is passed on, bytes. Of a longer one so many bytes are passed on
+/// and one more: the bridge refuses it.
+const MAX_BYTES: usize = 65_536;
+/// Maximum size of the line that names all topics, bytes.
+const MAX_ASKED_BYTES: u64 = 8 << 20;
+/// Maximum number of remembered publishers. Each is announced once.
+const MAX_ANNOUNCED: usize = 100_000;
+/// Without another session for so long a warning names the router.
+const ALONE: Duration = Duration::from_secs(5);
+/// The variables by which `rmw_zenoh_cpp` is configured: a file, and keys in place of the file's.
+const FILE_VARIABLE: &str = "ZENOH_SESSION_CONFIG_URI";
+const KEYS_VARIABLE: &str = "ZENOH_CONFIG_OVERRIDE";
+/// Settings in which a session of `rmw_zenoh_cpp` differs from zenoh's own.
+const SETTINGS: [(&str, &str); 7] = [
+    ("mode", r#""peer""#),
+    ("connect/endpoints", r#"["tcp/localhost:7447"]"#),
+    ("connect/timeout_ms", "-1"),
+    ("connect/exit_on_failure", "false"),
+    ("listen/endpoints", r#"["tcp/localhost:0"]"#),
+    ("scouting/multicast/enabled", "false"),
+    ("scouting/gossip/enabled", "true"),
+];
+
+/// What the bridge asks for.
+#[derive(Debug, Deserialize)]
+struct Asked {
+    node: Node,
+    read: Vec<Topic>,
+    write: Vec<Topic>,
+}
+
+pub(crate) fn run() -> anyhow::Result<Outcome> {
+    let mut input = io::stdin().lock();
+    let mut line = String::new();
+    input.by_ref().take(MAX_ASKED_BYTES).read_line(&mut line)?;
+    let Asked { mut node, read, write } =
+        serde_json::from_str(&line).context("`joulebus bridge` starts this program")?;
+    let session = zenoh::open(config()?).wait().map_err(|error| anyhow!(error))?;
+    node.session = session.zid().to_string();
+    warn_if_alone(&session);
+    let domain_id = node.domain_id;
+    let declare = |token: String| {
+        session.liveliness().declare_token(token).wait().map_err(|error| anyhow!(error))
+    };
+    let mut tokens = vec![declare(node.token())?];
+    let mut seen = HashSet::new();
+    let publishers = session.liveliness().declare_subscriber(node.publishers());
+    let publishers =
+        publishers.history(true).callback_mut(move |token| announce(&token, &mut seen));
+    let _publishers = publishers.wait().map_err(|error| anyhow!(error))?;
+    let mut subscribers = Vec::new();
+    for (number, topic) in (0_u32..).zip(&read) {
+        let of = topic.clone();
+        let subscriber = session.declare_subscriber(topic.keys(domain_id));
+        let subscriber = subscriber.callback(move |sample| {
+            if of.is_type_of(sample.key_expr().as_str()) {
+                let message = sample.payload().to_bytes();
+                pass_on(number, &message[..message.len().min(MAX_BYTES + 1)]);
+            }
+        });
+        subscribers.push(subscriber.wait().map_err(|error| anyhow!(error))?);
+        tokens.push(declare(node.endpoint(tokens.len(), Endpoint::Subscription, topic))?);
+    }
+    let mut publishers = Vec::new();
+    for topic in &write {
+        let publisher = session.declare_publisher(topic.key(domain_id));
+        let publisher = publisher.wait().map_err(|error| anyhow!(error))?;
+        let token = node.endpoint(tokens.len(), Endpoint::Publisher, topic);
+        publishers.push((publisher, xxhash_rust::xxh3::xxh3_128(token.as_bytes()), 0_i64));
+        tokens.push(declare(token)?);
+    }
+    pass_on(NOTICE, b"");
+    let mut message = Vec::new();
+    while let Some(index) = next(&mut input, &mut message)? {
+        let named = publishers.get_mut(index as usize).context("a topic that was not named")?;
+        let (publisher, id, number) = named;
+        *number += 1;
+        let attached = attachment(*number, clock::unix_ns() as i64, *id);
+        // What nobody can take is dropped: the next message replaces it.
+        let put = publisher.put(message.as_slice()).attachment(attached.as_slice());
+        put.wait().map_err(|error| anyhow!(error))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// The configuration as for any node of ROS 2.
+fn config() -> anyhow::Result<Config> {
+    let variable = |name| std::env::var(name).ok().filter(|text| !text.is_empty());
+    let mut config = match variable(FILE_VARIABLE) {
+        Some(file) => Config::from_file(Path::new(&file))
+            .map_err(|error| anyhow!("{FILE_VARIABLE}={file:?}: {error}"))?,
+        None => Config::default(),
+    };
+    let own = SETTINGS.iter().filter(|_| variable(FILE_VARIABLE).is_none());
+    let own = own.map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+    let keys = variable(KEYS_VARIABLE).unwrap_or_default();
+    let given = keys.split(';').filter_map(|entry| entry.split_once('='));
+    for (key, value) in own.chain(given.map(|(key, value)| (key.to_owned(), value.to_owned()))) {
+        let set = config.insert_json5(key.trim(), value.trim());
+        set.map_err(|error| anyhow!("{KEYS_VARIABLE}, {key}={value}: {error}"))?;
+    }
+    Ok(config)
+}
+
+fn warn_if_alone(session: &Session) {
+    let session = session.clone();
+    std::thread::spawn(move || {
+        std::thread::sleep(ALONE);
+        let info = session.info();
+        let is_alone =
+            info.routers_zid().wait().next().is_none() && info.peers_zid().wait().next().is_none();
+        if is_alone && !session.is_closed() {
+            tracing::warn!(
+                "no zenoh router and no other node is reached: `ros2 run rmw_zenoh_cpp rmw_zenohd` starts a router, \
+                 {FILE_VARIABLE} and {KEYS_VARIABLE} say where it is (localhost:7447 without them)"
+            );
+        }
+    });
+}
+
+fn announce(token: &Sample, seen: &mut HashSet<String>) {
+    let key = token.key_expr().as_str();
+    if token.kind() == SampleKind::Delete {
+        seen.remove(key);
+    } else if let Some(Topic { topic, kind }) = announced(key)
+        && seen.len() < MAX_ANNOUNCED
+        && seen.insert(key.to_owned())
+    {
+        pass_on(NOTICE, format!("{topic}\n{kind}").as_bytes());
+    }
+}
+
+/// Writes a frame to the bridge. That it no longer reads is seen at the end of stdin.
+fn pass_on(index: u32, message: &[u8]) {
+    static OUTPUT: Mutex<()> = Mutex::new(());
+    let _whole = OUTPUT.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut frame = Vec::with_capacity(8 + message.len());
+    frame.extend_from_slice(&index.to_le_bytes());
+    frame.extend_from_slice(&(message.len() as u32).to_le_bytes());
+    frame.extend_from_slice(message);
+    let mut output = io::stdout().lock();
+    let _ = output.write_all(&frame).and_then(|()| output.flush());
+}
+
+/// The next message of the bridge. `None` at the end.
+fn next(input: &mut impl io::Read, message: &mut Vec<u8>) -> anyhow::Result<Option<u32>> {
+    let mut head = [[0; 4]; 2];
+    match input.read_exact(head.as_flattened_mut()) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+        read => read?,
+    }
+    let [index, length] = head.map(u32::from_le_bytes);
+    message.resize(length as usize, 0);
+    input.read_exact(message)?;
+    Ok(Some(index))
+}
