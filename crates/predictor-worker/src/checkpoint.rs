@@ -25,6 +25,10 @@ pub(crate) struct Checkpoint {
     pub written_unix_ns: u64,
     /// Accounts by robot id.
     pub robots: BTreeMap<u32, Account>,
+    /// The last 16 bits of the ids of robots whose account was given up for another. If one of
+    /// these robots joins without an account, its battery is unknown.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub lost: BTreeSet<u16>,
 }
 
 /// One robot's account; fields as in [`joulebus_wire::Budget`].
@@ -66,6 +70,7 @@ impl Checkpoint {
             written_ns: 0,
             written_unix_ns: 0,
             robots: BTreeMap::new(),
+            lost: BTreeSet::new(),
         }
     }
 
@@ -113,6 +118,7 @@ impl Checkpoint {
             oldest_first.sort_unstable();
             for (.., robot) in oldest_first.iter().take(too_many) {
                 self.robots.remove(robot);
+                self.lost.insert(*robot as u16);
             }
         }
         too_many
@@ -256,6 +262,7 @@ pub(crate) mod tests {
         let kept: Vec<u32> = ledger.robots.keys().copied().collect();
         let wanted: Vec<u32> = (0..20).chain(110..120).collect();
         assert_eq!(kept, wanted);
+        assert_eq!(ledger.lost, (100..110).collect());
     }
 
     #[test]

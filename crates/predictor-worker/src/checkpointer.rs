@@ -160,7 +160,8 @@ impl Checkpointer {
             tracing::warn!(
                 gone,
                 allowed,
-                "more robots than accounts: those of robots that left long ago are given up"
+                "more robots than accounts: those of robots that left long ago are given up, and their \
+                 batteries are unknown until measured or full"
             );
         }
         if let Err(error) = read {

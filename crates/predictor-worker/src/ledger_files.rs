@@ -18,8 +18,12 @@ use crate::checkpoint::Checkpoint;
 
 /// Version of the files.
 const SCHEMA: u32 = 3;
+/// The version of files that name lost accounts. Releases that do not know them must not take the
+/// batteries for new.
+const WITH_LOST: u32 = 4;
 /// The version before, without batteries: it is read, and written as the newest.
 const BEFORE: u32 = 2;
+const KNOWN: [u32; 3] = [WITH_LOST, SCHEMA, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -67,8 +71,8 @@ pub enum LedgerFileError {
     },
     /// The file has another version.
     #[error(
-        "ledger {path:?} is in version {found}, expected {SCHEMA}: use the release of joulebus that wrote \
-         it, or move the file away to begin a new account"
+        "ledger {path:?} is in version {found}, this release reads {BEFORE} to {WITH_LOST}: use the release \
+         of joulebus that wrote it, or move the file away to begin a new account"
     )]
     Version {
         /// The file.
@@ -317,12 +321,9 @@ fn checksum(
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
-    serde_json::to_vec(&Content {
-        schema: SCHEMA,
-        generation,
-        fnv1a: checksum(SCHEMA, generation, ledger)?,
-        ledger,
-    })
+    let schema = if ledger.lost.is_empty() { SCHEMA } else { WITH_LOST };
+    let fnv1a = checksum(schema, generation, ledger)?;
+    serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
 }
 
 /// Whether the rest of a file, by its checksum, is of a supported version. Its version field is
@@ -331,7 +332,7 @@ fn is_of_known_version(bytes: &[u8]) -> bool {
     let Ok(content) = serde_json::from_slice::<Content<Checkpoint>>(bytes) else {
         return false;
     };
-    [SCHEMA, BEFORE].into_iter().any(|schema| {
+    KNOWN.into_iter().any(|schema| {
         checksum(schema, content.generation, &content.ledger)
             .is_ok_and(|expected| expected == content.fnv1a)
     })
@@ -359,8 +360,7 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
         Err(error) => return Err(failed(error)),
     };
     if let Ok(Version { schema }) = serde_json::from_slice(&bytes)
-        && schema != SCHEMA
-        && schema != BEFORE
+        && !KNOWN.contains(&schema)
         && !is_of_known_version(&bytes)
     {
         return Err(Flaw::Fatal(LedgerFileError::Version { path: path.to_owned(), found: schema }));
@@ -576,6 +576,17 @@ mod tests {
         assert!(text.starts_with("{\"schema\":3,\"generation\":9,"), "{text}");
     }
 
+    #[test]
+    fn lost_accounts_are_in_a_version_that_releases_without_them_refuse() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let lost = Checkpoint { lost: [7, u16::MAX].into(), ..drawn(77) };
+        LedgerFiles::new(&path).write(&lost).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with("{\"schema\":4,\"generation\":1,"), "{text}");
+        assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(lost));
+    }
+
     /// Bytes of generation `generation`, which has drawn as many µJ.
     fn whole(generation: u64) -> Vec<u8> {
         encode(generation, &drawn(generation as i64)).unwrap()
@@ -702,7 +713,7 @@ mod tests {
         assert!(matches!(error("lab"), LedgerFileError::Damaged { .. }), "{}", error("lab"));
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
         for (text, found) in
-            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":4}", 4)]
+            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":5}", 5)]
         {
             fs::write(&path, text).unwrap();
             let error = error("lab");

@@ -173,6 +173,7 @@ impl Worker {
         let saved = before.checkpoint.ledgers().into_iter();
         let saved: Vec<_> = saved.filter(|it| fleet.is_configured(it.robot)).collect();
         let written = saved.len();
+        before.checkpoint.lost.iter().for_each(|ids| fleet.lose(*ids));
         let kept = saved
             .into_iter()
             .filter(|it| fleet.restore(it.robot, it.ledger, it.charged, it.battery))
@@ -181,7 +182,8 @@ impl Worker {
             tracing::warn!(
                 kept,
                 written,
-                "more accounts saved than the capacity of the fleet: raise `capacity`"
+                "more accounts saved than the capacity of the fleet, and the other robots' batteries are \
+                 unknown until measured or full: raise `capacity`"
             );
         }
         let mut part = vec![Sample::new(0, 0, 0); PART];

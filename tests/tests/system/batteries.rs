@@ -1,6 +1,7 @@
 //! Batteries over the restart of a worker that was configured with nothing but their capacity.
 
-use joulebus_tests::{Arena, Setup, eventually};
+use joulebus_bus::clock;
+use joulebus_tests::{Arena, Setup, eventually, steady};
 use serde_json::Value;
 
 const ROBOTS: u32 = 3;
@@ -14,6 +15,65 @@ fn setup() -> Setup {
         more: "[platform.battery]\ncapacity_wh = 0.05\ninitial_soc_lo = 1.0\n".to_owned(),
         ..Setup::default()
     }
+}
+
+/// The bounds that are saved of a robot's state of charge, once there are any.
+fn bounds(arena: &Arena, robot: u32) -> Option<(f64, f64)> {
+    let file: Value = serde_json::from_slice(&std::fs::read(arena.ledger()).ok()?).ok()?;
+    let battery = &file["ledger"]["robots"][robot.to_string()]["battery"];
+    Some((battery["soc_lo"].as_f64()?, battery["soc_hi"].as_f64()?))
+}
+
+/// Sends a sample of each of these robots, the first one's the oldest, until all are saved.
+fn report(arena: &Arena, robots: std::ops::Range<u32>) {
+    let mut source = arena.source("robots");
+    let mut seq = 0;
+    eventually("the robots are saved", || {
+        let now_ns = clock::monotonic_ns();
+        let sample = |robot| steady(robot, seq, now_ns + u64::from(robot));
+        source.send(&robots.clone().map(sample).collect::<Vec<_>>());
+        seq += 1;
+        seq > 3 && robots.clone().all(|robot| bounds(arena, robot).is_some())
+    });
+    source.leave();
+}
+
+#[test]
+fn a_lowered_capacity_takes_no_account_and_a_robot_that_has_none_is_unknown() {
+    let of = |capacity| Setup {
+        capacity,
+        ledger: true,
+        default_ledger: false,
+        more: "[platform.battery]\ncapacity_wh = 20.0\ninitial_soc_lo = 0.9\n".to_owned(),
+        ..setup()
+    };
+    let is_known = |bounds: Option<(f64, f64)>| bounds.is_some_and(|(lo, _)| lo > 0.5);
+    let arena = Arena::new(&of(6));
+    let mut worker = arena.worker();
+    report(&arena, 0..6);
+    worker.stop();
+    assert!((0..6).all(|robot| is_known(bounds(&arena, robot))));
+    arena.configure(&of(2));
+    let mut worker = arena.spawn_worker();
+    worker.wait_for_line("batteries are unknown until measured or full");
+    worker.wait_for_line("ready:");
+    // Robot 0 was silent longest: it has no place among two.
+    let mut source = arena.source("robots");
+    let mut seq = 100;
+    eventually("a robot without account is unknown", || {
+        source.send(&[steady(0, seq, clock::monotonic_ns())]);
+        seq += 1;
+        bounds(&arena, 0).is_some_and(|(lo, hi)| lo == 0.0 && hi > 0.99)
+    });
+    source.leave();
+    worker.stop();
+    arena.configure(&of(6));
+    let mut worker = arena.worker();
+    report(&arena, 0..6);
+    worker.stop();
+    assert_eq!(bounds(&arena, 0).map(|(lo, _)| lo), Some(0.0));
+    assert!((1..6).all(|robot| is_known(bounds(&arena, robot))), "they were in the file");
+    arena.close();
 }
 
 /// Generation and states of charge in the file that the worker saves by default, once there is one.

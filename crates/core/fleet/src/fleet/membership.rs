@@ -41,6 +41,12 @@ impl Fleet {
         })
     }
 
+    /// An earlier run gave up the accounts of robots whose ids end with these 16 bits. The battery
+    /// of such a robot is unknown when it joins without an account.
+    pub fn lose(&mut self, ids: u16) {
+        self.departed.lose(ids);
+    }
+
     /// Whether a platform of the config has this robot.
     #[must_use]
     pub fn is_configured(&self, robot: u32) -> bool {
@@ -85,8 +91,9 @@ impl Fleet {
         let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
         if let Some(battery) = &context.platform.battery {
             let known = departed.map_or(Known::Nothing, |departed| departed.battery);
-            let charged = columns.admissions[slot].charged;
-            let joining = BatteryState::joining(battery, known, charged, &ledger);
+            let lost = departed.is_none() && self.departed.is_lost(id);
+            let used = lost || columns.admissions[slot].charged;
+            let joining = BatteryState::joining(battery, known, used, &ledger);
             lanes::set(&mut columns.batteries, slot, joining);
         }
         let interval = ConformalInterval::new(

@@ -4,6 +4,7 @@ use joulebus_predictor::LAGS;
 
 use crate::fleet::Fleet;
 use crate::layout::lanes::{self, LANES};
+use crate::ledger::departed::LOST_WORDS;
 use crate::state::snapshot::{Counters, FleetState, StateError};
 
 impl Fleet {
@@ -31,6 +32,7 @@ impl Fleet {
         state.columns.copy(&self.columns, self.slots.reach());
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
+        copy(&mut state.lost, self.departed.lost());
         copy(&mut state.sources, self.sources.all());
         state.refused.clone_from(&self.refused);
         state.errors.clear();
@@ -56,6 +58,7 @@ impl Fleet {
         // Recomputed at the next tick.
         *self.oldest_ns.get_mut() = 0;
         self.departed.replace(&state.departed);
+        self.departed.replace_lost(&state.lost);
         self.sources.replace(&state.sources);
         self.refused.clone_from(&state.refused);
         for (context, saved) in self.tick.platforms.iter_mut().zip(&state.errors) {
@@ -98,6 +101,7 @@ impl Fleet {
             exactly(what, length, expected)?;
         }
         at_most("accounts", state.departed.len(), state.capacity as usize)?;
+        at_most("words of lost robots", state.lost.len(), LOST_WORDS)?;
         let most = self.tick.settings.intake.max_sources;
         at_most("sources", state.sources.len(), most.into())?;
         at_most("robots that have reported", state.counters.reported as usize, slots)?;

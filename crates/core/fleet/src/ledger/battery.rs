@@ -434,13 +434,14 @@ impl BatteryState {
         restored
     }
 
-    /// The battery of a robot that joins: as it left, as it was written down, or new.
-    pub(crate) fn joining(battery: &Battery, known: Known, charged: bool, ledger: &Ledger) -> Self {
+    /// The battery of a robot that joins: as it left, as it was written down, unknown if nothing is
+    /// known although it was used, or new.
+    pub(crate) fn joining(battery: &Battery, known: Known, used: bool, ledger: &Ledger) -> Self {
         let mut joining = match known {
             Known::Kept(kept) => kept,
             Known::Saved(saved) => Self::restored(&saved, battery, ledger),
-            // Charged by an earlier version, which did not meter it.
-            Known::Nothing if charged => Self::unknown(battery, At::of(ledger)),
+            // Charged by an earlier version, which did not meter it, or its account was given up.
+            Known::Nothing if used => Self::unknown(battery, At::of(ledger)),
             Known::Nothing => Self::new(battery),
         };
         // Stamps of before are of another run, or of another boot.

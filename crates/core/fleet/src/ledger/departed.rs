@@ -30,6 +30,9 @@ impl Account {
     }
 }
 
+/// Words of [`Departed::lost`].
+pub(crate) const LOST_WORDS: usize = (1 << u16::BITS) / u64::BITS as usize;
+
 /// Ring buffer of accounts in columns, with a fixed capacity; the account dropped for another one
 /// is among the oldest.
 #[derive(Debug)]
@@ -44,6 +47,9 @@ pub(crate) struct Departed {
     oldest: usize,
     len: usize,
     given_up: u64,
+    /// Robots whose account was dropped in this run or in an earlier one, a bit for the last 16
+    /// bits of their ids. It may name others, but never leaves one out.
+    lost: Vec<u64>,
 }
 
 impl Departed {
@@ -62,6 +68,7 @@ impl Departed {
             oldest: 0,
             len: 0,
             given_up: 0,
+            lost: vec![0; LOST_WORDS],
         }
     }
 
@@ -71,8 +78,10 @@ impl Departed {
         let known = self.place(account.robot);
         let room = known.is_some() || self.len < self.robots.len();
         if !room {
-            self.take(self.robots[self.oldest]);
+            let oldest = self.robots[self.oldest];
+            self.take(oldest);
             self.given_up += 1;
+            self.lose(oldest as u16);
         }
         let place = known.unwrap_or_else(|| {
             let place = self.after(self.len);
@@ -128,6 +137,28 @@ impl Departed {
         self.place(robot).map(|place| &self.ledgers[place])
     }
 
+    /// The accounts of robots whose ids end with these bits are lost.
+    pub(crate) fn lose(&mut self, ids: u16) {
+        self.lost[usize::from(ids / 64)] |= 1 << (ids % 64);
+    }
+
+    /// Whether a robot without an account may have had one.
+    pub(crate) fn is_lost(&self, robot: u32) -> bool {
+        let ids = robot as u16;
+        self.lost[usize::from(ids / 64)] & (1 << (ids % 64)) != 0
+    }
+
+    /// All lost robots, for [`Departed::replace_lost`]; empty if there is none.
+    pub(crate) fn lost(&self) -> &[u64] {
+        let any = self.lost.iter().any(|word| *word != 0);
+        if any { &self.lost } else { &[] }
+    }
+
+    pub(crate) fn replace_lost(&mut self, lost: &[u64]) {
+        self.lost.fill(0);
+        self.lost[..lost.len()].copy_from_slice(lost);
+    }
+
     /// Number of accounts dropped for others.
     pub(crate) const fn given_up(&self) -> u64 {
         self.given_up
@@ -155,7 +186,7 @@ impl Departed {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::VecDeque;
+    use std::collections::{BTreeSet, VecDeque};
 
     use proptest::prelude::*;
 
@@ -177,7 +208,7 @@ mod tests {
             steps in prop::collection::vec((any::<bool>(), 0u32..40), 0..400),
         ) {
             let (mut departed, mut queue) = (Departed::new(most, false), VecDeque::new());
-            let mut given_up = 0;
+            let (mut given_up, mut lost) = (0, BTreeSet::new());
             for (at, (leaves, robot)) in steps.into_iter().enumerate() {
                 let known = queue.iter().position(|it: &Account| it.robot == robot);
                 if leaves {
@@ -187,7 +218,7 @@ mod tests {
                         Some(known) => queue[known] = account,
                         None => {
                             given_up += u64::from(!room);
-                            queue.drain(..usize::from(!room));
+                            lost.extend(queue.drain(..usize::from(!room)).map(|it| it.robot));
                             queue.push_back(account);
                         }
                     }
@@ -207,6 +238,7 @@ mod tests {
                     let found = departed.ledger(robot).copied();
                     let queued = queue.iter().find(|it| it.robot == robot).map(|it| it.ledger);
                     prop_assert_eq!(found, queued);
+                    prop_assert_eq!(departed.is_lost(robot), lost.contains(&robot));
                 }
             }
             prop_assert_eq!(departed.given_up(), given_up);
@@ -214,6 +246,9 @@ mod tests {
             let mut again = Departed::new(most, false);
             again.replace(&accounts);
             prop_assert_eq!(again.accounts().count(), accounts.len());
+            again.lose(77);
+            again.replace_lost(departed.lost());
+            prop_assert_eq!((again.lost(), again.is_lost(77)), (departed.lost(), false));
         }
     }
 }

@@ -29,6 +29,7 @@ impl FleetState {
             sources,
             // Robots, reasons and processes.
             refused: _,
+            lost: _,
             errors: _,
         } = &mut self;
         counters.shift(shift);

@@ -10,17 +10,17 @@ use crate::ingest::frame::TickIntake;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Source;
 use crate::ledger::battery::Known;
-use crate::ledger::departed::Account;
+use crate::ledger::departed::{Account, LOST_WORDS};
 use crate::ledger::energy::Ledger;
 use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x0c";
+const MAGIC: [u8; 8] = *b"jbstate\x0d";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, energy states and their errors, online learning,
-/// accounts of departed robots, sources, refusals and drops.
+/// accounts of departed robots, which of them were given up, sources, refusals and drops.
 ///
 /// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
 /// from which it was [taken](crate::Fleet::state).
@@ -34,6 +34,8 @@ pub struct FleetState {
     /// The slots ever used.
     pub(crate) columns: Columns,
     pub(crate) departed: Vec<Account>,
+    /// Empty unless an account was given up.
+    pub(crate) lost: Vec<u64>,
     pub(crate) sources: Vec<Source>,
     pub(crate) refused: Refused,
     /// Of each platform.
@@ -147,6 +149,7 @@ impl FleetState {
                     battery: Known::Nothing,
                 },
             ),
+            lost: with_capacity(LOST_WORDS, 0),
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
             refused: Refused::default(),
             errors: with_capacity(settings.platforms.len(), SavedErrors::default()),

@@ -1,7 +1,7 @@
 //! Batteries over a day: charged, measured, exchanged, left alone. The stated bounds contain the
 //! truth with the stated frequency, and a sensor's value is believed only if it can be true.
 
-use joulebus_fleet::{Fleet, SavedBattery};
+use joulebus_fleet::{Fleet, FleetState, SavedBattery};
 use joulebus_predictor::{Model, Persistence, ResidualStats};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, OpenCircuit, Platform};
 use joulebus_testkit_fleets::random::Noise;
@@ -590,4 +590,49 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     source.tick(&mut fleet, &[sample], sample.stamp_ns);
     let shown = world::budget(&fleet, 0);
     assert!(shown.soc_lo < 0.01 && shown.soc_hi > 0.99, "{shown:?}");
+}
+
+#[test]
+fn a_robot_whose_account_was_given_up_has_an_unknown_battery_until_it_is_known_again() {
+    let mut settings = settings(battery(), 5);
+    settings.capacity = 2;
+    let new = || {
+        let residual = ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 };
+        let model = Model::Persistence(Persistence::new(residual).expect("finite and in order"));
+        Fleet::new(settings.clone(), vec![model]).expect("the settings are consistent")
+    };
+    let (mut fleet, mut source) = (new(), Source::new(1, 1));
+    let mut now_ns = START_NS;
+    let mut send = |fleet: &mut Fleet, robot, change: &dyn Fn(Sample) -> Sample| {
+        // Everybody else has left.
+        now_ns += settings.intake.leave_after_ns + STEP_NS;
+        fleet.tick(now_ns, false);
+        let sample = change(Sample::new(robot, now_ns / STEP_NS, now_ns).reading(4.0, now_ns));
+        source.tick(fleet, &[sample], now_ns);
+        let shown = world::budget(fleet, robot);
+        (shown.soc_lo, shown.soc, shown.soc_hi)
+    };
+    let is_new =
+        |(lo, soc, _): (f32, f32, f32)| (soc - 0.9).abs() < 1e-3 && (lo - 0.8).abs() < 1e-3;
+    for robot in 0..4 {
+        assert!(is_new(send(&mut fleet, robot, &|sample| sample)), "robot {robot}");
+    }
+    // There are places for two accounts, and 3 is in the fleet.
+    assert_eq!(fleet.accounts_given_up(), 1);
+    // A standby, and the verification of a capture, know it too.
+    let mut bytes = Vec::new();
+    fleet.state().encode_into(&mut bytes);
+    let mut standby = new();
+    standby.restore_state(&FleetState::decode(&bytes).unwrap()).unwrap();
+    // A later run is told.
+    let mut later = new();
+    later.lose(0);
+    for mut fleet in [fleet, standby, later] {
+        assert_eq!(send(&mut fleet, 0, &|sample| sample), (0.0, 0.5, 1.0));
+        assert!(is_new(send(&mut fleet, 4, &|sample| sample)), "never seen");
+        assert_eq!(send(&mut fleet, 0, &|sample| sample).0, 0.0, "its account is unknown");
+        let (lo, soc, hi) = send(&mut fleet, 0, &|sample| sample.state_of_charge(0.6));
+        assert!(lo > 0.4 && (soc - 0.6).abs() < 0.05 && hi < 0.8, "{lo} to {hi}");
+        assert!(is_new(send(&mut fleet, 0, &|sample| sample.with(sample_flag::SWAPPED))));
+    }
 }
