@@ -118,8 +118,12 @@ impl Setup {
         let _ = write!(
             text,
             "[[platform]]\nfile = \"{}\"\nrobots = [\"{}\"]\n\
-             rate_hz = {:?}\nstale_after_s = {:?}\nhold_max_s = 1.0\n",
-            self.platform, self.robots, self.rate_hz, self.stale_after_s,
+             rate_hz = {:?}\nstale_after_s = {:?}\nhold_max_s = {:?}\n",
+            self.platform,
+            self.robots,
+            self.rate_hz,
+            self.stale_after_s,
+            f64::max(1.0, 1.0 / self.rate_hz),
         );
         if let Some(model) = &self.model {
             let _ = writeln!(text, "model = \"{}\"", model.display());

@@ -445,7 +445,7 @@ impl Subscriber {
         let found = self.reader.hold_latest(|header, robots, run| {
             let is_newer = newer(header.schema, place(run, header), &mut at, &mut schema);
             if is_newer && let Some(each) = each.as_mut() {
-                *arrival = tracker.frame(run, header);
+                *arrival = tracker.frame(run, header, clock::monotonic_ns());
                 each(header, robots);
             }
             is_newer
@@ -457,7 +457,7 @@ impl Subscriber {
         };
         if each.is_none() {
             // The frames before it were skipped.
-            self.arrival = self.tracker.frame(run, header);
+            self.arrival = self.tracker.frame(run, header, clock::monotonic_ns());
         }
         if self.tracker.counts().workers != workers {
             // If the pid has been reused meanwhile, the worker is already gone and no fresh frame

@@ -104,8 +104,10 @@ impl Tracker {
         self.last.map(|last| last.place)
     }
 
-    /// A frame later than all before, of the `run`-th process that is the worker.
-    pub(crate) fn frame(&mut self, run: u64, header: &ForecastHeader) -> Arrival {
+    /// A frame later than all before, of the `run`-th process that is the worker, read at `now_ns`.
+    /// If this process's clock is behind the worker's, the frame's age is taken to be 0 then, so
+    /// that a silent worker is noticed all the same.
+    pub(crate) fn frame(&mut self, run: u64, header: &ForecastHeader, now_ns: u64) -> Arrival {
         let (_, epoch, tick) = place(run, header);
         let arrival = match self.place() {
             None => Arrival::default(),
@@ -130,7 +132,7 @@ impl Tracker {
         }
         self.last = Some(Last {
             place: (run, epoch, tick),
-            sent_ns: header.sent_ns,
+            sent_ns: header.sent_ns.min(now_ns),
             period_ns: header.period_ns,
         });
         arrival
@@ -258,7 +260,7 @@ mod tests {
             (9, 3, 2, true, 2),
             (9, u64::MAX, u64::MAX - 4, false, 3),
         ] {
-            let arrival = tracker.frame(1, &header(epoch, tick, 1_000));
+            let arrival = tracker.frame(1, &header(epoch, tick, 1_000), u64::MAX);
             assert_eq!(
                 (arrival.ticks_missed, arrival.restarted),
                 (missed, restarted),
@@ -276,7 +278,7 @@ mod tests {
         assert_eq!(tracker.state(5_000), WorkerState::Waiting);
         assert_eq!(tracker.change(5_000), None);
         assert_eq!(tracker.change_due_ns(), None);
-        tracker.frame(1, &header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000), u64::MAX);
         assert_eq!(tracker.change_due_ns(), Some(1_201));
         let stale = |age_ns| WorkerState::Stale { age_ns };
         for (now_ns, state, change) in [
@@ -291,7 +293,7 @@ mod tests {
             assert_eq!(tracker.change(now_ns), change.then_some(state), "{now_ns}");
         }
         assert_eq!(tracker.change_due_ns(), None, "told already");
-        tracker.frame(1, &header(1, 2, 9_100));
+        tracker.frame(1, &header(1, 2, 9_100), u64::MAX);
         assert_eq!(tracker.state(9_100), WorkerState::Alive);
         assert_eq!(tracker.change(9_301), Some(stale(201)), "told again");
     }
@@ -303,12 +305,12 @@ mod tests {
             // An end before the first frame is ignored.
             tracker.over(end, 900);
             assert_eq!(tracker.state(900), WorkerState::Waiting);
-            tracker.frame(1, &header(1, 1, 1_000));
+            tracker.frame(1, &header(1, 1, 1_000), u64::MAX);
             tracker.over(end, 1_050);
             let gone = WorkerState::Gone(end);
             assert_eq!(tracker.state(1_050), gone);
             // The last frame is read after the end was seen.
-            tracker.frame(1, &header(1, 2, 1_040));
+            tracker.frame(1, &header(1, 2, 1_040), u64::MAX);
             assert_eq!(tracker.change(1_060), Some(gone));
             assert_eq!(tracker.change(1_060), None);
             assert_eq!(tracker.change(9_999), None, "gone, therefore not stale");
@@ -319,7 +321,7 @@ mod tests {
     #[test]
     fn the_first_reason_of_an_end_is_kept() {
         let mut tracker = Tracker::new();
-        tracker.frame(1, &header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000), u64::MAX);
         tracker.over(End::Ended, 1_010);
         tracker.over(End::Exited, 1_020);
         assert_eq!(tracker.state(1_020), WorkerState::Gone(End::Ended));
@@ -335,10 +337,10 @@ mod tests {
             (1, 2, 1_050, false),
         ] {
             let mut tracker = Tracker::new();
-            tracker.frame(1, &header(1, 1, 1_000));
+            tracker.frame(1, &header(1, 1, 1_000), u64::MAX);
             tracker.over(End::Exited, 1_050);
             assert!(tracker.change(1_060).is_some());
-            tracker.frame(1, &header(epoch, tick, sent_ns));
+            tracker.frame(1, &header(epoch, tick, sent_ns), u64::MAX);
             let alive = tracker.state(1_100) == WorkerState::Alive;
             assert_eq!(alive, back, "{epoch}:{tick} {sent_ns}");
             tracker.over(End::Exited, 1_110);
@@ -349,10 +351,18 @@ mod tests {
     #[test]
     fn the_end_of_a_stale_worker_is_reported() {
         let mut tracker = Tracker::new();
-        tracker.frame(1, &header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000), u64::MAX);
         assert!(matches!(tracker.change(1_500), Some(WorkerState::Stale { age_ns: 500 })));
         tracker.over(End::Exited, 1_600);
         assert_eq!(tracker.change(1_600), Some(WorkerState::Gone(End::Exited)));
+    }
+
+    #[test]
+    fn a_worker_whose_clock_is_ahead_falls_silent_two_periods_after_its_frame_was_read() {
+        let mut tracker = Tracker::new();
+        tracker.frame(1, &header(1, 1, 1_000_000), 1_000);
+        assert_eq!(tracker.state(1_200), WorkerState::Alive);
+        assert_eq!(tracker.state(1_201), WorkerState::Stale { age_ns: 201 });
     }
 
     #[test]
@@ -360,13 +370,13 @@ mod tests {
         let mut tracker = Tracker::new();
         let mut wild = header(1, 0, u64::MAX);
         wild.period_ns = u64::MAX;
-        tracker.frame(1, &wild);
+        tracker.frame(1, &wild, u64::MAX);
         assert_eq!(tracker.state(0), WorkerState::Alive);
         // At the maximum time everything is stale.
         assert!(matches!(tracker.state(u64::MAX), WorkerState::Stale { age_ns: 0 }));
         wild.period_ns = 0;
         wild.sent_ns = 10;
-        tracker.frame(1, &wild);
+        tracker.frame(1, &wild, u64::MAX);
         assert_eq!(tracker.state(11), WorkerState::Stale { age_ns: 1 });
     }
 

@@ -576,6 +576,36 @@ mod tests {
         assert!(text.starts_with("{\"schema\":3,\"generation\":9,"), "{text}");
     }
 
+    /// The ledger in a file as release df6ba14 writes it, character by character.
+    const DF6BA14: &str = concat!(
+        r#"{"fleet":"lab","boot_id":"4876f96a-28c7-49b8-8623-2009dbb66d37","#,
+        r#""written_ns":74517492152304,"written_unix_ns":1795712824457448609,"#,
+        r#""robots":{"0":{"drawn_uj":102699,"drawn_remainder":1138000000,"#,
+        r#""forecast_uj":102699,"metered_ns":29342734,"unmetered_ns":5,"#,
+        r#""stamp_ns":74361085653668,"charged":false,"battery":{"soc":0.75,"#,
+        r#""soc_lo":0.625,"soc_hi":0.875,"soc_sd":0.0625,"sensor_bias":0.0,"#,
+        r#""sensor_bias_sd":0.05,"sensor_covariance":0.0,"unmetered_ns":0,"#,
+        r#""changes":2,"charging":false,"measured":true}},"#,
+        r#""4000000000":{"drawn_uj":-7,"drawn_remainder":0,"forecast_uj":0,"#,
+        r#""metered_ns":0,"unmetered_ns":1,"stamp_ns":9,"charged":true}}}"#,
+    );
+
+    #[test]
+    fn a_file_of_df6ba14_is_read_whole_and_what_this_release_writes_is_one_that_it_reads() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let head = r#"{"schema":3,"generation":41,"fnv1a":"5a19a900f819c81a","ledger":"#;
+        let text = format!("{head}{DF6BA14}}}");
+        fs::write(&path, &text).unwrap();
+        let mut files = LedgerFiles::new(&path);
+        let ledger = files.read("lab").unwrap().unwrap();
+        assert_eq!(ledger.robots[&0].drawn_uj, 102_699);
+        // It refuses unknown fields, versions other than 2 and 3, and any other checksum.
+        assert_eq!(String::from_utf8(encode(41, &ledger).unwrap()).unwrap(), text);
+        files.write(&ledger).unwrap();
+        assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(ledger));
+    }
+
     #[test]
     fn lost_accounts_are_in_a_version_that_releases_without_them_refuse() {
         let folder = tempfile::tempdir().unwrap();

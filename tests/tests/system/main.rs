@@ -3,6 +3,7 @@
 
 mod batteries;
 mod captures;
+mod clocks;
 mod cut_short;
 mod floods;
 mod foreign_files;

@@ -370,9 +370,10 @@ fn energy_state(state: &PlanState) -> EnergyState {
     }
 }
 
-/// Whether a frame is stale, with its age.
+/// Whether a frame is stale, with its age. Of a frame from the future, by a clock that is not the
+/// worker's, nobody knows how old it is.
 pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
-    let age_ns = now_ns.saturating_sub(header.sent_ns);
+    let age_ns = now_ns.abs_diff(header.sent_ns);
     (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
 }
 
@@ -413,7 +414,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     let (header, state) = (frames.header, frames.state);
     let budget = frames.budget.filter(|(of, row)| is_current(header, state, of, row));
     let (of, budget) = budget.ok_or(Unknown::NoBudget)?;
-    let age_ns = frames.now_ns.saturating_sub(of.sent_ns);
+    let age_ns = frames.now_ns.abs_diff(of.sent_ns);
     if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
         return Err(Unknown::NoBudget);
     }

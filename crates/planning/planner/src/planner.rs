@@ -199,13 +199,13 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Whether both frames are of one run of the worker, and neither is stale.
+    /// Whether both frames are of one run of the worker, and neither is stale, nor from the future
+    /// by this process's clock.
     #[must_use]
     pub fn is_current(&self) -> bool {
         let header = self.states.header();
-        let fresh = |sent_ns: u64| {
-            self.now_ns.saturating_sub(sent_ns) <= header.period_ns.saturating_mul(2)
-        };
+        let fresh =
+            |sent_ns: u64| self.now_ns.abs_diff(sent_ns) <= header.period_ns.saturating_mul(2);
         let budgets = self.budgets.as_ref().map(Frame::header);
         fresh(header.sent_ns)
             && budgets.is_some_and(|of| of.worker_epoch == header.worker_epoch && fresh(of.sent_ns))

@@ -50,8 +50,10 @@ fn whatever_is_unknown_is_said_and_never_yes() {
     let fine = Rows::with_usable(20_000.0);
     assert_eq!(straight(&fine.robot(&fleet), 0.1, 300).verdict, Verdict::Yes);
     type Spoil = fn(&mut Rows);
-    let cases: [(Spoil, Unknown); 14] = [
+    let cases: [(Spoil, Unknown); 15] = [
         (|rows| rows.now_ns += 3 * PERIOD_NS, Unknown::Stale { age_ns: 1_000_000 + 3 * PERIOD_NS }),
+        // By a clock that is behind the worker's.
+        (|rows| rows.now_ns -= 4 * PERIOD_NS, Unknown::Stale { age_ns: 4 * PERIOD_NS - 1_000_000 }),
         (
             |rows| {
                 let code = Quality::Invalid(InvalidReason::Stale).encode();

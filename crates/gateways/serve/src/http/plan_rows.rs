@@ -105,8 +105,7 @@ impl Feeds {
         let budgets = self.budgets.latest().ok().flatten()?;
         let now_ns = clock::monotonic_ns();
         let header = *states.header();
-        let fresh =
-            |sent_ns: u64| now_ns.saturating_sub(sent_ns) <= header.period_ns.saturating_mul(2);
+        let fresh = |sent_ns: u64| now_ns.abs_diff(sent_ns) <= header.period_ns.saturating_mul(2);
         let budget_header = *budgets.header();
         if !(fresh(header.sent_ns)
             && fresh(budget_header.sent_ns)

@@ -1,0 +1,127 @@
+//! Processes whose monotonic clocks differ, and fleets at the lowest and the highest rate.
+
+use std::process::Command;
+
+use joulebus_tests::{Arena, Child, Planner, ReaderLine, Setup, figure, script};
+use joulebus_wire::Quality;
+use rustix::process::Signal;
+
+/// How far the clocks differ, s.
+const AWAY_S: i64 = 1_000;
+const FAR_NS: u64 = 500_000_000_000;
+
+/// The command in a time namespace of its own, whose clocks are `ahead_s` ahead.
+fn elsewhere(command: &Command, ahead_s: i64) -> Command {
+    let mut there = Command::new("unshare");
+    there.args(["--time", &format!("--monotonic={ahead_s}"), &format!("--boottime={ahead_s}")]);
+    there.arg(command.get_program()).args(command.get_args());
+    there
+}
+
+/// Whether this kernel gives a program that is started so another clock; says so if it does not.
+fn can_differ() -> bool {
+    let uptime_s = |mut command: Command| {
+        let output = command.output().ok().filter(|output| output.status.success())?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        text.split(['.', ' ']).next()?.parse::<i64>().ok()
+    };
+    let mut command = Command::new("cat");
+    command.arg("/proc/uptime");
+    let there = uptime_s(elsewhere(&command, AWAY_S));
+    let works = there.zip(uptime_s(command)).is_some_and(|(there, here)| there - here > AWAY_S / 2);
+    if !works {
+        println!("skipped: a time namespace is not permitted here, or the kernel has none");
+    }
+    works
+}
+
+#[test]
+fn processes_whose_clocks_differ_are_forecast_and_each_notices_a_silent_worker() {
+    if !can_differ() {
+        return;
+    }
+    let setup = Setup { rate_hz: 20.0, stale_after_s: 2.0, leave_after_s: 4.0, ..Setup::default() };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut beside = arena.planner();
+    let mut near = arena.controller("near", 0, 2, 20.0);
+    let mut away: Option<Child> = None;
+    for ahead_s in [AWAY_S, -AWAY_S] {
+        // A source in the run before it had a clock that was ahead: it is heard again when that run
+        // has been silent.
+        away.as_mut().map(Child::kill);
+        let controller = arena.probe(&["controller", "away", "2", "2", "20"]);
+        away = Some(Child::spawn("away", elsewhere(&controller, ahead_s)));
+        let consumer = arena.probe(&["consumer"]);
+        let mut planner = Planner::new(Child::spawn("planner", elsewhere(&consumer, ahead_s)));
+        beside.forecast("forecasts of all robots", |frame| {
+            let fresh = |line: &joulebus_tests::ForecastLine| {
+                let ahead_ns = line.stamp_ns.cast_signed() - frame.read_ns.cast_signed();
+                let far_s = if line.robot < 2 { 0 } else { ahead_s };
+                let as_its_clock = (ahead_ns / 1_000_000_000 - far_s).abs() < AWAY_S / 2;
+                matches!(line.quality(), Quality::Fresh | Quality::Held) && as_its_clock
+            };
+            (frame.robots.len() == 4 && frame.robots.iter().all(fresh)).then_some(())
+        });
+        let given =
+            |line: &ReaderLine| matches!(line, ReaderLine::Given { robots: 4, .. }).then_some(());
+        planner.until("frames of all robots", given);
+        worker.signal(Signal::STOP);
+        // By a clock that is ahead every frame is old.
+        let age_ns = planner.until("the worker is silent", |line| match line {
+            ReaderLine::Stale { age_ns } => Some(*age_ns),
+            _ => None,
+        });
+        assert_eq!(age_ns > FAR_NS, ahead_s > 0, "{age_ns} ns by a clock {ahead_s} s ahead");
+        worker.signal(Signal::CONT);
+        planner.until("it continues", given);
+        planner.leave();
+    }
+    for controller in [&mut near, away.as_mut().unwrap()] {
+        controller.kill();
+    }
+    beside.leave();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn fleets_at_the_lowest_and_the_highest_rate_are_forecast_and_metered_to_the_nanosecond() {
+    const FRAMES: u64 = 8;
+    for rate_hz in [0.1, 1_000.0] {
+        let period_s = 1.0 / rate_hz;
+        let setup = Setup {
+            rate_hz,
+            tick_hz: rate_hz,
+            stale_after_s: f64::min(30.0 * period_s, 60.0),
+            leave_after_s: 600.0,
+            more: format!("stuck_after_s = {:?}\n", f64::max(10.0, 10.0 * period_s)),
+            ..Setup::default()
+        };
+        let arena = Arena::new(&setup);
+        let mut worker = arena.worker();
+        let (mut planner, mut source) = (arena.planner(), arena.source("fleet"));
+        let frames = script(&[0, 1], FRAMES, setup.period_ns());
+        planner.play(&mut source, &frames);
+        let metered_ns = planner.until("the last frame is in the accounts", |line| match line {
+            ReaderLine::Budgets(frame) => {
+                let last = frames.last()?.first()?.stamp_ns;
+                let line = frame.robots.iter().find(|line| line.stamp_ns == last)?;
+                Some(line.metered_ns)
+            }
+            _ => None,
+        });
+        assert_eq!(metered_ns, (FRAMES - 1) * setup.period_ns(), "{rate_hz} Hz");
+        let forecasts = planner.forecasts().flat_map(|frame| &frame.robots);
+        let forecasts = forecasts.filter(|line| line.flags & 1 != 0).count();
+        assert!(forecasts > 0, "{rate_hz} Hz");
+        figure(
+            "rates",
+            format_args!("{rate_hz} Hz: {forecasts} forecasts, {metered_ns} ns metered"),
+        );
+        source.leave();
+        planner.leave();
+        worker.stop();
+        arena.close();
+    }
+}
