@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 use joulebus_testkit::{Child, certificates, eventually};
@@ -225,4 +226,54 @@ fn init_writes_files_and_certificates_that_check_compares() {
     for wrong in ["base=10.0.0.9", "../x", "a/b", "x=tls/10.0.0.1:7447"] {
         assert_eq!(init(&[wrong]).code(), Some(2), "{wrong}");
     }
+}
+
+/// Gives the link `name` a certificate of the authority in `folder` that expires after so many
+/// seconds.
+fn expires_after(folder: &Path, name: &str, seconds: u64) {
+    let script = format!(
+        "set -e; umask 077
+         printf '%s\n' '[ca]' default_ca=c '[c]' database=index new_certs_dir=. rand_serial=yes \
+             unique_subject=no default_md=sha256 policy=p '[p]' commonName=supplied \
+             '[e]' subjectAltName=IP:127.0.0.1 extendedKeyUsage=serverAuth,clientAuth > soon.cnf
+         touch index
+         openssl req -new -key {name}.key -subj /CN={name} -out soon.csr
+         openssl ca -batch -notext -config soon.cnf -extensions e -cert fleet-ca.pem \
+             -keyfile fleet-ca.key -startdate 20200101000000Z \
+             -enddate $(date -u -d '+{seconds} seconds' +%Y%m%d%H%M%SZ) -in soon.csr -out {name}.pem"
+    );
+    let made = Command::new("bash").args(["-c", &script]).current_dir(folder).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+}
+
+#[test]
+fn a_certificate_that_expires_ends_its_connection_and_a_renewed_one_makes_it_again() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base", "edge"]) {
+        return;
+    }
+    let address = free_address().replacen("tcp", "tls", 1);
+    let (base, there) = (Host::new(), Host::new());
+    let _worker = base.worker();
+    let listen = format!("listen = [\"{address}\"]");
+    let takes = "[worker]\n[[worker.take]]\nfrom = \"edge\"\n";
+    let mut link = base.link(&file("base", "base", folder.path(), &listen, takes));
+    let connect = format!("connect = [\"{address}\"]");
+    let text = file("edge", "edge", folder.path(), &connect, &format!("{SAMPLES}{FOLLOW}"));
+    expires_after(folder.path(), "edge", 45);
+    let mut edge = there.link(&text);
+    is_asked_by(&edge, "base");
+    let _robots = there.robots(&["--robots", "2"]);
+    let mut planner = there.planner();
+    planner.fresh_sample();
+    // Both sides say it.
+    eventually("the worker's side has lost the link", || has_lost_edge(&link));
+    assert_eq!(planner.gone(), "Unreachable");
+    // It is not let in again as long as the certificate has expired.
+    assert!(planner.frame_within(Duration::from_secs(3)).is_none());
+    assert!(edge.is_running() && link.is_running());
+    assert!(certificates(folder.path(), 30, &["edge"]));
+    planner.fresh_sample();
+    edge.end();
+    link.end();
 }
