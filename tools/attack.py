@@ -44,9 +44,9 @@ ATTACKS = [
     ("samples", "impossible values, lost, late, repeated and foreign samples", SYSTEM.format("samples"), {}),
     ("memory", "shared memory and its files run out", SYSTEM.format("full_memory"), {}),
     ("links", "hostile and damaged messages between hosts",
-     "cargo test --locked -p joulebus-link --lib protocol", {"PROPTEST_CASES": "2000"}),
+     "cargo test --locked -p joulebus-link --bin joulebus-link protocol", {"PROPTEST_CASES": "2000"}),
     ("brokers", "damaged and endless messages of brokers",
-     "cargo test --locked -p joulebus-bridge --lib", {"PROPTEST_CASES": "2000"}),
+     "cargo test --locked -p joulebus-bridge --bin joulebus-bridge", {"PROPTEST_CASES": "2000"}),
     ("captures", "damaged and foreign recordings",
      "cargo test --locked -p joulebus-capture-format --test bounded -- --nocapture", {"PROPTEST_CASES": "500"}),
     ("models", "damaged model files", "cargo test --locked -p joulebus-predictor --test all files", {}),
@@ -97,13 +97,15 @@ def attack(what, seed):
     lines = ended.stdout.splitlines()
     # A filter that matches nothing passes as well.
     passed = sum(int(line.split()[3]) for line in lines if line.startswith("test result:"))
-    passed += sum(line.count("seeds") for line in lines if "simulated hours" in line)
+    simulated = [line for line in lines if "simulated hours" in line]
+    passed += len(simulated)
+    ok = ended.returncode == 0 and passed > 0
     return {
         "attack": name, "seed": seed, "seconds": round(time.monotonic() - begun, 1),
-        "ok": ended.returncode == 0 and passed > 0,
-        "figures": [line.removeprefix("figure: ").strip() for line in lines if line.startswith("figure: ")],
+        "ok": ok,
+        "figures": simulated + [line.removeprefix("figure: ").strip() for line in lines if line.startswith("figure: ")],
         "repeat": " ".join(f"{key}={value}" for key, value in variables.items()) + " " + command,
-        **({} if ended.returncode == 0 else {"end": lines[-40:]}),
+        **({} if ok else {"end": lines[-40:]}),
     }
 
 
