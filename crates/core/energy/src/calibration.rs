@@ -9,6 +9,11 @@
 //! distribution whose 5 % and 95 % quantiles are the new bounds. A few errors far outside widen the
 //! interval at once, on the side where they are. It takes many errors inside to narrow it.
 //!
+//! The errors of outlooks, which do not know the commands, are counted apart. Their trained
+//! distribution is that of plans, stretched by [`WIDER`]. The same shadow forecasts tell how far an
+//! outlook should lean on the last reading and on the robot's own mean: exponentiated gradients of
+//! the absolute error (Kivinen and Warmuth, Information and Computation 132, 1997).
+//!
 //! Counts are integers, so the result does not depend on the order in which robots are processed.
 
 use serde::{Deserialize, Serialize};
@@ -44,11 +49,63 @@ const EDGES: [f32; SIDE + 1] = [
 ];
 /// Errors that weigh as much as the trained distribution.
 const PRIOR: f32 = 20.0;
+/// Width of the errors of outlooks before the first, in that of plans, which know the commands.
+const WIDER: f32 = 1.2;
 /// Maximum number of errors that are remembered; older ones fade.
 const MEMORY: f32 = 200.0;
 
-/// Numbers of errors in each class, for each of [`SHADOWS_S`].
-pub type ErrorCounts<T = u32> = [[T; CLASSES]; SHADOWS];
+/// Kinds of errors that are counted: of plans at each of [`SHADOWS_S`], then of outlooks.
+pub const ERRORS: usize = 2 * SHADOWS;
+/// Forecasts that an outlook is a mean of: the last reading, the level, the robot's own mean.
+pub const PARTS: usize = 3;
+/// Shares of [`PARTS`] in an outlook before the first error.
+const SHARES: [[f32; PARTS]; SHADOWS] = [[0.2, 0.65, 0.15], [0.05, 0.65, 0.3], [0.02, 0.48, 0.5]];
+/// A pull of the platform's mean power, as an integer.
+pub(crate) const PULL: f32 = 65536.0;
+
+/// Sums over errors, which do not depend on the order in which they are added.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorCounts<T = i64> {
+    /// Numbers of errors in each class.
+    pub classes: [[T; CLASSES]; ERRORS],
+    /// How much larger the error of outlooks would be with a larger share of the last reading and
+    /// of the robot's own mean, and the larger square of the two, in 1/65536.
+    pub pulls: [[T; PARTS]; SHADOWS],
+}
+
+impl<T> ErrorCounts<T> {
+    /// All numbers.
+    pub fn numbers(&self) -> impl Iterator<Item = &T> {
+        self.classes.as_flattened().iter().chain(self.pulls.as_flattened())
+    }
+
+    /// The same of other numbers.
+    pub fn map<U>(&self, to: impl Fn(&T) -> U) -> ErrorCounts<U> {
+        ErrorCounts {
+            classes: self.classes.each_ref().map(|counts| counts.each_ref().map(&to)),
+            pulls: self.pulls.each_ref().map(|pulls| pulls.each_ref().map(&to)),
+        }
+    }
+}
+
+/// The errors of a robot's shadow forecasts that have ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NewErrors {
+    /// The class of each error.
+    pub classes: [Option<u8>; ERRORS],
+    /// As in [`ErrorCounts`].
+    pub pulls: [[i64; PARTS]; SHADOWS],
+}
+
+impl NewErrors {
+    /// As counts.
+    pub fn counted(&self) -> ErrorCounts {
+        let one = |class: &Option<u8>| {
+            std::array::from_fn(|place| i64::from(*class == Some(place as u8)))
+        };
+        ErrorCounts { classes: self.classes.each_ref().map(one), pulls: self.pulls }
+    }
+}
 
 /// The class of an error, in half widths from the middle of the trained interval.
 pub(crate) fn class_of(error: f32) -> u8 {
@@ -108,21 +165,42 @@ impl ErrorBounds {
     }
 }
 
-/// The errors of a platform's robots so far, and the bounds that follow from them.
+/// What the errors of a platform's robots say of new forecasts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlatformErrors {
+    /// Bounds of the intervals of plans.
+    pub plans: ErrorBounds,
+    /// Bounds of the intervals of outlooks.
+    pub outlooks: ErrorBounds,
+    /// Shares of [`PARTS`] in an outlook at each of [`SHADOWS_S`], 1 in all.
+    pub shares: [[f32; PARTS]; SHADOWS],
+}
+
+impl PlatformErrors {
+    /// Before the first error.
+    pub const TRAINED: Self = Self {
+        plans: ErrorBounds::TRAINED,
+        outlooks: ErrorBounds { lower: [-WIDER; SHADOWS], upper: [WIDER; SHADOWS] },
+        shares: SHARES,
+    };
+}
+
+/// The errors of a platform's robots so far, and what follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     /// The trained distribution.
-    prior: ErrorCounts<f32>,
+    prior: [[f32; CLASSES]; ERRORS],
     seen: ErrorCounts<f32>,
-    bounds: ErrorBounds,
+    platform: PlatformErrors,
 }
 
 impl Calibration {
     /// Before the first error.
     pub fn new(model: &EnergyModel) -> Self {
-        let prior = std::array::from_fn(|shadow| {
-            let errors = model.errors_at(SHADOWS_S[shadow]);
+        let prior = std::array::from_fn(|error| {
+            let errors = model.errors_at(SHADOWS_S[error % SHADOWS]);
             let (middle, half) = quantiles::middle_and_half(&errors);
+            let half = if error < SHADOWS { half } else { half / WIDER };
             let below = |edge: f32| quantiles::probability(&errors, middle + half * edge, 0.0);
             std::array::from_fn(|class| {
                 let [from, to] = range(class);
@@ -131,14 +209,13 @@ impl Calibration {
                 PRIOR * (to - from).max(0.0)
             })
         });
-        let seen = [[0.0; CLASSES]; SHADOWS];
-        Self { prior, seen, bounds: ErrorBounds::TRAINED }
+        Self { prior, seen: ErrorCounts::default(), platform: PlatformErrors::TRAINED }
     }
 
-    /// The bounds of a new robot's intervals.
+    /// What new forecasts are made with.
     #[inline(always)]
-    pub const fn bounds(&self) -> &ErrorBounds {
-        &self.bounds
+    pub const fn platform(&self) -> &PlatformErrors {
+        &self.platform
     }
 
     /// The remembered errors, from which [`Calibration::restore`] continues.
@@ -146,39 +223,64 @@ impl Calibration {
         &self.seen
     }
 
-    /// Continues from remembered errors, which are finite and not negative.
+    /// Continues from remembered errors, which are finite, and whose counts are not negative.
     pub fn restore(&mut self, seen: &ErrorCounts<f32>) {
         self.seen = *seen;
-        for shadow in 0..SHADOWS {
-            self.update(shadow);
+        for error in 0..ERRORS {
+            self.update(error);
         }
     }
 
-    /// Adds errors by their classes.
+    /// Adds errors.
     pub fn add(&mut self, counts: &ErrorCounts) {
-        for (shadow, counts) in counts.iter().enumerate() {
-            if counts.iter().all(|count| *count == 0) {
+        for (error, counted) in counts.classes.iter().enumerate() {
+            if counted.iter().all(|count| *count == 0) {
                 continue;
             }
-            let seen = &mut self.seen[shadow];
-            for (seen, count) in seen.iter_mut().zip(counts) {
+            let seen = &mut self.seen.classes[error];
+            for (seen, count) in seen.iter_mut().zip(counted) {
                 *seen += *count as f32;
             }
             let total: f32 = seen.iter().sum();
             if total > MEMORY {
                 seen.iter_mut().for_each(|seen| *seen *= MEMORY / total);
             }
-            self.update(shadow);
+            if let Some(shadow) = error.checked_sub(SHADOWS) {
+                let number: i64 = counted.iter().sum();
+                let keeps = MEMORY / (MEMORY + number as f32);
+                for (seen, pull) in self.seen.pulls[shadow].iter_mut().zip(counts.pulls[shadow]) {
+                    *seen = keeps * (*seen + pull as f32 / PULL);
+                }
+            }
+            self.update(error);
         }
     }
 
-    fn update(&mut self, shadow: usize) {
-        let (seen, prior) = (&self.seen[shadow], &self.prior[shadow]);
+    fn update(&mut self, error: usize) {
+        let (seen, prior) = (&self.seen.classes[error], &self.prior[error]);
         let known = seen.iter().any(|seen| *seen > 0.0);
         let weights = std::array::from_fn(|class| seen[class] + prior[class]);
-        self.bounds.lower[shadow] = if known { quantile(&weights, 0.05) } else { -1.0 };
-        self.bounds.upper[shadow] = if known { quantile(&weights, 0.95) } else { 1.0 };
+        let shadow = error % SHADOWS;
+        let (bounds, trained) = if error < SHADOWS {
+            (&mut self.platform.plans, 1.0)
+        } else {
+            self.platform.shares[shadow] = shares(SHARES[shadow], &self.seen.pulls[shadow]);
+            (&mut self.platform.outlooks, WIDER)
+        };
+        bounds.lower[shadow] = if known { quantile(&weights, 0.05) } else { -trained };
+        bounds.upper[shadow] = if known { quantile(&weights, 0.95) } else { trained };
     }
+}
+
+/// The shares that pulls lead to. The step is smaller, the larger the pulls were.
+fn shares(start: [f32; PARTS], [last, own, square]: &[f32; PARTS]) -> [f32; PARTS] {
+    /// Squares that weigh as much as those of the pulls.
+    const START: f32 = 0.1;
+    let rate = 1.0 / (START + square).sqrt();
+    let factor = |pull: f32| libm::expf((-rate * pull).clamp(-20.0, 20.0));
+    let raw = [start[0] * factor(*last), start[1], start[2] * factor(*own)];
+    let sum: f32 = raw.iter().sum();
+    raw.map(|share| share / sum)
 }
 
 /// A quantile of errors that are spread evenly within their classes.
@@ -197,7 +299,10 @@ fn quantile(weights: &[f32; CLASSES], p: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{CLASSES, Calibration, ErrorBounds, SHADOWS, class_of, range};
+    use super::{
+        CLASSES, Calibration, ErrorBounds, ErrorCounts, NewErrors, PULL, PlatformErrors, SHADOWS,
+        class_of, range,
+    };
     use crate::model::EnergyModel;
 
     fn calibration() -> Calibration {
@@ -209,11 +314,11 @@ mod tests {
     fn after(errors: &[f32]) -> ErrorBounds {
         let mut calibration = calibration();
         for error in errors {
-            let mut counts = [[0; CLASSES]; SHADOWS];
-            counts[0][usize::from(class_of(*error))] = 1;
-            calibration.add(&counts);
+            let mut errors = NewErrors::default();
+            errors.classes[0] = Some(class_of(*error));
+            calibration.add(&errors.counted());
         }
-        *calibration.bounds()
+        calibration.platform().plans
     }
 
     #[test]
@@ -233,7 +338,7 @@ mod tests {
     fn without_an_error_the_bounds_are_those_of_training() {
         assert_eq!(after(&[]), ErrorBounds::TRAINED);
         let mut restored = calibration();
-        restored.restore(&[[0.0; CLASSES]; SHADOWS]);
+        restored.restore(&ErrorCounts::default());
         assert_eq!(restored, calibration());
     }
 
@@ -257,12 +362,33 @@ mod tests {
 
     #[test]
     fn millions_of_errors_at_once_are_counted_and_restored() {
-        let mut counts = [[0; CLASSES]; SHADOWS];
-        counts[1] = std::array::from_fn(|class| class as u32 * 1_000_000);
+        let mut counts = ErrorCounts::default();
+        counts.classes[1] = std::array::from_fn(|class| class as i64 * 1_000_000);
+        counts.classes[4] = counts.classes[1];
+        counts.pulls[1] = [PULL as i64 * 50_000_000, -(PULL as i64), i64::from(u32::MAX)];
         let (mut one, mut other) = (calibration(), calibration());
         one.add(&counts);
         other.restore(one.seen());
         assert_eq!(one, other);
-        assert!(one.bounds().is_sound());
+        let PlatformErrors { plans, outlooks, shares } = one.platform();
+        assert!(plans.is_sound() && outlooks.is_sound());
+        assert!(shares.iter().all(|shares| (shares.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn an_outlook_leans_on_what_had_the_smaller_error() {
+        let mut calibration = calibration();
+        let mut errors = NewErrors::default();
+        errors.classes[SHADOWS] = Some(class_of(0.5));
+        // With more of the last reading it would have been 4 % of the mean power nearer.
+        let pull = 0.04 * PULL;
+        errors.pulls[0] = [-pull as i64, pull as i64, (0.04 * pull) as i64];
+        for _ in 0..100 {
+            calibration.add(&errors.counted());
+        }
+        let [last, level, own] = calibration.platform().shares[0];
+        assert!(last > 0.7 && level > own && own < 0.02, "{last} {level} {own}");
+        assert_eq!(calibration.platform().shares[1..], PlatformErrors::TRAINED.shares[1..]);
+        assert_eq!(calibration.platform().plans, ErrorBounds::TRAINED);
     }
 }

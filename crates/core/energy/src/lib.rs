@@ -27,7 +27,9 @@ mod outlook;
 mod quantiles;
 mod state;
 
-pub use calibration::{CLASSES, Calibration, ErrorBounds, ErrorCounts};
+pub use calibration::{
+    CLASSES, Calibration, ERRORS, ErrorBounds, ErrorCounts, NewErrors, PARTS, PlatformErrors,
+};
 pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use lasting::{Lasting, LastingPower};
@@ -35,4 +37,4 @@ pub use levels::{LEVELS, LEVELS_S, SHADOWS, SHADOWS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};
-pub use state::{EnergySample, EnergyState, Learned, Metered};
+pub use state::{Ahead, EnergySample, EnergyState, Learned, Metered};

@@ -3,10 +3,13 @@
 // Several arrays are indexed alike, and the lanes of a block are computed side by side.
 #![allow(clippy::needless_range_loop)]
 
+use crate::calibration::{PARTS, PlatformErrors};
 use crate::levels::{LEVELS, NEWEST, SHADOWS};
 use crate::model::EnergyModel;
 use crate::quantiles;
-use crate::state::{EnergyState, START_S, contradictions, error_shares, weighted};
+use crate::state::{
+    EnergyState, START_S, contradictions, error_shares, mixed, outlook_parts, weighted,
+};
 
 /// Energy of a robot over several horizons, if it goes on as it does: its future commands are
 /// unknown.
@@ -82,13 +85,20 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
         self.bounded
     }
 
-    /// The energy of a robot: the mean power of its levels, weighted for each horizon, with the
-    /// platform's mean as the prior. Up to rounding the part of [`EnergyModel::forecast`] that no
-    /// command explains. Its errors, too, are those of that forecast, which knows the commands.
+    /// The energy of a robot. A part of it is the mean power of its levels, weighted for each
+    /// horizon, with the platform's mean as the prior: up to rounding the part of
+    /// [`EnergyModel::forecast`] that no command explains. The other parts are the last reading,
+    /// NaN if unknown, and the mean of all that the robot drew. Their shares and the bounds are
+    /// those that the platform's errors of outlooks lead to.
     ///
     /// Without branches.
     #[inline(always)]
-    pub fn of(&self, state: &EnergyState) -> EnergyOutlook<HORIZONS> {
+    pub fn of(
+        &self,
+        state: &EnergyState,
+        platform: &PlatformErrors,
+        last_w: f32,
+    ) -> EnergyOutlook<HORIZONS> {
         let mut mean_w = [0.0; HORIZONS];
         let contradictions = contradictions(&state.metered, self.mean_w, &self.newest_spreads);
         let weights = self.horizons.map(|horizon| weighted(horizon.weights, &contradictions));
@@ -116,14 +126,19 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
             lo_j: [0.0; HORIZONS],
             hi_j: [0.0; HORIZONS],
         };
+        let bounds = platform.outlooks.scaled(&state.ahead.error_factor);
         for (place, horizon) in self.horizons.iter().enumerate() {
-            let energy_j = mean_w[place] * horizon.seconds;
-            let mean_j = self.mean_w * horizon.seconds;
-            let (mut lower, mut upper) = (0.0, 0.0);
+            let (mut lower, mut upper, mut parts) = (0.0, 0.0, [0.0; PARTS]);
             for shadow in 0..SHADOWS {
-                lower += horizon.shares[shadow] * state.bounds.lower[shadow];
-                upper += horizon.shares[shadow] * state.bounds.upper[shadow];
+                lower += horizon.shares[shadow] * bounds.lower[shadow];
+                upper += horizon.shares[shadow] * bounds.upper[shadow];
+                for part in 0..PARTS {
+                    parts[part] += horizon.shares[shadow] * platform.shares[shadow][part];
+                }
             }
+            let parts_w = outlook_parts(&state.metered, &contradictions, mean_w[place], last_w);
+            let energy_j = mixed(&parts, &parts_w) * horizon.seconds;
+            let mean_j = self.mean_w * horizon.seconds;
             // A level that was contradicted widens the interval at once.
             let wider = 0.5 * weights[place].1 * (upper - lower);
             let (lower, upper) = (lower - wider, upper + wider);

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::{ErrorBounds, class_of};
+use crate::calibration::{ErrorBounds, NewErrors, PARTS, PULL, PlatformErrors, class_of};
 use crate::command::Motion;
 use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
 use crate::model::EnergyModel;
@@ -43,8 +43,48 @@ pub struct EnergyState {
     pub metered: Metered,
     /// The part that changes when a shadow forecast has ended.
     pub learned: Learned,
+    /// The part of its outlooks that changes with it.
+    pub ahead: Ahead,
     /// Bounds of the robot's intervals: those of its platform, widened by its own factors.
     pub bounds: ErrorBounds,
+}
+
+/// The robot's shadow forecasts as if for a planner that did not know the commands. Each is made and
+/// compared with the one of [`Learned`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct Ahead {
+    /// The last reading when each was made, W.
+    pub last_w: [f32; SHADOWS],
+    /// The robot's own mean power then, W.
+    pub own_w: [f32; SHADOWS],
+    /// Factor of the width of the platform's intervals of outlooks.
+    pub error_factor: [f32; SHADOWS],
+}
+
+impl Ahead {
+    /// Before the first shadow forecast has ended.
+    pub const fn new() -> Self {
+        Self { last_w: [0.0; SHADOWS], own_w: [0.0; SHADOWS], error_factor: [1.0; SHADOWS] }
+    }
+
+    /// All numbers, in the order of the fields.
+    #[inline(always)]
+    pub const fn to_array(&self) -> [[f32; SHADOWS]; PARTS] {
+        [self.last_w, self.own_w, self.error_factor]
+    }
+
+    /// Creates it from [`Ahead::to_array`].
+    #[inline(always)]
+    pub const fn from_array([last_w, own_w, error_factor]: [[f32; SHADOWS]; PARTS]) -> Self {
+        Self { last_w, own_w, error_factor }
+    }
+}
+
+impl Default for Ahead {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 /// Sums that every sample adds to, and the command in force.
@@ -310,6 +350,7 @@ impl EnergyState {
                 shadow_s: [DUE_S - waits_s; SHADOWS],
             },
             learned: Learned::new(),
+            ahead: Ahead::new(),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -321,55 +362,62 @@ impl EnergyState {
 
     /// Takes a sample of a robot that is alone on its platform.
     pub fn observe(&mut self, model: &EnergyModel, sample: &EnergySample) {
-        self.observe_among(model, &ErrorBounds::TRAINED, sample);
+        self.observe_among(model, &PlatformErrors::TRAINED, sample);
     }
 
-    /// Takes a sample of a robot whose platform's intervals have these bounds. Returns the classes
-    /// of its new errors for [`crate::Calibration::add`].
+    /// Takes a sample of a robot of a platform with these errors. Returns its new ones for
+    /// [`crate::Calibration::add`].
     pub fn observe_among(
         &mut self,
         model: &EnergyModel,
-        platform: &ErrorBounds,
+        platform: &PlatformErrors,
         sample: &EnergySample,
-    ) -> [Option<u8>; SHADOWS] {
+    ) -> NewErrors {
         self.metered.advance(model, sample);
         let ended = self.metered.has_ended();
-        if ended { self.compare(model, platform) } else { [None; SHADOWS] }
+        if ended { self.compare(model, platform, sample.power_w) } else { NewErrors::default() }
     }
 
     /// Compares the shadow forecasts that have ended with the measured energy, and makes the next
-    /// ones. It follows [`Metered::advance`] if one [has ended](Metered::has_ended). Returns the
-    /// classes of the errors.
+    /// ones. It follows [`Metered::advance`] with the reading `power_w` if one [has
+    /// ended](Metered::has_ended). Returns the errors.
     pub fn compare(
         &mut self,
         model: &EnergyModel,
-        platform: &ErrorBounds,
-    ) -> [Option<u8>; SHADOWS] {
-        let mut classes = [None; SHADOWS];
+        platform: &PlatformErrors,
+        power_w: f32,
+    ) -> NewErrors {
+        let mut errors = NewErrors::default();
         for shadow in 0..SHADOWS {
             if !self.metered.is_over(shadow) {
                 continue;
             }
             if self.metered.shadow_s[shadow] >= SHADOWS_S[shadow] {
-                classes[shadow] = self.learn(model, platform, shadow);
+                let (class, pulls) = self.learn_ahead(model, platform, shadow);
+                errors.classes[SHADOWS + shadow] = class;
+                errors.pulls[shadow] = pulls;
+                errors.classes[shadow] = self.learn(model, &platform.plans, shadow);
             }
             let (parts, _) = self.parts(model, SHADOWS_S[shadow]);
             self.learned.shadow_factor[shadow] = parts.factor;
             self.learned.shadow_added_w[shadow] = parts.added_w;
             self.learned.shadow_mean_w[shadow] = parts.mean_w;
+            let spreads = model.newest_spreads();
+            let contradictions = contradictions(&self.metered, model.command.mean_w, &spreads);
+            let [last_w, _, own_w] =
+                outlook_parts(&self.metered, &contradictions, parts.mean_w, power_w);
+            (self.ahead.last_w[shadow], self.ahead.own_w[shadow]) = (last_w, own_w);
             self.metered.shadow_energy_j[shadow] = 0.0;
             self.metered.shadow_command_j[shadow] = 0.0;
             self.metered.shadow_s[shadow] = 0.0;
         }
-        self.bounds = platform.scaled(&self.learned.error_factor);
-        classes
+        self.bounds = platform.plans.scaled(&self.learned.error_factor);
+        errors
     }
 
     /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval, and the
     /// trust in commands. Returns the class of the error, if it has one.
     fn learn(&mut self, model: &EnergyModel, platform: &ErrorBounds, shadow: usize) -> Option<u8> {
-        /// Change of the factor per error.
-        const STEP: f32 = 0.1;
         let (metered, learned) = (&self.metered, &mut self.learned);
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
@@ -377,18 +425,35 @@ impl EnergyState {
         let forecast_j = parts.level(learned.command_trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
         learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
-        let relative = (measured_j - forecast_j) / model.scale_j(forecast_j, duration_s);
-        let (middle, half) = quantiles::middle_and_half(&model.errors_at(SHADOWS_S[shadow]));
-        let error = (relative - middle) / half;
-        if !error.is_finite() {
-            return None;
-        }
-        let (middle, half) = platform.middle_and_half(shadow);
         let factor = &mut learned.error_factor[shadow];
-        let inside = (error - middle).abs() <= *factor * half;
-        let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
-        *factor = (*factor * (1.0 + change)).clamp(FACTOR[0], FACTOR[1]);
-        Some(class_of(error))
+        judge(model, platform, shadow, (measured_j, forecast_j, duration_s), factor)
+    }
+
+    /// As [`EnergyState::learn`] of an outlook. Returns also its pulls.
+    fn learn_ahead(
+        &mut self,
+        model: &EnergyModel,
+        platform: &PlatformErrors,
+        shadow: usize,
+    ) -> (Option<u8>, [i64; PARTS]) {
+        /// Largest pull, in the platform's mean power.
+        const MAX: f32 = 4.0;
+        let (duration_s, measured_j) =
+            (self.metered.shadow_s[shadow], self.metered.shadow_energy_j[shadow]);
+        let level_w = self.learned.shadow_mean_w[shadow];
+        let parts_w = [self.ahead.last_w[shadow], level_w, self.ahead.own_w[shadow]];
+        let forecast_j = mixed(&platform.shares[shadow], &parts_w) * duration_s;
+        let factor = &mut self.ahead.error_factor[shadow];
+        let energies = (measured_j, forecast_j, duration_s);
+        let class = judge(model, &platform.outlooks, shadow, energies, factor);
+        let side = if forecast_j > measured_j { 1.0 } else { -1.0 };
+        let pull = |watts: f32| {
+            let share = side * (watts - level_w) / model.command.mean_w;
+            if share.is_finite() { share.clamp(-MAX, MAX) } else { 0.0 }
+        };
+        let (last, own) = (pull(parts_w[0]), pull(parts_w[2]));
+        let pulls = [last, own, (last * last).max(own * own)];
+        (class, if class.is_some() { pulls.map(|pull| (pull * PULL) as i64) } else { [0; PARTS] })
     }
 
     /// Middle and half width of the robot's interval at a horizon, linear between the watched ones
@@ -433,6 +498,57 @@ impl EnergyState {
         }
         (parts, changed)
     }
+}
+
+/// The class of an error of a shadow forecast, if it has one; energies and time: measured, forecast
+/// and the horizon. Adapts the robot's factor of the platform's bounds.
+fn judge(
+    model: &EnergyModel,
+    platform: &ErrorBounds,
+    shadow: usize,
+    (measured_j, forecast_j, duration_s): (f32, f32, f32),
+    factor: &mut f32,
+) -> Option<u8> {
+    /// Change of the factor per error.
+    const STEP: f32 = 0.1;
+    let relative = (measured_j - forecast_j) / model.scale_j(forecast_j, duration_s);
+    let (middle, half) = quantiles::middle_and_half(&model.errors_at(SHADOWS_S[shadow]));
+    let error = (relative - middle) / half;
+    if !error.is_finite() {
+        return None;
+    }
+    let (middle, half) = platform.middle_and_half(shadow);
+    let inside = (error - middle).abs() <= *factor * half;
+    let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
+    *factor = (*factor * (1.0 + change)).clamp(FACTOR[0], FACTOR[1]);
+    Some(class_of(error))
+}
+
+/// What an outlook is a mean of, W: the last reading, the level, and the mean of all that the robot
+/// drew, unless the newest readings contradict it. `last_w` is NaN if it is unknown.
+#[inline(always)]
+pub(crate) fn outlook_parts(
+    metered: &Metered,
+    contradictions: &[f32; LEVELS],
+    level_w: f32,
+    last_w: f32,
+) -> [f32; PARTS] {
+    const LONGEST: usize = LEVELS - 1;
+    let time_s = metered.time_s[LONGEST];
+    let above_w = metered.energy_j[LONGEST] / time_s - level_w;
+    let own_w = level_w + above_w / (1.0 + contradictions[LONGEST]);
+    let known = (time_s > 0.0) & own_w.is_finite();
+    [
+        if last_w.is_finite() { last_w } else { level_w },
+        level_w,
+        if known { own_w } else { level_w },
+    ]
+}
+
+/// The outlook's power, W.
+#[inline(always)]
+pub(crate) fn mixed(shares: &[f32; PARTS], parts_w: &[f32; PARTS]) -> f32 {
+    shares[0] * parts_w[0] + shares[1] * parts_w[1] + shares[2] * parts_w[2]
 }
 
 /// How far the newest readings contradict each level, 0 or more: the floor, the load or the robot

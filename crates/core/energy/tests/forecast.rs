@@ -1,8 +1,9 @@
 //! Forecasts against a slow reference that keeps every reading, and their promises.
 
 use joulebus_energy::{
-    CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
-    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
+    Ahead, CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
+    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Metered, PlatformErrors, SHADOWS, SHADOWS_S,
+    TERMS,
 };
 use proptest::prelude::*;
 
@@ -417,9 +418,9 @@ proptest! {
 
 #[test]
 fn a_state_is_small_and_has_no_padding() {
-    let columns = 4 * (Metered::FLOATS + Learned::FLOATS);
+    let columns = 4 * (Metered::FLOATS + Learned::FLOATS) + size_of::<Ahead>();
     assert_eq!(size_of::<EnergyState>(), columns + size_of::<ErrorBounds>());
-    assert!(columns <= 156, "{columns}");
+    assert!(columns <= 192, "{columns}");
 }
 
 #[test]
@@ -672,7 +673,7 @@ fn a_robot_that_goes_on_draws_its_mean_at_every_horizon() {
     let model = EnergyModel::untrained(30.0);
     let state = driven(&model, 60.0, |_| 7.0);
     let prepared = model.outlook([1.0, 10.0, 60.0, 300.0]);
-    let outlook = prepared.of(&state);
+    let outlook = prepared.of(&state, &PlatformErrors::TRAINED, 7.0);
     for (energy_j, horizon_s) in outlook.energy_j.into_iter().zip([1.0, 10.0, 60.0, 300.0]) {
         assert!((energy_j / horizon_s - 7.0).abs() < 0.1, "{outlook:?}");
     }
@@ -686,9 +687,15 @@ fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
     let model = EnergyModel { calibrated: 4, ..driving_model() };
     let mut state = driven(&model, 20.0, |v_mps| 2.0 + 30.0 * v_mps);
     state.learned.command_trust = 0.0;
-    state.learned.error_factor = [2.0, 3.0, 4.0];
+    state.bounds = ErrorBounds { lower: [-2.0, -1.5, -3.0], upper: [2.0, 3.0, 4.0] };
+    state.ahead.error_factor = [1.0; SHADOWS];
+    let platform = PlatformErrors {
+        outlooks: state.bounds,
+        shares: [[0.0, 1.0, 0.0]; SHADOWS],
+        ..PlatformErrors::TRAINED
+    };
     let horizons_s = [1.0, 10.0, 30.0, 60.0];
-    let outlook = model.outlook(horizons_s).of(&state);
+    let outlook = model.outlook(horizons_s).of(&state, &platform, 1e9);
     let near = |found: f32, expected: f32| (found - expected).abs() <= 1e-5 * expected.abs();
     for (place, horizon_s) in horizons_s.into_iter().enumerate() {
         let plan = model.forecast(&state, commands(horizon_s, &[0.3], &[1.0]));
@@ -708,6 +715,7 @@ fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
     }
     assert_eq!(model.outlook(horizons_s).bounded(), 3);
     // A new robot draws what its platform does.
-    let new = model.outlook(horizons_s).of(&EnergyState::new(0));
+    let new =
+        model.outlook(horizons_s).of(&EnergyState::new(0), &PlatformErrors::TRAINED, f32::NAN);
     assert!(new.energy_j.into_iter().zip(horizons_s).all(|(joules, s)| near(joules, 5.0 * s)));
 }

@@ -25,6 +25,7 @@ pub use estimate::scores::Scores;
 pub use fleet::Fleet;
 pub use fleet::online_forecasts::{IntervalForecast, OnlineForecasts, OnlineSettings};
 pub use ingest::frame::{FrameIntake, TickIntake};
+pub use joulebus_energy::ErrorCounts;
 pub use ledger::battery::SavedBattery;
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};

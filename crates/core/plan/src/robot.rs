@@ -1,7 +1,7 @@
 //! One robot's answers.
 
 use joulebus_energy::{
-    Commands, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
+    Ahead, Commands, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
@@ -366,6 +366,7 @@ fn energy_state(state: &PlanState) -> EnergyState {
             ..EnergyState::new(0).metered
         },
         learned: Learned { command_trust: state.command_trust, ..Learned::new() },
+        ahead: Ahead::new(),
         bounds: ErrorBounds { lower: state.error_lower, upper: state.error_upper },
     }
 }

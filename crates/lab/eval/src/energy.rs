@@ -6,7 +6,7 @@ use std::fmt;
 
 use joulebus_dataset::trial::Trial;
 use joulebus_energy::{
-    CLASSES, Calibration, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, SHADOWS,
+    Calibration, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, PlatformErrors,
 };
 use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
@@ -133,7 +133,8 @@ impl EnergyScores {
             }
             if row >= FIRST && row % every == every / 2 {
                 for (scored, horizon_s) in self.scored.iter_mut().zip(HORIZONS_S) {
-                    scored.extend(recorded.forecast(&state, age, row, horizon_s));
+                    let known = (&state, platform.platform());
+                    scored.extend(recorded.forecast(known, age, row, horizon_s));
                 }
             }
         }
@@ -163,15 +164,9 @@ fn observe(
     model: &EnergyModel,
     sample: &EnergySample,
 ) {
-    let classes = state.observe_among(model, platform.bounds(), sample);
-    let mut counts = [[0; CLASSES]; SHADOWS];
-    for (counts, class) in counts.iter_mut().zip(classes) {
-        if let Some(class) = class {
-            counts[usize::from(class)] = 1;
-        }
-    }
-    platform.add(&counts);
-    state.bounds = platform.bounds().scaled(&state.learned.error_factor);
+    let errors = state.observe_among(model, platform.platform(), sample);
+    platform.add(&errors.counted());
+    state.bounds = platform.platform().plans.scaled(&state.learned.error_factor);
 }
 
 /// How intervals fit the measured energies: means over the forecasts that have one, NaN without.
@@ -284,7 +279,7 @@ impl<'a> Recorded<'a> {
     /// The forecasts of the rows after `row`. `None` if there are too few, or they have a gap.
     fn forecast(
         &self,
-        state: &EnergyState,
+        (state, platform): (&EnergyState, &PlatformErrors),
         age: ReadingAge,
         row: usize,
         horizon_s: f32,
@@ -306,7 +301,7 @@ impl<'a> Recorded<'a> {
         let lo_j = end((1.0 - COVERAGE) / 2.0);
         let trained = self.model.energy().is_some();
         let ahead = self.energy.outlook([duration_s as f32]);
-        let outlook = ahead.of(state);
+        let outlook = ahead.of(state, platform, self.samples[row].power_w);
         let ([ahead_j], [ahead_lo_j], [ahead_hi_j]) =
             (outlook.energy_j, outlook.lo_j, outlook.hi_j);
         let mean = |window_s: f64| self.mean_w(row, window_s) * duration_s;

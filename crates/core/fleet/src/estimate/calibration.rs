@@ -1,8 +1,8 @@
 //! The errors of all robots of a platform.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicI64, Ordering};
 
-use joulebus_energy::{CLASSES, Calibration, EnergyModel, ErrorBounds, ErrorCounts, SHADOWS};
+use joulebus_energy::{Calibration, EnergyModel, ErrorCounts, NewErrors, PARTS, PlatformErrors};
 use serde::{Deserialize, Serialize};
 
 /// The errors of all robots of a platform. Shards count them in any order while they share this;
@@ -10,52 +10,87 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug)]
 pub(crate) struct SharedErrors {
     calibration: Calibration,
-    counts: ErrorCounts<AtomicU32>,
+    counts: ErrorCounts<AtomicI64>,
 }
 
 /// The same as a value.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct SavedErrors {
-    pub seen: ErrorCounts<f32>,
+    seen: ErrorCounts<f32>,
     counts: ErrorCounts,
+}
+
+impl SavedErrors {
+    /// Whether errors could have led to it.
+    pub(crate) fn is_sound(&self) -> bool {
+        let mut counted = self.counts.classes.as_flattened().iter();
+        are_sound(&self.seen) && counted.all(|count| (0..1_000_000_000).contains(count))
+    }
+}
+
+/// Whether errors could have led to these remembered ones.
+fn are_sound(seen: &ErrorCounts<f32>) -> bool {
+    const MAX: f32 = 1e9;
+    let mut classes = seen.classes.as_flattened().iter();
+    let is_sound = |[last, own, square]: &[f32; PARTS]| {
+        last.abs() < MAX && own.abs() < MAX && (0.0..MAX).contains(square)
+    };
+    classes.all(|count| (0.0..MAX).contains(count)) && seen.pulls.iter().all(is_sound)
 }
 
 impl SharedErrors {
     pub(crate) fn new(model: &EnergyModel) -> Self {
-        Self { calibration: Calibration::new(model), counts: Default::default() }
+        Self { calibration: Calibration::new(model), counts: ErrorCounts::default() }
     }
 
-    /// The bounds of new robots' intervals in this tick.
+    /// What forecasts of this tick are made with.
     #[inline(always)]
-    pub(crate) fn bounds(&self) -> &ErrorBounds {
-        self.calibration.bounds()
+    pub(crate) fn platform(&self) -> &PlatformErrors {
+        self.calibration.platform()
     }
 
     /// Counts the errors of a robot.
-    pub(crate) fn count(&self, classes: [Option<u8>; SHADOWS]) {
-        for (counts, class) in self.counts.iter().zip(classes) {
-            if let Some(class) = class {
-                counts[usize::from(class) % CLASSES].fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn count(&self, errors: &NewErrors) {
+        for (counts, class) in self.counts.classes.iter().zip(errors.classes) {
+            if let Some(count) = class.and_then(|class| counts.get(usize::from(class))) {
+                count.fetch_add(1, Ordering::Relaxed);
             }
+        }
+        let pulls = self.counts.pulls.as_flattened().iter();
+        for (sum, pull) in pulls.zip(errors.pulls.as_flattened()).filter(|(_, pull)| **pull != 0) {
+            sum.fetch_add(*pull, Ordering::Relaxed);
         }
     }
 
     /// Adds what was counted since the last tick began.
     pub(crate) fn add_counted(&mut self) {
         let counts = std::mem::take(&mut self.counts);
-        self.calibration.add(&counts.map(|counts| counts.map(AtomicU32::into_inner)));
+        self.calibration.add(&counts.map(|count| count.load(Ordering::Relaxed)));
+    }
+
+    /// The errors that are remembered.
+    pub(crate) const fn seen(&self) -> &ErrorCounts<f32> {
+        self.calibration.seen()
+    }
+
+    /// Continues from remembered errors. Returns whether errors could have led to them.
+    pub(crate) fn remember(&mut self, seen: &ErrorCounts<f32>) -> bool {
+        let is_sound = are_sound(seen);
+        if is_sound {
+            self.calibration.restore(seen);
+        }
+        is_sound
     }
 
     pub(crate) fn saved(&self) -> SavedErrors {
-        let count = |count: &AtomicU32| count.load(Ordering::Relaxed);
         SavedErrors {
-            seen: *self.calibration.seen(),
-            counts: self.counts.each_ref().map(|counts| counts.each_ref().map(count)),
+            seen: *self.seen(),
+            counts: self.counts.map(|count| count.load(Ordering::Relaxed)),
         }
     }
 
     pub(crate) fn restore(&mut self, saved: &SavedErrors) {
         self.calibration.restore(&saved.seen);
-        self.counts = saved.counts.map(|counts| counts.map(AtomicU32::new));
+        self.counts = saved.counts.map(|count| AtomicI64::new(*count));
     }
 }

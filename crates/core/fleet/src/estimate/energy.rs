@@ -4,7 +4,8 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_energy::{
-    EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered,
+    Ahead, EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered, PARTS,
+    SHADOWS,
 };
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,7 @@ use crate::layout::lanes::{self, Block, LANES, Lanes, put};
 pub(crate) struct EnergyLanes {
     metered: MeteredLanes,
     learned: [Lanes<f32>; Learned::FLOATS],
+    ahead: [[Lanes<f32>; SHADOWS]; PARTS],
 }
 
 /// The part that changes with every sample.
@@ -46,6 +48,9 @@ impl Block for EnergyLanes {
         EnergyState {
             metered: self.metered.get(lane),
             learned: Learned::from_array(&std::array::from_fn(|place| self.learned[place][lane])),
+            ahead: Ahead::from_array(
+                self.ahead.each_ref().map(|group| group.each_ref().map(|lanes| lanes[lane])),
+            ),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -56,6 +61,11 @@ impl Block for EnergyLanes {
         let numbers = robot.learned.to_array();
         for place in 0..Learned::FLOATS {
             put(&mut self.learned[place][lane], mask, numbers[place]);
+        }
+        let numbers = robot.ahead.to_array();
+        for (lanes, number) in self.ahead.as_flattened_mut().iter_mut().zip(numbers.as_flattened())
+        {
+            put(&mut lanes[lane], mask, *number);
         }
     }
 }
@@ -95,7 +105,8 @@ impl EnergyLanes {
     #[inline(always)]
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {
         let state = self.get(lane);
-        EnergyState { bounds: errors.bounds().scaled(&state.learned.error_factor), ..state }
+        let plans = &errors.platform().plans;
+        EnergyState { bounds: plans.scaled(&state.learned.error_factor), ..state }
     }
 
     /// Whether the levels of the robot in a lane are known well enough to stay while it is on its
@@ -128,16 +139,22 @@ impl EnergyLanes {
         }
         self.metered = copy;
         if let Some(errors) = errors.filter(|_| lanes::any(&ended)) {
-            self.compare(model, errors, &ended);
+            self.compare(model, errors, &ended, samples.power_w);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn compare(&mut self, model: &EnergyModel, errors: &SharedErrors, ended: &Lanes<bool>) {
+    fn compare(
+        &mut self,
+        model: &EnergyModel,
+        errors: &SharedErrors,
+        ended: &Lanes<bool>,
+        power_w: &Lanes<f32>,
+    ) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
             let mut robot = self.get(lane);
-            errors.count(robot.compare(model, errors.bounds()));
+            errors.count(&robot.compare(model, errors.platform(), power_w[lane]));
             self.set(lane, true, robot);
         }
     }

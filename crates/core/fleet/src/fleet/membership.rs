@@ -1,6 +1,6 @@
 //! Membership: robots join with their first sample and leave after a long silence.
 
-use joulebus_energy::EnergyState;
+use joulebus_energy::{EnergyState, ErrorCounts};
 use joulebus_wire::SampleHeader;
 
 use crate::alarms::detector::Detector;
@@ -45,6 +45,20 @@ impl Fleet {
     /// of such a robot is unknown when it joins without an account.
     pub fn lose(&mut self, ids: u16) {
         self.departed.lose(ids);
+    }
+
+    /// The errors of the energy that each platform's robots have shown, with the hash of the model
+    /// that made them, in the order of the settings.
+    pub fn remembered_errors(&self) -> impl Iterator<Item = (u64, &ErrorCounts<f32>)> {
+        self.tick.platforms.iter().map(|context| (context.model.hash(), context.errors.seen()))
+    }
+
+    /// Continues with the errors that an earlier run saved of the platform at `index`. Call it
+    /// before the first sample. Returns whether they are of its model, and possible.
+    pub fn restore_errors(&mut self, index: usize, model: u64, seen: &ErrorCounts<f32>) -> bool {
+        let context = self.tick.platforms.get_mut(index);
+        let context = context.filter(|context| context.model.hash() == model);
+        context.is_some_and(|context| context.errors.remember(seen))
     }
 
     /// Whether a platform of the config has this robot.

@@ -106,9 +106,8 @@ impl Fleet {
         at_most("sources", state.sources.len(), most.into())?;
         at_most("robots that have reported", state.counters.reported as usize, slots)?;
         exactly("platforms' errors", state.errors.len(), self.tick.platforms.len())?;
-        let seen = state.errors.iter().flat_map(|errors| errors.seen.as_flattened());
-        let unsound = seen.filter(|count| !(**count >= 0.0 && **count < 1e9));
-        exactly("unsound counts of errors", unsound.count(), 0)?;
+        let unsound = state.errors.iter().filter(|errors| !errors.is_sound());
+        exactly("platforms with unsound counts of errors", unsound.count(), 0)?;
         self.check_slots(state)
     }
 

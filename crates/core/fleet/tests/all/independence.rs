@@ -1,5 +1,5 @@
 //! The output of one robot depends on that robot's samples alone, except for the bounds of its
-//! energy's errors, which the robots of a platform learn together.
+//! energy's errors and the shares of its outlook, which the robots of a platform learn together.
 
 use joulebus_fleet::Fleet;
 use joulebus_testkit_fleets::random::Noise;

@@ -70,7 +70,7 @@ pub(crate) fn step(
     let sample = energy_sample(pending, working_s, on_time);
     energy.metered.advance(&context.energy, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
-        errors.count(energy.compare(&context.energy, errors.bounds()));
+        errors.count(&energy.compare(&context.energy, errors.platform(), sample.power_w));
     }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);

@@ -40,7 +40,9 @@ impl<'a> Outlooks<'a> {
                 continue;
             }
             for lane in 0..LANES {
-                let ahead = context.outlook.of(&block.energy.state(lane, &context.errors));
+                let state = block.energy.get(lane);
+                let last_w = block.windows.get(lane).last_w();
+                let ahead = context.outlook.of(&state, context.errors.platform(), last_w);
                 for place in 0..OUTLOOK_HORIZONS {
                     put(&mut all.energy_j[place][lane], mask[lane], ahead.energy_j[place]);
                     put(&mut all.lo_j[place][lane], mask[lane], ahead.lo_j[place]);

@@ -26,7 +26,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_energy(fleet, oracle, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
         compare_plan_state(fleet, oracle, *id, member, now_ns)?;
-        compare_outlook(fleet, *id, member)?;
+        compare_outlook(fleet, oracle, *id, member)?;
         one_nan(fleet, *id)?;
     }
     for (id, account) in &oracle.departed {
@@ -184,8 +184,8 @@ fn compare_energy(
     member: &Member,
 ) -> Result<(), TestCaseError> {
     let robot = &member.robot;
-    let bounds = oracle.errors[member.context].calibration.bounds();
-    let bounds = bounds.scaled(&robot.energy.learned.error_factor);
+    let platform = oracle.errors[member.context].calibration.platform();
+    let bounds = platform.plans.scaled(&robot.energy.learned.error_factor);
     let expected = EnergyState { bounds, ..robot.energy };
     let found = fleet.energy(id).expect("it is in the fleet");
     let bits = |state: EnergyState| {
@@ -277,7 +277,12 @@ fn compare_plan_state(
 
 /// Quality is that of the forecast, energy that of the pure function, and time to empty that of the
 /// budget.
-fn compare_outlook(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
+fn compare_outlook(
+    fleet: &Fleet,
+    oracle: &Oracle,
+    id: u32,
+    member: &Member,
+) -> Result<(), TestCaseError> {
     let found = world::outlook(fleet, id);
     let (forecast, budget) = (world::forecast(fleet, id), world::budget(fleet, id));
     prop_assert_eq!(
@@ -304,7 +309,9 @@ fn compare_outlook(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCa
     }
     let model = fleet.energy_model(member.context).expect("its platform has one");
     let ahead = model.outlook(OUTLOOK_S);
-    let expected = ahead.of(&state);
+    let (run, errors) = (&member.robot.run, &oracle.errors[member.context]);
+    let last_w = run.powers_w.last().copied().filter(|_| run.unread == 0).unwrap_or(f32::NAN);
+    let expected = ahead.of(&state, errors.calibration.platform(), last_w);
     prop_assert_eq!(usize::from(found.bounded), ahead.bounded());
     for (found, expected) in [
         (found.energy_j, expected.energy_j),

@@ -352,11 +352,16 @@ impl Robot {
             self.energy.metered.advance(&errors.model, &sample);
             return;
         }
-        let bounds = *errors.calibration.bounds();
-        let classes = self.energy.observe_among(&errors.model, &bounds, &sample);
-        for (shadow, class) in classes.into_iter().enumerate() {
+        let platform = errors.calibration.platform();
+        let new = self.energy.observe_among(&errors.model, platform, &sample);
+        for (shadow, class) in new.classes.into_iter().enumerate() {
             if let Some(class) = class {
-                errors.counts[shadow][usize::from(class)] += 1;
+                errors.counts.classes[shadow][usize::from(class)] += 1;
+            }
+        }
+        for (shadow, pulls) in new.pulls.into_iter().enumerate() {
+            for (place, pull) in pulls.into_iter().enumerate() {
+                errors.counts.pulls[shadow][place] += pull;
             }
         }
     }
