@@ -1,8 +1,9 @@
 //! All robots' accounts, so that a restarted worker continues with them.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_fleet::{Ledger, SavedBattery};
+use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery};
 use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +30,49 @@ pub(crate) struct Checkpoint {
     /// these robots joins without an account, its battery is unknown.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub lost: BTreeSet<u16>,
+    /// Errors of the energy of each platform, in the order of the config; none before version 4.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub errors: Vec<ModelErrors>,
+}
+
+/// The errors that a platform's robots have shown of its model, from which the bounds of the next
+/// run's plans and outlooks continue.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ModelErrors {
+    model_hash: u64,
+    seen: ErrorCounts<f32>,
+}
+
+/// The same on its way from the tick to the checkpointer, as bits. A save may catch some of one tick
+/// and some of the next.
+#[derive(Debug)]
+pub(crate) struct SentErrors(Vec<(u64, ErrorCounts<AtomicU32>)>);
+
+impl SentErrors {
+    /// As many as the fleet has platforms.
+    pub(crate) fn new(fleet: &Fleet) -> Self {
+        let bits = |seen: &ErrorCounts<f32>| seen.map(|number| AtomicU32::new(number.to_bits()));
+        Self(fleet.remembered_errors().map(|(hash, seen)| (hash, bits(seen))).collect())
+    }
+
+    /// Sends the fleet's.
+    pub(crate) fn send(&self, fleet: &Fleet) {
+        for ((_, sent), (_, seen)) in self.0.iter().zip(fleet.remembered_errors()) {
+            for (sent, seen) in sent.numbers().zip(seen.numbers()) {
+                sent.store(seen.to_bits(), Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// What was sent last.
+    pub(crate) fn receive(&self) -> Vec<ModelErrors> {
+        let number = |bits: &AtomicU32| f32::from_bits(bits.load(Ordering::Relaxed));
+        let platforms = self.0.iter();
+        let errors =
+            platforms.map(|(hash, sent)| ModelErrors { model_hash: *hash, seen: sent.map(number) });
+        errors.collect()
+    }
 }
 
 /// One robot's account; fields as in [`joulebus_wire::Budget`].
@@ -71,6 +115,7 @@ impl Checkpoint {
             written_unix_ns: 0,
             robots: BTreeMap::new(),
             lost: BTreeSet::new(),
+            errors: Vec::new(),
         }
     }
 
@@ -174,6 +219,15 @@ impl Checkpoint {
         (self.written_ns, self.written_unix_ns) = (now_ns, now_unix_ns);
         boot_id.clone_into(&mut self.boot_id);
         self
+    }
+
+    /// Lets the fleet continue with the errors of an earlier run. Returns the number of platforms
+    /// that do; others have another model now.
+    pub(crate) fn restore_errors(&self, fleet: &mut Fleet) -> usize {
+        let errors = self.errors.iter().enumerate();
+        errors
+            .filter(|(index, errors)| fleet.restore_errors(*index, errors.model_hash, &errors.seen))
+            .count()
     }
 
     /// The accounts as ledgers, the robot that was silent longest first. Accounts with false stamps

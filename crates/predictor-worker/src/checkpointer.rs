@@ -11,7 +11,7 @@ use joulebus_config::Config;
 use joulebus_standby::Places;
 use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, SentErrors};
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
@@ -58,12 +58,12 @@ pub(crate) fn start(
     domain: &Domain,
     config: &Config,
     before: SavedLedger,
-    failures: Arc<Failures>,
+    (failures, errors): (Arc<Failures>, Arc<SentErrors>),
     orders: KeyframeOrders,
 ) -> Result<Background, CheckpointerError> {
     let (domain, config) = (domain.clone(), config.clone());
     Background::start("joulebus-checkpointer", move || {
-        Checkpointer::open(&domain, &config, before, failures, orders)
+        Checkpointer::open(&domain, &config, before, (failures, errors), orders)
     })
 }
 
@@ -76,6 +76,7 @@ struct Checkpointer {
     keyframes: KeyframeSender,
     _bus: Bus,
     failures: Arc<Failures>,
+    errors: Arc<SentErrors>,
     checkpoint: Checkpoint,
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
@@ -99,7 +100,7 @@ impl Checkpointer {
         domain: &Domain,
         config: &Config,
         SavedLedger { checkpoint, files }: SavedLedger,
-        failures: Arc<Failures>,
+        (failures, errors): (Arc<Failures>, Arc<SentErrors>),
         orders: KeyframeOrders,
     ) -> Result<Self, CheckpointerError> {
         let bus = Bus::join(domain, "checkpointer")?;
@@ -119,6 +120,7 @@ impl Checkpointer {
             )?,
             _bus: bus,
             failures,
+            errors,
             checkpoint,
             files,
             // A capacity that is lowered takes no account.
@@ -177,6 +179,7 @@ impl Checkpointer {
             self.schedule.tried(begun_ns, (begun_ns, begun_ns), true);
             return;
         };
+        self.checkpoint.errors = self.errors.receive();
         let saved = files.write(&self.checkpoint);
         if let Err(error) = &saved
             && begun_ns >= self.next_log_ns

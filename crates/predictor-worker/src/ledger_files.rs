@@ -17,13 +17,14 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::Checkpoint;
 
 /// Version of the files.
-const SCHEMA: u32 = 3;
-/// The version of files that name lost accounts. Releases that do not know them must not take the
-/// batteries for new.
-const WITH_LOST: u32 = 4;
-/// The version before, without batteries: it is read, and written as the newest.
+/// Version of files whose ledger has neither lost accounts nor errors of the energy.
+const PLAIN: u32 = 3;
+/// The version of files that have them. Releases that do not know them must not take such batteries
+/// for new.
+const NEWEST: u32 = 4;
+/// The version before, without batteries: it is read, and written as a newer one.
 const BEFORE: u32 = 2;
-const KNOWN: [u32; 3] = [WITH_LOST, SCHEMA, BEFORE];
+const KNOWN: [u32; 3] = [NEWEST, PLAIN, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -71,7 +72,7 @@ pub enum LedgerFileError {
     },
     /// The file has another version.
     #[error(
-        "ledger {path:?} is in version {found}, this release reads {BEFORE} to {WITH_LOST}: use the release \
+        "ledger {path:?} is in version {found}, this release reads {BEFORE} to {NEWEST}: use the release \
          of joulebus that wrote it, or move the file away to begin a new account"
     )]
     Version {
@@ -300,12 +301,13 @@ fn is_cut_off(path: &Path) -> io::Result<bool> {
         Err(error) if error.kind() == io::ErrorKind::FileTooLarge => return Ok(false),
         read => read?,
     };
-    let beginning = format!("{{\"schema\":{SCHEMA},\"generation\":");
-    let first = &bytes[..bytes.len().min(beginning.len())];
+    let begins = |schema: u32| {
+        let beginning = format!("{{\"schema\":{schema},\"generation\":");
+        let first = &bytes[..bytes.len().min(beginning.len())];
+        beginning.as_bytes().starts_with(first) || first.iter().all(|byte| *byte == 0)
+    };
     // Whole, it is another fleet's, or of another version.
-    let is_whole = serde_json::from_slice::<IgnoredAny>(&bytes).is_ok();
-    let is_beginning = beginning.as_bytes().starts_with(first) && !is_whole;
-    Ok(is_beginning || first.iter().all(|byte| *byte == 0))
+    Ok((begins(PLAIN) || begins(NEWEST)) && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
 }
 
 fn checksum(
@@ -321,7 +323,8 @@ fn checksum(
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
-    let schema = if ledger.lost.is_empty() { SCHEMA } else { WITH_LOST };
+    let plain = ledger.lost.is_empty() && ledger.errors.is_empty();
+    let schema = if plain { PLAIN } else { NEWEST };
     let fnv1a = checksum(schema, generation, ledger)?;
     serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
 }
@@ -557,14 +560,18 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_the_version_before_is_read_and_continued_in_this_one() {
+    fn a_file_of_a_version_before_is_read_and_continued_in_this_one() {
+        [BEFORE, PLAIN].into_iter().for_each(is_read_and_continued);
+    }
+
+    fn is_read_and_continued(schema: u32) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ledger.json");
         let ledger = drawn(77);
         let before = serde_json::to_vec(&Content {
-            schema: BEFORE,
+            schema,
             generation: 8,
-            fnv1a: checksum(BEFORE, 8, &ledger).unwrap(),
+            fnv1a: checksum(schema, 8, &ledger).unwrap(),
             ledger: &ledger,
         });
         fs::write(&path, before.unwrap()).unwrap();

@@ -15,6 +15,7 @@ use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
 use joulebus_settings::{FleetSettings, Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
+use crate::checkpoint::SentErrors;
 use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
@@ -55,6 +56,8 @@ pub struct Worker {
     /// Buffer into which samples are copied before they are checked.
     part: Vec<Sample>,
     failures: Arc<Failures>,
+    /// The errors of the energy, for the ledger.
+    errors: Arc<SentErrors>,
     header: ForecastHeader,
     missed: bool,
     shedding: Shedding,
@@ -186,6 +189,8 @@ impl Worker {
                  unknown until measured or full: raise `capacity`"
             );
         }
+        before.checkpoint.restore_errors(&mut fleet);
+        let errors = Arc::new(SentErrors::new(&fleet));
         let mut part = vec![Sample::new(0, 0, 0); PART];
         part.clear();
         let ticks_ns = histogram();
@@ -199,8 +204,13 @@ impl Worker {
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
         let (keyframes, orders) = keyframes(Arc::clone(&current_permit));
-        let checkpointer =
-            checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
+        let checkpointer = checkpointer::start(
+            &domain,
+            config,
+            before,
+            (Arc::clone(&failures), Arc::clone(&errors)),
+            orders,
+        )?;
         // After the threads that must not have it are started, because threads inherit it.
         for refused in schedule_process(config.scheduling())? {
             tracing::warn!("{refused}");
@@ -245,6 +255,7 @@ impl Worker {
             bus,
             _lock: lock,
             failures,
+            errors,
             header,
             current_permit,
             standby: None,
@@ -481,6 +492,7 @@ impl Worker {
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal.send(place, start_ns, (missed, left_out), &self.failures.unsent);
         self.keyframes.offer(&self.fleet, place);
+        self.errors.send(&self.fleet);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);

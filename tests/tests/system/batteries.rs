@@ -76,15 +76,27 @@ fn a_lowered_capacity_takes_no_account_and_a_robot_that_has_none_is_unknown() {
     arena.close();
 }
 
-/// Generation and states of charge in the file that the worker saves by default, once there is one.
-fn saved(arena: &Arena) -> Option<(u64, Vec<f64>)> {
+/// The file that the worker saves by default, once there is one.
+fn file(arena: &Arena) -> Option<Value> {
     let entries = std::fs::read_dir(arena.state().join("joulebus")).ok()?;
     let mut files = entries.flatten().map(|entry| entry.path());
     let path = files.find(|path| path.extension().is_some_and(|ending| ending == "json"))?;
-    let file: Value = serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
+    serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()
+}
+
+/// Its generation and states of charge.
+fn saved(arena: &Arena) -> Option<(u64, Vec<f64>)> {
+    let file = file(arena)?;
     let robots = file["ledger"]["robots"].as_object()?.values();
     let socs: Option<Vec<f64>> = robots.map(|robot| robot["battery"]["soc"].as_f64()).collect();
     Some((file["generation"].as_u64()?, socs?))
+}
+
+/// Number of errors of the energy over 1 s in it.
+fn remembered(arena: &Arena) -> Option<f64> {
+    let file = file(arena)?;
+    let classes = file["ledger"]["errors"][0]["seen"]["classes"][0].as_array()?;
+    classes.iter().map(Value::as_f64).sum()
 }
 
 #[test]
@@ -92,13 +104,15 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
     let arena = Arena::new(&setup());
     let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
     let mut worker = arena.worker();
-    eventually("all robots have drawn a twentieth", || {
-        saved(&arena).is_some_and(|(_, socs)| {
-            socs.len() == ROBOTS as usize && socs.iter().all(|soc| *soc < 0.95)
-        })
+    eventually("all robots have drawn a twentieth, and their energy was off", || {
+        remembered(&arena).is_some_and(|errors| errors > 2.0)
+            && saved(&arena).is_some_and(|(_, socs)| {
+                socs.len() == ROBOTS as usize && socs.iter().all(|soc| *soc < 0.95)
+            })
     });
     assert_eq!(worker.kill().signal(), Some(9));
     let (generation, before) = saved(&arena).expect("it was there");
+    let errors = remembered(&arena).expect("they were there");
     let mut worker = arena.worker();
     let mut after = Vec::new();
     eventually("the next worker has saved them", || {
@@ -111,6 +125,8 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
     for (after, before) in after.iter().zip(&before) {
         assert!(after < before, "{after} of {before}");
     }
+    // Few enough that none has faded, and none is forgotten.
+    assert!(remembered(&arena).is_some_and(|after| after >= errors && errors < 200.0));
     controller.kill();
     worker.stop();
     arena.close();
