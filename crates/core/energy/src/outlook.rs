@@ -101,7 +101,11 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
     ) -> EnergyOutlook<HORIZONS> {
         let mut mean_w = [0.0; HORIZONS];
         let contradictions = contradictions(&state.metered, self.mean_w, &self.newest_spreads);
-        let weights = self.horizons.map(|horizon| weighted(horizon.weights, &contradictions));
+        // A loop, because calls of `map` are not always inlined.
+        let mut weights = [([0.0; LEVELS], 0.0); HORIZONS];
+        for place in 0..HORIZONS {
+            weights[place] = weighted(self.horizons[place].weights, &contradictions);
+        }
         for level in 0..LEVELS {
             let (time_s, energy_j) = (state.metered.time_s[level], state.metered.energy_j[level]);
             let command_j = state.metered.command_j[level];

@@ -45,12 +45,17 @@ impl Block for EnergyLanes {
 
     #[inline(always)]
     fn get(&self, lane: usize) -> EnergyState {
+        // Loops, because calls of `map` are not always inlined.
+        let mut ahead = [[0.0; SHADOWS]; PARTS];
+        for part in 0..PARTS {
+            for shadow in 0..SHADOWS {
+                ahead[part][shadow] = self.ahead[part][shadow][lane];
+            }
+        }
         EnergyState {
             metered: self.metered.get(lane),
             learned: Learned::from_array(&std::array::from_fn(|place| self.learned[place][lane])),
-            ahead: Ahead::from_array(
-                self.ahead.each_ref().map(|group| group.each_ref().map(|lanes| lanes[lane])),
-            ),
+            ahead: Ahead::from_array(ahead),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -63,9 +68,10 @@ impl Block for EnergyLanes {
             put(&mut self.learned[place][lane], mask, numbers[place]);
         }
         let numbers = robot.ahead.to_array();
-        for (lanes, number) in self.ahead.as_flattened_mut().iter_mut().zip(numbers.as_flattened())
-        {
-            put(&mut lanes[lane], mask, *number);
+        for part in 0..PARTS {
+            for shadow in 0..SHADOWS {
+                put(&mut self.ahead[part][shadow][lane], mask, numbers[part][shadow]);
+            }
         }
     }
 }
