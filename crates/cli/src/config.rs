@@ -1,10 +1,12 @@
 //! `joulebus config`: make, check, show and explain configs.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use joulebus_config::{
+    CheckedFile, Config, ConfigError, Explanation, File, Problem, explain, explanations,
+};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
@@ -13,7 +15,7 @@ use joulebus_program::model_range;
 use joulebus_program::output::{self, Format, Output, say};
 use serde::Serialize;
 
-use crate::external;
+use crate::{external, schema};
 
 /// Make configs from recordings; check, show and explain configs
 #[derive(Debug, clap::Args)]
@@ -21,7 +23,8 @@ use crate::external;
     joulebus config init --from recordings/ --out lab/ --train\n  \
     joulebus config check configs/*.toml\n  \
     joulebus config show configs/fleet.toml    every key, with the origin of its value\n  \
-    joulebus config explain tick               the keys of a section, with unit, range, default")]
+    joulebus config explain tick               the keys of a section, with unit, range, default\n  \
+    joulebus config schema bridge > bridge.schema.json   JSON Schema, for editors")]
 pub(crate) struct Args {
     #[command(subcommand)]
     verb: Verb,
@@ -30,10 +33,13 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Init,
-    /// Check fleets' configs and the platform files and models they name; exit 2 if one is refused
-    #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
+    /// Check fleets' configs and the platform files and models they name, and the keys of files of
+    /// platforms, bridges, links and shards; exit 2 if one is refused
+    #[command(
+        after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
+    )]
     Check {
-        /// Configs of fleets [default: configs/fleet.toml, or the built-in one]
+        /// Files, whose kinds their keys tell [default: configs/fleet.toml, or the built-in one]
         #[arg(value_name = "FILE")]
         files: Vec<PathBuf>,
     },
@@ -52,6 +58,13 @@ enum Verb {
         /// A key (tick.rate_hz) or a section (tick) [default: all]
         key: Option<String>,
     },
+    /// Write the JSON Schema of a kind of file, with which editors complete and check it
+    #[command(after_help = "Example:\n  joulebus config schema fleet > fleet.schema.json")]
+    Schema {
+        /// The kind
+        #[arg(value_name = "KIND", value_parser = File::ALL.map(File::name))]
+        kind: String,
+    },
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -60,6 +73,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Verb::Check { files } => check(files, output),
         Verb::Show { file } => show(file.clone(), output),
         Verb::Explain { key } => explain_key(key.as_deref(), output),
+        Verb::Schema { kind } => {
+            let file = File::ALL.into_iter().find(|file| file.name() == kind);
+            let schema = schema::of(file.unwrap_or(File::Fleet));
+            output::text(&format!("{}\n", serde_json::to_string_pretty(&schema)?))?;
+            Ok(Outcome::Done)
+        }
     }
 }
 
@@ -69,9 +88,10 @@ struct CheckReport {
     files: Vec<Checked>,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct Checked {
     file: String,
+    kind: &'static str,
     accepted: bool,
     fleet: Option<String>,
     /// Maximum number of robots.
@@ -85,16 +105,7 @@ struct Checked {
 
 impl Checked {
     fn new(file: String, result: Result<Config, ConfigError>) -> Self {
-        let mut checked = Self {
-            file,
-            accepted: result.is_ok(),
-            fleet: None,
-            capacity: None,
-            platforms: Vec::new(),
-            error: None,
-            problems: Vec::new(),
-            warnings: Vec::new(),
-        };
+        let mut checked = Self { file, kind: File::Fleet.name(), ..Self::default() };
         match result {
             Ok(config) => {
                 let settings = config.settings();
@@ -112,9 +123,29 @@ impl Checked {
                 }
                 checked.accepted = checked.error.is_none();
             }
-            Err(error) if error.problems().is_empty() => checked.error = Some(error.to_string()),
-            Err(error) => checked.problems = error.problems().to_vec(),
+            Err(error) => checked.refuse(&error),
         }
+        checked
+    }
+
+    fn refuse(&mut self, error: &ConfigError) {
+        self.problems = error.problems().to_vec();
+        self.error = self.problems.is_empty().then(|| error.to_string());
+    }
+
+    /// Checks a file of the kind that its keys tell. Of a fleet's also what it names.
+    fn load(path: &Path) -> Self {
+        let name = path.display().to_string();
+        let kind = File::of(path);
+        if kind == File::Fleet {
+            return Self::new(name, Config::load(path));
+        }
+        let mut checked = Self { file: name, kind: kind.name(), ..Self::default() };
+        match CheckedFile::load(path, kind) {
+            Ok(file) => checked.problems = file.problems,
+            Err(error) => checked.refuse(&error),
+        }
+        checked.accepted = checked.problems.is_empty() && checked.error.is_none();
         checked
     }
 }
@@ -130,10 +161,12 @@ fn refusal(config: &Config) -> Result<Vec<Model>, String> {
 impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for checked in self.files.iter().filter(|checked| checked.accepted) {
-            let fleet = checked.fleet.as_deref().unwrap_or_default();
-            let capacity = checked.capacity.unwrap_or_default();
-            let platforms = checked.platforms.join(", ");
             let file = &checked.file;
+            let (Some(fleet), Some(capacity)) = (&checked.fleet, checked.capacity) else {
+                writeln!(out, "{file}: ok: the keys of a file of kind {}", checked.kind)?;
+                continue;
+            };
+            let platforms = checked.platforms.join(", ");
             writeln!(out, "{file}: ok: fleet {fleet}, capacity {capacity} robots, {platforms}")?;
         }
         Ok(())
@@ -145,8 +178,7 @@ fn check(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
         let chosen = ConfigFile { config: None };
         vec![Checked::new(chosen.name(), chosen.read())]
     } else {
-        let check = |path: &PathBuf| Checked::new(path.display().to_string(), Config::load(path));
-        files.iter().map(check).collect()
+        files.iter().map(|path| Checked::load(path)).collect()
     };
     for checked in &checked {
         for problem in &checked.problems {

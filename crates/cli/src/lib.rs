@@ -22,6 +22,7 @@ mod record;
 mod recover;
 mod replay;
 mod run;
+mod schema;
 mod service_manager;
 mod supervisor;
 mod view;

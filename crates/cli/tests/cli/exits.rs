@@ -109,6 +109,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "config show JUNK"),
     (0, "config explain tick.rate_hz"),
     (2, "config explain tick.rate"),
+    (0, "config schema link"),
+    (2, "config schema links"),
     (1, "train trials JUNK -o NEW"),
     (2, "train trials TRIAL"),
     (1, "train trials TRIAL --split time --threads 18446744073709551615 -o NEW"),

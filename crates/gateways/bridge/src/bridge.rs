@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
 use joulebus_bus::{Background, yield_to_the_worker};
-use joulebus_config::Config;
+use joulebus_config::{CheckedFile, Config, File};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
@@ -98,10 +98,11 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let usual = usual::mapping(args)?;
-    let settings = match &usual {
-        Some(mapping) => Settings::parse(mapping, &args.file, &config)?,
-        None => Settings::load(&args.file, &config)?,
+    let file = match &usual {
+        Some(mapping) => CheckedFile::parse(mapping, &args.file, File::Bridge)?,
+        None => CheckedFile::load(&args.file, File::Bridge)?,
     };
+    let settings = Settings::new(&file, &config)?;
     if let (Some(mapping), Some(path)) = (&usual, &args.write) {
         return usual::write_new(mapping, path);
     }

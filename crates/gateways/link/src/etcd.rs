@@ -27,7 +27,6 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 /// Maximum size of an answer, bytes.
 const MAX_BYTES: u64 = 64 << 10;
 const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
-const MAX_SECRET_BYTES: u64 = 4_096;
 const NANOSECONDS: u64 = 1_000_000_000;
 
 /// The etcd client of one candidate for one shard.
@@ -149,9 +148,7 @@ impl Etcd {
     ) -> anyhow::Result<Self> {
         let key = |name: &str| BASE64.encode(format!("{}{fleet}/{shard}/{name}", settings.prefix));
         let user = settings.user.as_ref().map(|(user, path)| {
-            let password = joulebus_files::read_secret(path, MAX_SECRET_BYTES)?;
-            let password = password.lines().next().unwrap_or_default().to_owned();
-            Ok::<_, std::io::Error>((user.clone(), password))
+            Ok::<_, std::io::Error>((user.clone(), joulebus_files::read_secret_line(path)?))
         });
         let members = settings.endpoints.len().try_into().unwrap_or(u32::MAX);
         let ttl = Duration::from_secs(settings.ttl_s.into());

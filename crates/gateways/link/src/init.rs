@@ -154,7 +154,7 @@ fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
 fn head(host: &Host<'_>, which: &str, network: &str) -> String {
     let name = host.name;
     format!(
-        "# Written by `joulebus link init`: {which}. docs/scale.md explains every key.\n\n\
+        "# Written by `joulebus link init`: {which}. docs/reference/link-file.md explains every key.\n\n\
          name = \"{name}\"\n\n[network]\n{network}\n\n\
          [network.tls]\nca = \"fleet-ca.pem\"\ncertificate = \"{name}.pem\"\nkey = \"{name}.key\"\n"
     )

@@ -36,8 +36,6 @@ const RETRY_DELAYS: (Duration, Duration) = (Duration::from_secs(1), Duration::fr
 const END_LIMIT: Duration = Duration::from_secs(5);
 /// Interval of checking whether to end.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Maximum size of a file with an address, bytes.
-const MAX_BYTES: u64 = 4_096;
 /// Maximum size of a file with certificates, bytes. All of Mozilla's take a quarter of it.
 const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
 
@@ -172,7 +170,8 @@ impl Webhook {
 /// The address that `--webhook` means.
 fn address(to: &str) -> anyhow::Result<Uri> {
     let text = match to.strip_prefix('@') {
-        Some(path) => secret(path).with_context(|| format!("--webhook {to}"))?,
+        Some(path) => joulebus_files::read_secret_line(Path::new(path))
+            .with_context(|| format!("--webhook {to}"))?,
         None => to.to_owned(),
     };
     let refused =
@@ -191,12 +190,6 @@ fn address(to: &str) -> anyhow::Result<Uri> {
         return Ok(address);
     }
     Err(anyhow!(refused))
-}
-
-/// The first line of a file that only its owner can read.
-fn secret(path: &str) -> anyhow::Result<String> {
-    let text = joulebus_files::read_secret(Path::new(path), MAX_BYTES)?;
-    Ok(text.lines().next().unwrap_or_default().to_owned())
 }
 
 /// The certificates in a file.

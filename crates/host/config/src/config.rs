@@ -15,7 +15,7 @@ use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
 use crate::template::Assignment;
 use crate::values::Values;
-use crate::{cpus, files, keys, show};
+use crate::{cpus, files, show, table};
 
 /// Where the energy ledger and the batteries are saved.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -378,7 +378,7 @@ impl Builder<'_> {
     fn single(&self, path: &str) -> Option<f32> {
         let value = self.0.number(path)?;
         let narrow = value as f32;
-        match keys::find(path)?.kind {
+        match table::find(path)?.kind {
             ValueKind::Number { max, .. } if f64::from(narrow) > max => Some(narrow.next_down()),
             ValueKind::Number { min, .. } if f64::from(narrow) < min => Some(narrow.next_up()),
             _ => Some(narrow),

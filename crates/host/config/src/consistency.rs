@@ -75,7 +75,7 @@ fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &
         // A platform's own keys are reported in the platform's file.
         let place = match key.file {
             File::Platform => values.place("platform.name").or(header),
-            File::Fleet => header,
+            _ => header,
         };
         problems.push(Problem {
             file: place.map_or(file, |place| &place.file).to_string(),

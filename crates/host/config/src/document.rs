@@ -5,17 +5,16 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use joulebus_settings::bounds;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use crate::key::{File, Key, ValueKind};
-use crate::keys::{self, KEYS};
 use crate::numbers::{integer, number};
 use crate::problem::{MAX_PROBLEMS, Problem};
 use crate::remedy;
 use crate::robots;
-use crate::values::{Place, Value, Values};
+use crate::table;
+use crate::values::{Child, Place, Scalar, Value, Values};
 
 /// Letters of a key or a value that are shown.
 const MAX_SHOWN: usize = 60;
@@ -65,68 +64,25 @@ impl<'a> Source<'a> {
 impl Source<'_> {
     /// Reads the file of a fleet.
     pub(crate) fn fleet(&self, problems: &mut Vec<Problem>) -> FleetFile {
-        let mut read = FleetFile::default();
-        let Some(document) = self.document(problems) else {
-            read.cut_short = true;
-            return read;
+        let Some(mut values) = self.values(File::Fleet, problems) else {
+            return FleetFile { cut_short: true, ..FleetFile::default() };
         };
-        let mut walk = Walk { source: self, file: File::Fleet, problems };
-        for (key, item) in document.get_ref() {
-            if key.get_ref() != "platform" {
-                walk.item(key, item, key.get_ref(), &mut read.values);
-                continue;
-            }
-            let place = walk.source.place(key.span());
-            let Some(tables) = tables(item.get_ref()) else {
-                walk.wrong(
-                    &place,
-                    "platform",
-                    "is a single table".to_owned(),
-                    "Write [[platform]], with two brackets: there is one for each platform"
-                        .to_owned(),
-                );
-                continue;
-            };
-            let (found, most) = (tables.len(), *bounds::PLATFORMS.end());
-            if found > most as usize {
-                walk.wrong(
-                    &place,
-                    "platform",
-                    format!("is listed {found} times, allowed are {most}"),
-                    "List the robots of one kind in one [[platform]]".to_owned(),
-                );
-                continue;
-            }
-            for (table, span) in tables {
-                let mut values = Values::default();
-                walk.table(table, "platform", &mut values);
-                read.platforms.push(Listed {
-                    values,
-                    header: walk.source.place(span),
-                    cut_short: false,
-                });
-            }
-        }
-        read
+        let platforms = values.children.remove("platform").unwrap_or_default();
+        let listed =
+            |child: Child| Listed { values: child.values, header: child.place, cut_short: false };
+        let platforms = platforms.into_iter().map(listed).collect();
+        FleetFile { values, platforms, cut_short: false }
     }
 
-    /// Reads a platform's file; `None` if it is not TOML.
-    pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Option<Values> {
+    /// Reads a file; `None` if it is not TOML.
+    pub(crate) fn values(&self, file: File, problems: &mut Vec<Problem>) -> Option<Values> {
         let mut values = Values::default();
-        let document = self.document(problems)?;
-        let mut walk = Walk { source: self, file: File::Platform, problems };
-        walk.table(document.get_ref(), "platform", &mut values);
+        let document = DeTable::parse(self.text);
+        let document = document.map_err(|error| problems.push(self.syntax(&error))).ok()?;
+        let mut walk = Walk { source: self, file, name: None, problems };
+        values.sections.insert(file.root().to_owned(), self.place(0..0));
+        walk.table(document.get_ref(), file.root(), &mut values);
         Some(values)
-    }
-
-    fn document(&self, problems: &mut Vec<Problem>) -> Option<Spanned<DeTable<'_>>> {
-        match DeTable::parse(self.text) {
-            Ok(document) => Some(document),
-            Err(error) => {
-                problems.push(self.syntax(&error));
-                None
-            }
-        }
     }
 
     fn place(&self, span: Range<usize>) -> Place {
@@ -208,25 +164,73 @@ fn first_of(text: &str, line: usize) -> Option<usize> {
     Some(index + 1)
 }
 
-type SpannedTable<'t> = (&'t DeTable<'t>, Range<usize>);
-
-/// The tables of `[[platform]]`, or of an array of inline tables, with their positions.
-fn tables<'t>(item: &'t DeValue<'t>) -> Option<Vec<SpannedTable<'t>>> {
-    let table = |value: &'t Spanned<DeValue<'t>>| Some((value.get_ref().as_table()?, value.span()));
-    item.as_array()?.iter().map(table).collect()
-}
-
 /// A file being traversed.
 struct Walk<'a> {
     source: &'a Source<'a>,
     file: File,
+    /// The free name that `*` stands for.
+    name: Option<String>,
     problems: &'a mut Vec<Problem>,
 }
 
 impl Walk<'_> {
     fn table(&mut self, table: &DeTable<'_>, path: &str, values: &mut Values) {
+        let within = |name: &str| match path {
+            "" => name.to_owned(),
+            path => format!("{path}.{name}"),
+        };
+        let free = within("*");
+        let is_free = table::keys().any(|key| self.file.allows(key) && key.below(&free).is_some());
         for (key, item) in table {
-            self.item(key, item, &format!("{path}.{}", key.get_ref()), values);
+            if !is_free {
+                self.item(key, item, &within(key.get_ref()), values);
+                continue;
+            }
+            self.name = Some(key.get_ref().to_string());
+            let mut child = self.child(self.source.place(key.span()), &free);
+            self.item(key, item, &free, &mut child.values);
+            child.name = self.name.take();
+            values.children.entry(free.clone()).or_default().push(child);
+        }
+    }
+
+    fn child(&self, place: Place, path: &str) -> Child {
+        let mut values = Values::default();
+        values.sections.insert(path.to_owned(), place.clone());
+        Child { name: None, place, values }
+    }
+
+    /// The tables of a list, or of an array of inline tables.
+    fn list(
+        &mut self,
+        (place, path, most): (&Place, &str, usize),
+        item: &DeValue<'_>,
+        values: &mut Values,
+    ) {
+        let list = item.as_array().into_iter().flatten();
+        let tables = list.map(|item| Some((item.get_ref().as_table()?, item.span())));
+        let tables = tables.collect::<Option<Vec<_>>>().filter(|_| item.is_array());
+        let Some(tables) = tables else {
+            let remedy = format!(
+                "Write [[{path}]], with two brackets: there is one for each {}",
+                path.rsplit('.').next().unwrap_or(path)
+            );
+            self.wrong(place, path, "is a single table".to_owned(), remedy);
+            return;
+        };
+        if tables.len() > most {
+            let what = format!("is listed {} times, allowed are {most}", tables.len());
+            let remedy = match path {
+                "platform" => "List the robots of one kind in one [[platform]]",
+                _ => "List fewer of them",
+            };
+            self.wrong(place, path, what, remedy.to_owned());
+            return;
+        }
+        for (table, span) in tables {
+            let mut child = self.child(self.source.place(span), path);
+            self.table(table, path, &mut child.values);
+            values.children.entry(path.to_owned()).or_default().push(child);
         }
     }
 
@@ -238,10 +242,17 @@ impl Walk<'_> {
         values: &mut Values,
     ) {
         let place = self.source.place(key.span());
-        let section = format!("{path}.");
-        if KEYS.iter().any(|key| key.path.starts_with(&section)) {
+        let below = |key: &Key| key.below(path).is_some_and(|rest| !rest.is_empty());
+        let is_section = table::keys().any(|key| self.file.allows(key) && below(key));
+        if let (true, Some(most)) = (is_section, table::list(path)) {
+            return self.list((&place, path, most), item.get_ref(), values);
+        }
+        if is_section {
             match item.get_ref().as_table() {
-                Some(table) => self.table(table, path, values),
+                Some(table) => {
+                    values.sections.insert(path.to_owned(), place);
+                    self.table(table, path, values);
+                }
                 None => self.wrong(
                     &place,
                     path,
@@ -253,29 +264,29 @@ impl Walk<'_> {
             }
             return;
         }
-        let Some(known) = keys::find(path).filter(|key| self.allows(key)) else {
+        let Some(known) = table::find(path).filter(|key| self.file.allows(key)) else {
             self.unknown(&place, path, item);
             return;
         };
         let value = match self.value(known, item) {
             Ok(value) => Some(value),
             Err((what, remedy)) => {
-                self.wrong(&place, self.shown(path), what, remedy);
+                self.wrong(&place, path, what, remedy);
                 None
             }
         };
-        values.set(known, value, place);
+        values.set(path, value, place);
     }
 
-    /// A fleet's file may set every key, a platform's file only its own.
-    fn allows(&self, key: &Key) -> bool {
-        self.file == File::Fleet || key.file == File::Platform
-    }
-
-    fn shown<'p>(&self, path: &'p str) -> &'p str {
-        match self.file {
-            File::Fleet => path,
+    /// The path as the file's reader knows it.
+    fn shown(&self, path: &str) -> String {
+        let path = match self.file {
             File::Platform => path.strip_prefix("platform.").unwrap_or(path),
+            _ => path,
+        };
+        match &self.name {
+            Some(name) => path.replacen('*', name, 1),
+            None => path.to_owned(),
         }
     }
 
@@ -283,32 +294,19 @@ impl Walk<'_> {
         if self.problems.len() > MAX_PROBLEMS {
             return;
         }
-        let file = (self.file == File::Platform).then_some(File::Platform);
         let value = number(item.get_ref());
         let (what, remedy) = if item.get_ref().is_table() {
-            let remedy = remedy::unknown_section(file, path);
-            ("is not a known section", remedy)
+            ("is not a known section", remedy::unknown_section(self.file, path))
         } else {
-            let remedy = remedy::unknown_key(file, path, value);
-            ("is not a known key", remedy)
+            ("is not a known key", remedy::unknown_key(Some(self.file), path, value))
         };
-        self.wrong(place, self.shown(path), what.to_owned(), remedy);
+        self.wrong(place, path, what.to_owned(), remedy);
     }
 
     fn wrong(&mut self, place: &Place, path: &str, what: String, remedy: String) {
-        let line = Some(place.line);
-        let problem = match self.problems.len() {
-            ..MAX_PROBLEMS => Problem {
-                file: place.file.to_string(),
-                line,
-                key: shown(path).into_owned(),
-                what,
-                remedy,
-            },
-            MAX_PROBLEMS => Problem::more(&place.file, line),
-            _ => return,
-        };
-        self.problems.push(problem);
+        let key = shown(&self.shown(path)).into_owned();
+        let file = place.file.to_string();
+        Problem { file, line: Some(place.line), key, what, remedy }.add_to(self.problems);
     }
 
     /// The value if the key's kind and range allow it, else the found value and the remedy.
@@ -338,29 +336,34 @@ impl Walk<'_> {
                 }
                 Ok(Value::Number(value))
             }
-            ValueKind::Choice(words) => {
+            ValueKind::Choice(_) | ValueKind::Text(_) => {
                 let text = item.get_ref().as_str().ok_or_else(mistaken)?;
-                if words.contains(&text) {
-                    return Ok(Value::Text(text.to_owned()));
-                }
-                let text = shown(text);
-                let text = text.as_ref();
-                let near = words.iter().max_by(|one, other| {
-                    strsim::jaro_winkler(one, text).total_cmp(&strsim::jaro_winkler(other, text))
-                });
-                let advice = match remedy::replaced_word(key, text) {
-                    Some(by) => Some(by.to_owned()),
-                    None => near.map(|word| format!("The nearest word is {word:?}")),
-                };
-                Err(refused(format!("is {text:?}"), advice))
-            }
-            ValueKind::Text(rule) => {
-                let text = item.get_ref().as_str().ok_or_else(mistaken)?;
-                if !rule.allows(text) {
-                    return Err(refused(format!("is {:?}", shown(text)), None));
-                }
+                self::text(key, text).map_err(|(what, advice)| refused(what, advice))?;
                 Ok(Value::Text(text.to_owned()))
             }
+            ValueKind::Flag => item.get_ref().as_bool().map(Value::Flag).ok_or_else(mistaken),
+            ValueKind::Texts { min, max, .. } => {
+                let list = item.get_ref().as_array().ok_or_else(mistaken)?;
+                if !(min..=max).contains(&list.len()) {
+                    return Err(refused(format!("has {} entries", list.len()), None));
+                }
+                Ok(Value::Texts(self.texts(key, list, mistaken)?))
+            }
+            ValueKind::Words(_) => {
+                let list = item.get_ref().as_array().ok_or_else(mistaken)?;
+                Ok(Value::Texts(self.texts(key, list, mistaken)?))
+            }
+            ValueKind::Scalars => {
+                let list = item.get_ref().as_array().ok_or_else(mistaken)?;
+                let scalars: Option<Vec<Scalar>> =
+                    list.iter().map(|item| scalar(item.get_ref())).collect();
+                scalars.map(Value::Scalars).ok_or_else(mistaken)
+            }
+            ValueKind::Ids => match scalar(item.get_ref()) {
+                Some(Scalar::Integer(id)) => Ok(Value::Text(id.to_string())),
+                Some(Scalar::Text(ids)) => Ok(Value::Text(ids)),
+                _ => Err(mistaken()),
+            },
             ValueKind::Robots => {
                 let list = item.get_ref().as_array().ok_or_else(mistaken)?;
                 let ranges: Result<Vec<_>, String> =
@@ -369,4 +372,53 @@ impl Walk<'_> {
             }
         }
     }
+
+    /// The texts of a list, each with its line.
+    fn texts(
+        &self,
+        key: &Key,
+        list: &[Spanned<DeValue<'_>>],
+        mistaken: impl Fn() -> (String, String),
+    ) -> Result<Vec<(String, usize)>, (String, String)> {
+        let one = |item: &Spanned<DeValue<'_>>| {
+            let found = item.get_ref().as_str().ok_or_else(&mistaken)?;
+            text(key, found).map_err(|(what, advice)| {
+                let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));
+                (what, format!("{advice}Allowed: {}", key.facts()))
+            })?;
+            Ok((found.to_owned(), self.source.place(item.span()).line))
+        };
+        list.iter().map(one).collect()
+    }
+}
+
+/// Checks a word or a text.
+///
+/// # Errors
+/// What was found, and advice.
+fn text(key: &Key, text: &str) -> Result<(), (String, Option<String>)> {
+    match key.kind {
+        ValueKind::Text(rule) | ValueKind::Texts { rule, .. } if rule.allows(text) => Ok(()),
+        ValueKind::Choice(words) | ValueKind::Words(words) if words.contains(&text) => Ok(()),
+        ValueKind::Choice(words) | ValueKind::Words(words) => {
+            let text = shown(text);
+            let near = words.iter().max_by(|one, other| {
+                strsim::jaro_winkler(one, &text).total_cmp(&strsim::jaro_winkler(other, &text))
+            });
+            let advice = match remedy::replaced_word(key, &text) {
+                Some(by) => Some(by.to_owned()),
+                None => near.map(|word| format!("The nearest word is {word:?}")),
+            };
+            Err((format!("is {text:?}"), advice))
+        }
+        _ => Err((format!("is {:?}", shown(text)), None)),
+    }
+}
+
+/// A number, a text, `true` or `false`.
+fn scalar(value: &DeValue<'_>) -> Option<Scalar> {
+    let text = || Some(Scalar::Text(value.as_str()?.to_owned()));
+    let flag = || value.as_bool().map(Scalar::Flag);
+    let number = || number(value).filter(|it| it.is_finite()).map(Scalar::Number);
+    integer(value).map(Scalar::Integer).or_else(number).or_else(text).or_else(flag)
 }

@@ -3,8 +3,9 @@
 use serde::Serialize;
 
 use crate::key::{DefaultValue, File, Key};
-use crate::keys::{self, KEYS};
 use crate::remedy;
+use crate::table;
+use crate::values::{Value, preset};
 
 /// Explanation of one key.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -43,12 +44,11 @@ impl From<&Key> for Explanation {
             unit: key.unit,
             range: key.range(),
             required: key.default == DefaultValue::Required,
-            default: match key.default {
-                DefaultValue::Required | DefaultValue::Unset => None,
-                DefaultValue::Integer(value) => Some(value.to_string()),
-                DefaultValue::Number(value) => Some(value.to_string()),
-                DefaultValue::Text(text) => Some(text.to_owned()),
-            },
+            default: preset(key).map(|value| match value {
+                Value::Text(text) => text,
+                Value::Number(number) => number.to_string(),
+                value => value.to_string(),
+            }),
             doc: key.doc,
         }
     }
@@ -67,22 +67,27 @@ pub fn explanations(key: Option<&str>) -> Result<Vec<Explanation>, UnknownKey> {
 /// # Errors
 /// There is no such key or section; the error names the nearest.
 pub fn explain(key: Option<&str>) -> Result<String, UnknownKey> {
-    let paragraph = |key: &Key| format!("{}\n  {}\n  {}\n", key.path, key.doc, key.facts());
+    let paragraph = |key: &Key| {
+        let file = match key.file {
+            File::Fleet | File::Platform => String::new(),
+            file => format!("   ({})", file.name()),
+        };
+        format!("{}{file}\n  {}\n  {}\n", key.path, key.doc, key.facts())
+    };
     let paragraphs: Vec<String> = asked_for(key)?.into_iter().map(paragraph).collect();
     Ok(paragraphs.join("\n"))
 }
 
 fn asked_for(path: Option<&str>) -> Result<Vec<&'static Key>, UnknownKey> {
     let Some(path) = path else {
-        return Ok(KEYS.iter().collect());
+        return Ok(table::keys().collect());
     };
-    if let Some(key) = keys::find(path) {
+    if let Some(key) = table::find(path) {
         return Ok(vec![key]);
     }
-    let section = format!("{path}.");
-    let of_section = KEYS.iter().filter(|key| key.path.starts_with(&section));
+    let of_section = table::keys().filter(|key| key.below(path).is_some());
     let in_platform_file =
-        KEYS.iter().filter(|key| key.file == File::Platform && key.path_in_file() == path);
+        table::keys().filter(|key| key.file == File::Platform && key.path_in_file() == path);
     let found: Vec<&Key> = of_section.chain(in_platform_file).collect();
     if found.is_empty() {
         return Err(UnknownKey {

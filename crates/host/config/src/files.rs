@@ -5,6 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::builtin;
 use crate::document::{FleetFile, Source};
+use crate::key::File;
 use crate::model_source::ModelSource;
 use crate::problem::Problem;
 use crate::values::Values;
@@ -66,7 +67,7 @@ fn platform(
             let what = format!("is {file:?}, and there is no such built-in platform");
             (what, format!("Built-in platforms: {}", known.join(", ")))
         })?;
-        return Ok(Source::new(text, &file, None).platform(problems));
+        return Ok(Source::new(text, &file, None).values(File::Platform, problems));
     }
     let path = resolve(values, "platform.file").unwrap_or_else(|| PathBuf::from(&file));
     if within.is_some_and(|folder| !is_below(&path, folder)) {
@@ -79,7 +80,7 @@ fn platform(
     })?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let source = Source::new(&text, &path.display().to_string(), Some(folder));
-    Ok(source.platform(problems))
+    Ok(source.values(File::Platform, problems))
 }
 
 /// The path of a key, relative to the directory of the file that sets it; `None` if empty.

@@ -11,7 +11,8 @@ use crate::cpus;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Key {
     /// Its path, sections separated by dots. Keys of a platform file begin with `platform.`, which
-    /// is omitted in that file.
+    /// is omitted in that file. Of a section with several names they are separated by `|`; `*` is
+    /// any name.
     pub path: &'static str,
     /// The file that it belongs to.
     pub file: File,
@@ -34,6 +35,44 @@ pub enum File {
     /// A platform's file. The fleet's file may set the key too, under `[[platform]]`, and then
     /// overrides the platform's file.
     Platform,
+    /// The file of `joulebus bridge`.
+    Bridge,
+    /// The file of `joulebus link`.
+    Link,
+    /// The file of a fleet's shards.
+    Shards,
+}
+
+impl File {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::Fleet, Self::Platform, Self::Bridge, Self::Link, Self::Shards];
+
+    /// Its name, as `joulebus config schema` takes it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fleet => "fleet",
+            Self::Platform => "platform",
+            Self::Bridge => "bridge",
+            Self::Link => "link",
+            Self::Shards => "shards",
+        }
+    }
+
+    /// Path of the keys that stand outside of all sections.
+    pub(crate) const fn root(self) -> &'static str {
+        match self {
+            Self::Platform => "platform",
+            _ => "",
+        }
+    }
+
+    /// Whether the file may set the key. A fleet's file may set those of platforms.
+    #[must_use]
+    pub fn allows(self, key: &Key) -> bool {
+        self == key.file || (self, key.file) == (Self::Fleet, Self::Platform)
+    }
 }
 
 /// Kind and range of a value; bounds are included.
@@ -59,6 +98,23 @@ pub enum ValueKind {
     Choice(&'static [&'static str]),
     /// Text.
     Text(TextRule),
+    /// true or false.
+    Flag,
+    /// A list of texts.
+    Texts {
+        /// Format of each.
+        rule: TextRule,
+        /// Minimum number.
+        min: usize,
+        /// Maximum number.
+        max: usize,
+    },
+    /// A list of words out of a few.
+    Words(&'static [&'static str]),
+    /// A list of numbers, texts, `true` and `false`.
+    Scalars,
+    /// A robot id (`7`) or, as text, a range of them (`"0-99"`).
+    Ids,
     /// A list of robot ids (`7`) and ranges of them, both ends included (`"0-99"`).
     Robots,
 }
@@ -88,6 +144,18 @@ pub enum TextRule {
     Columns,
     /// Kinds of findings, separated by commas.
     Findings,
+    /// 1 to 100 bytes that are one level of an MQTT topic and no pattern.
+    Source,
+    /// 1 to 200 bytes that are one level of an MQTT topic.
+    Level,
+    /// 1 to 64 letters, digits, `-`, `_` and `.`.
+    Link,
+    /// What the keys of etcd begin with.
+    Prefixes,
+    /// The path of a file, relative to the file that names it.
+    File,
+    /// Any other: its reader checks it.
+    Any(&'static str),
 }
 
 /// Default of a key.
@@ -105,6 +173,8 @@ pub enum DefaultValue {
     Number(f64),
     /// A text or a word.
     Text(&'static str),
+    /// true or false.
+    Flag(bool),
 }
 
 impl Key {
@@ -118,9 +188,33 @@ impl Key {
     #[must_use]
     pub fn path_in_file(&self) -> &'static str {
         match self.file {
-            File::Fleet => self.path,
             File::Platform => self.path.strip_prefix("platform.").unwrap_or(self.path),
+            _ => self.path,
         }
+    }
+
+    /// What follows `path` in the key's own: empty for the key itself, `None` if it is not below.
+    pub(crate) fn below(&self, path: &str) -> Option<&'static str> {
+        if path.is_empty() {
+            return Some(self.path);
+        }
+        path.split('.').try_fold(self.path, |rest, name| {
+            let (names, rest) = rest.split_once('.').unwrap_or((rest, ""));
+            names.split('|').any(|one| one == name && !one.is_empty()).then_some(rest)
+        })
+    }
+
+    /// Its paths: several if a section has several names.
+    #[must_use]
+    pub fn paths(&self) -> Vec<String> {
+        self.path.split('.').fold(vec![String::new()], |paths, names| {
+            let joined = |path: &String, name| match path.as_str() {
+                "" => String::from(name),
+                path => format!("{path}.{name}"),
+            };
+            let each = |path| names.split('|').map(move |name| joined(path, name));
+            paths.iter().flat_map(each).collect()
+        })
     }
 
     /// Allowed values, as text.
@@ -129,11 +223,18 @@ impl Key {
         match self.kind {
             ValueKind::Integer { min, max } => format!("whole number, {min} to {max}"),
             ValueKind::Number { min, max } => format!("{min} to {max}"),
-            ValueKind::Choice(words) => {
-                let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
-                quoted.join(" or ")
-            }
+            ValueKind::Choice(words) => quoted(words, " or "),
+            ValueKind::Words(words) => format!("list of {}", quoted(words, ", ")),
             ValueKind::Text(rule) => rule.words().to_owned(),
+            ValueKind::Texts { rule, min, max } => match (min, max) {
+                (0, usize::MAX) => format!("list of {}", rule.words()),
+                _ => format!("list of {min} to {max}: {}", rule.words()),
+            },
+            ValueKind::Flag => "true or false".to_owned(),
+            ValueKind::Scalars => "list of numbers, texts, true and false".to_owned(),
+            ValueKind::Ids => {
+                "id like 7, or with {id} in the name a range like \"0-99\"".to_owned()
+            }
             ValueKind::Robots => {
                 "list of ids 0 to 4294967295 and ranges of them, like [\"0-99\", 120]".to_owned()
             }
@@ -149,6 +250,7 @@ impl Key {
             DefaultValue::Integer(value) => format!("default {value}"),
             DefaultValue::Number(value) => format!("default {value}"),
             DefaultValue::Text(text) => format!("default {text:?}"),
+            DefaultValue::Flag(flag) => format!("default {flag}"),
         }
     }
 
@@ -162,6 +264,11 @@ impl Key {
         }
         facts + &format!("{}; {}", self.range(), self.default_words())
     }
+}
+
+fn quoted(words: &[&str], between: &str) -> String {
+    let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
+    quoted.join(between)
 }
 
 /// The voltages that a text lists, if they are a table of open-circuit voltages.
@@ -187,7 +294,30 @@ impl TextRule {
             Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
             Self::Columns => "pairs like \"time=t,voltage_V=u\"",
             Self::Findings => "kinds of findings like \"sign,unit\"",
+            Self::Source => "1 to 100 bytes without / + # { }",
+            Self::Level => "1 to 200 bytes without / + #",
+            Self::Link => "1 to 64 letters, digits, - _ and .",
+            Self::Prefixes => "at most 128 letters, digits, / - _ and .",
+            Self::File => "path relative to this file",
+            Self::Any(words) => words,
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
+        }
+    }
+
+    /// A regular expression of the format, if it has one.
+    #[must_use]
+    pub const fn pattern(self) -> Option<&'static str> {
+        match self {
+            Self::Name => Some("^[A-Za-z0-9_-]{1,32}$"),
+            Self::Prefix => Some("^[a-z0-9_]{1,8}$"),
+            Self::Root => Some("^/.{0,59}$"),
+            Self::Findings => Some("^[a-z,-]*$"),
+            Self::Source => Some("^[^/+#{}]{1,100}$"),
+            Self::Level => Some("^[^/+#]{1,200}$"),
+            Self::Link => Some("^[A-Za-z0-9_.-]{1,64}$"),
+            Self::Prefixes => Some("^[A-Za-z0-9/_.-]{0,128}$"),
+            Self::PlatformFile | Self::Model | Self::File => Some("^.+$"),
+            Self::StateFile | Self::Voltages | Self::Cpus | Self::Columns | Self::Any(_) => None,
         }
     }
 
@@ -222,7 +352,19 @@ impl TextRule {
             Self::Findings => {
                 text.chars().all(|letter| letter.is_ascii_lowercase() || "-,".contains(letter))
             }
-            Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
+            Self::Source => made_of(|it| !it.is_control() && !"/+#{}".contains(it), 100),
+            Self::Level => made_of(|it| !it.is_control() && !"/+#".contains(it), 200),
+            Self::Link => {
+                made_of(|letter| letter.is_ascii_alphanumeric() || "-_.".contains(letter), 64)
+            }
+            Self::Prefixes => {
+                text.is_empty()
+                    || made_of(|it| it.is_ascii_alphanumeric() || "/-_.".contains(it), 128)
+            }
+            Self::PlatformFile | Self::Model | Self::File => {
+                !text.is_empty() && !text.contains('\0')
+            }
+            Self::Any(_) => true,
         }
     }
 }

@@ -7,11 +7,11 @@ use joulebus_settings::bounds;
 
 use crate::key::{
     DefaultValue,
-    File::{Fleet, Platform},
+    File::{self, Fleet, Platform},
     Key, TextRule, ValueKind,
 };
 
-const fn key(
+pub(crate) const fn key(
     path: &'static str,
     kind: ValueKind,
     unit: &'static str,
@@ -21,16 +21,16 @@ const fn key(
     Key { path, file: Fleet, kind, unit, default, doc }
 }
 
-const fn of_platform(mut key: Key) -> Key {
-    key.file = Platform;
+pub(crate) const fn of(file: File, mut key: Key) -> Key {
+    key.file = file;
     key
 }
 
-const fn int(allowed: RangeInclusive<u32>) -> ValueKind {
+pub(crate) const fn int(allowed: RangeInclusive<u32>) -> ValueKind {
     ValueKind::Integer { min: *allowed.start() as i64, max: *allowed.end() as i64 }
 }
 
-const fn num(allowed: RangeInclusive<f64>) -> ValueKind {
+pub(crate) const fn num(allowed: RangeInclusive<f64>) -> ValueKind {
     ValueKind::Number { min: *allowed.start(), max: *allowed.end() }
 }
 
@@ -41,7 +41,7 @@ const SILENCE_S: RangeInclusive<f64> = 0.002..=3600.0;
 /// Absence after which a robot counts as new, s: up to a week.
 const ABSENCE_S: RangeInclusive<f64> = 0.01..=604_800.0;
 
-/// Every key, in the order of the shipped files.
+/// Every key of fleets and platforms, in the order of the shipped files.
 #[rustfmt::skip]
 pub const KEYS: &[Key] = &[
     key("fleet.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
@@ -134,90 +134,85 @@ pub const KEYS: &[Key] = &[
     key("platform.robots", ValueKind::Robots, "ids", DefaultValue::Required,
         "Ids of the robots of this platform; a robot belongs to at most one platform."),
 
-    of_platform(key("platform.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
+    of(Platform, key("platform.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
         "Name of the platform, for messages.")),
-    of_platform(key("platform.model", ValueKind::Text(TextRule::Model), "", DefaultValue::Required,
+    of(Platform, key("platform.model", ValueKind::Text(TextRule::Model), "", DefaultValue::Required,
         "Forecast model: a model file, a built-in model, or persistence (the last reading again).")),
-    of_platform(key("platform.forecast", ValueKind::Choice(&["online", "network"]), "", DefaultValue::Text("online"),
+    of(Platform, key("platform.forecast", ValueKind::Choice(&["online", "network"]), "", DefaultValue::Text("online"),
         "online: last reading, autoregression and network, combined per robot by its own readings.")),
-    of_platform(key("platform.energy", ValueKind::Choice(&["online", "model"]), "", DefaultValue::Text("online"),
+    of(Platform, key("platform.energy", ValueKind::Choice(&["online", "model"]), "", DefaultValue::Text("online"),
         "online: energy of plans weighed per robot by how far off its own earlier ones were; model: as trained.")),
-    of_platform(key("platform.residual_std_w", num(1e-6..=1e6), "W", DefaultValue::Unset,
+    of(Platform, key("platform.residual_std_w", num(1e-6..=1e6), "W", DefaultValue::Unset,
         "With model = \"persistence\": standard deviation of the difference of consecutive readings.")),
-    of_platform(key("platform.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Required,
+    of(Platform, key("platform.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Required,
         "Samples per second of each robot.")),
-    of_platform(key("platform.stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
+    of(Platform, key("platform.stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
         "Silence after which a robot is Invalid; a longer gap empties its lag window.")),
-    of_platform(key("platform.hold_max_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
+    of(Platform, key("platform.hold_max_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
         "Age of a measurement above which HeldTooLong is raised.")),
-    of_platform(key("platform.stuck_after_s", num(0.01..=86_400.0), "s", DefaultValue::Number(10.0),
+    of(Platform, key("platform.stuck_after_s", num(0.01..=86_400.0), "s", DefaultValue::Number(10.0),
         "Time over which all new measurements may be equal before StuckSensor is raised.")),
-    of_platform(key("platform.power_min_w", num(bounds::POWER_MIN_W), "W", DefaultValue::Required,
+    of(Platform, key("platform.power_min_w", num(bounds::POWER_MIN_W), "W", DefaultValue::Required,
         "Lowest plausible power; negative where the robot regenerates.")),
-    of_platform(key("platform.power_max_w", num(bounds::POWER_MAX_W), "W", DefaultValue::Required,
+    of(Platform, key("platform.power_max_w", num(bounds::POWER_MAX_W), "W", DefaultValue::Required,
         "Highest plausible power; also the power assumed for unmetered time, on the safe side.")),
-    of_platform(key("platform.power_resolution_w", num(bounds::POWER_RESOLUTION_W), "W", DefaultValue::Required,
+    of(Platform, key("platform.power_resolution_w", num(bounds::POWER_RESOLUTION_W), "W", DefaultValue::Required,
         "Resolution of the power monitor; lower bound of every residual scale.")),
-    of_platform(key("platform.v_max_mps", num(bounds::V_MAX_MPS), "m/s", DefaultValue::Required,
+    of(Platform, key("platform.v_max_mps", num(bounds::V_MAX_MPS), "m/s", DefaultValue::Required,
         "Largest |v| that can be commanded; 0 for robots that report no velocity.")),
-    of_platform(key("platform.omega_max_radps", num(bounds::OMEGA_MAX_RADPS), "rad/s", DefaultValue::Required,
+    of(Platform, key("platform.omega_max_radps", num(bounds::OMEGA_MAX_RADPS), "rad/s", DefaultValue::Required,
         "Largest |omega| that can be commanded; 0 for robots that report no velocity.")),
 
-    of_platform(key("platform.alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Unset,
+    of(Platform, key("platform.alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Unset,
         "Replaces the fleet's alarms.cusum_limit for this platform; joulebus calibrate writes it.")),
-    of_platform(key("platform.alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Unset,
+    of(Platform, key("platform.alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.noise_limit for this platform; joulebus calibrate writes it.")),
-    of_platform(key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
+    of(Platform, key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.mismatch_limit for this platform; joulebus calibrate writes it.")),
     of_platform(key("platform.alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Unset,
         "Replaces the fleet's alarms.level_limit for this platform; joulebus calibrate writes it.")),
 
-    of_platform(key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,
+    of(Platform, key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,
         "Columns of this platform's recordings, as --map names them; verbs that read the config use it where --map is not given.")),
-    of_platform(key("platform.recordings.current", ValueKind::Choice(&["discharge-positive", "discharge-negative"]), "", DefaultValue::Unset,
+    of(Platform, key("platform.recordings.current", ValueKind::Choice(&["discharge-positive", "discharge-negative"]), "", DefaultValue::Unset,
         "Sign of the current in this platform's recordings, as --current states it.")),
-    of_platform(key("platform.recordings.accept", ValueKind::Text(TextRule::Findings), "", DefaultValue::Unset,
+    of(Platform, key("platform.recordings.accept", ValueKind::Text(TextRule::Findings), "", DefaultValue::Unset,
         "Findings that are let through in this platform's recordings, as by --accept.")),
 
-    of_platform(key("platform.battery.capacity_wh", num(bounds::BATTERY_CAPACITY_WH), "Wh", DefaultValue::Required,
+    of(Platform, key("platform.battery.capacity_wh", num(bounds::BATTERY_CAPACITY_WH), "Wh", DefaultValue::Required,
         "Energy of the battery from full to empty. Omit [battery] if it is unknown.")),
-    of_platform(key("platform.battery.reserve", num(bounds::SHARE), "share", DefaultValue::Number(0.1),
+    of(Platform, key("platform.battery.reserve", num(bounds::SHARE), "share", DefaultValue::Number(0.1),
         "Share of the capacity that is never counted as usable.")),
-    of_platform(key("platform.battery.initial_soc", num(bounds::SHARE), "share", DefaultValue::Number(1.0),
+    of(Platform, key("platform.battery.initial_soc", num(bounds::SHARE), "share", DefaultValue::Number(1.0),
         "State of charge when the ledger starts, best estimate.")),
-    of_platform(key("platform.battery.initial_soc_lo", num(bounds::SHARE), "share", DefaultValue::Required,
+    of(Platform, key("platform.battery.initial_soc_lo", num(bounds::SHARE), "share", DefaultValue::Required,
         "State of charge when the ledger starts, conservative estimate; at most initial_soc.")),
-    of_platform(key("platform.battery.counting_sd", num(bounds::COUNTING_SD), "share", DefaultValue::Number(0.03),
+    of(Platform, key("platform.battery.counting_sd", num(bounds::COUNTING_SD), "share", DefaultValue::Number(0.03),
         "Standard deviation of counted energy, as a share of it: errors of the power monitor and of the capacity.")),
-    of_platform(key("platform.battery.charge_reading", ValueKind::Choice(&["load", "battery", "charger"]), "", DefaultValue::Text("load"),
+    of(Platform, key("platform.battery.charge_reading", ValueKind::Choice(&["load", "battery", "charger"]), "", DefaultValue::Text("load"),
         "What a power reading means on the charger. load: what the robot consumes, so the charge is unknown; battery: power out of the battery, negative while it is charged; charger: power into the battery, positive.")),
-    of_platform(key("platform.battery.charge_efficiency", num(bounds::CHARGE_EFFICIENCY), "share", DefaultValue::Number(0.9),
+    of(Platform, key("platform.battery.charge_efficiency", num(bounds::CHARGE_EFFICIENCY), "share", DefaultValue::Number(0.9),
         "Share of metered charging energy that the battery gives back.")),
-    of_platform(key("platform.battery.charge_power_w", num(0.0..=*bounds::CHARGE_POWER_W.end()), "W", DefaultValue::Number(0.0),
+    of(Platform, key("platform.battery.charge_power_w", num(0.0..=*bounds::CHARGE_POWER_W.end()), "W", DefaultValue::Number(0.0),
         "Greatest power that fills the battery, for charging that is not metered; 0: unknown, it may be full at once.")),
-    of_platform(key("platform.battery.on_full_soc", num(bounds::SHARE), "share", DefaultValue::Number(1.0),
+    of(Platform, key("platform.battery.on_full_soc", num(bounds::SHARE), "share", DefaultValue::Number(1.0),
         "State of charge when a sample says that the charger has finished (Charger::Full).")),
-    of_platform(key("platform.battery.sensor_sd", num(bounds::SOC_SD), "share", DefaultValue::Number(0.05),
+    of(Platform, key("platform.battery.sensor_sd", num(bounds::SOC_SD), "share", DefaultValue::Number(0.05),
         "Standard deviation of a measured state of charge (RobotState::state_of_charge); its error is taken to last for about an hour.")),
-    of_platform(key("platform.battery.sensor_step", num(bounds::SOC_STEP), "share", DefaultValue::Number(0.01),
+    of(Platform, key("platform.battery.sensor_step", num(bounds::SOC_STEP), "share", DefaultValue::Number(0.01),
         "Resolution of a measured state of charge.")),
-    of_platform(key("platform.battery.open_circuit_v", ValueKind::Text(TextRule::Voltages), "V", DefaultValue::Text(""),
+    of(Platform, key("platform.battery.open_circuit_v", ValueKind::Text(TextRule::Voltages), "V", DefaultValue::Text(""),
         "Open-circuit voltages at equal steps of the state of charge from empty to full, for robots that measure a voltage but no state of charge.")),
-    of_platform(key("platform.battery.open_circuit_sd", num(bounds::SOC_SD), "share", DefaultValue::Number(0.1),
+    of(Platform, key("platform.battery.open_circuit_sd", num(bounds::SOC_SD), "share", DefaultValue::Number(0.1),
         "Standard deviation of a state of charge that follows from a voltage.")),
-    of_platform(key("platform.battery.resistance_ohm", num(bounds::RESISTANCE_OHM), "Ohm", DefaultValue::Number(0.0),
+    of(Platform, key("platform.battery.resistance_ohm", num(bounds::RESISTANCE_OHM), "Ohm", DefaultValue::Number(0.0),
         "Internal resistance of the battery: what the current takes off its voltage.")),
-    of_platform(key("platform.battery.low", num(bounds::SHARE), "share", DefaultValue::Number(0.2),
+    of(Platform, key("platform.battery.low", num(bounds::SHARE), "share", DefaultValue::Number(0.2),
         "State of charge below which BatteryLow is raised.")),
-    of_platform(key("platform.battery.critical", num(bounds::SHARE), "share", DefaultValue::Number(0.1),
+    of(Platform, key("platform.battery.critical", num(bounds::SHARE), "share", DefaultValue::Number(0.1),
         "State of charge below which BatteryCritical is raised; at most low.")),
-    of_platform(key("platform.battery.level_band", num(bounds::LEVEL_BAND), "share", DefaultValue::Number(0.03),
+    of(Platform, key("platform.battery.level_band", num(bounds::LEVEL_BAND), "share", DefaultValue::Number(0.03),
         "A level is cleared this far above the threshold at which it is raised.")),
-    of_platform(key("platform.battery.return_wh", num(0.0..=*bounds::BATTERY_CAPACITY_WH.end()), "Wh", DefaultValue::Number(0.0),
+    of(Platform, key("platform.battery.return_wh", num(0.0..=*bounds::BATTERY_CAPACITY_WH.end()), "Wh", DefaultValue::Number(0.0),
         "Energy that a robot needs to return from anywhere: CannotReturn is raised when less than this is certainly left. A planner states it per robot (RobotState::return_energy). 0: only robots whose planner states it.")),
 ];
-
-/// The key at `path`, if there is one.
-pub(crate) fn find(path: &str) -> Option<&'static Key> {
-    KEYS.iter().find(|key| key.path == path)
-}

@@ -26,58 +26,20 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// Adds a problem of `key` in `text`, the contents of `file`. It is at byte `at`, or else in
-    /// the line that sets the last part of the key, if there is one. The middle of a `what` of more
-    /// than 400 letters is left out. After a hundred problems only a note that there are more is
-    /// added.
-    pub fn add(
-        problems: &mut Vec<Self>,
-        (file, text): (&str, &str),
-        at: Option<usize>,
-        key: &str,
-        what: String,
-        remedy: &str,
-    ) {
-        let problem = match problems.len() {
-            ..MAX_PROBLEMS => Self {
-                file: file.to_owned(),
-                line: line(text, at, key),
-                key: key.to_owned(),
-                what: shortened(what),
-                remedy: remedy.to_owned(),
-            },
-            MAX_PROBLEMS => Self::more(file, None),
-            _ => return,
-        };
-        problems.push(problem);
-    }
-
-    /// The note that follows the last listed problem.
-    pub(crate) fn more(file: &str, line: Option<usize>) -> Self {
-        Self {
-            file: file.to_owned(),
-            line,
-            key: String::new(),
-            what: format!("there are more than {MAX_PROBLEMS} problems"),
-            remedy: "Correct those listed; the others were not looked for".to_owned(),
+    /// Adds the problem to others. The middle of a `what` of more than 400 letters is left out.
+    /// After a hundred problems only a note that there are more is added.
+    pub fn add_to(self, problems: &mut Vec<Self>) {
+        match problems.len() {
+            ..MAX_PROBLEMS => problems.push(Self { what: shortened(self.what), ..self }),
+            MAX_PROBLEMS => problems.push(Self {
+                key: String::new(),
+                what: format!("there are more than {MAX_PROBLEMS} problems"),
+                remedy: "Correct those listed; the others were not looked for".to_owned(),
+                ..self
+            }),
+            _ => {}
         }
     }
-}
-
-/// The line of byte `at`, or else the one that sets the last part of the key, if one does.
-fn line(text: &str, at: Option<usize>, key: &str) -> Option<usize> {
-    if let Some(at) = at {
-        let before = &text.as_bytes()[..at.min(text.len())];
-        return Some(1 + before.iter().filter(|byte| **byte == b'\n').count());
-    }
-    let name = key.rsplit('.').next().unwrap_or(key);
-    let sets = |line: &str| {
-        let line = line.trim_start();
-        let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
-        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
-            || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
-    };
-    text.lines().position(sets).map(|line| line + 1)
 }
 
 /// Start and end of a long text. The quoted part is in the middle.

@@ -1,7 +1,7 @@
 //! Suggestions: nearest keys, and numbers converted from other units.
 
 use crate::key::{File, Key, ValueKind};
-use crate::keys::KEYS;
+use crate::table::keys;
 
 /// Units by quantity, with their size in the first unit of the group.
 const UNITS: &[(&str, &[(&str, f64)])] = &[
@@ -63,7 +63,7 @@ fn within(key: &Key, value: f64) -> bool {
             value.fract() == 0.0 && min as f64 <= value && value <= max as f64
         }
         ValueKind::Number { min, max } => min <= value && value <= max,
-        ValueKind::Choice(_) | ValueKind::Text(_) | ValueKind::Robots => false,
+        _ => false,
     }
 }
 
@@ -138,31 +138,36 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
 /// length.
 const MAX_PATH_BYTES: usize = 100;
 
-/// The key of `file` nearest to `path`, if one is similar.
-pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
+/// The keys that a file may set, each with a path of its own. Without a file all keys.
+fn allowed(file: Option<File>) -> impl Iterator<Item = (String, &'static Key)> {
+    let keys = keys().filter(move |key| file.is_none_or(|file| file.allows(key)));
+    keys.flat_map(|key| key.paths().into_iter().map(move |path| (path, key)))
+}
+
+/// The key of `file` nearest to `path`, with its path, if one is similar.
+fn nearest(file: Option<File>, path: &str) -> Option<(String, &'static Key)> {
     if path.len() > MAX_PATH_BYTES {
         return None;
     }
     let wanted = path.to_lowercase();
-    KEYS.iter()
-        .filter(|key| file.is_none_or(|file| key.file == file))
-        .map(|key| (likeness(key, &wanted), key))
-        .filter(|(likeness, _)| *likeness >= 0.5)
-        .max_by(|(one, _), (other, _)| one.total_cmp(other))
-        .map(|(_, key)| key)
+    allowed(file)
+        .map(|(path, key)| (likeness(&path, key, &wanted), path, key))
+        .filter(|(likeness, ..)| *likeness >= 0.5)
+        .max_by(|(one, ..), (other, ..)| one.total_cmp(other))
+        .map(|(_, path, key)| (path, key))
 }
 
 /// Similarity of the key's path to another, about 0 to 1.
-fn likeness(key: &Key, wanted: &str) -> f64 {
+fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
     let alike = strsim::normalized_damerau_levenshtein;
     let (section, name) = wanted.rsplit_once('.').unwrap_or(("", wanted));
-    let key_section = key.path.rsplit_once('.').map_or("", |(section, _)| section);
+    let key_section = path.rsplit_once('.').map_or("", |(section, _)| section);
     let sorted = |name: &str| {
         let mut words: Vec<&str> = name.split('_').collect();
         words.sort_unstable();
         words.join("_")
     };
-    let whole = alike(key.path, wanted);
+    let whole = alike(path, wanted);
     // The right name with reordered words or another unit counts as very similar.
     let best = alike(key.name(), name)
         .max(0.95 * alike(&sorted(key.name()), &sorted(name)))
@@ -200,10 +205,10 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
     }
     // A period is called a rate here, and converted.
     let path = &path.replace("period", "rate");
-    let Some(key) = nearest(file, path) else {
+    let Some((nearest, key)) = nearest(file, path) else {
         return "There is no similar key: remove it, or see `config explain`".to_owned();
     };
-    let mut advice = format!("The nearest key is `{}`", key.path);
+    let mut advice = format!("The nearest key is `{nearest}`");
     let name = path.rsplit('.').next().unwrap_or(path);
     let (stem, given) = split_unit(name);
     let (key_stem, _) = split_unit(key.name());
@@ -218,18 +223,15 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
 }
 
 /// The remedy for an unknown section.
-pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
-    let sections = KEYS
-        .iter()
-        .filter(|key| file.is_none_or(|file| key.file == file))
-        .filter_map(|key| Some(key.path.rsplit_once('.')?.0));
-    let alike = |section: &&str| strsim::normalized_damerau_levenshtein(section, path);
-    let nearest = sections
+pub(crate) fn unknown_section(file: File, path: &str) -> String {
+    let alike = |section: &String| strsim::normalized_damerau_levenshtein(section, path);
+    let nearest = allowed(Some(file))
+        .filter_map(|(path, _)| Some(path.rsplit_once('.')?.0.to_owned()))
         .filter(|_| path.len() <= MAX_PATH_BYTES)
         .max_by(|one, other| alike(one).total_cmp(&alike(other)))
         .filter(|section| alike(section) >= 0.5);
     match nearest {
         Some(section) => format!("The nearest section is `{section}`"),
-        None => unknown_key(file, path, None),
+        None => unknown_key(Some(file), path, None),
     }
 }

@@ -1,6 +1,6 @@
 //! Annotated config files from given values: every key with its comment, as in the shipped files.
 
-use crate::key::{DefaultValue, File, Key};
+use crate::key::{File, Key};
 use crate::keys::KEYS;
 
 /// Width of the comments.
@@ -54,13 +54,11 @@ fn file(of: File, title: &str, assignments: &[Assignment]) -> String {
         let path = key.path_in_file();
         let own = path.rsplit_once('.').map_or("", |(section, _)| section);
         let given = assignments.iter().find(|one| one.key == path);
-        let value = match (given, key.default) {
+        let value = match (given, crate::values::preset(key)) {
             (Some(given), _) => given.value.clone(),
             _ if own == "battery" && !battery => continue,
-            (None, DefaultValue::Integer(value)) => value.to_string(),
-            (None, DefaultValue::Number(value)) => format!("{value:?}"),
-            (None, DefaultValue::Text(value)) => crate::values::quoted(value),
-            (None, DefaultValue::Required | DefaultValue::Unset) => continue,
+            (None, Some(value)) => value.to_string(),
+            (None, None) => continue,
         };
         if own != section {
             section = own;

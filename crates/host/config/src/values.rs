@@ -9,7 +9,7 @@ use std::sync::Arc;
 use toml_writer::{TomlStringBuilder, WriteTomlValue as _};
 
 use crate::key::{DefaultValue, Key};
-use crate::keys;
+use crate::table;
 
 /// A file and a line of it, from 1.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,7 +32,22 @@ pub(crate) enum Value {
     Integer(i64),
     Number(f64),
     Text(String),
+    Flag(bool),
     Robots(Vec<RangeInclusive<u32>>),
+    /// Each with the line of its own.
+    Texts(Vec<(String, usize)>),
+    Scalars(Vec<Scalar>),
+}
+
+/// An element of a list that may have any.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+#[allow(missing_docs, reason = "the names say it")]
+pub enum Scalar {
+    Integer(i64),
+    Number(f64),
+    Text(String),
+    Flag(bool),
 }
 
 impl fmt::Display for Value {
@@ -41,6 +56,12 @@ impl fmt::Display for Value {
             Self::Integer(value) => write!(out, "{value}"),
             Self::Number(value) => write!(out, "{value:?}"),
             Self::Text(text) => out.write_str(&quoted(text)),
+            Self::Flag(flag) => write!(out, "{flag}"),
+            Self::Texts(texts) => {
+                let texts: Vec<String> = texts.iter().map(|(text, _)| quoted(text)).collect();
+                write!(out, "[{}]", texts.join(", "))
+            }
+            Self::Scalars(scalars) => write!(out, "{scalars:?}"),
             Self::Robots(ranges) => {
                 let ranges: Vec<String> = ranges.iter().map(crate::robots::text).collect();
                 write!(out, "[{}]", ranges.join(", "))
@@ -60,12 +81,25 @@ struct Entry {
 /// The keys of one file, or of a platform's file with its overrides.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Values {
-    entries: BTreeMap<&'static str, Entry>,
+    entries: BTreeMap<String, Entry>,
+    /// The sections that the file has.
+    pub(crate) sections: BTreeMap<String, Place>,
+    /// Tables of lists, and entries of sections with free names, by their path.
+    pub(crate) children: BTreeMap<String, Vec<Child>>,
+}
+
+/// A table of a list, or an entry of a section with free names.
+#[derive(Debug, Clone)]
+pub(crate) struct Child {
+    /// The free name.
+    pub(crate) name: Option<String>,
+    pub(crate) place: Place,
+    pub(crate) values: Values,
 }
 
 impl Values {
-    pub(crate) fn set(&mut self, key: &Key, value: Option<Value>, place: Place) {
-        self.entries.insert(key.path, Entry { value, place });
+    pub(crate) fn set(&mut self, path: &str, value: Option<Value>, place: Place) {
+        self.entries.insert(path.to_owned(), Entry { value, place });
     }
 
     /// Overrides by the keys that `stronger` sets.
@@ -91,7 +125,7 @@ impl Values {
     pub(crate) fn get(&self, path: &str) -> Option<Value> {
         match self.entries.get(path) {
             Some(entry) => entry.value.clone(),
-            None => preset(keys::find(path)?),
+            None => preset(table::find(path)?),
         }
     }
 
@@ -99,7 +133,7 @@ impl Values {
         match self.get(path)? {
             Value::Number(value) => Some(value),
             Value::Integer(value) => Some(value as f64),
-            Value::Text(_) | Value::Robots(_) => None,
+            _ => None,
         }
     }
 
@@ -127,7 +161,7 @@ impl Values {
 
     /// The key with its value and location, for messages.
     pub(crate) fn quote(&self, path: &str) -> String {
-        let Some(key) = keys::find(path) else {
+        let Some(key) = table::find(path) else {
             return format!("`{path}`");
         };
         let value = self.get(path).map_or_else(|| "not set".to_owned(), |value| value.to_string());
@@ -145,11 +179,13 @@ pub(crate) fn quoted(text: &str) -> String {
     quoted
 }
 
-fn preset(key: &Key) -> Option<Value> {
+/// The default.
+pub(crate) fn preset(key: &Key) -> Option<Value> {
     match key.default {
         DefaultValue::Required | DefaultValue::Unset => None,
         DefaultValue::Integer(value) => Some(Value::Integer(value)),
         DefaultValue::Number(value) => Some(Value::Number(value)),
         DefaultValue::Text(text) => Some(Value::Text(text.to_owned())),
+        DefaultValue::Flag(flag) => Some(Value::Flag(flag)),
     }
 }

@@ -129,6 +129,17 @@ pub fn read_secret(path: &Path, max_bytes: u64) -> io::Result<String> {
     read_to_string(path, max_bytes)
 }
 
+/// The first line of a file that only its owner can read, such as a password.
+///
+/// # Errors
+/// Those of [`read_secret`]; the line is empty, or the file is longer than 4 kB.
+pub fn read_secret_line(path: &Path) -> io::Result<String> {
+    let text = read_secret(path, 4_096)?;
+    let line = text.lines().next().filter(|line| !line.is_empty());
+    let empty = || io::Error::new(io::ErrorKind::InvalidData, "has an empty first line");
+    line.map(str::to_owned).ok_or_else(empty)
+}
+
 fn regular(about: Metadata) -> io::Result<Metadata> {
     let kind = about.file_type();
     let found = match () {

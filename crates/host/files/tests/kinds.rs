@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::io::Read as _;
+use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::fs::symlink;
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
@@ -71,4 +72,22 @@ fn files_beyond_the_limit_are_refused_with_both_lengths_before_reading() {
     fs::write(&path, b"\xff").unwrap();
     let refused = joulebus_files::read_to_string(&path, 9).unwrap_err();
     assert_eq!(refused.kind(), std::io::ErrorKind::InvalidData);
+}
+
+#[test]
+fn only_the_first_line_of_a_file_of_its_owner_alone_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("password");
+    fs::write(&path, "hush\nmore\n").unwrap();
+    for (mode, is_read) in [(0o600, true), (0o400, true), (0o640, false), (0o604, false)] {
+        fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+        assert_eq!(
+            joulebus_files::read_secret_line(&path).ok().as_deref() == Some("hush"),
+            is_read
+        );
+    }
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    fs::write(&path, "\n").unwrap();
+    assert!(joulebus_files::read_secret_line(&path).is_err());
+    assert!(joulebus_files::read_secret_line(folder.path()).is_err());
 }

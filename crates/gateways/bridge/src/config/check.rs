@@ -1,55 +1,35 @@
-//! A file that is being checked, and its problems.
+//! A file that is being checked, beyond its single keys.
 
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::time::Duration;
 
-use joulebus_config::Problem;
-use toml::Spanned;
+use joulebus_config::{Problem, Section, Text};
 
-/// Range of the times that a key may give, s.
-const HOLDS_S: (f64, f64) = (0.01, 3_600.0);
-
-/// The text of a file, with the problems found so far.
+/// A file that is being checked, and its problems.
 pub(super) struct Check<'a> {
-    pub(super) file: String,
-    pub(super) folder: PathBuf,
-    pub(super) text: &'a str,
     pub(super) fleet: &'a str,
     pub(super) problems: Vec<Problem>,
 }
 
 impl Check<'_> {
-    /// A time in ns, or 0 and a problem.
-    pub(super) fn nanoseconds(&mut self, key: &str, found_s: f64) -> u64 {
-        let (least, most) = HOLDS_S;
-        if !(least <= found_s && found_s <= most) {
-            let what = format!("is {found_s} s");
-            self.problem(None, key, what, &format!("Allowed: {least} to {most} s"));
-            return 0;
-        }
-        (found_s * 1e9) as u64
+    pub(super) fn add(&mut self, problem: Problem) {
+        problem.add_to(&mut self.problems);
     }
 
-    /// The value of a check, or a problem of the key at its position.
+    /// The value of a check, or a problem of the text.
     pub(super) fn checked<T, E: Display>(
         &mut self,
-        place: &Spanned<String>,
-        key: &str,
+        text: &Text,
         result: Result<T, E>,
     ) -> Option<T> {
-        result
-            .map_err(|error| {
-                let start = Some(place.span().start).filter(|_| !place.span().is_empty());
-                let what = format!("= {:?} {error}", place.get_ref());
-                self.problem(start, key, what, "docs/reference/bridge-file.md has examples");
-            })
-            .ok()
+        let add = |error: E| {
+            self.add(text.problem(&error.to_string(), "docs/reference/bridge-file.md has examples"));
+        };
+        result.map_err(add).ok()
     }
 
-    /// Adds a problem at the byte `at` of the text. Without `at` it belongs to the line that sets
-    /// the last part of `key`, if there is one.
-    pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
-        let place = (self.file.as_str(), self.text);
-        Problem::add(&mut self.problems, place, at, key, what, remedy);
+    /// A time between messages.
+    pub(super) fn every(section: &Section<'_>, key: &str, usual_s: f64) -> Duration {
+        Duration::from_secs_f64(section.number(key).unwrap_or(usual_s))
     }
 }

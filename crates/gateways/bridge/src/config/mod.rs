@@ -2,23 +2,17 @@
 //! its line.
 
 mod check;
-mod file;
 mod mqtt;
 mod ros2;
-mod secret;
 mod tls;
 
-use std::path::Path;
 use std::time::Duration;
 
-use joulebus_config::Config;
-use joulebus_config::ConfigError;
+use joulebus_config::{CheckedFile, Config, ConfigError, Section};
 use joulebus_plausibility::{Kind, Source};
 use joulebus_publisher::Judgement;
-use toml::Value;
 
 use crate::config::check::Check;
-use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
 use crate::mapping::outgoing::{What, is_of_outlook};
 use crate::mapping::robots::Robots;
@@ -27,9 +21,6 @@ use crate::mapping::ros::outgoing::RosWhat;
 pub(crate) use mqtt::{MqttSettings, VERSIONS, Write};
 pub(crate) use ros2::{Ros2Settings, RosWrite};
 pub(crate) use tls::TlsError;
-
-/// Maximum size of the file, bytes.
-const MAX_BYTES: u64 = 4 << 20;
 
 /// The checked settings of a bridge.
 #[derive(Debug, Clone)]
@@ -45,32 +36,13 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Reads and checks a bridge's file for the fleet of `config`.
+    /// Checks a bridge's file for the fleet of `config`.
     ///
     /// # Errors
-    /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
-    pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
-            let path = path.to_owned();
-            ConfigError::Read { path, source }
-        })?;
-        Self::parse(&text, path, config)
-    }
-
-    /// Checks the text of a bridge's file. `path` is its name in messages, and names its folder.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with all problems, if it is refused.
-    pub(crate) fn parse(text: &str, path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let mut check = Check {
-            file: path.display().to_string(),
-            folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-            text,
-            fleet: config.fleet(),
-            problems: Vec::new(),
-        };
-        let settings = check.settings(config);
-        match settings {
+    /// [`ConfigError`] with all problems.
+    pub(crate) fn new(file: &CheckedFile, config: &Config) -> Result<Self, ConfigError> {
+        let mut check = Check { fleet: config.fleet(), problems: file.problems.clone() };
+        match check.settings(&file.root(), config) {
             Some(settings) if check.problems.is_empty() => Ok(settings),
             _ => Err(ConfigError::Refused(check.problems)),
         }
@@ -134,57 +106,37 @@ impl Settings {
 }
 
 impl Check<'_> {
-    fn settings(&mut self, config: &Config) -> Option<Settings> {
-        let file: BridgeFile = match toml::from_str(self.text) {
-            Ok(file) => file,
-            Err(error) => {
-                let at = error.span().map(|span| span.start);
-                let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
-                self.problem(at, "", what, "docs/reference/bridge-file.md has all keys");
-                return None;
-            }
-        };
-        let section = &file.bridge;
-        let name = section.name.clone();
-        if name.is_empty()
-            || name.len() > 100
-            || name.contains(|letter: char| letter.is_control() || "/+#{}".contains(letter))
-        {
-            let what = format!("is {name:?}");
-            self.problem(None, "bridge.name", what, "Allowed: 1 to 100 bytes without / + # { }");
-        }
+    fn settings(&mut self, file: &Section<'_>, config: &Config) -> Option<Settings> {
+        let within = file.or_defaults("bridge");
+        let name = within.text("name");
+        let ns = |key: &str| Some((within.number(key)? * 1e9) as u64);
         let holds = Holds {
-            command_ns: self.nanoseconds("bridge.command_holds_s", section.command_holds_s),
-            expired: section.command_expired,
-            reading_ns: self.nanoseconds("bridge.reading_holds_s", section.reading_holds_s),
-            silent_ns: self.nanoseconds("bridge.silent_after_s", section.silent_after_s),
+            command_ns: ns("command_holds_s").unwrap_or_default(),
+            expired: within.word("command_expired").unwrap_or_default(),
+            reading_ns: ns("reading_holds_s").unwrap_or_default(),
+            silent_ns: ns("silent_after_s").unwrap_or_default(),
         };
-        let accepted = section
-            .accept
-            .iter()
-            .filter_map(|name| self.checked(name, "bridge.accept", name.get_ref().parse::<Kind>()));
+        let accepted = within.texts("accept");
+        let accepted = accepted.iter().filter_map(|kind| self.checked(kind, kind.parse::<Kind>()));
         let accepted = accepted.collect();
-        let robots = self.robots(&file, config);
-        let mqtt = file.mqtt.map(|section| self.mqtt(section, &name, &robots));
-        let ros2 = file.ros2.map(|section| self.ros2(&section, &robots));
+        let robots = self.robots(file, config);
+        let name = name?.to_string();
+        let (mqtt, ros2) = (file.section("mqtt"), file.section("ros2"));
         if mqtt.is_none() && ros2.is_none() {
             let what = "names nothing to bridge".to_owned();
-            self.problem(None, "", what, "Add [mqtt] or [ros2]");
+            self.add(file.problem("", what, "Add [mqtt] or [ros2]"));
         }
-        Some(Settings { name, holds, accepted, robots, mqtt: mqtt.flatten(), ros2: ros2.flatten() })
+        let mqtt = mqtt.and_then(|section| self.mqtt(&section, &name, &robots));
+        let ros2 = ros2.and_then(|section| self.ros2(&section, &robots));
+        Some(Settings { name, holds, accepted, robots, mqtt, ros2 })
     }
 
-    fn robots(&mut self, file: &BridgeFile, config: &Config) -> Robots {
+    fn robots(&mut self, file: &Section<'_>, config: &Config) -> Robots {
         let mut robots = Robots::default();
-        for (name, ids) in &file.robots {
-            let text = match ids {
-                Value::Integer(id) => id.to_string(),
-                Value::String(ids) => ids.clone(),
-                other => other.type_str().to_owned(),
-            };
-            if let Err(error) = robots.add(name.get_ref(), &text) {
-                let key = format!("robots.{}", name.get_ref());
-                self.problem(Some(name.span().start), &key, error.to_string(), "Correct the line");
+        for entry in file.list("robots.*") {
+            let (Some(name), Some(ids)) = (entry.name(), entry.text("")) else { continue };
+            if let Err(error) = robots.add(&name, &ids) {
+                self.add(entry.problem("", error.to_string(), "Correct the line"));
             }
         }
         let platforms = &config.settings().platforms;
@@ -196,12 +148,12 @@ impl Check<'_> {
             let what = format!("has {} ids of no platform, the first is {first}", strangers.len());
             let remedy =
                 format!("Name them in `platform.robots` of the config of fleet {}", self.fleet);
-            self.problem(None, "robots", what, &remedy);
+            self.add(file.problem("robots", what, &remedy));
         }
         let capacity = config.settings().capacity as usize;
         if robots.len() == 0 || robots.len() > capacity {
             let what = format!("has {} robots; allowed are 1 to {capacity}", robots.len());
-            self.problem(None, "robots", what, "`fleet.capacity` is the limit");
+            self.add(file.problem("robots", what, "`fleet.capacity` is the limit"));
         }
         robots
     }
@@ -210,7 +162,9 @@ impl Check<'_> {
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::path::Path;
 
+    use joulebus_config::File;
     use joulebus_testkit::cases;
 
     use super::*;
@@ -226,7 +180,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bridge.toml");
         fs::write(&path, text).unwrap();
-        Settings::load(&path, &config)
+        Settings::new(&CheckedFile::load(&path, File::Bridge)?, &config)
     }
 
     #[test]
@@ -246,9 +200,9 @@ mod tests {
     fn what_is_wrong_is_named_with_its_line() {
         for case in cases(
             r#"
-            broker = | borker = | 5 | unknown field `borker`
+            broker = | borker = | 5 | nearest key is `mqtt.broker`
             "localhost:1883" | "localhost" | 5 | host:port
-            "localhost:1883" | 1883 | 5 | invalid type
+            "localhost:1883" | 1883 | 5 | integer
             lifter = 7 | lifter = 17 | 1 | 17
             lifter = 7 | lifter = 2 | 3 | second name
             lifter = 7 | lifter = true | 3 | boolean
@@ -260,17 +214,17 @@ mod tests {
             jb/{robot} | jb | 11 | lacks {robot}
             power = { | power_of_current = true\npower = { | 9 | voltage
             at = "power" | at = "/a~2" | 9 | pointer
-            "forecast" | "forecasts" | 12 | unknown variant
+            "forecast" | "forecasts" | 12 | nearest word is "forecast"
             "forecast" | "forecast"\nevery_s = nan | 13 | NaN
             "forecast" | "status" | 11 | not of one robot
             "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "watt" } | 14 | power_w
             "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc", unit = "W" } | 14 | share, %
             "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc" }\n"/x/y" = { value = "soc" } | 14 | within
-            [mqtt] | [bridge]\nreading_holds_s = 0\n[mqtt] | 5 | 0.01 to 3600
+            [mqtt] | [bridge]\nreading_holds_s = 0\n[mqtt] | 5 | s; 0.01 to 3600
             [mqtt] | [bridge]\nname = "a/b"\n[mqtt] | 5 | a/b
             [mqtt] | [mqtt]\nusername = "joe" | 5 | password_file
             [mqtt] | [mqtt]\nkeep_alive_s = 0 | 5 | 5 to 3600
-            [mqtt] | [mqtt]\nversion = "4" | 5 | allowed are 3.1.1 and 5
+            [mqtt] | [mqtt]\nversion = "4" | 5 | "3.1.1" or "5"
             [mqtt] | [mqtt]\ntls = { ca = "nowhere.pem" } | 5 | `mqtt.tls.ca` = "nowhere.pem" cannot be read
             [mqtt] | [mqtt]\ntls = { ca = "bridge.toml" } | 5 | BEGIN CERTIFICATE
             [mqtt] | [mqtt]\ntls = { ca = "a.pem", key = "a.key" } | 5 | `certificate` and `key`
@@ -313,7 +267,7 @@ mod tests {
         for case in cases(
             r#"
             domain_id = 7 | domain_id = 233 | 5 | 0 to 232
-            domain_id = 7 | domain = 7 | 5 | unknown field
+            domain_id = 7 | domain = 7 | 5 | nearest key is `ros2.domain_id`
             127.0.0.1 | lo | 6 | invalid IPv4 address
             /{fleet}/{robot}/battery | /{robot}/7b | 8 | no topic of ROS 2
             /{fleet}/{robot}/battery | {robot}/b | 8 | no topic of ROS 2
@@ -365,8 +319,7 @@ mod tests {
         {
             assert!(!load(text).unwrap_err().problems().is_empty(), "{text:?}");
         }
-        let nowhere =
-            Settings::load(Path::new("/nowhere"), &Config::parse(FLEET, Path::new(".")).unwrap());
+        let nowhere = CheckedFile::load(Path::new("/nowhere"), File::Bridge);
         assert!(matches!(nowhere, Err(ConfigError::Read { .. })));
     }
 }

@@ -4,12 +4,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use joulebus_config::Section;
 use rustls::pki_types::pem::{self, PemObject as _};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ClientConfig, RootCertStore};
 
 use crate::config::check::Check;
-use crate::config::file::{Text, TlsSection};
 
 /// Maximum size of a file, bytes.
 const MAX_BYTES: u64 = 1 << 20;
@@ -81,30 +81,21 @@ fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {
 }
 
 impl Check<'_> {
-    pub(super) fn tls(&mut self, section: &TlsSection) -> Option<TlsSettings> {
-        let path = |text: &Text| self.folder.join(text.get_ref());
-        let identity = match (&section.certificate, &section.key) {
-            (Some(certificate), Some(key)) => Some((path(certificate), path(key))),
-            (None, None) => None,
-            (named, other) => {
-                let text = named.as_ref().or(other.as_ref())?;
+    pub(super) fn tls(&mut self, section: &Section<'_>) -> Option<TlsSettings> {
+        let path = |name: &str| Some(section.text(name)?.file());
+        let named = ["certificate", "key"].map(|name| section.text(name));
+        let identity = match named {
+            [Some(_), Some(_)] => path("certificate").zip(path("key")),
+            [None, None] => None,
+            [one, other] => {
                 let paired = Err::<(), _>("needs `certificate` and `key`, or neither");
-                return self.checked(text, "mqtt.tls", paired).and(None);
+                return self.checked(&one.or(other)?, paired).and(None);
             }
         };
-        let ca = path(&section.ca);
-        let settings = TlsSettings { ca, identity };
+        let settings = TlsSettings { ca: path("ca")?, identity };
         match settings.load() {
             Ok(_) => Some(settings),
-            Err((name, error)) => {
-                let named = match name {
-                    "certificate" => section.certificate.as_ref(),
-                    "key" => section.key.as_ref(),
-                    _ => Some(&section.ca),
-                };
-                let key = format!("mqtt.tls.{name}");
-                self.checked::<(), _>(named?, &key, Err(error)).and(None)
-            }
+            Err((name, error)) => self.checked(&section.text(name)?, Err(error)),
         }
     }
 }

@@ -10,7 +10,8 @@ pub(crate) struct PowerReading {
 }
 
 /// What a power meter measures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum PowerOf {
     /// The robot's consumption.
     #[default]

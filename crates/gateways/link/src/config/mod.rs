@@ -4,7 +4,6 @@
 //! Every problem is reported with its line.
 
 mod check;
-mod file;
 mod lease;
 mod network;
 mod shards;
@@ -12,30 +11,17 @@ mod shards;
 use std::path::Path;
 use std::sync::Arc;
 
-use joulebus_config::Config;
-use joulebus_config::ConfigError;
+use joulebus_config::{CheckedFile, Config, ConfigError, File, Section};
 use joulebus_wire::fnv1a;
-use toml::Value;
 
 use crate::config::check::Check;
-use crate::config::file::{
-    FollowSection, LeaseSection, LinkFile, NetworkSection, Text, WorkerSection,
-};
 use crate::protocol::carried::Carried;
 use crate::protocol::message::FleetId;
-use crate::protocol::selection::{MAX_RANGES, Selection};
+use crate::protocol::selection::Selection;
 use crate::protocol::shards::Shards;
 
 pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings, TlsSettings};
-
-/// Maximum size of the file, bytes.
-const MAX_BYTES: u64 = 1 << 20;
-/// Maximum length of a link's name, bytes.
-const MAX_NAME_BYTES: usize = 64;
-/// Maximum number of hosts whose samples a worker takes.
-const MAX_HOSTS: usize = 256;
-const EVERY: (u32, u32) = (1, 3_600);
 
 /// The checked settings of a link.
 #[derive(Debug, Clone)]
@@ -96,21 +82,26 @@ impl Settings {
     /// # Errors
     /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
     pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
-            let path = path.to_owned();
-            ConfigError::Read { path, source }
-        })?;
-        let mut check = Check {
-            file: path.display().to_string(),
-            folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-            text: &text,
-            problems: Vec::new(),
-        };
-        let settings = check.settings(config);
-        match settings {
+        let file = CheckedFile::load(path, File::Link)?;
+        let mut check = Check { problems: file.problems.clone() };
+        match check.settings(&file.root(), config) {
             Some(settings) if check.problems.is_empty() => Ok(settings),
             _ => Err(ConfigError::Refused(check.problems)),
         }
+    }
+}
+
+/// Services that a planner's host has without `follow.services`. Forecasts are always carried.
+const USUAL: [Carried; 4] =
+    [Carried::DIAGNOSTICS, Carried::BUDGETS, Carried::PLAN_STATES, Carried::OUTLOOKS];
+
+fn service(name: &str) -> Carried {
+    match name {
+        "diagnostics" => Carried::DIAGNOSTICS,
+        "budgets" => Carried::BUDGETS,
+        "plan_states" => Carried::PLAN_STATES,
+        "outlooks" => Carried::OUTLOOKS,
+        _ => Carried::TICKS,
     }
 }
 
@@ -130,66 +121,63 @@ impl Settings {
     }
 }
 
-impl Check<'_> {
-    fn settings(&mut self, config: &Config) -> Option<Settings> {
-        let file: LinkFile = match toml::from_str(self.text) {
-            Ok(file) => file,
-            Err(error) => {
-                let at = error.span().map(|span| span.start);
-                let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
-                self.problem(at, "", what, "docs/reference/link-file.md has all keys");
-                return None;
-            }
-        };
-        let name = self.name(&file.name, "name");
-        let network = self.network(&file.network, file.clock.as_ref());
-        let shards = file.shards.as_ref().map(|path| self.shards(path, config));
+impl Check {
+    fn settings(&mut self, file: &Section<'_>, config: &Config) -> Option<Settings> {
+        let name = file.text("name");
+        let network = self.network(file);
+        let shards = file.text("shards").map(|path| self.shards(&path, config));
+        let has_shards = shards.is_some();
         let shards = shards.flatten().map(Arc::new);
-        let has_shards = file.shards.is_some();
-        let standby = self.standby(file.lease.as_ref(), &file.network, (&name, shards.as_deref()));
-        let side = match (file.worker, file.samples, file.follow) {
-            (Some(worker), None, None) => {
+        let name = name?.to_string();
+        let standby = self.standby(file, (&name, shards.as_deref()));
+        let sides = ["worker", "samples", "follow"].map(|side| file.section(side));
+        let side = match sides {
+            [Some(worker), None, None] => {
                 if let Some(shards) = &shards
                     && shards.of_worker(&name).is_none()
                 {
                     let what = format!("= {name:?} is in `workers` of no shard");
-                    let at = Some(file.name.span().start);
-                    self.problem(at, "name", what, "Name it in `shard.workers`");
+                    self.add(file.problem("name", what, "Name it in `shard.workers`"));
                 }
                 Side::Worker(self.takes(&worker, &name, config))
             }
-            (None, samples, follow) if samples.is_some() || follow.is_some() => {
+            [None, samples, follow] if samples.is_some() || follow.is_some() => {
+                let all = shards.as_deref().map(Shards::all).unwrap_or_default();
+                if let Some(shard) = all.iter().find(|shard| shard.workers.contains(&name)) {
+                    let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
+                    let remedy = "A worker's host has [worker]; give this link another name";
+                    self.add(file.problem("name", what, remedy));
+                }
                 let of = (name.as_str(), shards.as_deref(), has_shards);
-                let samples =
-                    samples.map(|section| self.workers(section.to.as_ref(), "samples.to", of));
+                let samples = samples.map(|section| self.workers(&section, "to", of).concat());
                 let follow = follow.map(|section| self.follow(&section, of, config));
-                Side::Other { samples: samples.map(|shards| shards.concat()), follow }
+                Side::Other { samples, follow }
             }
             _ => {
                 let what = "says nothing of this host, or both".to_owned();
                 let remedy =
                     "Either [worker], beside `joulebus run`, or [samples], [follow] or both";
-                self.problem(None, "", what, remedy);
+                self.add(file.problem("", what, remedy));
                 return None;
             }
         };
-        Some(Settings { name, network, shards, side, standby })
+        Some(Settings { name, network: network?, shards, side, standby })
     }
 
     /// Checks whether the worker of the link `name` is one of several candidates.
     fn standby(
         &mut self,
-        lease: Option<&LeaseSection>,
-        network: &NetworkSection,
+        file: &Section<'_>,
         (name, shards): (&str, Option<&Shards>),
     ) -> Option<Standby> {
-        let lease = lease.map(|lease| self.lease(lease, network));
+        let section = file.section("lease");
+        let lease = section.as_ref().map(|lease| self.lease(lease, file));
         let shard = shards.and_then(|shards| Some(&shards.all()[shards.of_worker(name)?]));
         let Some(shard) = shard.filter(|shard| shard.workers.len() > 1) else {
-            if lease.is_some() {
+            if let Some(lease) = section {
                 let what = "decides nothing here".to_owned();
                 let remedy = "Name this link and another in `workers` of one shard, or leave the section out";
-                self.problem(None, "lease", what, remedy);
+                self.add(lease.problem("", what, remedy));
             }
             return None;
         };
@@ -199,27 +187,20 @@ impl Check<'_> {
             shard: shard.name.clone(),
             rank: own.first().map_or(0, |(rank, _)| *rank),
             others,
-            lease,
+            lease: lease.flatten(),
         })
     }
 
     /// The hosts whose samples the worker of the link `name` takes.
-    fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
-        if worker.take.len() > MAX_HOSTS {
-            let what = format!("names {} hosts", worker.take.len());
-            let remedy = format!("Allowed are {MAX_HOSTS}");
-            self.problem(None, "worker.take", what, &remedy);
-        }
+    fn takes(&mut self, worker: &Section<'_>, name: &str, config: &Config) -> Vec<Take> {
         let mut takes: Vec<Take> = Vec::new();
-        for take in &worker.take {
-            let from = self.name(&take.from, "worker.take.from");
-            if from == name || takes.iter().any(|other| other.from == from) {
-                let what = format!("= {from:?} is this link, or named twice");
-                let at = Some(take.from.span().start);
-                self.problem(at, "worker.take.from", what, "Name each host once");
+        for take in worker.list("take") {
+            let Some(from) = take.text("from") else { continue };
+            if *from == *name || takes.iter().any(|other| other.from == *from) {
+                self.add(from.problem("is this link, or named twice", "Name each host once"));
             }
-            let robots = self.robots(take.robots.as_deref(), "worker.take.robots", config);
-            takes.push(Take { from, robots });
+            let robots = self.robots(&take, config);
+            takes.push(Take { from: from.to_string(), robots });
         }
         takes
     }
@@ -227,32 +208,31 @@ impl Check<'_> {
     /// The links of each shard's workers, or the one that `key` names in a fleet without shards.
     fn workers(
         &mut self,
-        named: Option<&Text>,
+        section: &Section<'_>,
         key: &str,
         (name, shards, has_shards): (&str, Option<&Shards>, bool),
     ) -> Vec<Vec<String>> {
-        match named {
-            Some(text) if !has_shards => vec![vec![self.other(text, key, name)]],
+        match section.text(key) {
+            Some(text) if !has_shards => {
+                if *text == *name {
+                    self.add(text.problem("is this link itself", "Name the worker's link"));
+                }
+                vec![vec![text.to_string()]]
+            }
             Some(text) => {
-                let what = format!("= {:?} beside a file of shards", text.get_ref());
                 let remedy = "Leave it out: the shards have their workers";
-                self.problem(Some(text.span().start), key, what, remedy);
+                self.add(text.problem("beside a file of shards", remedy));
                 Vec::new()
             }
             None if !has_shards => {
-                let remedy = "Name the worker's link, or the fleet's file of `shards`";
-                self.problem(None, key, "is missing".to_owned(), remedy);
+                if !section.has(key) {
+                    let remedy = "Name the worker's link, or the fleet's file of `shards`";
+                    self.add(section.problem(key, "is missing".to_owned(), remedy));
+                }
                 Vec::new()
             }
             None => {
                 let all = shards.map(Shards::all).unwrap_or_default();
-                if let Some(shard) =
-                    all.iter().find(|shard| shard.workers.iter().any(|it| it == name))
-                {
-                    let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
-                    let remedy = "A worker's host has [worker]; give this link another name";
-                    self.problem(None, "name", what, remedy);
-                }
                 all.iter().map(|shard| shard.workers.clone()).collect()
             }
         }
@@ -260,93 +240,25 @@ impl Check<'_> {
 
     fn follow(
         &mut self,
-        section: &FollowSection,
+        section: &Section<'_>,
         of: (&str, Option<&Shards>, bool),
         config: &Config,
     ) -> Follow {
-        let workers = self.workers(section.worker.as_ref(), "follow.worker", of);
-        let (least, most) = EVERY;
-        if !(least..=most).contains(&section.every) {
-            let what = format!("is {}", section.every);
-            let remedy = format!("Allowed: {least} to {most}");
-            self.problem(None, "follow.every", what, &remedy);
-        }
-        let services = section.services.iter().map(|it| it.carried().bit());
+        let workers = self.workers(section, "worker", of);
+        let named = section.texts("services").iter().map(|name| service(name)).collect();
+        let services = if section.has("services") { named } else { USUAL.to_vec() };
+        let services = services.iter().map(|service| service.bit());
         let services = services.fold(Carried::FORECASTS.bit(), |all, bit| all | bit);
         let wants_ticks = services & Carried::TICKS.bit() != 0;
         if workers.len() > 1 && wants_ticks {
             let what = format!("has \"ticks\" of {} workers", workers.len());
             let remedy = "Leave it out: a journal is of one worker";
-            self.problem(None, "follow.services", what, remedy);
+            self.add(section.problem("services", what, remedy));
         }
-        let robots = self.robots(section.robots.as_deref(), "follow.robots", config);
-        let ranges = robots.ranges().to_vec();
-        Follow { workers, selection: Selection::new(services, section.every, ranges) }
+        let ranges = self.robots(section, config).ranges().to_vec();
+        let every = section.integer("every").unwrap_or(1);
+        Follow { workers, selection: Selection::new(services, every, ranges) }
     }
-
-    /// Checks the name of a link. It becomes a part of network keys.
-    fn name(&mut self, text: &Text, key: &str) -> String {
-        let name = text.get_ref();
-        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        if name.is_empty() || name.len() > MAX_NAME_BYTES || !name.bytes().all(allowed) {
-            let what = format!("= {name:?}");
-            let remedy = format!("Allowed: 1 to {MAX_NAME_BYTES} letters, digits, - _ and .");
-            self.problem(Some(text.span().start), key, what, &remedy);
-        }
-        name.clone()
-    }
-
-    /// Checks the name of a link other than this one.
-    fn other(&mut self, text: &Text, key: &str, own: &str) -> String {
-        let name = self.name(text, key);
-        if name == own {
-            let what = format!("= {name:?} is this link itself");
-            self.problem(Some(text.span().start), key, what, "Name the worker's link");
-        }
-        name
-    }
-
-    /// Parses robots given as ids and ranges `"a-b"`. Without a list all robots are selected.
-    fn robots(&mut self, list: Option<&[Value]>, key: &str, config: &Config) -> Selection {
-        let mut ranges = Vec::new();
-        for entry in list.unwrap_or_default() {
-            let range = match entry {
-                Value::Integer(id) => u32::try_from(*id).ok().map(|id| (id, id)),
-                Value::String(text) => range(text),
-                _ => None,
-            };
-            match range {
-                Some(range) => ranges.push(range),
-                None => {
-                    let what = format!("has the entry {entry}");
-                    self.problem(None, key, what, "Write ids, or \"first-last\"");
-                }
-            }
-        }
-        let (found, most) = (ranges.len(), MAX_RANGES);
-        if found > most || list.is_some_and(<[Value]>::is_empty) {
-            let what = format!("has {found} entries; allowed are 1 to {most}");
-            self.problem(None, key, what, "Join neighbouring ids, or leave the key out for all");
-        }
-        let known = |(first, last): &(u32, u32)| {
-            let platforms = &config.settings().platforms;
-            let mut ids = platforms.iter().flat_map(|platform| &platform.robots);
-            ids.any(|ids| ids.start() <= last && first <= ids.end())
-        };
-        if let Some((first, last)) = ranges.iter().find(|range| !known(range)) {
-            let what = format!("names {first}-{last}, which no platform has");
-            let remedy = "Name robots of `platform.robots` in the fleet's config";
-            self.problem(None, key, what, remedy);
-        }
-        Selection::new(u32::MAX, 1, ranges)
-    }
-}
-
-fn range(text: &str) -> Option<(u32, u32)> {
-    let id = |text: &str| text.trim().parse().ok();
-    let (first, last) = text.split_once('-').unwrap_or((text, text));
-    let range: (u32, u32) = (id(first)?, id(last)?);
-    (range.0 <= range.1).then_some(range)
 }
 
 #[cfg(test)]
@@ -399,7 +311,7 @@ mod tests {
         for (base, from, to, line, expected) in [
             (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
             (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
-            (WORKER, "listen", "listens", 3, "unknown field"),
+            (WORKER, "listen", "listens", 3, "nearest key is `network.listen`"),
             (WORKER, "tcp/127.0.0.1:7447", "udp/127.0.0.1:7447", 3, "tcp/"),
             (WORKER, "tcp/127.0.0.1:7447", "tcp/127.0.0.1", 3, "port"),
             (WORKER, "tcp/127.0.0.1:7447", "tcp/10.0.0.1:7447", 3, "unencrypted"),
@@ -424,7 +336,7 @@ mod tests {
                 "worker = \"base\"",
                 "worker = \"base\"\nservices = [\"samples\"]",
                 8,
-                "unknown variant",
+                "nearest word is",
             ),
             (OTHER, "connect = [\"tcp/127.0.0.1:7447\"]", "mode = \"client\"", 2, "router"),
         ] {
@@ -484,9 +396,9 @@ mod tests {
             (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
             (DESK, "\"5-9\"", "\"6-9\"", 4, "not have robot 5"),
             (DESK, "robots = [\"5-9\"]", "", 4, "1 of 2"),
-            (DESK, "[\"base\", \"spare\"]", "[]", 2, "0 links"),
+            (DESK, "[\"base\", \"spare\"]", "[]", 3, "has 0 entries"),
             (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
-            (DESK, "name = \"b\"", "names = \"b\"", 6, "unknown field"),
+            (DESK, "name = \"b\"", "names = \"b\"", 6, "nearest key is `shard.name`"),
             (DESK, "\"south\"", "\"desk\"", 1, "of the shard b"),
             (&worker, "\"base\"", "\"west\"", 1, "no shard"),
         ] {
@@ -542,7 +454,7 @@ mod tests {
             assert!(shown.contains(expected), "{expected}: {shown}");
         };
         for (members, expected) in [
-            ("", "1 to 16 members"),
+            ("", "list of 1 to 16"),
             ("\"127.0.0.1:2379\"", "https://host:port"),
             ("\"http://127.0.0.1\"", "https://host:port"),
             ("\"http://127.0.0.1:1/v3\"", "https://host:port"),
@@ -624,8 +536,8 @@ mod tests {
         for (text, expected) in [
             (OTHER.replace("edge", &long), "1 to 64 letters"),
             (OTHER.replace("tcp/127.0.0.1:7447", &long), "with a port"),
-            (format!("{OTHER}\"{long}\" = 1\n"), "expected one of"),
-            (format!("{OTHER}robots = [\"{long}\"]\n"), "Write ids"),
+            (format!("{OTHER}\"{long}\" = 1\n"), "no similar key"),
+            (format!("{OTHER}robots = [\"{long}\"]\n"), "has the entry"),
             (
                 format!("{WORKER}{}", "[[worker.take]]\nfrom = \"?\"\n".repeat(250)),
                 "more than 100 problems",

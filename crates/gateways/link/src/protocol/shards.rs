@@ -2,11 +2,6 @@
 
 use joulebus_wire::fnv1a;
 
-/// Maximum number of shards of a fleet.
-pub(crate) const MAX_SHARDS: usize = 64;
-/// Maximum number of candidates for a shard.
-pub(crate) const MAX_CANDIDATES: usize = 4;
-
 /// A set of robots with one leading worker at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Shard {
