@@ -23,7 +23,9 @@ impl Check<'_> {
         result: Result<T, E>,
     ) -> Option<T> {
         let add = |error: E| {
-            self.add(text.problem(&error.to_string(), "docs/reference/bridge-file.md has examples"));
+            self.add(
+                text.problem(&error.to_string(), "docs/reference/bridge-file.md has examples"),
+            );
         };
         result.map_err(add).ok()
     }

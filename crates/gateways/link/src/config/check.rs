@@ -28,7 +28,7 @@ impl Check {
             joulebus_files::read_to_string(&path, MAX_FILE_BYTES).map(drop)
         };
         if let Err(error) = read {
-            let remedy = "docs/scale.md has what each file contains, and the commands that make \
+            let remedy = "docs/how-to/standby.md has what each file contains, and the commands that make \
                           the fleet's certificates";
             self.add(text.problem(&format!("cannot be read: {error}"), remedy));
         }
