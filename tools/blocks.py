@@ -22,7 +22,7 @@ A comment before a block changes that:
 
     <!-- not run: REASON -->      it cannot run here, or another program runs it; the reason is printed
     <!-- before: LINES -->        lines in the block's language that run first: what the page takes for granted
-    <!-- ends with 2 -->          the exit code that the page promises
+    <!-- ends with 2: REASON -->  the exit code that the page promises, or that prepared data give
     <!-- needs: PROGRAM -->       programs without which the block is skipped aloud; with CI=true that is a failure
 
 What pages take for granted in common is in PREPARED. Where there are no namespaces, nothing runs: that is said, and with
@@ -52,7 +52,8 @@ PREPARED = {
     r"\bsimulated/": "joulebus data simulate simulated --steps 1500",
     r"\brecordings/": "joulebus data simulate recordings --steps 1500",
     r"\bt1\.csv\.gz": "joulebus data convert recordings/energy_data_trial1_structured.npy --out recordings/t1.csv.gz",
-    r"\bhusky/": "joulebus data simulate husky --steps 1500",
+    r"\bhusky/": "joulebus data simulate made --steps 1500; mkdir husky\n"
+    "n=0; for trial in made/*_trial*; do n=$((n + 1)); cp $trial husky/$([ $n -lt 3 ] && echo ICE || echo grass)-$n.npy; done",
     r"\blogs\b": "tools/walks/logs.sh logs",
     r"\brun\.mcap|fleet\.mcap|runs/": "joulebus demo --duration 12 --plain --capture run.mcap\n"
     "cp run.mcap fleet.mcap; mkdir runs; cp run.mcap runs/1.mcap",
@@ -130,6 +131,9 @@ class Block:
         found = re.search(rf"<!-- {opening}([\s\S]*?)-->", self.comments)
         return found and found[1].strip()
 
+    def ends_with(self):
+        return int(re.match(r"\d+", self.comment("ends with") or "0")[0])
+
     def not_run(self):
         return self.comment("not run:") or ELSEWHERE.get(self.language)
 
@@ -201,7 +205,7 @@ class Page:
         text = block.text
         lines = text.split("\n")
         command = [line[2:] for line in lines if line.startswith("$ ")]
-        wrong = self.shell((block.comment("before:") or "") + "\n" + "\n".join(command), int(block.comment("ends with") or 0)) if command else None
+        wrong = self.shell((block.comment("before:") or "") + "\n" + "\n".join(command), block.ends_with()) if command else None
         end = time.monotonic() + PATIENCE_S
         while not wrong:
             logs = [log.read_text(errors="replace") for log in self.lasting.glob("*.log")]
@@ -271,7 +275,7 @@ class Page:
     def run(self, block):
         match block.language:
             case "sh":
-                return self.shell((block.comment("before:") or "") + "\n" + block.text, int(block.comment("ends with") or 0))
+                return self.shell((block.comment("before:") or "") + "\n" + block.text, block.ends_with())
             case "console":
                 return self.console(block)
             case "python":
