@@ -43,7 +43,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK_S, PATIENCE_S = 600, 60
-NAMESPACES = ["unshare", "--user", "--map-root-user", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
+NAMESPACES = ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
+# Without root. Where this is not allowed, root can do without.
+USER = ["--user", "--map-root-user"]
 BLOCK = re.compile(r"((?:^<!--(?:(?!-->)[\s\S])*-->\n+)*)^```([^\n`]*)\n([\s\S]*?)^```$", re.MULTILINE)
 # Languages without a program here: another tool takes them, or nobody can.
 ELSEWHERE = {"rust,no_run": "tools/readme_projects.py builds and runs it"}
@@ -362,9 +364,10 @@ def inside(name, programs, scratch):
 def run(names, programs):
     """Runs these pages; how many failed."""
     programs = Path(programs).resolve()
-    possible = subprocess.run([*NAMESPACES, "true"], capture_output=True, text=True) if shutil.which("unshare") else None
-    if possible is None or possible.returncode:
-        print(f"blocks: skipped: no namespaces here ({possible.stderr.strip() if possible else 'no unshare'})", file=sys.stderr)
+    tried = [subprocess.run([*NAMESPACES, *user, "true"], capture_output=True, text=True) for user in (USER, []) if shutil.which("unshare")]
+    possible = next((one.args[:-1] for one in tried if one.returncode == 0), None)
+    if possible is None:
+        print(f"blocks: skipped: no namespaces here ({tried[0].stderr.strip() if tried else 'no unshare'})", file=sys.stderr)
         return os.environ.get("CI") == "true"
     failed = done = 0
     for name in names:
@@ -373,7 +376,7 @@ def run(names, programs):
             continue
         begun = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="jb") as scratch:
-            ended = subprocess.run([*NAMESPACES, sys.executable, __file__, "--programs", programs, "--inside", scratch, name])
+            ended = subprocess.run([*possible, sys.executable, __file__, "--programs", programs, "--inside", scratch, name])
         failed += ended.returncode != 0
         done += len(here)
         print(f"{time.monotonic() - begun:6.1f} s  {len(here):2} blocks  {name}{'  FAILED' if ended.returncode else ''}", flush=True)
