@@ -229,7 +229,7 @@ class Page:
                 "    try: exec(compile(eval(line), 'block', 'exec'), names); print('DONE', flush=True)\n" \
                 "    except BaseException: traceback.print_exc(file=sys.stdout); print('FAILED', flush=True)\n"
             self.interpreter = subprocess.Popen([shutil.which("python", path=self.environment["PATH"]), "-P", "-c", program], text=True,
-                                                stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self.here, env=self.environment)
+                                                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=self.here, env=self.environment)
         self.interpreter.stdin.write(repr((block.comment("before:") or "") + "\n" + block.text) + "\n")
         self.interpreter.stdin.flush()
         self.printed = ""
