@@ -172,7 +172,6 @@ class Page:
         mounted(scratch, programs)
         self.environment = os.environ | {
             "USER": "ann", "HOME": str(scratch / "home"), "LASTING": str(self.lasting), "PYTHONUNBUFFERED": "1",
-            "CARGO_NET_OFFLINE": "true",
             "PYTHONPATH": os.environ.get("PYTHONPATH") or str(ROOT / "target/python-package"),
             "PATH": f"{scratch}/bin:{scratch}/programs:{os.environ['PATH']}",
         }
