@@ -39,7 +39,7 @@ pub(crate) fn run(config: &Path, ticks: u32) -> anyhow::Result<u64> {
     Ok(publisher.samples_sent())
 }
 
-/// Up to 0.15 m/s: the built-in model was trained to 0.16.
+/// Up to 0.15 m/s: the built-in model was trained up to 0.2.
 fn speed_mps(robot: u32, tick: u32) -> f32 {
     0.1 + 0.05 * (tick as f32 * 0.02 + robot as f32).sin()
 }

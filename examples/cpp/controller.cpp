@@ -13,7 +13,7 @@
 namespace {
 volatile std::sig_atomic_t stop = 0;
 
-// Up to 0.15 m/s: the built-in model was trained to 0.16.
+// Up to 0.15 m/s: the built-in model was trained up to 0.2.
 float speed_mps(std::uint32_t robot, unsigned long frame) {
     return 0.1f + 0.05f * std::sin(0.02f * static_cast<float>(frame) + static_cast<float>(robot));
 }

@@ -14,7 +14,7 @@ PERIOD_NS = 33_333_333
 
 
 def speed_mps(tick: int) -> np.ndarray:
-    """Up to 0.15 m/s: the built-in model was trained to 0.16."""
+    """Up to 0.15 m/s: the built-in model was trained up to 0.2."""
     return 0.1 + 0.05 * np.sin(0.02 * tick + ROBOTS)
 
 

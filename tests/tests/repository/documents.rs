@@ -401,7 +401,7 @@ fn pages_of_the_book_are_short() {
         all += words;
         match allowed.get(path.as_str()) {
             Some(&most) if words > most => {
-                wrong.push(format!("{path}: {words} words, {most} before"))
+                wrong.push(format!("{path}: {words} words, {most} before"));
             }
             Some(_) if words <= MAX_WORDS => wrong.push(format!("{path} is short now: LONG")),
             None if words > MAX_WORDS => wrong.push(format!("{path}: {words} words: split it")),

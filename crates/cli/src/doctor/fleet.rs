@@ -59,7 +59,8 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     };
     let mebi = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let found = format!(
-        "{:.1} MiB needed, {:.1} MiB of {:.1} MiB free; {} file descriptors needed, {} of {} used",
+        "one more source and planner need {:.1} MiB, {:.1} MiB of {:.1} MiB are free; they need {} file \
+         descriptors, {} of {} are used",
         mebi(capacity.needed_bytes),
         mebi(capacity.free_bytes),
         mebi(capacity.total_bytes),

@@ -138,6 +138,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "bench nothing"),
     (2, "mission --hours 0"),
     (0, "model info MODEL"),
+    (0, "model info builtin:husky"),
+    (1, "model info builtin:nothing"),
     (1, "model info JUNK"),
     (2, "model info"),
     (0, "model import EXPORTED -o NEW"),

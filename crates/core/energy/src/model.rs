@@ -201,7 +201,7 @@ impl EnergyModel {
 
     /// Standard deviation of the relative error at a horizon, above 0, of the normal distribution
     /// with the same 90 % interval.
-    pub(crate) fn spread_at(&self, horizon_s: f32) -> f32 {
+    pub fn spread_at(&self, horizon_s: f32) -> f32 {
         const MIN: f32 = 1e-3;
         let errors = self.errors_at(horizon_s);
         ((errors[7] - errors[1]) / 3.29).max(MIN)

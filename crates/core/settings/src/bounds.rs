@@ -35,6 +35,8 @@ pub const CUSUM_LIMIT: RangeInclusive<f64> = 1.0..=1000.0;
 pub const NOISE_LIMIT: RangeInclusive<f64> = 1.5..=100.0;
 /// Ratio of the squared error to persistence's at which an alarm is raised.
 pub const MISMATCH_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
+/// [`crate::AlarmLimits::level_limit`].
+pub const LEVEL_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
 /// Residuals of a robot before an alarm on them.
 pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;
 /// Samples in a row that raise or clear an alarm.

@@ -64,6 +64,9 @@ pub struct AlarmSettings {
     /// persistence's error, or three times the model's own in training if that is more. The alarm
     /// is cleared below nine tenths of it.
     pub mismatch_limit: f32,
+    /// Deviation of a robot's level from its own earlier one at which `LevelHigh` or `LevelLow` is
+    /// raised, standard deviations; cleared below half.
+    pub level_limit: f32,
     /// Residuals before any alarm on them is raised.
     pub settle_samples: u32,
     /// Samples in a row that must agree before an alarm is raised.
@@ -94,15 +97,16 @@ impl AlarmSettings {
             cusum_limit: self.cusum_limit,
             noise_limit: self.noise_limit,
             mismatch_limit: self.mismatch_limit,
+            level_limit: self.level_limit,
         }
     }
 
     /// The settings of a platform: with its own limits, if it has any.
     #[must_use]
     pub fn of(&self, platform: &Platform) -> Self {
-        let AlarmLimits { cusum_limit, noise_limit, mismatch_limit } =
+        let AlarmLimits { cusum_limit, noise_limit, mismatch_limit, level_limit } =
             platform.alarms.unwrap_or(self.limits());
-        Self { cusum_limit, noise_limit, mismatch_limit, ..*self }
+        Self { cusum_limit, noise_limit, mismatch_limit, level_limit, ..*self }
     }
 }
 
@@ -138,6 +142,7 @@ impl FleetSettings {
             ("cusum_limit", alarms.cusum_limit, bounds::CUSUM_LIMIT),
             ("noise_limit", alarms.noise_limit, bounds::NOISE_LIMIT),
             ("mismatch_limit", alarms.mismatch_limit, bounds::MISMATCH_LIMIT),
+            ("level_limit", alarms.level_limit, bounds::LEVEL_LIMIT),
             ("training_margin", alarms.training_margin, bounds::TRAINING_MARGIN),
         ] {
             within(what, f64::from(found), &allowed)?;
@@ -208,6 +213,7 @@ pub(crate) mod tests {
                 noise_weight: 0.005,
                 noise_limit: 15.0,
                 mismatch_limit: 1.5,
+                level_limit: 12.0,
                 settle_samples: 300,
                 raise_samples: 15,
                 clear_samples: 90,

@@ -60,6 +60,8 @@ pub struct AlarmLimits {
     pub noise_limit: f32,
     /// Squared error over the expected one at which `ModelMismatch` is raised.
     pub mismatch_limit: f32,
+    /// Deviation of the level at which `LevelHigh` or `LevelLow` is raised.
+    pub level_limit: f32,
 }
 
 /// A battery.
@@ -227,7 +229,9 @@ impl AlarmLimits {
         let [bias, noise, mismatch] = [self.cusum_limit, self.noise_limit, self.mismatch_limit];
         check("alarms cusum_limit", bias.into(), bounds::CUSUM_LIMIT)?;
         check("alarms noise_limit", noise.into(), bounds::NOISE_LIMIT)?;
-        check("alarms mismatch_limit", mismatch.into(), bounds::MISMATCH_LIMIT)
+        check("alarms mismatch_limit", mismatch.into(), bounds::MISMATCH_LIMIT)?;
+        let level = self.level_limit.into();
+        check("alarms level_limit", level, bounds::LEVEL_LIMIT)
     }
 }
 

@@ -252,6 +252,27 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         keys: &["platform.battery.sensor_sd", "platform.battery.capacity_wh"],
         found_within: "at a jump, at once; otherwise when the energy drawn shows it",
     },
+    AlarmCard {
+        name: "LevelHigh",
+        level: Level::Warn,
+        meaning: "The robot draws more than it did before for the same commands. It stays until the \
+            power is back, or the worker restarts: nothing of it is learned.",
+        check: "What changed since: load, floor or slope, a dragging wheel, a device that was switched \
+            on. Acknowledge it if that is meant, as a payload is.",
+        keys: &["alarms.level_limit"],
+        found_within: "seconds where the power doubles, ten where it rises by two fifths, a minute where it \
+            drifts by 30 % a minute; after five seconds of known commands",
+    },
+    AlarmCard {
+        name: "LevelLow",
+        level: Level::Warn,
+        meaning: "The robot draws less than it did before for the same commands. It stays until the \
+            power is back, or the worker restarts: nothing of it is learned.",
+        check: "Does it drive at all: a wheel in the air, a driver that stalled, commands that do not \
+            reach it? A load that was taken off; the gain of the power monitor.",
+        keys: &["alarms.level_limit"],
+        found_within: "seconds where the power halves; after five seconds of known commands",
+    },
 ];
 
 #[cfg(test)]

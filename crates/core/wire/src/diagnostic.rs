@@ -220,6 +220,10 @@ pub enum Alarm {
     BatteryLow,
     /// The measured state of charge does not follow the energy drawn, or jumps. It is not used.
     SocImplausible,
+    /// Drawing more than it did before for the same commands.
+    LevelHigh,
+    /// Drawing less than it did before for the same commands.
+    LevelLow,
     /// No alarm.
     None,
     /// Written by something newer than this reader.
@@ -232,7 +236,7 @@ names! {
     pub Alarm:
         NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
         OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical
-        BatteryLow SocImplausible
+        BatteryLow SocImplausible LevelHigh LevelLow
         ;
         None Unknown
 }

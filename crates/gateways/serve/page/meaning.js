@@ -2,6 +2,7 @@
 
 const tip = document.getElementById("meaning");
 let of = null;
+let byFocus = false;
 
 function hide() {
   of?.removeAttribute("aria-describedby");
@@ -9,12 +10,16 @@ function hide() {
   tip.hidden = true;
 }
 
-function show({ target }) {
+function show({ type, target }) {
   const named = target.closest?.("[data-meaning]") ?? null;
   if (named === of) return;
+  // A row that changes below a pointer at rest tells of a pointer over it too: what the focus
+  // shows stays until the focus goes.
+  if (named === null && byFocus && of !== null) return;
   hide();
   if (named === null) return;
   of = named;
+  byFocus = type === "focusin";
   named.setAttribute("aria-describedby", tip.id);
   tip.textContent = named.dataset.meaning;
   tip.hidden = false;

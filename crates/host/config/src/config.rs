@@ -363,6 +363,7 @@ impl Builder<'_> {
                 noise_weight: number("alarms.noise_weight")?,
                 noise_limit: number("alarms.noise_limit")?,
                 mismatch_limit: number("alarms.mismatch_limit")?,
+                level_limit: number("alarms.level_limit")?,
                 settle_samples: self.0.integer("alarms.settle_samples")?,
                 raise_samples: self.0.integer("alarms.raise_samples")?,
                 clear_samples: self.0.integer("alarms.clear_samples")?,
@@ -459,6 +460,7 @@ impl Builder<'_> {
             cusum_limit: limit("cusum_limit")?,
             noise_limit: limit("noise_limit")?,
             mismatch_limit: limit("mismatch_limit")?,
+            level_limit: limit("level_limit")?,
         })
     }
 

@@ -90,6 +90,8 @@ pub const KEYS: &[Key] = &[
         "Noise ratio (1 = as in training) at which NoiseHigh is raised; cleared below half of it."),
     key("alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Number(2.0),
         "Ratio of the network's squared error to that of persistence, or to three times its own in training if that is more, at which ModelMismatch is raised; cleared below 0.9 of it."),
+    key("alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Number(12.0),
+        "Deviation of a robot's power from what it drew before for the same commands, at which LevelHigh or LevelLow is raised; cleared below half of it. Needs a trained model."),
     key("alarms.settle_samples", int(bounds::SETTLE_SAMPLES), "samples", DefaultValue::Integer(150),
         "Residuals of a robot before any alarm based on them is raised."),
     key("alarms.raise_samples", int(bounds::ALARM_SAMPLES), "samples", DefaultValue::Integer(20),
@@ -167,6 +169,8 @@ pub const KEYS: &[Key] = &[
         "Replaces the fleet's alarms.noise_limit for this platform; joulebus calibrate writes it.")),
     of_platform(key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.mismatch_limit for this platform; joulebus calibrate writes it.")),
+    of_platform(key("platform.alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Unset,
+        "Replaces the fleet's alarms.level_limit for this platform; joulebus calibrate writes it.")),
 
     of_platform(key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,
         "Columns of this platform's recordings, as --map names them; verbs that read the config use it where --map is not given.")),

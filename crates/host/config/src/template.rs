@@ -124,6 +124,7 @@ mod tests {
                 Assignment::number("alarms.cusum_limit", 90.0, ""),
                 Assignment::number("alarms.noise_limit", 9.0, ""),
                 Assignment::number("alarms.mismatch_limit", 3.0, ""),
+                Assignment::number("alarms.level_limit", 9.0, ""),
                 Assignment::text("recordings.map", "time=t", ""),
                 Assignment::text("recordings.current", "discharge-negative", ""),
                 Assignment::text("recordings.accept", "sign", ""),

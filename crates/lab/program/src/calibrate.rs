@@ -31,7 +31,7 @@ use joulebus_program::utc::Utc;
     joulebus calibrate recordings/ --config configs/mixed.toml --platform husky --false-alarms 2/hour\n  \
     joulebus calibrate trials/ --config lab/fleet.toml --false-alarms 1/day --extrapolate --format json\n\n\
     The recordings are taken for healthy: leave out those with faults. They are played through the code of the \
-    tick at a grid of limits. Half of them decides how the three limits stand to each other, the other half how \
+    tick at a grid of limits. Half of them decides how the limits stand to each other, the other half how \
     high they are, and states the rate with an exact Poisson bound, widened where alarms come in groups. What the \
     recordings are too short for is refused (exit 1) with the hours needed; --extrapolate continues the tail of \
     what they show, and says so. Then faults are put into the second half: how soon they are found, beside the \
@@ -206,7 +206,8 @@ impl Args {
             let key = match limit.key {
                 "cusum_limit" => "alarms.cusum_limit",
                 "noise_limit" => "alarms.noise_limit",
-                _ => "alarms.mismatch_limit",
+                "mismatch_limit" => "alarms.mismatch_limit",
+                _ => "alarms.level_limit",
             };
             keys.push(Assignment::number(key, limit.value, limit.evidence()));
         }

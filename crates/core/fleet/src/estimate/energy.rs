@@ -83,6 +83,14 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
+    /// Power of the command in force by the platform's model, W; NaN if the command is unknown.
+    #[inline(always)]
+    pub(crate) fn command_w(&self, lane: usize) -> f32 {
+        let metered = self.metered.get(lane);
+        let known = metered.v_mps.is_finite() & metered.omega_radps.is_finite();
+        if known { metered.command_w } else { f32::NAN }
+    }
+
     /// The energy state of the robot in a lane, with the bounds of its intervals.
     #[inline(always)]
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {

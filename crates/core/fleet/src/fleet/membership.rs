@@ -4,6 +4,7 @@ use joulebus_energy::EnergyState;
 use joulebus_wire::SampleHeader;
 
 use crate::alarms::detector::Detector;
+use crate::alarms::level::Level;
 use crate::estimate::interval::ConformalInterval;
 use crate::estimate::online::Online;
 use crate::estimate::scores::Scores;
@@ -98,6 +99,10 @@ impl Fleet {
         lanes::set(&mut columns.intervals, slot, interval);
         lanes::set(&mut columns.scores, slot, Scores::default());
         lanes::set(&mut columns.detectors, slot, Detector::new());
+        if !columns.levels.is_empty() {
+            let level = Level::new(context.levels.as_ref());
+            lanes::set(&mut columns.levels, slot, level);
+        }
         lanes::set(&mut columns.energy, slot, EnergyState::new(id));
     }
 

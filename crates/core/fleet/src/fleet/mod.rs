@@ -83,6 +83,7 @@ impl Fleet {
         let needed = Needed {
             online: tick.platforms.iter().any(|it| it.members.is_some()),
             batteries: settings.has_batteries(),
+            levels: tick.platforms.iter().any(|it| it.levels.is_some()),
         };
         let capacity = settings.capacity as usize;
         Ok(Self {

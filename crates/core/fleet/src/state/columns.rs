@@ -4,6 +4,7 @@ use joulebus_settings::FleetSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::alarms::detector::DetectorLanes;
+use crate::alarms::level::LevelLanes;
 use crate::estimate::energy::EnergyLanes;
 use crate::estimate::interval::IntervalLanes;
 use crate::estimate::online::OnlineLanes;
@@ -28,13 +29,14 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<LedgerLanes>()
         + size_of::<ScoreLanes>()
         + size_of::<DetectorLanes>()
-        + size_of::<EnergyLanes>())
+        + size_of::<EnergyLanes>()
+        + size_of::<LevelLanes>())
     .div_ceil(LANES);
 
-/// A robot takes at most 672 bytes, its account after departure included: the columns, that
+/// A robot takes at most 740 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
-    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 672);
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 740);
 
 /// Declares the columns once: name, type of a block of robots, and what a check of a saved state
 /// calls it. `apart` are not read where the output of a block is computed; `optional` are empty
@@ -229,6 +231,8 @@ columns! {
         online: OnlineLanes, "blocks of what is learned online";
         /// Empty unless a platform has a battery.
         batteries: BatteryLanes, "blocks of batteries";
+        /// Empty unless the energy model of a platform states its errors.
+        levels: LevelLanes, "blocks of levels";
     }
 }
 
@@ -239,6 +243,8 @@ pub(crate) struct Needed {
     pub online: bool,
     /// A platform has a battery.
     pub batteries: bool,
+    /// The energy model of a platform may state its errors.
+    pub levels: bool,
 }
 
 impl Needed {
@@ -246,6 +252,7 @@ impl Needed {
         Self {
             online: settings.platforms.iter().any(|platform| platform.online),
             batteries: settings.has_batteries(),
+            levels: true,
         }
     }
 }

@@ -68,6 +68,8 @@ impl Columns {
             energy: _,
             online: _,
             batteries,
+            // Durations.
+            levels: _,
         } = self;
         for admission in admissions {
             admission.shift(shift);

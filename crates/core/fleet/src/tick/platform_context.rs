@@ -5,6 +5,7 @@ use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{AlarmSettings, FleetSettings, Platform};
 use joulebus_wire::{OUTLOOK_HORIZONS, OUTLOOK_S};
 
+use crate::alarms::level::LevelRules;
 use crate::estimate::calibration::SharedErrors;
 use crate::estimate::interval::QuantileStep;
 use crate::estimate::online::Members;
@@ -34,6 +35,8 @@ pub(crate) struct PlatformContext {
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
+    /// By what levels are judged; `None` if the energy model states no errors.
+    pub levels: Option<LevelRules>,
     /// The power until a battery is empty; `None` if the model says nothing of it.
     pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
@@ -65,9 +68,11 @@ impl PlatformContext {
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         let members =
             (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
+        let alarms = settings.alarms.of(&platform);
         let energy = model.energy_or_untrained(platform.power_max_w);
         Self {
-            alarms: settings.alarms.of(&platform),
+            levels: LevelRules::of(&energy, &alarms, platform.period_ns),
+            alarms,
             errors: SharedErrors::new(&energy),
             lasting: energy.lasting(),
             outlook: energy.outlook(OUTLOOK_S),

@@ -7,6 +7,8 @@ use joulebus_predictor::simd::SimdTask;
 
 use crate::alarms::conditions::{AlarmInputLanes, judge};
 use crate::alarms::detector::DetectorLanes;
+use crate::alarms::level::{LevelLanes, LevelSample};
+use crate::estimate::energy::EnergyLanes;
 use crate::estimate::scores::ScoreLanes;
 use crate::estimate::window::WindowLanes;
 use crate::ingest::admission::AdmissionState;
@@ -114,6 +116,8 @@ impl SimdTask for Score<'_, '_> {
             scores,
             detectors,
             batteries,
+            energy,
+            levels,
             words,
             ..
         } = self.columns;
@@ -122,6 +126,7 @@ impl SimdTask for Score<'_, '_> {
             lanes::prefetch_ahead(ledgers, block);
             lanes::prefetch_ahead(scores, block);
             lanes::prefetch_ahead(detectors, block);
+            lanes::prefetch_ahead(levels, block);
             let admissions = &admissions[from..from + LANES];
             let absorbed = Absorbed::take(
                 lanes,
@@ -137,6 +142,8 @@ impl SimdTask for Score<'_, '_> {
                     scores: &mut scores[block],
                     detectors: &mut detectors[block],
                     batteries: batteries.get_mut(block),
+                    energy: &energy[block],
+                    levels: levels.get_mut(block),
                 };
                 score_platform(self.tick, platform, &absorbed, &mut robots);
                 next = absorbed.platform_from(platform + 1);
@@ -152,6 +159,9 @@ struct Robots<'a> {
     detectors: &'a mut DetectorLanes,
     /// `None` unless a platform has a battery.
     batteries: Option<&'a mut BatteryLanes>,
+    energy: &'a EnergyLanes,
+    /// `None` unless the energy model of a platform states its errors.
+    levels: Option<&'a mut LevelLanes>,
 }
 
 /// Scores the robots of one platform.
@@ -170,6 +180,14 @@ fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots
     }
     score(robots.scores, absorbed, &scored);
     detect(context, absorbed, &scored, robots.detectors);
+    if let (Some(levels), Some(rules)) = (&mut robots.levels, &context.levels) {
+        let energy = robots.energy;
+        levels.observe(rules, &mask, |lane| LevelSample {
+            power_w: absorbed.reading_w[lane],
+            command_w: energy.command_w(lane),
+            apart: absorbed.broken[lane] | absorbed.alarms.charging[lane],
+        });
+    }
     alarm(tick, context, absorbed, &mask, robots.scores, robots.detectors);
 }
 

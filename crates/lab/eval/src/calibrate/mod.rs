@@ -1,6 +1,6 @@
 //! Limits of the residual alarms for a rate of false alarms, with the evidence of recordings.
 //!
-//! Recordings count as healthy. One half of them decides the ratios of the three limits. The other
+//! Recordings count as healthy. One half of them decides the ratios of the limits. The other
 //! half decides their level and the stated rate. If that needs more recordings than there are, the
 //! limits may be extrapolated. Every alarm comes from the fleet's own core, which plays the
 //! recordings at each limit of a grid.

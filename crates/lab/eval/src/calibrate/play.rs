@@ -5,16 +5,22 @@ use joulebus_predictor::Model;
 use joulebus_settings::{AlarmLimits, AlarmSettings, FleetSettings, SettingsError, bounds};
 use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader};
 
-/// Limits: of bias, noise and mismatch.
-pub(super) const KINDS: usize = 3;
+/// Limits: of bias, noise, mismatch and level.
+pub(super) const KINDS: usize = 4;
 
 /// Id of the robot that is played.
 pub(super) const ROBOT: u32 = 0;
 /// Alarms that no limit of the residuals sets.
 pub(super) const OTHERS: [Alarm; 3] = [Alarm::StuckSensor, Alarm::HeldTooLong, Alarm::OutOfRange];
 /// Alarms with a limit, and the limit's index.
-const LIMITED: [(Alarm, usize); 4] =
-    [(Alarm::BiasHigh, 0), (Alarm::BiasLow, 0), (Alarm::NoiseHigh, 1), (Alarm::ModelMismatch, 2)];
+const LIMITED: [(Alarm, usize); 6] = [
+    (Alarm::BiasHigh, 0),
+    (Alarm::BiasLow, 0),
+    (Alarm::NoiseHigh, 1),
+    (Alarm::ModelMismatch, 2),
+    (Alarm::LevelHigh, 3),
+    (Alarm::LevelLow, 3),
+];
 
 /// A robot of the platform, alone in a fleet.
 #[derive(Debug, Clone)]
@@ -74,6 +80,7 @@ impl Robot {
             cusum_limit: 5.0,
             noise_limit: *bounds::NOISE_LIMIT.end() as f32,
             mismatch_limit: *bounds::MISMATCH_LIMIT.end() as f32,
+            level_limit: *bounds::LEVEL_LIMIT.end() as f32,
         });
         robot.settings.alarms = AlarmSettings {
             cusum_slack: 0.5,

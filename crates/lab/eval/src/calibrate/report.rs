@@ -29,7 +29,7 @@ pub struct Calibration {
     pub chosen_on: Evidence,
     /// The others, which state their rate.
     pub stated_on: Evidence,
-    /// The limits of bias, noise and mismatch.
+    /// The limits of bias, noise, mismatch and level.
     pub limits: [Limit; KINDS],
     /// Alarms of all recordings that these limits do not set, true or false, by name.
     pub others: [(&'static str, u64); OTHERS.len()],

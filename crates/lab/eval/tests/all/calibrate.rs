@@ -80,8 +80,13 @@ fn raised_ns(limits: AlarmLimits, samples: &[Sample], from_ns: u64) -> (Vec<u64>
 }
 
 fn limits(found: &Calibration) -> AlarmLimits {
-    let [bias, noise, mismatch] = found.limits.map(|limit| limit.value as f32);
-    AlarmLimits { cusum_limit: bias, noise_limit: noise, mismatch_limit: mismatch }
+    let [bias, noise, mismatch, level] = found.limits.map(|limit| limit.value as f32);
+    AlarmLimits {
+        cusum_limit: bias,
+        noise_limit: noise,
+        mismatch_limit: mismatch,
+        level_limit: level,
+    }
 }
 
 fn delays_of(found: &Calibration, fault: Fault) -> Delays {

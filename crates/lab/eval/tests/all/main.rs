@@ -4,6 +4,7 @@
 mod alarms;
 mod analysis;
 mod calibrate;
+mod levels;
 mod live;
 mod online_learning;
 mod plant_statistics;

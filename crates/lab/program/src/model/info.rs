@@ -15,12 +15,12 @@ const SHOWN: usize = 40;
 /// Show the contents of a model file: layers, features, normalisation, training range, hash, scores
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    joulebus model info configs/models/gternal-sim.safetensors\n  \
+    joulebus model info builtin:husky\n  \
     joulebus model info energy_predictor_full.pt --format json\n\n\
     Of a file of another program it shows what is in it and where a network was found; exit code 1 \
     if there is none.")]
 pub(crate) struct Args {
-    /// A model file of any format, or a directory of .npy files
+    /// A model file of any format, a directory of .npy files, or builtin:NAME
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// The part of the file with the network, if there are several

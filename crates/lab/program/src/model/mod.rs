@@ -59,8 +59,14 @@ fn read(path: &Path) -> anyhow::Result<Checkpoint> {
     Checkpoint::read(&bytes(path)?).with_context(name)
 }
 
-/// The file's bytes.
+/// The file's bytes, or those of `builtin:NAME`.
 fn bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
+    if let Some(name) = path.to_str().and_then(|path| path.strip_prefix("builtin:")) {
+        let known = || joulebus_config::builtin_models().collect::<Vec<_>>().join(", ");
+        return joulebus_config::builtin_model(name)
+            .map(|(_, bytes)| bytes.to_vec())
+            .with_context(|| format!("there is no built-in model {name}; there are {}", known()));
+    }
     joulebus_files::read(path, MAX_FILE_BYTES as u64)
         .with_context(|| format!("cannot read {}", path.display()))
 }

@@ -21,8 +21,9 @@ class Predictor(_native.Predictor):
                  the newest reading, ``freshness`` and ``power_freshness`` (13)
     seed, max_epochs, patience: of `fit`, by the paper's recipe; the same seed gives the same bytes
 
-    ``predict(features)`` takes rows ``(robots, 11)`` in the order of ``joulebus.FEATURE_NAMES`` (v, omega, their
-    derivatives, their magnitudes, the last five readings, newest first; m, rad, s, W) and returns the readings
+    ``predict(features)`` takes rows ``(robots, 11)`` in the order of the first 11 ``joulebus.FEATURE_NAMES`` (v, omega, their
+    derivatives, their magnitudes, the last five readings, newest first; m, rad, s, W), or rows of 13 for a model with
+    the age of the newest reading, and returns the readings
     expected next, W, float32. A NaN in a row makes that row's forecast NaN and changes no other.
 
     ``rollout(v, omega)`` takes command sequences ``(steps,)``, ``(robots, steps)`` or ``(robots, candidates, steps)``

@@ -1,0 +1,374 @@
+//! Level monitoring: a robot's power against its own earlier level under the same commands.
+//!
+//! The residuals cannot find a load for long, because the network reads the last readings and
+//! follows the load within a few of them. What is compared here reads no reading of the present:
+//! the mean power of the last seconds, and the power that the robot's *own level* expects for the
+//! commands of those seconds.
+//!
+//! **Own level.** A line through the robot's levels so far: power over the power that the
+//! platform's energy model gives its commands. Of the slope, a priori half is the model's and half
+//! the ratio of the two means, with a standard deviation of half of the greater. Where the robot
+//! has not been under such commands yet, the slope's variance widens the expectation: who has only
+//! stood still is not judged by how it drives.
+//!
+//! **Deviation.** The mean of 2 s, and that of 12 s, minus what is expected, relative to the
+//! expected power, in standard deviations of the robot's own levels. Those start as the platform's,
+//! from the errors of its energy model, and never fall below half of them. A quick mean needs
+//! [`QUICK`] of the limit, a slow one [`SLOW`] of it.
+//!
+//! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
+//! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
+//!
+//! **Where levels come and go.** An alarm that ends by itself doubles the robot's variances
+//! ([`GROWTH`]): on changing ground it is raised a few times, and then more seldom.
+//!
+//! Not judged: unknown commands, charging, the first seconds after either, robots of a platform
+//! whose energy model states no errors (untrained, persistence).
+
+// Indexed by lane, so that the compiler vectorises the loop.
+#![allow(clippy::needless_range_loop)]
+
+use joulebus_energy::EnergyModel;
+use joulebus_settings::AlarmSettings;
+use joulebus_wire::{Alarm, AlarmSet};
+use serde::{Deserialize, Serialize};
+
+use crate::layout::lanes::{Block as _, LANES, Lanes, block};
+
+/// Time constants of the quick and the slow mean, s.
+const MEANS_S: [f32; 2] = [2.0, 12.0];
+/// Share of the limit that a deviation of the quick mean must reach.
+const QUICK: f32 = 1.0;
+/// That of the slow mean, which scatters less.
+const SLOW: f32 = 0.5;
+/// Age from which the slow mean is judged, s.
+const SLOW_AGE_S: f32 = 6.0;
+/// Time constant of the own level, s.
+const OWN_S: f32 = 600.0;
+/// Time without a mean after the start of commands, s: motors start with a peak.
+const START_S: f32 = 1.0;
+/// Seconds of the own level before it is compared with.
+const SETTLE_S: f32 = 3.0;
+/// Seconds of the own level before its scatter is learned.
+const SCATTER_FROM_S: f32 = 0.7;
+/// Seconds of readings that weigh as much as the platform's scatter, for both means.
+const PRIOR_S: [f32; 2] = [6.0, 12.0];
+/// Time in which levels are correlated, s.
+const CORRELATED_S: f32 = 3.0;
+/// A robot is not taken to be steadier than this share of its platform's standard deviation, and
+/// than [`LEAST`].
+const STEADIEST: f32 = 0.75;
+/// Smallest relative standard deviation.
+const LEAST: f32 = 0.02;
+/// A deviation counts as this many standard deviations at most when the scatter is learned.
+const SCATTER_MAX: f32 = 3.0;
+/// A robot whose level is this many times the platform's, or this part of it, is of another kind.
+const UNLIKE: f32 = 4.0;
+/// Least relative standard deviation of such a robot.
+const UNLIKE_SCATTER: f32 = 0.25;
+/// Powers are relative to this share of the platform's mean power at least.
+const FLOOR: f32 = 0.3;
+/// Share of the limit below which an alarm ends.
+const HALF: f32 = 0.5;
+/// Share of the limit from which the own level and its scatter learn slowly, and that rate: in the
+/// time until an alarm is raised, its cause must not be learned.
+const CAREFUL_FROM: f32 = 0.4;
+const CAREFUL: f32 = 0.125;
+
+/// Factor of the variances when an alarm ends.
+const GROWTH: f32 = 2.0;
+
+const HIGH: u32 = AlarmSet(0).with(Alarm::LevelHigh).0;
+const LOW: u32 = AlarmSet(0).with(Alarm::LevelLow).0;
+
+/// What the levels of a platform's robots are judged by.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LevelRules {
+    limit: f32,
+    period_s: f32,
+    floor_w: f32,
+    /// Squared relative standard deviations of the platform's means.
+    variances: [f32; 2],
+}
+
+impl LevelRules {
+    /// `None` if the energy model states no errors.
+    pub(crate) fn of(energy: &EnergyModel, alarms: &AlarmSettings, period_ns: u64) -> Option<Self> {
+        (energy.calibrated > 0).then(|| Self {
+            limit: alarms.level_limit,
+            period_s: period_ns as f32 * 1e-9,
+            floor_w: FLOOR * energy.command.mean_w,
+            variances: MEANS_S.map(|mean_s| {
+                let spread = energy.spread_at(mean_s);
+                spread * spread
+            }),
+        })
+    }
+}
+
+/// A sample, as far as the levels need it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LevelSample {
+    /// NaN without a reading.
+    pub power_w: f32,
+    /// Power of its command by the platform's model, in force from now on; NaN if unknown.
+    pub command_w: f32,
+    /// On its charger, or at the first sample after a break.
+    pub apart: bool,
+}
+
+/// The levels of a robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Level {
+    /// Power of the command in force; NaN if unknown.
+    command_w: f32,
+    /// Time for which readings and commands have been known, s.
+    known_s: f32,
+    /// Weight of the quick mean, s; its power, and that of its commands, W.
+    quick_s: f32,
+    quick_w: f32,
+    quick_command_w: f32,
+    /// The same of the slow mean.
+    slow_s: f32,
+    slow_w: f32,
+    slow_command_w: f32,
+    /// Weight of the own level, s; its means, W.
+    own_s: f32,
+    own_w: f32,
+    own_command_w: f32,
+    /// Sums over its time: squares of the commands' deviations from their mean, and their products
+    /// with those of power, W² s.
+    square: f32,
+    product: f32,
+    /// Squared relative standard deviations of the two means.
+    quick_variance: f32,
+    slow_variance: f32,
+    /// Time for which they have been learned, s.
+    scatter_s: f32,
+    /// Bits of [`AlarmSet`].
+    pub raised: u32,
+}
+
+block! {
+    /// The levels of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct LevelLanes of Level {
+        command_w: f32,
+        known_s: f32,
+        quick_s: f32,
+        quick_w: f32,
+        quick_command_w: f32,
+        slow_s: f32,
+        slow_w: f32,
+        slow_command_w: f32,
+        own_s: f32,
+        own_w: f32,
+        own_command_w: f32,
+        square: f32,
+        product: f32,
+        quick_variance: f32,
+        slow_variance: f32,
+        scatter_s: f32,
+        pub raised: u32,
+    }
+}
+
+/// What a robot's own level expects.
+struct Expected {
+    slope: f32,
+    slope_variance: f32,
+    /// The robot's own power for relative deviations, W.
+    own_w: f32,
+    variances: [f32; 2],
+}
+
+impl Level {
+    /// Before the first sample; `None` where nothing is judged.
+    pub(crate) fn new(rules: Option<&LevelRules>) -> Self {
+        let [quick_variance, slow_variance] = rules.map_or([1.0; 2], |rules| rules.variances);
+        Self {
+            command_w: f32::NAN,
+            known_s: 0.0,
+            quick_s: 0.0,
+            quick_w: 0.0,
+            quick_command_w: 0.0,
+            slow_s: 0.0,
+            slow_w: 0.0,
+            slow_command_w: 0.0,
+            own_s: 0.0,
+            own_w: 0.0,
+            own_command_w: 0.0,
+            square: 0.0,
+            product: 0.0,
+            quick_variance,
+            slow_variance,
+            scatter_s: 0.0,
+            raised: 0,
+        }
+    }
+
+    /// Takes a sample, and raises and clears the alarms. Without branches.
+    #[inline(always)]
+    pub(crate) fn observe(&mut self, rules: &LevelRules, sample: &LevelSample) {
+        let counted = self.count(rules, sample);
+        let expected = self.expected(rules);
+        let [quick, quick_spread] = self.deviation(
+            rules,
+            &expected,
+            (self.quick_w, self.quick_command_w),
+            expected.variances[0],
+        );
+        let [slow, slow_spread] = self.deviation(
+            rules,
+            &expected,
+            (self.slow_w, self.slow_command_w),
+            expected.variances[1],
+        );
+        let share = quick / (quick_spread.sqrt() * (QUICK * rules.limit));
+        let slow_share = slow / (slow_spread.sqrt() * (SLOW * rules.limit));
+        let slow_share = if self.slow_s >= SLOW_AGE_S { slow_share } else { 0.0 };
+        let (high, low) = (share.max(slow_share), (-share).max(-slow_share));
+        let settled = counted & (self.own_s >= SETTLE_S);
+        let was_raised = self.raised != 0;
+        self.decide(settled, high, low);
+        let growth = if was_raised & (self.raised == 0) { GROWTH } else { 1.0 };
+        let careful = settled & (high.max(low) > CAREFUL_FROM);
+        let rate = if careful { CAREFUL } else { 1.0 };
+        let learns = counted & (self.raised == 0);
+        let learned_s = if learns { rate * rules.period_s } else { 0.0 };
+        let scatter_s = if self.own_s > SCATTER_FROM_S { learned_s } else { 0.0 };
+        let [quick_variance, slow_variance] = expected.variances;
+        let quick_square = (quick * quick / quick_spread).min(SCATTER_MAX * SCATTER_MAX);
+        let slow_square = (slow * slow / slow_spread).min(SCATTER_MAX * SCATTER_MAX);
+        let weight = |prior_s: f32, scatter: f32| scatter_s / (scatter + prior_s).min(OWN_S);
+        let (quick_weight, slow_weight) =
+            (weight(PRIOR_S[0], self.scatter_s), weight(PRIOR_S[1], self.scatter_s));
+        self.quick_variance += quick_weight * (quick_square * quick_variance - self.quick_variance);
+        self.slow_variance += slow_weight * (slow_square * slow_variance - self.slow_variance);
+        self.quick_variance *= growth;
+        self.slow_variance *= growth;
+        self.scatter_s = (self.scatter_s + scatter_s).min(OWN_S);
+        self.learn(learned_s);
+    }
+
+    /// Adds the sample to the two means. Whether it counted.
+    #[inline(always)]
+    fn count(&mut self, rules: &LevelRules, sample: &LevelSample) -> bool {
+        let period_s = rules.period_s;
+        let read = !sample.power_w.is_nan();
+        let commanded = !self.command_w.is_nan() & !sample.apart;
+        let known = read & commanded;
+        let counted = known & (self.known_s >= START_S);
+        let known_s = (self.known_s + if known { period_s } else { 0.0 }).min(OWN_S);
+        self.known_s = if commanded { known_s } else { 0.0 };
+        let power_w = if counted { sample.power_w } else { 0.0 };
+        let command_w = if counted { self.command_w } else { 0.0 };
+        let added_s = if counted { period_s } else { 0.0 };
+        let begun = self.known_s >= START_S;
+        let add = |sum_s: &mut f32, mean_w: &mut f32, command: &mut f32, time_s: f32| {
+            let before_s = if begun { *sum_s } else { 0.0 };
+            let next_s = before_s + added_s;
+            let weight = added_s / next_s.max(period_s);
+            *mean_w += weight * (power_w - *mean_w);
+            *command += weight * (command_w - *command);
+            let keeps = time_s / (time_s + added_s);
+            *sum_s = keeps * next_s;
+        };
+        add(&mut self.quick_s, &mut self.quick_w, &mut self.quick_command_w, MEANS_S[0]);
+        add(&mut self.slow_s, &mut self.slow_w, &mut self.slow_command_w, MEANS_S[1]);
+        self.command_w = sample.command_w;
+        counted
+    }
+
+    /// The own level's line, and the robot's scatter.
+    #[inline(always)]
+    fn expected(&self, rules: &LevelRules) -> Expected {
+        let own_w = self.own_w.abs().max(rules.floor_w);
+        let ratio = self.own_w.max(0.0) / self.own_command_w.max(f32::MIN_POSITIVE);
+        let unlike = !(1.0 / UNLIKE..=UNLIKE).contains(&ratio);
+        let least = |prior: f32| {
+            let of_platform = if unlike {
+                prior.max(UNLIKE_SCATTER * UNLIKE_SCATTER)
+            } else {
+                STEADIEST * STEADIEST * prior
+            };
+            of_platform.max(LEAST * LEAST)
+        };
+        let variances = [
+            self.quick_variance.max(least(rules.variances[0])),
+            self.slow_variance.max(least(rules.variances[1])),
+        ];
+        let error = variances[0] * own_w * own_w * CORRELATED_S;
+        let greater = ratio.clamp(1.0, f32::MAX);
+        let prior = 4.0 / (greater * greater);
+        let slope_variance = 1.0 / (prior + self.square / error);
+        let half_way = 0.5 + 0.5 * ratio;
+        let slope = slope_variance * (half_way * prior + self.product / error);
+        Expected { slope: slope.clamp(0.0, UNLIKE * greater), slope_variance, own_w, variances }
+    }
+
+    /// Relative deviation of a mean from what is expected, and its variance.
+    #[inline(always)]
+    fn deviation(
+        &self,
+        rules: &LevelRules,
+        expected: &Expected,
+        (mean_w, command_w): (f32, f32),
+        variance: f32,
+    ) -> [f32; 2] {
+        let apart_w = command_w - self.own_command_w;
+        let expected_w = self.own_w + expected.slope * apart_w;
+        let scale_w = (0.5 * expected.own_w + 0.5 * expected_w.max(0.0)).max(rules.floor_w);
+        let per_w = 1.0 / scale_w;
+        let apart = apart_w * per_w;
+        let own_s = self.own_s.max(rules.period_s);
+        let spread =
+            variance + apart * apart * expected.slope_variance + variance * CORRELATED_S / own_s;
+        [(mean_w - expected_w) * per_w, spread]
+    }
+
+    /// Raises and clears: `high` and `low` are shares of the limit.
+    #[inline(always)]
+    fn decide(&mut self, settled: bool, high: f32, low: f32) {
+        let judged = |share: f32, bit: u32| {
+            let least = if self.raised & bit == 0 { 1.0 } else { HALF };
+            if share > least { bit } else { 0 }
+        };
+        let raised = judged(high, HIGH) | judged(low, LOW);
+        self.raised = if settled { raised } else { self.raised };
+    }
+
+    /// The own level takes the quick mean with the weight of `learned_s`.
+    #[inline(always)]
+    fn learn(&mut self, learned_s: f32) {
+        let own_s = self.own_s + learned_s;
+        let weight = learned_s / own_s.max(f32::MIN_POSITIVE);
+        let command_w = self.quick_command_w - self.own_command_w;
+        let power_w = self.quick_w - self.own_w;
+        self.own_command_w += weight * command_w;
+        self.own_w += weight * power_w;
+        let added = learned_s * (1.0 - weight) * command_w;
+        let keeps = OWN_S / (OWN_S + learned_s);
+        self.square = keeps * (self.square + added * command_w);
+        self.product = keeps * (self.product + added * power_w);
+        self.own_s = keeps * own_s;
+    }
+}
+
+impl LevelLanes {
+    /// Takes the samples of the robots in the mask.
+    #[inline(always)]
+    pub(crate) fn observe(
+        &mut self,
+        rules: &LevelRules,
+        mask: &Lanes<bool>,
+        sample: impl Fn(usize) -> LevelSample,
+    ) {
+        for lane in 0..LANES {
+            let mut level = self.get(lane);
+            level.observe(rules, &sample(lane));
+            self.set(lane, mask[lane], level);
+        }
+    }
+}
