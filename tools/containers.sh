@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Lints configs/container: the Containerfile by dockerfile-utils (npm), compose.yaml by podman-compose (PyPI), and that the
-# verbs and options of its commands exist. With podman or docker it also builds the image and runs it.
+# verbs and options of its commands exist, and that Grafana's provisioning fits it. Worker, controller, page and Prometheus are then
+# started as the file says, without containers, and the page's metrics looked for in Prometheus. Grafana itself is not to be had from
+# a registry of packages. With podman or docker it also builds the image and runs it.
 #
 #     tools/containers.sh
 #
@@ -41,8 +43,16 @@ if [ -x "$tools/python/bin/podman-compose" ] || { python3 -m venv "$tools/python
     done
     [ -n "$joulebus" ] || fail "no joulebus was built: cargo build"
     "$tools/python/bin/python" - "$tools/compose.yaml" "$joulebus" << 'PYTHON' || fail "$compose does not fit the programs"
+import json
+import os
+import pathlib
+import shutil
+import socket
 import subprocess
 import sys
+import tempfile
+import time
+import urllib.request
 
 import yaml
 
@@ -67,6 +77,65 @@ for name, service in services.items():
         checked += 1
 assert checked > 5, checked
 print(f"{sys.argv[1]}: {len(services)} services, {checked} options exist")
+
+# Grafana: what is mounted exists, and provisioning names what the other services have.
+mounts = dict(volume.split(":")[1::-1] for volume in services["grafana"]["volumes"])
+here = pathlib.Path("configs/container")
+assert all((here / source).exists() for source in mounts.values() if source.startswith(".")), mounts
+of = lambda kind: yaml.safe_load((here / mounts["/etc/grafana/provisioning"] / kind / "joulebus.yaml").read_text())
+listens = next(word for word in services["prometheus"]["command"] if word.startswith("--web.listen-address="))
+assert of("datasources")["datasources"][0]["url"] == "http://" + listens.split("=")[1]
+home = services["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"]
+assert home in mounts and home.startswith(of("dashboards")["providers"][0]["options"]["path"] + "/"), home
+print("configs/grafana/provisioning: fits the services")
+
+# The processes, as the file says, in a folder of their own.
+prometheus = shutil.which("prometheus")
+serve = pathlib.Path(joulebus).with_name("joulebus-serve")
+if not prometheus or not serve.exists():
+    print(f"SKIPPED: tools/containers.sh: no prometheus (tools/prometheus.sh) or no {serve}: nothing was started", file=sys.stderr)
+    sys.exit(1 if os.environ.get("CI") == "true" else 0)
+with tempfile.TemporaryDirectory() as folder:
+    folder, running = pathlib.Path(folder), []
+    text = open("configs/fleet.toml").read().replace('name = "lab"', f'name = "compose-{os.getpid()}"')
+    text = text.replace('"/dev/shm/joulebus-{uid}"', f'"/dev/shm/joulebus-compose-{os.getpid()}"')
+    shutil.copytree("configs/platforms", folder / "platforms")
+    (folder / "fleet.toml").write_text(text)
+    def port():
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            return free.getsockname()[1]
+    page, scraper = port(), port()
+    config = open("configs/prometheus/prometheus.yml").read().replace("8630", str(page)).replace("joulebus.rules.yml", os.path.abspath("configs/prometheus/joulebus.rules.yml"))
+    (folder / "prometheus.yml").write_text(config.replace("scrape_interval: 5s", "scrape_interval: 1s"))
+    places = {"/etc/joulebus/": f"{folder}/", "/run/joulebus/": f"{folder}/", "127.0.0.1:8630": f"127.0.0.1:{page}",
+              "127.0.0.1:9090": f"127.0.0.1:{scraper}", "/etc/prometheus/": f"{folder}/"}
+    def start(name, program):
+        words = services[name]["command"]
+        for here, there in places.items():
+            words = [word.replace(here, there) for word in words]
+        log = open(folder / f"{name}.log", "w")
+        running.append((name, subprocess.Popen([program, *words], stdout=log, stderr=log, cwd=folder, env={**os.environ, "STATE_DIRECTORY": str(folder)})))
+    try:
+        for name in ("worker", "controller", "page"):
+            start(name, joulebus)
+        start("prometheus", prometheus)
+        ask = f"http://127.0.0.1:{scraper}/api/v1/query?query=sum(joulebus_robots)"
+        until, found = time.monotonic() + 120, []
+        while not found and time.monotonic() < until:
+            time.sleep(0.5)
+            ended = [name for name, process in running if name != "controller" and process.poll() is not None]
+            assert not ended, "\n".join((folder / f"{name}.log").read_text() for name in ended)
+            try:
+                found = [row for row in json.load(urllib.request.urlopen(ask))["data"]["result"] if float(row["value"][1]) >= 20]
+            except OSError:
+                pass
+        assert found, "Prometheus has no robots of the page"
+        print(f"worker, controller, page, prometheus: {found[0]['value'][1]} robots in Prometheus")
+    finally:
+        for _, process in reversed(running):
+            process.terminate()
+            process.wait()
 PYTHON
 else
     skip "podman-compose cannot be installed from PyPI: $compose is not linted"

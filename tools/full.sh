@@ -35,6 +35,8 @@ step readme - 'python3 tools/readme_projects.py'
 # mdBook compiles once, some minutes.
 step book - 'tools/book.sh'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
+step blocks - 'tools/prometheus.sh; tools/mosquitto.sh; export JOULEBUS_PYTHON=$(tools/python.sh --locked)
+    tools/python_package.sh --workspace -k test_demo; tools/blocks.py'
 step walk-csv - 'tools/walks/csv.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
 step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'

@@ -17,6 +17,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
+import blocks
 import snippets
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -25,7 +26,6 @@ TARGET = ROOT / "target"
 UNPACKED = TARGET / "unpacked"
 # Pages, and how many programs each has at least.
 PAGES = {"README.md": 2, "docs/how-to/ask.md": 1}
-PROGRAM = re.compile(r"```toml\n(\[dependencies\]\n.*?)```\s*```rust,no_run\n(.*?)```", re.DOTALL)
 BESIDE = ROOT / "tests/beside_iceoryx2"
 # A dependency on the clone beside a project, as the pages have it.
 PATH = re.compile(r'^(joulebus-[a-z-]+) = \{ path = "\.\./joulebus/[a-z/-]+" \}$', re.MULTILINE)
@@ -99,7 +99,9 @@ def cargo(folder, *arguments):
 def main() -> int:
     programs = []
     for page, least in PAGES.items():
-        found = PROGRAM.findall((ROOT / page).read_text())
+        here = blocks.blocks(page)
+        found = [(of.text, program.text) for of, program in zip(here, here[1:])
+                 if of.text.startswith("[dependencies]\n") and program.language == "rust,no_run"]
         if len(found) < least:
             print(f"{page} has {len(found)} programs with dependencies, at least {least} are expected", file=sys.stderr)
             return 1

@@ -16,6 +16,8 @@ import time
 import urllib.request
 from pathlib import Path
 
+import blocks
+
 ROOT = Path(__file__).resolve().parent.parent
 SECONDS = 60.0
 READY_S = 600.0
@@ -44,8 +46,7 @@ hold_max_s = 10.0
 
 def block(page, language, containing):
     """The only code block of a page in this language with this text."""
-    blocks = re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
-    found = [text for text in blocks if containing in text]
+    found = [one.text for one in blocks.blocks(page) if one.language == language and containing in one.text]
     assert len(found) == 1, f"{page}: {len(found)} blocks of {language} with {containing!r}"
     return found[0]
 

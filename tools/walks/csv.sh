@@ -5,10 +5,10 @@
 #     tools/walks/csv.sh            # builds the programs first, and says how long that took
 #     tools/walks/csv.sh --built    # with those of target/release
 #
-# The logs are made here: four runs of a robot with column names of its own and ROS's sign of the
-# current. Ends with 1 if a step fails.
+# tools/walks/logs.sh makes the logs. Ends with 1 if a step fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+repository=$PWD
 programs=$PWD/target/release
 home=$(mktemp -d)
 worker=
@@ -32,17 +32,7 @@ if [ "${1:-}" != --built ]; then
 fi
 export HOME=$home XDG_STATE_HOME=$home/state PATH=$programs:$PATH
 cd "$home"
-mkdir logs
-for run in 1 2 3 4; do
-    awk -v run=$run 'BEGIN {
-        print "stamp,battery_u,battery_i,v_cmd,omega_cmd"
-        for (row = 0; row < 900; row++) {
-            step = row + 5000 * run
-            v = 0.2 + 0.1 * sin(0.03 * step); i = 1.2 + 1.5 * v + 0.1 * sin(2.9 * step) + 0.05 * cos(0.7 * step)
-            printf "%.3f,%.4f,%.4f,%.3f,%.3f\n", row / 30, 24 - 0.1 * i, -i, v, 0.5 * sin(0.02 * step)
-        }
-    }' >logs/run$run.csv
-done
+"$repository/tools/walks/logs.sh" logs
 
 # What is not recognised is named, with the option that states it.
 ! joulebus config init --from logs --out lab >out 2>&1 || { echo "a column of another name was guessed"; exit 1; }

@@ -169,7 +169,7 @@ pub const KEYS: &[Key] = &[
         "Replaces the fleet's alarms.noise_limit for this platform; joulebus calibrate writes it.")),
     of(Platform, key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.mismatch_limit for this platform; joulebus calibrate writes it.")),
-    of_platform(key("platform.alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Unset,
+    of(Platform, key("platform.alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Unset,
         "Replaces the fleet's alarms.level_limit for this platform; joulebus calibrate writes it.")),
 
     of(Platform, key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,

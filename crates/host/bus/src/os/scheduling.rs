@@ -8,7 +8,7 @@ use std::num::NonZeroU64;
 
 use joulebus_domain::Scheduling;
 use rustix::mm::{MlockAllFlags, mlockall};
-use rustix::process::{Resource, getrlimit, setpriority_process};
+use rustix::process::{Resource, getpriority_process, getrlimit, setpriority_process};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sched_setaffinity};
 
 /// Applies all that is asked to the calling thread, which is the tick's own, and to the process.
@@ -242,10 +242,13 @@ pub fn set_timer_slack() -> io::Result<()> {
 }
 
 /// Sets the calling thread's nice value, 0 to 19, also of threads that it starts. Above 0 the
-/// worker and its sources run first where all want the same processor. A refusal is only logged.
+/// worker and its sources run first where all want the same processor. A thread that yields more
+/// already, as under `nice`, stays as it is. A refusal is only logged.
 pub fn yield_to_the_worker(nice: u8) {
+    let nice = i32::from(nice);
     // On Linux this is a property of threads: of the calling one.
-    if let Err(error) = setpriority_process(None, nice.into()) {
+    let yields = getpriority_process(None).is_ok_and(|own| own >= nice);
+    if !yields && let Err(error) = setpriority_process(None, nice) {
         tracing::warn!(%error, "this thread competes with the worker for processors");
     }
 }
@@ -280,5 +283,24 @@ pub fn page_faults() -> io::Result<(u64, u64)> {
     match faults {
         (Some(minor), Some(major)) => Ok((minor, major)),
         _ => Err(io::ErrorKind::InvalidData.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_yields_more_and_never_less() {
+        // A thread's own property, so the others of this process keep theirs.
+        let values = std::thread::spawn(|| {
+            [12, 5, 14].map(|nice| {
+                yield_to_the_worker(nice);
+                getpriority_process(None).unwrap()
+            })
+        });
+        let before = getpriority_process(None).unwrap();
+        assert_eq!(values.join().unwrap(), [12, 12, 14].map(|nice| nice.max(before)));
+        assert_eq!(getpriority_process(None).unwrap(), before);
     }
 }
