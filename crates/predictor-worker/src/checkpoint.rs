@@ -44,8 +44,8 @@ pub(crate) struct ModelErrors {
     seen: ErrorCounts<f32>,
 }
 
-/// The same on its way from the tick to the checkpointer, as bits. A save may catch some of one tick
-/// and some of the next.
+/// The same on its way from the tick to the checkpointer, as bits. A save may catch some of one
+/// tick and some of the next.
 #[derive(Debug)]
 pub(crate) struct SentErrors(Vec<(u64, ErrorCounts<AtomicU32>)>);
 

@@ -72,6 +72,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "serve --http --per-robot"),
     (2, "bridge"),
     (2, "link"),
+    (0, "link init base edge-1 --out NEW"),
+    (2, "link init base"),
     (2, "link JUNK --format csv"),
     (2, "bridge JUNK --format csv"),
     (0, "import CAPTURE -o NEW"),

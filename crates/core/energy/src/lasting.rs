@@ -1,9 +1,13 @@
 //! The power of a robot for as long as its battery lasts.
 
-use crate::levels::LEVELS;
+// Indexed by shadow, so that the loop over robots becomes vectors.
+#![allow(clippy::needless_range_loop)]
+
+use crate::calibration::ErrorBounds;
+use crate::levels::SHADOWS;
 use crate::model::EnergyModel;
 use crate::quantiles;
-use crate::state::EnergyState;
+use crate::state::error_shares;
 
 /// Seconds of readings that weigh as much as the platform's mean: over hours a robot's next
 /// missions are as likely another's as its last.
@@ -21,7 +25,8 @@ const MISSION_S: f32 = 600.0;
 /// What a platform says of the power over hours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lasting {
-    longest_s: f32,
+    /// Weight of each watched horizon's bounds at the longest calibrated horizon.
+    shares: [f32; SHADOWS],
     mean_w: f32,
     mean_share: f32,
     spread_w: f32,
@@ -45,7 +50,7 @@ impl EnergyModel {
     pub fn lasting(&self) -> Option<Lasting> {
         let longest_s = self.longest_s();
         (longest_s > 0.0).then(|| Lasting {
-            longest_s,
+            shares: error_shares(longest_s),
             mean_w: self.command.mean_w,
             mean_share: self.mean_share,
             spread_w: self.spread_at(longest_s) * self.command.mean_w,
@@ -55,15 +60,19 @@ impl EnergyModel {
 }
 
 impl Lasting {
-    /// The power of a robot.
+    /// The power of a robot: of the energy and the time of its longest level, J and s, and the bounds
+    /// of its platform with the robot's own factors of them.
     ///
     /// The platform's mean is the prior of the robot's own over its longest level. The bounds are
     /// those of the longest calibrated horizon, as the robots of the platform have since widened
     /// them. They are not narrowed: those errors are of known commands.
     #[inline(always)]
-    pub fn of(&self, state: &EnergyState) -> LastingPower {
-        let (energy_j, time_s) =
-            (state.metered.energy_j[LEVELS - 1], state.metered.time_s[LEVELS - 1]);
+    pub fn of(
+        &self,
+        (energy_j, time_s): (f32, f32),
+        bounds: &ErrorBounds,
+        factors: &[f32; SHADOWS],
+    ) -> LastingPower {
         let read = time_s > 0.0;
         let (energy_j, time_s) =
             (if read { energy_j } else { 0.0 }, if read { time_s } else { 0.0 });
@@ -72,7 +81,14 @@ impl Lasting {
         let prior_s = PRIOR_S / (1.0 + beyond * beyond * time_s / (time_s + START_S));
         let mean_w = ((energy_j + prior_s * self.mean_w) / (time_s + prior_s)).max(0.0);
         let scale_w = mean_w + self.mean_share * (self.mean_w - mean_w);
-        let (middle, half) = state.bounds_at(self.longest_s);
+        // Sums over all watched horizons: an index that is not constant would keep the loop over
+        // robots from becoming vectors.
+        let (mut middle, mut half) = (0.0, 0.0);
+        for shadow in 0..SHADOWS {
+            let (middle_there, half_there) = bounds.middle_and_half(shadow);
+            middle += self.shares[shadow] * middle_there;
+            half += self.shares[shadow] * factors[shadow] * half_there;
+        }
         let (lower, upper) = ((middle - half).min(-1.0), (middle + half).max(1.0));
         let (trained_middle, trained_half) = self.trained;
         LastingPower {

@@ -49,8 +49,8 @@ pub struct EnergyState {
     pub bounds: ErrorBounds,
 }
 
-/// The robot's shadow forecasts as if for a planner that did not know the commands. Each is made and
-/// compared with the one of [`Learned`].
+/// The robot's shadow forecasts as if for a planner that did not know the commands. Each is made
+/// and compared with the one of [`Learned`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[repr(C)]
 pub struct Ahead {
@@ -138,6 +138,11 @@ pub struct Learned {
 impl Metered {
     /// Number of f32 in it.
     pub const FLOATS: usize = 3 * LEVELS + 3 + 3 * SHADOWS;
+    /// Places of the longest level's energy and time in [`Metered::to_array`], for loops over robots
+    /// that need these alone.
+    pub const LONGEST: [usize; 2] = [LEVELS - 1, 3 * LEVELS - 1];
+    /// Places of the command in force and its power in it: v, omega, W.
+    pub const COMMAND: [usize; 3] = [3 * LEVELS, 3 * LEVELS + 1, 3 * LEVELS + 2];
 
     /// Takes a sample. Without branches.
     #[inline(always)]
@@ -227,9 +232,9 @@ impl Metered {
             energy_j: levels(0),
             command_j: levels(LEVELS),
             time_s: levels(2 * LEVELS),
-            v_mps: numbers[3 * LEVELS],
-            omega_radps: numbers[3 * LEVELS + 1],
-            command_w: numbers[3 * LEVELS + 2],
+            v_mps: numbers[Self::COMMAND[0]],
+            omega_radps: numbers[Self::COMMAND[1]],
+            command_w: numbers[Self::COMMAND[2]],
             shadow_energy_j: shadows(0),
             shadow_command_j: shadows(1),
             shadow_s: shadows(2),
@@ -240,6 +245,8 @@ impl Metered {
 impl Learned {
     /// Number of f32 in it.
     pub const FLOATS: usize = 4 * SHADOWS + 3;
+    /// Place of the first error factor in [`Learned::to_array`].
+    pub const ERROR_FACTOR: usize = 3 * SHADOWS;
 
     /// Before the first shadow forecast has ended.
     pub const fn new() -> Self {

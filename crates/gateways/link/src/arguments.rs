@@ -43,6 +43,7 @@ pub(crate) struct LinkArguments {
 pub(crate) enum LinkVerb {
     Init(InitArguments),
     /// Carry messages of `joulebus bridge` as ROS 2's rmw_zenoh does; the bridge starts it
+    #[command(hide = true)]
     RmwZenoh,
 }
 

@@ -27,6 +27,8 @@
 
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
+// The check in `clamp` and the two steps of `contains` are branches, with which it does not.
+#![allow(clippy::manual_clamp, clippy::manual_range_contains)]
 
 use joulebus_energy::EnergyModel;
 use joulebus_settings::AlarmSettings;
@@ -286,7 +288,7 @@ impl Level {
     fn expected(&self, rules: &LevelRules) -> Expected {
         let own_w = self.own_w.abs().max(rules.floor_w);
         let ratio = self.own_w.max(0.0) / self.own_command_w.max(f32::MIN_POSITIVE);
-        let unlike = !(1.0 / UNLIKE..=UNLIKE).contains(&ratio);
+        let unlike = !((ratio >= 1.0 / UNLIKE) & (ratio <= UNLIKE));
         let least = |prior: f32| {
             let of_platform = if unlike {
                 prior.max(UNLIKE_SCATTER * UNLIKE_SCATTER)
@@ -300,12 +302,13 @@ impl Level {
             self.slow_variance.max(least(rules.variances[1])),
         ];
         let error = variances[0] * own_w * own_w * CORRELATED_S;
-        let greater = ratio.clamp(1.0, f32::MAX);
+        let greater = ratio.max(1.0).min(f32::MAX);
         let prior = 4.0 / (greater * greater);
         let slope_variance = 1.0 / (prior + self.square / error);
         let half_way = 0.5 + 0.5 * ratio;
         let slope = slope_variance * (half_way * prior + self.product / error);
-        Expected { slope: slope.clamp(0.0, UNLIKE * greater), slope_variance, own_w, variances }
+        let slope = slope.max(0.0).min(UNLIKE * greater);
+        Expected { slope, slope_variance, own_w, variances }
     }
 
     /// Relative deviation of a mean from what is expected, and its variance.
@@ -365,10 +368,24 @@ impl LevelLanes {
         mask: &Lanes<bool>,
         sample: impl Fn(usize) -> LevelSample,
     ) {
+        // Copies, so that the compiler knows that nothing is aliased.
+        let (mut copy, rules) = (*self, *rules);
+        let (mut power_w, mut command_w, mut apart) = ([0.0; LANES], [0.0; LANES], [false; LANES]);
         for lane in 0..LANES {
-            let mut level = self.get(lane);
-            level.observe(rules, &sample(lane));
-            self.set(lane, mask[lane], level);
+            let sample = sample(lane);
+            (power_w[lane], command_w[lane], apart[lane]) =
+                (sample.power_w, sample.command_w, sample.apart);
         }
+        for lane in 0..LANES {
+            let mut level = copy.get(lane);
+            let sample = LevelSample {
+                power_w: power_w[lane],
+                command_w: command_w[lane],
+                apart: apart[lane],
+            };
+            level.observe(&rules, &sample);
+            copy.set(lane, mask[lane], level);
+        }
+        *self = copy;
     }
 }

@@ -102,9 +102,10 @@ impl EnergyLanes {
     /// Power of the command in force by the platform's model, W; NaN if the command is unknown.
     #[inline(always)]
     pub(crate) fn command_w(&self, lane: usize) -> f32 {
-        let metered = self.metered.get(lane);
-        let known = metered.v_mps.is_finite() & metered.omega_radps.is_finite();
-        if known { metered.command_w } else { f32::NAN }
+        let [v_mps, omega_radps, command_w] = Metered::COMMAND;
+        let number = |place: usize| self.metered.0[place][lane];
+        let known = number(v_mps).is_finite() & number(omega_radps).is_finite();
+        if known { number(command_w) } else { f32::NAN }
     }
 
     /// The energy state of the robot in a lane, with the bounds of its intervals.
@@ -113,6 +114,17 @@ impl EnergyLanes {
         let state = self.get(lane);
         let plans = &errors.platform().plans;
         EnergyState { bounds: plans.scaled(&state.learned.error_factor), ..state }
+    }
+
+    /// Energy and time of the longest level of the robot in a lane, J and s, and its own factors.
+    #[inline(always)]
+    pub(crate) fn longest_level(&self, lane: usize) -> ((f32, f32), [f32; SHADOWS]) {
+        let [energy_j, time_s] = Metered::LONGEST;
+        let mut factors = [0.0; SHADOWS];
+        for shadow in 0..SHADOWS {
+            factors[shadow] = self.learned[Learned::ERROR_FACTOR + shadow][lane];
+        }
+        ((self.metered.0[energy_j][lane], self.metered.0[time_s][lane]), factors)
     }
 
     /// Whether the levels of the robot in a lane are known well enough to stay while it is on its

@@ -31,6 +31,8 @@
 
 use std::f32::consts::{LN_2, LOG2_E};
 
+use crate::layout::lanes::each;
+
 /// Members: the last reading, the network, the confident and the sceptical stack.
 pub(crate) const MEMBERS: usize = 4;
 
@@ -63,18 +65,18 @@ impl Hedge {
     #[inline(always)]
     pub(crate) fn weights(&self) -> [f32; MEMBERS] {
         let rate = self.log() / self.cost;
-        let raw = self.losses().map(|loss| exp(-rate * loss));
+        let raw = each(self.losses(), |loss| exp(-rate * loss));
         // The best has a loss of 0 and a raw weight of 1.
         let share = 1.0 / sum(&raw);
-        raw.map(|raw| raw * share)
+        each(raw, |raw| raw * share)
     }
 
     /// Learns each member's error, W; of one that does not take part it must only be finite.
     /// `floor`: Δ is at least this, W², above 0.
     #[inline(always)]
     pub(crate) fn learn(&mut self, error_w: [f32; MEMBERS], floor: f32) {
-        let error = error_w.map(|error| error.clamp(-ERROR_MAX, ERROR_MAX));
-        let loss = error.map(|error| error * error);
+        let error = each(error_w, |error| error.clamp(-ERROR_MAX, ERROR_MAX));
+        let loss = each(error, |error| error * error);
         let mixed = dot(&self.weights(), &error);
         let cost = mixed * mixed - self.mix_loss(&loss);
         self.cost = (MEMORY * self.cost + cost.max(0.0)).max(floor);
@@ -119,7 +121,7 @@ impl Hedge {
         ];
         let least = (after[0].min(after[1])).min(after[2].min(after[3]));
         let mixed = |losses: [f32; MEMBERS], least: f32| {
-            sum(&losses.map(|loss| exp(-rate * (loss - least))))
+            sum(&each(losses, |loss| exp(-rate * (loss - least))))
         };
         let shrunk = ln_ratio(mixed(after, least), mixed(before, 0.0));
         MEMORY * (least - shrunk * (self.cost * per_log))

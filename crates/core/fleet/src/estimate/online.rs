@@ -42,7 +42,7 @@ use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, SeenPower};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
-use crate::layout::lanes::{Block, LANES, Lanes, put};
+use crate::layout::lanes::{Block, LANES, Lanes, each, put};
 
 /// Deviations that the stack weighs: of the last reading, the network and the mean from the
 /// autoregression, and the level.
@@ -377,9 +377,9 @@ impl Online {
         let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
         let deviation = |watts: f32| within(watts - a_w, most_w);
         let u = [deviation(last_w), deviation(network_w), deviation(self.mean_w), self.change_w];
-        let stacks_w = self
-            .theta
-            .map(|[p, n, m, level]| a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3])));
+        let stacks_w = each(self.theta, |[p, n, m, level]| {
+            a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3]))
+        });
         let start = members.start(self.mean_w);
         let confidence = self.hedge(start, true).confidence();
         let both_w = stacks_w[1] + confidence * (stacks_w[0] - stacks_w[1]);
@@ -420,7 +420,7 @@ impl Online {
         let (members_w, u) = (forecasts.members_w, forecasts.u);
         let square = self.change_w * self.change_w;
         let mut hedge = self.hedge(forecasts.start, due);
-        hedge.learn(members_w.map(|member_w| member_w - reading_w), COST * square);
+        hedge.learn(each(members_w, |member_w| member_w - reading_w), COST * square);
         for member in 0..MEMBERS - 1 {
             put(&mut self.due_above[member], due, hedge.above[member]);
         }
@@ -428,7 +428,7 @@ impl Online {
         put(&mut self.held_above, !due, hedge.above[0]);
         put(&mut self.held_cost, !due, hedge.cost);
         let most_w = INNOVATION_MAX * self.change_w;
-        let innovation_w = forecasts.stacks_w.map(|stack_w| within(reading_w - stack_w, most_w));
+        let innovation_w = each(forecasts.stacks_w, |stack_w| within(reading_w - stack_w, most_w));
         RlsUpdate { u, innovation_w, square, due }
     }
 
@@ -544,9 +544,9 @@ impl Online {
             network_w: canonical(self.network_w),
             mean_w: canonical(self.mean_w),
             change_w: canonical(self.change_w),
-            weights: weights.due.map(canonical),
-            held_weights: weights.held.map(canonical),
-            gains: [gain(0), gain(1), gain(2)].map(canonical),
+            weights: each(weights.due, canonical),
+            held_weights: each(weights.held, canonical),
+            gains: each([gain(0), gain(1), gain(2)], canonical),
             level_w: canonical(gain(3) * self.change_w),
         }
     }

@@ -69,6 +69,20 @@ pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
     *place = select_unpredictable(mask, value, kept);
 }
 
+/// As `values.map(to)`, which is not always inlined: then the loop over lanes calls it for each
+/// robot in place of becoming vectors.
+#[inline(always)]
+pub(crate) fn each<T: Copy, U: Copy + Default, const N: usize>(
+    values: [T; N],
+    to: impl Fn(T) -> U,
+) -> [U; N] {
+    let mut mapped = [U::default(); N];
+    for place in 0..N {
+        mapped[place] = to(values[place]);
+    }
+    mapped
+}
+
 /// Loads the robot in a slot.
 #[inline(always)]
 pub(crate) fn get<B: Block>(blocks: &[B], slot: usize) -> B::Robot {

@@ -145,7 +145,8 @@ fn fill(
         let estimate = estimate(block, &robot, &counting, lane, overdue_ns);
         let remaining = match &context.lasting {
             Some(lasting) => {
-                let power = lasting.of(&block.energy.state(lane, &context.errors));
+                let (longest, factors) = block.energy.longest_level(lane);
+                let power = lasting.of(longest, &context.errors.platform().plans, &factors);
                 let range_w = |seconds| power.range_w(seconds);
                 Remaining::of(battery, &estimate, power.mean_w, range_w, robot.charging)
             }
