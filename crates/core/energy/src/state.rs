@@ -574,18 +574,21 @@ pub(crate) fn contradictions(
     const HALF: f32 = 2.0;
     /// Least power that a deviation is of, as a share of the platform's mean.
     const MIN: f32 = 0.02;
-    let per_s = |level: usize, joules: f32| joules / metered.time_s[level];
-    let above_w = |level: usize| per_s(level, metered.energy_j[level] - metered.command_j[level]);
-    let power_w = |level: usize| per_s(level, metered.energy_j[level]).abs();
-    let is_known = |level: usize| (metered.time_s[level] > 0.0) & (metered.command_j[level] > 0.0);
+    let (mut above_w, mut power_w, mut is_known) = ([0.0; LEVELS], [0.0; LEVELS], [false; LEVELS]);
+    for level in 0..LEVELS {
+        let per_s = 1.0 / metered.time_s[level];
+        above_w[level] = per_s * (metered.energy_j[level] - metered.command_j[level]);
+        power_w[level] = (per_s * metered.energy_j[level]).abs();
+        is_known[level] = (metered.time_s[level] > 0.0) & (metered.command_j[level] > 0.0);
+    }
     let mut contradictions = [0.0; LEVELS];
     for (level, contradiction) in contradictions.iter_mut().enumerate().skip(1) {
         for (newer, spread) in spreads.iter().enumerate().take(level) {
-            let size_w = (power_w(newer) + power_w(level)).max(MIN * mean_w);
+            let size_w = (power_w[newer] + power_w[level]).max(MIN * mean_w);
             let deviation_w = 0.5 * HALF * size_w * spread;
-            let deviations = (above_w(newer) - above_w(level)) / deviation_w;
+            let deviations = (above_w[newer] - above_w[level]) / deviation_w;
             let square = deviations * deviations;
-            let known = is_known(newer) & is_known(level);
+            let known = is_known[newer] & is_known[level];
             *contradiction += if known { square * square } else { 0.0 };
         }
     }
@@ -601,14 +604,16 @@ pub(crate) fn weighted(
 ) -> ([f32; LEVELS], f32) {
     let mut kept = 0.0;
     for level in 0..LEVELS {
-        weights[level] /= 1.0 + contradictions[level];
+        // A factor, which is the same for all horizons.
+        weights[level] *= 1.0 / (1.0 + contradictions[level]);
         kept += weights[level];
     }
     // Without the shortest level nothing may be left.
     let is_left = (kept > f32::MIN_POSITIVE) & kept.is_finite();
+    let per_kept = 1.0 / kept;
     for (level, weight) in weights.iter_mut().enumerate() {
         let alone = if level == 0 { 1.0 } else { 0.0 };
-        *weight = if is_left { *weight / kept } else { alone };
+        *weight = if is_left { *weight * per_kept } else { alone };
     }
     (weights, if is_left { (1.0 - kept).clamp(0.0, 1.0) } else { 1.0 })
 }

@@ -72,6 +72,7 @@ pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
 /// As `values.map(to)`, which is not always inlined: then the loop over lanes calls it for each
 /// robot in place of becoming vectors.
 #[inline(always)]
+#[allow(clippy::needless_range_loop)]
 pub(crate) fn each<T: Copy, U: Copy + Default, const N: usize>(
     values: [T; N],
     to: impl Fn(T) -> U,

@@ -39,10 +39,12 @@ impl<'a> Outlooks<'a> {
             if !lanes::any(&mask) {
                 continue;
             }
+            // Copies, so that the compiler knows that nothing is aliased.
+            let errors = *context.errors.platform();
             for lane in 0..LANES {
                 let state = block.energy.get(lane);
                 let last_w = block.windows.get(lane).last_w();
-                let ahead = context.outlook.of(&state, context.errors.platform(), last_w);
+                let ahead = context.outlook.of(&state, &errors, last_w);
                 for place in 0..OUTLOOK_HORIZONS {
                     put(&mut all.energy_j[place][lane], mask[lane], ahead.energy_j[place]);
                     put(&mut all.lo_j[place][lane], mask[lane], ahead.lo_j[place]);
