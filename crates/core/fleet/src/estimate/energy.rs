@@ -28,7 +28,12 @@ struct MeteredLanes([Lanes<f32>; Metered::FLOATS]);
 impl MeteredLanes {
     #[inline(always)]
     fn get(&self, lane: usize) -> Metered {
-        Metered::from_array(&std::array::from_fn(|place| self.0[place][lane]))
+        // A loop, because calls of `from_fn` are not always inlined.
+        let mut numbers = [0.0; Metered::FLOATS];
+        for place in 0..Metered::FLOATS {
+            numbers[place] = self.0[place][lane];
+        }
+        Metered::from_array(&numbers)
     }
 
     #[inline(always)]

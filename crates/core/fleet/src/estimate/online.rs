@@ -436,9 +436,10 @@ impl Online {
     #[inline(always)]
     pub(crate) fn update_rls(&mut self, update: &RlsUpdate) {
         let RlsUpdate { u, innovation_w, square, due } = *update;
-        for stack in 0..STACKS {
-            self.update_stack(stack, u, innovation_w[stack], square, due);
-        }
+        // No loop: one around loops keeps the loop over robots from becoming vectors.
+        const { assert!(STACKS == 2) };
+        self.update_stack(0, u, innovation_w[0], square, due);
+        self.update_stack(1, u, innovation_w[1], square, due);
     }
 
     #[inline(always)]
@@ -465,7 +466,8 @@ impl Online {
             let theta = theta.clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX);
             put(&mut self.theta[stack][row], due, theta);
         }
-        for (pair, [row, column]) in PAIR.into_iter().enumerate() {
+        for pair in 0..PAIRS {
+            let [row, column] = PAIR[pair];
             let less = self.covariance[stack][pair] - product[row] * (product[column] * gain);
             let pulled = less + PULL * (COVARIANCE[stack][pair] - less);
             put(&mut self.covariance[stack][pair], due, pulled);
