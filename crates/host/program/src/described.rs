@@ -102,6 +102,7 @@ impl Verb {
     pub fn new(command: &Command) -> Self {
         let text = |text: Option<&clap::builder::StyledStr>| text.map(ToString::to_string);
         let groups = command.get_groups().filter(|group| group.is_required_set());
+        let shown = command.get_subcommands().filter(|verb| !verb.is_hide_set());
         Self {
             name: command.get_name().to_owned(),
             about: text(command.get_about()),
@@ -112,7 +113,7 @@ impl Verb {
                 .map(|option| Described::new(command, option))
                 .collect(),
             required_groups: groups.map(Group::new).collect(),
-            verbs: command.get_subcommands().map(Self::new).collect(),
+            verbs: shown.map(Self::new).collect(),
         }
     }
 
@@ -319,7 +320,7 @@ fn compare(made: &mut Command, own: &mut Command, within: &str) {
         helps.map(|help| help.to_string())
     };
     assert_eq!(shown(made), shown(own), "{name}");
-    let others = own.get_subcommands_mut();
+    let others = own.get_subcommands_mut().filter(|verb| !verb.is_hide_set());
     for (made, own) in made.get_subcommands_mut().zip(others) {
         compare(made, own, &name);
     }
