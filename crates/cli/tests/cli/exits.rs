@@ -224,7 +224,9 @@ pub(crate) fn below(words: &[String]) -> Vec<String> {
     let help = output(words.iter().map(String::as_str).chain(["--help"]));
     let text = stdout(&help);
     let (_, list) = text.split_once("Commands:\n").unwrap_or_default();
-    let (list, _) = list.split_once("Options:\n").unwrap_or((list, ""));
+    let list = ["Arguments:\n", "Options:\n"]
+        .into_iter()
+        .fold(list, |list, next| list.split_once(next).map_or(list, |(before, _)| before));
     let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next());
     names.filter(|name| *name != "help").map(str::to_owned).collect()

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::io::Cursor;
 
 use joulebus_capture_format::{ForEachChannel, Message, MessageKind, Reader};
-use joulebus_wire::{Channel, PlanStates, Queries};
+use joulebus_wire::{Channel, Diagnostics, PlanStates, Queries};
 
 use crate::bits::{assert_described, assert_query, dynamic};
 
@@ -50,7 +50,9 @@ fn an_earlier_capture_is_read_to_the_same_bits_and_the_same_is_written() {
         if kind == MessageKind::of::<PlanStates>() {
             continue;
         }
-        assert!(*schema.data == kind.descriptors(), "{kind:?}");
+        // Two alarms have names in the schema that they had not; the bits are the same.
+        let has_alarms = kind == MessageKind::of::<Diagnostics>();
+        assert!(has_alarms || *schema.data == kind.descriptors(), "{kind:?}");
         let mut written = Vec::new();
         entry.message.encode(&mut written);
         assert_eq!(*earlier.data, written, "{kind:?}");
