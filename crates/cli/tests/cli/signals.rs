@@ -178,7 +178,8 @@ fn each_verb_is_in_one_of_the_tables_of_what_signals_do() {
     let runs = RUNS.iter().map(|(row, _)| *row);
     let rows = runs.chain(COMPUTES.iter().copied()).chain(ENDS.split(", "));
     for row in rows {
-        let is_listed = leaves.iter().any(|verb| is_of(verb, row));
+        // A verb may run by itself and have verbs, as `link` does.
+        let is_listed = all.iter().any(|words| is_of(&words.join(" "), row));
         assert!(is_listed, "{row} is no verb");
     }
 }

@@ -196,7 +196,7 @@ impl Metered {
     #[inline(always)]
     fn is_over(&self, shadow: usize) -> bool {
         let shadow_s = self.shadow_s[shadow];
-        let due = (shadow_s >= DUE_S) & (shadow_s < 0.0);
+        let due = (DUE_S..0.0).contains(&shadow_s);
         due | (shadow_s >= SHADOWS_S[shadow])
     }
 
