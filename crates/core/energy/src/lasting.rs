@@ -60,8 +60,8 @@ impl EnergyModel {
 }
 
 impl Lasting {
-    /// The power of a robot: of the energy and the time of its longest level, J and s, and the bounds
-    /// of its platform with the robot's own factors of them.
+    /// The power of a robot: of the energy and the time of its longest level, J and s, and the
+    /// bounds of its platform with the robot's own factors of them.
     ///
     /// The platform's mean is the prior of the robot's own over its longest level. The bounds are
     /// those of the longest calibrated horizon, as the robots of the platform have since widened

@@ -138,8 +138,8 @@ pub struct Learned {
 impl Metered {
     /// Number of f32 in it.
     pub const FLOATS: usize = 3 * LEVELS + 3 + 3 * SHADOWS;
-    /// Places of the longest level's energy and time in [`Metered::to_array`], for loops over robots
-    /// that need these alone.
+    /// Places of the longest level's energy and time in [`Metered::to_array`], for loops over
+    /// robots that need these alone.
     pub const LONGEST: [usize; 2] = [LEVELS - 1, 3 * LEVELS - 1];
     /// Places of the command in force and its power in it: v, omega, W.
     pub const COMMAND: [usize; 3] = [3 * LEVELS, 3 * LEVELS + 1, 3 * LEVELS + 2];
