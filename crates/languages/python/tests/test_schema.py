@@ -50,7 +50,7 @@ def test_every_shipped_file_is_as_its_schema_says(schemas):
 
 def test_examples_of_the_documents_are_as_their_schema_says(schemas):
     checked = 0
-    for path in sorted((ROOT / "docs").glob("*.md")):
+    for path in sorted((ROOT / "docs").rglob("*.md")):
         for block in re.findall(r"```toml\n(.*?)```", path.read_text(), re.S):
             document = tomllib.loads(block)
             if "dependencies" in document:
