@@ -16,7 +16,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Checkpoint;
 
-/// Version of the files.
 /// Version of files whose ledger has neither lost accounts nor errors of the energy.
 const PLAIN: u32 = 3;
 /// The version of files that have them. Releases that do not know them must not take such batteries

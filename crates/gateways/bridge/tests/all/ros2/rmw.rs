@@ -1,10 +1,9 @@
 //! A bridge to robots on `rmw_zenoh_cpp`, with Eclipse zenoh from PyPI as talker and listener.
 
 use std::fs;
-use std::net::TcpListener;
 use std::path::PathBuf;
 
-use joulebus_testkit::{Child, link_beside};
+use joulebus_testkit::{Child, free_port, link_beside};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 
@@ -43,12 +42,6 @@ const DIAGNOSTIC_ARRAY: &str =
     "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e";
 const ODOMETRY: &str = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0";
 
-/// An address of this host that nobody has.
-fn free_address() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    format!("tcp/{}", listener.local_addr().unwrap())
-}
-
 fn bridge(fleet: &Fleet, address: &str) -> Child {
     link_beside(env!("CARGO_BIN_EXE_joulebus-bridge"));
     let mut command = fleet.command(FILE);
@@ -70,7 +63,7 @@ fn wait_for_token(peer: &Peer, end: &str, alive: bool) {
 #[test]
 fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     let Some(python) = cyclonedds() else { return };
-    let (fleet, address) = (Fleet::new(), free_address());
+    let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
     let mut worker = fleet.worker();
     let mut peer = Peer::within(&python, &address);
     let mut bridge = bridge(&fleet, &address);
@@ -129,7 +122,7 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
 #[test]
 fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_has_zenoh() {
     let Some(python) = cyclonedds() else { return };
-    let (fleet, address) = (Fleet::new(), free_address());
+    let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
     let _worker = fleet.worker();
     let mut bridge = bridge(&fleet, &address);
     bridge.wait_for_line("no zenoh router and no other node is reached");
