@@ -170,7 +170,7 @@ impl Rows {
             },
             budget_header: BudgetHeader::default(),
             budget: Budget {
-                flags: budget_flag::BATTERY,
+                flags: budget_flag::BATTERY | budget_flag::CHARGE,
                 left_j: 30_000.0,
                 usable_j: 27_000.0,
                 usable_lo_j: 26_000.0,

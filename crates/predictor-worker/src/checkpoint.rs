@@ -333,7 +333,7 @@ pub(crate) mod tests {
     fn after_a_reboot_without_a_clock_nobody_knows_what_is_left() {
         let budget = Budget {
             robot: 3,
-            flags: budget_flag::LEDGER | budget_flag::BATTERY,
+            flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::CHARGE,
             soc: 0.7,
             soc_lo: 0.6,
             soc_hi: 0.8,

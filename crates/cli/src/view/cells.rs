@@ -1,6 +1,7 @@
 //! Data of a robot as text, the same in every view.
 
 use joulebus_board::Row;
+use joulebus_settings::{CHARGE_UNKNOWN, NO_BATTERY};
 use joulebus_wire::{
     Budget, ChargeState, Outlook, Quality, budget_flag, diagnostic_flag, forecast_flag,
 };
@@ -81,7 +82,7 @@ pub(crate) fn cells(robot: u32, row: &Row, outlook: Option<&Outlook>) -> [String
     let read = forecast.flags & forecast_flag::READING != 0;
     let scored = diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0);
     let metered = budget.filter(|budget| budget.flags & budget_flag::LEDGER != 0);
-    let battery = budget.filter(|budget| budget.flags & budget_flag::BATTERY != 0);
+    let battery = budget.filter(|budget| budget.flags & budget_flag::CHARGE != 0);
     let watts = |value: f64| format!("{value:.2}");
     [
         robot.to_string(),
@@ -101,9 +102,13 @@ pub(crate) fn cells(robot: u32, row: &Row, outlook: Option<&Outlook>) -> [String
     ]
 }
 
-/// Whether the config describes no battery of the robot.
-pub(crate) fn lacks_battery(row: &Row) -> bool {
-    row.budget.is_some_and(|budget| budget.flags & budget_flag::BATTERY == 0)
+/// Why the charge of the robot's battery is unknown, and what to do.
+pub(crate) fn lacks_charge(row: &Row) -> Option<&'static str> {
+    match row.budget?.flags & (budget_flag::BATTERY | budget_flag::CHARGE) {
+        0 => Some(NO_BATTERY),
+        budget_flag::BATTERY => Some(CHARGE_UNKNOWN),
+        _ => None,
+    }
 }
 
 fn or_unknown(text: Option<String>) -> String {
@@ -267,7 +272,7 @@ mod tests {
     fn time_to_empty_is_shown_in_hours_and_minutes_and_not_while_charging() {
         let of = |time_to_empty_s: f32, charge_state: ChargeState| {
             lasts(&Budget {
-                flags: budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY,
+                flags: budget_flag::BATTERY | budget_flag::CHARGE | budget_flag::TIME_TO_EMPTY,
                 charge_state: charge_state.code(),
                 time_to_empty_s,
                 ..Budget::default()

@@ -84,7 +84,10 @@ fn board() -> Board {
     board.diagnostics(&[diagnostic(2, AlarmSet::default()), diagnostic(9, alarms)], 12_500_000_000);
     board.budgets(&[Budget {
         robot: 2,
-        flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY,
+        flags: budget_flag::LEDGER
+            | budget_flag::BATTERY
+            | budget_flag::CHARGE
+            | budget_flag::TIME_TO_EMPTY,
         drawn_uj: 63_400_000,
         soc: 0.426,
         time_to_empty_s: 5_040.0,
@@ -253,7 +256,7 @@ fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
     let mut board = board();
     board.budgets(&[Budget {
         robot: 9,
-        flags: budget_flag::BATTERY,
+        flags: budget_flag::BATTERY | budget_flag::CHARGE,
         soc: 0.1,
         ..Budget::default()
     }]);

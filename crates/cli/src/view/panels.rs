@@ -2,7 +2,6 @@
 
 use joulebus_board::{Board, Point, Row};
 use joulebus_latency::Spread;
-use joulebus_settings::NO_BATTERY;
 use joulebus_wire::{Diagnostic, diagnostic_flag};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -11,7 +10,7 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Paragraph, Sparkline};
 
-use super::cells::{count, lacks_battery, micros, percent, shortened};
+use super::cells::{count, lacks_charge, micros, percent, shortened};
 use super::style::{ACCENT, FORECAST, QUIET, boxed};
 
 /// Width from which the four boxes have room.
@@ -218,9 +217,9 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
         Span::styled(forecast, Style::new().fg(FORECAST)),
         Span::styled(interval, QUIET),
     ]);
-    let learned = match lacks_battery(row) {
-        true => format!(" {NO_BATTERY} "),
-        false => learned(row, area.width >= WIDE_CHART_COLUMNS),
+    let learned = match lacks_charge(row) {
+        Some(hint) => format!(" {hint} "),
+        None => learned(row, area.width >= WIDE_CHART_COLUMNS),
     };
     let block = boxed(title).title_bottom(Line::styled(learned, QUIET));
     let points: Vec<&Point> = row.track.iter().collect();

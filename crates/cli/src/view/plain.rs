@@ -3,10 +3,9 @@
 use std::fmt::Write as _;
 
 use joulebus_board::{Board, Row};
-use joulebus_settings::NO_BATTERY;
 use joulebus_wire::Level;
 
-use super::cells::{HEADS, cells, columns, lacks_battery, micros};
+use super::cells::{HEADS, cells, columns, lacks_charge, micros};
 
 /// Maximum number of robots named in a line.
 const NAMED: usize = 4;
@@ -58,8 +57,10 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
         }
     }
     let mut shown = board.rows.iter().filter(|(robot, _)| only.is_none_or(|only| only == **robot));
-    if let Some((robot, _)) = shown.find(|(_, row)| lacks_battery(row)) {
-        let _ = writeln!(text, "robot {robot}: {NO_BATTERY}");
+    if let Some((robot, hint)) =
+        shown.find_map(|(robot, row)| lacks_charge(row).map(|hint| (robot, hint)))
+    {
+        let _ = writeln!(text, "robot {robot}: {hint}");
     }
     text
 }

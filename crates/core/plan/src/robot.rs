@@ -421,7 +421,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     }
     // A battery with a measured charge below the counted one may be another battery.
     let is_known =
-        budget.flags & (budget_flag::BATTERY | budget_flag::CONTRADICTED) == budget_flag::BATTERY;
+        budget.flags & (budget_flag::CHARGE | budget_flag::CONTRADICTED) == budget_flag::CHARGE;
     let battery = Battery {
         left_j: budget.left_j,
         left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,

@@ -13,4 +13,6 @@ mod platform;
 pub use admission::RefusedSample;
 pub use error::SettingsError;
 pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy};
-pub use platform::{AlarmLimits, Battery, ChargeReading, NO_BATTERY, OpenCircuit, Platform};
+pub use platform::{
+    AlarmLimits, Battery, CHARGE_UNKNOWN, ChargeReading, NO_BATTERY, OpenCircuit, Platform,
+};

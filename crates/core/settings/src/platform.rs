@@ -11,6 +11,10 @@ use crate::error::SettingsError;
 pub const NO_BATTERY: &str =
     "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
 
+/// What to do about a battery that may be full or empty, for messages.
+pub const CHARGE_UNKNOWN: &str =
+    "charge unknown: let the source send state_of_charge, or report a full or exchanged battery";
+
 /// A robot platform.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Platform {

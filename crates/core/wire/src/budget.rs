@@ -7,8 +7,7 @@ use crate::rows;
 bits! {
     /// Bits of [`Budget::flags`].
     pub mod budget_flag {
-        /// The platform's config describes a battery: energy left, usable and state of charge are
-        /// known, with their bounds.
+        /// The platform's config describes a battery.
         pub const BATTERY: u32 = 1 << 0;
         /// Time to empty is known.
         pub const TIME_TO_EMPTY: u32 = 1 << 1;
@@ -21,6 +20,9 @@ bits! {
         /// A measured state of charge says that less is left than was counted, and is not believed
         /// yet: the battery may be another one, and the bounds need not hold.
         pub const CONTRADICTED: u32 = 1 << 5;
+        /// Energy left, usable and state of charge are known, with their bounds. Without it they
+        /// are NaN: the battery may be full or empty.
+        pub const CHARGE: u32 = 1 << 6;
     }
 }
 

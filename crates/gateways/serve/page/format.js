@@ -1,13 +1,18 @@
 // Numbers as text: unit after a thin space, "–" where a value is unknown.
 
 export const UNKNOWN = "–";
-export const NO_BATTERY = "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
+const NO_BATTERY = "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
+const CHARGE_UNKNOWN =
+  "charge unknown: let the source send state_of_charge, or report a full or exchanged battery";
 const SPACE = "\u202f";
 
 export const isKnown = (value) => typeof value === "number" && Number.isFinite(value);
 
-/** Whether the config describes no battery of a robot whose energy is counted. */
-export const lacksBattery = (robot) => isKnown(robot.metered_s) && typeof robot.soc_measured !== "boolean";
+/** Why the charge of a robot whose energy is counted is unknown, and what to do; else empty. */
+export function chargeHint(robot) {
+  if (!isKnown(robot.metered_s) || isKnown(robot.soc)) return "";
+  return typeof robot.soc_measured === "boolean" ? CHARGE_UNKNOWN : NO_BATTERY;
+}
 
 /** Rounded to so many decimals, or null; never "-0". */
 export function fixed(value, decimals) {

@@ -116,7 +116,7 @@ class Row {
     const known = format.isKnown(robot.soc);
     this.bar.hidden = !known;
     setText(this.soc, format.percent(robot.soc));
-    this.cells.battery.title = format.lacksBattery(robot) ? format.NO_BATTERY : "";
+    this.cells.battery.title = format.chargeHint(robot);
     setText(this.socLo, format.isKnown(robot.soc_lo) ? `≥\u202f${format.percent(robot.soc_lo)}` : "");
     if (known) {
       const lo = robot.soc_lo ?? robot.soc;

@@ -98,7 +98,9 @@ export class RobotView {
     }
     this.part("mark").className = `mark ${format.levelName(robot.level)}`;
     this.part("soc-figure").hidden = !format.isKnown(robot.soc);
-    this.part("no-battery").hidden = !format.lacksBattery(robot);
+    const hint = format.chargeHint(robot);
+    this.part("no-charge").textContent = hint;
+    this.part("no-charge").hidden = hint === "";
     this.#weights(robot.learned);
     raisedItems(this.part("alarms"), board.raised.filter((alarm) => alarm.robot === this.id), nowMs, false);
     changeItems(this.part("changes"), board.changes.filter((change) => change.robot === this.id), false);

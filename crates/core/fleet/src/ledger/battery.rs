@@ -18,6 +18,10 @@ use crate::ledger::measured::{Measured, Seen};
 pub(crate) const SIGMAS: f64 = 2.0;
 /// Standard deviation of the state of charge that a charger reports as full.
 const FULL_SD: f64 = 0.01;
+/// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
+/// not make such a deviation smaller; only a measured, full or exchanged battery does.
+const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
+
 /// In place of an unknown charging power, W: it fills every battery at once.
 const ANY_W: f64 = 1e30;
 /// The charger or the battery reports that it is full; the battery was exchanged.
@@ -101,6 +105,12 @@ impl Estimate {
     #[inline(always)]
     pub(crate) fn hi(&self) -> f64 {
         (self.soc + self.above + SIGMAS * self.sd).min(1.0)
+    }
+
+    /// Whether it says anything: the battery is not empty for certain, or not full.
+    #[inline(always)]
+    pub(crate) fn is_known(&self) -> bool {
+        (self.lo() > 0.0) | (self.hi() < 1.0)
     }
 }
 
@@ -249,7 +259,8 @@ impl BatteryState {
 
     /// A battery that is unknown at `at`.
     pub(crate) fn unknown(battery: &Battery, at: At) -> Self {
-        let mut unknown = Self { soc: 0.5, sd: 0.0, below: 0.5, above: 0.5, ..Self::new(battery) };
+        let (soc, sd, below, above) = UNKNOWN;
+        let mut unknown = Self { soc, sd, below, above, ..Self::new(battery) };
         unknown.anchor(at);
         unknown
     }
@@ -357,7 +368,8 @@ impl BatteryState {
     #[inline(always)]
     pub(crate) fn needs(&self, stamp_ns: u64, charging: bool, broken: bool) -> bool {
         let measured = !self.input.is_nan() & self.is_due(stamp_ns);
-        measured | charging | self.charging | broken | (self.events != 0)
+        let joins = self.interrupted_ns == 0;
+        measured | charging | self.charging | broken | joins | (self.events != 0)
     }
 
     /// Takes the newest sample, after which the ledger is at `at`. `stale_after_ns`: silence after
@@ -378,7 +390,13 @@ impl BatteryState {
             metered: self.charging && seen.charging,
             unmetered: self.charging || seen.charging,
         };
+        let before = self.soc;
         self.settle(&counting, at, mean_w.into(), charging);
+        // The robot runs, so it was charged meanwhile, or its battery was exchanged.
+        let share_drawn = f64::from(mean_w) * unmetered_ns as f64 * 1e-9 * counting.per_joule;
+        if !charging.unmetered && share_drawn >= before.max(battery.low) {
+            (self.soc, self.sd, self.below, self.above) = UNKNOWN;
+        }
         self.charging = seen.charging;
         if self.events & SWAPPED != 0 {
             self.exchange(battery, at);
@@ -445,7 +463,7 @@ impl BatteryState {
             Known::Nothing => Self::new(battery),
         };
         // Stamps of before are of another run, or of another boot.
-        (joining.measured_ns, joining.jump) = (0, f64::NAN);
+        (joining.measured_ns, joining.jump, joining.interrupted_ns) = (0, f64::NAN, 0);
         joining
     }
 }
@@ -496,11 +514,15 @@ impl SavedBattery {
     /// The battery in a budget; `None` if it has none.
     pub fn of(budget: &Budget) -> Option<Self> {
         let has = |flag| budget.flags & flag != 0;
+        let (soc, soc_lo, soc_hi, soc_sd) = match has(budget_flag::CHARGE) {
+            true => (budget.soc, budget.soc_lo, budget.soc_hi, budget.soc_sd),
+            false => (0.5, 0.0, 1.0, 1.0),
+        };
         has(budget_flag::BATTERY).then_some(Self {
-            soc: budget.soc,
-            soc_lo: budget.soc_lo,
-            soc_hi: budget.soc_hi,
-            soc_sd: budget.soc_sd,
+            soc,
+            soc_lo,
+            soc_hi,
+            soc_sd,
             sensor_bias: budget.sensor_bias,
             sensor_bias_sd: budget.sensor_bias_sd,
             sensor_covariance: budget.sensor_covariance,
@@ -519,7 +541,7 @@ impl SavedBattery {
     /// The same battery after an unknown time, when anything may be left.
     #[must_use]
     pub const fn without_bounds(self) -> Self {
-        Self { soc_lo: 0.0, soc_hi: 1.0, ..self }
+        Self { soc_lo: 0.0, soc_hi: 1.0, soc_sd: 1.0, ..self }
     }
 
     /// `None` if no worker can have written it.

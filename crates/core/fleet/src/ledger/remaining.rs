@@ -59,19 +59,21 @@ impl Remaining {
         let longest_s = if empty { hi_j / lo_w } else { seconds * longer };
         let longest_s = if (lo_w > 0.0) | (hi_j <= 0.0) { longest_s } else { f32::INFINITY };
         let longest_s = if hi_j > 0.0 { longest_s } else { 0.0 };
-        let known = |seconds: f32| if draws { seconds } else { f32::NAN };
+        let charge = estimate.is_known();
+        let known = |value: f32| if charge { value } else { f32::NAN };
+        let lasting = |seconds: f32| if draws & charge { seconds } else { f32::NAN };
         Self {
             battery: true,
-            left_j: (capacity_j * estimate.soc) as f32,
-            usable_j: usable_j as f32,
-            usable_lo_j: usable_lo_j as f32,
-            soc: estimate.soc as f32,
-            soc_lo: lo as f32,
-            soc_hi: hi as f32,
-            soc_sd: estimate.sd as f32,
-            time_to_empty_s: known(seconds),
-            time_to_empty_lo_s: known(shortest_s),
-            time_to_empty_hi_s: known(longest_s),
+            left_j: known((capacity_j * estimate.soc) as f32),
+            usable_j: known(middle_j),
+            usable_lo_j: known(lo_j),
+            soc: known(estimate.soc as f32),
+            soc_lo: known(lo as f32),
+            soc_hi: known(hi as f32),
+            soc_sd: known(estimate.sd as f32),
+            time_to_empty_s: lasting(seconds),
+            time_to_empty_lo_s: lasting(shortest_s),
+            time_to_empty_hi_s: lasting(longest_s),
         }
     }
 }

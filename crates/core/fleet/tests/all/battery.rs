@@ -588,8 +588,43 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     let mut source = Source::new(1, 3);
     let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
     source.tick(&mut fleet, &[sample], sample.stamp_ns);
-    let shown = world::budget(&fleet, 0);
-    assert!(shown.soc_lo < 0.01 && shown.soc_hi > 0.99, "{shown:?}");
+    assert_charge_is_unknown(&world::budget(&fleet, 0));
+}
+
+/// Everything that a charge would give is NaN, without its flag.
+fn assert_charge_is_unknown(budget: &Budget) {
+    let values = [budget.soc, budget.soc_lo, budget.soc_hi, budget.left_j, budget.usable_j];
+    let all = values.into_iter().chain([budget.usable_lo_j, budget.time_to_empty_s]);
+    assert!(all.into_iter().all(f32::is_nan), "{budget:?}");
+    let flags = budget_flag::BATTERY | budget_flag::CHARGE | budget_flag::TIME_TO_EMPTY;
+    assert_eq!(budget.flags & flags, budget_flag::BATTERY, "{budget:?}");
+}
+
+#[test]
+fn a_robot_that_runs_after_a_gap_that_would_have_emptied_it_has_an_unknown_charge() {
+    let mut bench = Bench::new(battery());
+    bench.drive(HOUR / 2, plain);
+    // A night with the worker stopped: 36 kJ at 4 W last two and a half hours.
+    bench.fleet = restarted(&bench.fleet, battery(), 1);
+    bench.source = Source::new(1, 2);
+    bench.step += 10 * HOUR;
+    assert_charge_is_unknown(&bench.send(4.0, plain));
+    assert!(!bench.raised(Alarm::BatteryCritical));
+    assert_charge_is_unknown(&bench.drive(10, plain));
+    // The next worker does not know more.
+    bench.fleet = restarted(&bench.fleet, battery(), 1);
+    bench.source = Source::new(1, 3);
+    assert_charge_is_unknown(&bench.send(4.0, plain));
+    let swapped = bench.send(4.0, |sample, _| sample.with(sample_flag::SWAPPED));
+    assert!((swapped.soc - 0.9).abs() < 0.01, "{swapped:?}");
+    assert!(swapped.flags & budget_flag::CHARGE != 0, "{swapped:?}");
+    // A nearly empty battery stays so over a short gap.
+    bench.drive(HOUR * 2, plain);
+    let low = bench.budget();
+    assert!(low.soc < 0.15 && bench.raised(Alarm::BatteryLow), "{low:?}");
+    bench.step += HOUR / 20;
+    let back = bench.send(4.0, plain);
+    assert!(back.soc < low.soc && bench.raised(Alarm::BatteryLow), "{back:?}");
 }
 
 #[test]
@@ -628,9 +663,9 @@ fn a_robot_whose_account_was_given_up_has_an_unknown_battery_until_it_is_known_a
     let mut later = new();
     later.lose(0);
     for mut fleet in [fleet, standby, later] {
-        assert_eq!(send(&mut fleet, 0, &|sample| sample), (0.0, 0.5, 1.0));
+        assert!(send(&mut fleet, 0, &|sample| sample).1.is_nan());
         assert!(is_new(send(&mut fleet, 4, &|sample| sample)), "never seen");
-        assert_eq!(send(&mut fleet, 0, &|sample| sample).0, 0.0, "its account is unknown");
+        assert!(send(&mut fleet, 0, &|sample| sample).0.is_nan(), "its account is unknown");
         let (lo, soc, hi) = send(&mut fleet, 0, &|sample| sample.state_of_charge(0.6));
         assert!(lo > 0.4 && (soc - 0.6).abs() < 0.05 && hi < 0.8, "{lo} to {hi}");
         assert!(is_new(send(&mut fleet, 0, &|sample| sample.with(sample_flag::SWAPPED))));

@@ -70,7 +70,10 @@ fn the_budget_follows_from_the_ledger() {
     let near = |found: f32, expected: f64| (f64::from(found) - expected).abs() < 1e-3;
     assert!(near(shown.usable_j, usable_j), "{shown:?}, {usable_j}");
     assert!(near(shown.usable_lo_j, usable_lo_j), "{shown:?}");
-    let flags = budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY | budget_flag::LEDGER;
+    let flags = budget_flag::BATTERY
+        | budget_flag::CHARGE
+        | budget_flag::TIME_TO_EMPTY
+        | budget_flag::LEDGER;
     assert_eq!(shown.flags, flags);
     assert_in_order(&shown);
 }

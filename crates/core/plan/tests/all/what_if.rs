@@ -76,7 +76,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         (|rows| rows.budget_header.sent_ns -= 3 * PERIOD_NS, Unknown::NoBudget),
         (|rows| rows.budget_header.tick -= 1, Unknown::NoBudget),
         (|rows| rows.budget.robot = 8, Unknown::NoBudget),
-        (|rows| rows.budget.flags &= !budget_flag::BATTERY, Unknown::BatteryUnknown),
+        (|rows| rows.budget.flags &= !budget_flag::CHARGE, Unknown::BatteryUnknown),
         (|rows| rows.budget.usable_lo_j = f32::NAN, Unknown::BatteryUnknown),
         (|rows| rows.budget.flags |= budget_flag::CONTRADICTED, Unknown::BatteryUnknown),
     ];

@@ -108,7 +108,7 @@ impl Rows {
             },
             budget: Budget {
                 robot: 7,
-                flags: budget_flag::BATTERY | budget_flag::LEDGER,
+                flags: budget_flag::BATTERY | budget_flag::CHARGE | budget_flag::LEDGER,
                 left_j: left_j as f32,
                 usable_j: usable_j as f32,
                 usable_lo_j: (0.9 * usable_j) as f32,

@@ -289,7 +289,7 @@ mod tests {
             }),
             budget: Some(Budget {
                 robot: 7,
-                flags: budget_flag::LEDGER | budget_flag::BATTERY,
+                flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::CHARGE,
                 drawn_uj: 7_200_000_000,
                 soc: 0.5,
                 ..Budget::default()

@@ -269,7 +269,7 @@ impl Metrics {
             residual,
         )?;
         let soc = series(&|entry| {
-            battery(entry.newest.budget.as_ref()?, budget_flag::BATTERY, |budget| budget.soc)
+            battery(entry.newest.budget.as_ref()?, budget_flag::CHARGE, |budget| budget.soc)
         });
         gauges(encoder, "joulebus_soc", "State of charge", Some(&ratio), soc)?;
         let left = series(&|entry| {

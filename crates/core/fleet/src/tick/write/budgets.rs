@@ -49,6 +49,7 @@ impl<'a> Budgets<'a> {
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
                 | flag(admission.charged, budget_flag::CHARGED)
                 | flag(remaining.battery, budget_flag::BATTERY)
+                | flag(!remaining.soc.is_nan(), budget_flag::CHARGE)
                 | flag(!remaining.time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY)
                 | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED)
                 | flag(battery.is_some_and(|it| it.is_contradicted()), budget_flag::CONTRADICTED),
