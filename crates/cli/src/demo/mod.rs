@@ -116,8 +116,8 @@ fn planted(robots: u32, duration_s: f64) -> Vec<Planted> {
     if robots < 3 {
         return Vec::new();
     }
-    // Alarms need five seconds to settle: in a short run the faults are present from the start.
-    let from_s = |share: f64| (share * (duration_s - 15.0)).clamp(0.0, 60.0).round();
+    // A fault from the start would be learned as the robot's own level.
+    let from_s = |share: f64| (share * (duration_s - 15.0)).clamp(2.0, 60.0).round();
     vec![
         Planted {
             robot: robots / 4,
