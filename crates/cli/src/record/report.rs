@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_capture_recorder::Summary;
+use joulebus_plan::report::Lasting;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
@@ -107,9 +108,9 @@ impl fmt::Display for RecordReport {
         let per_hour = self.bytes as f64 * 1e-9 * 3_600.0 / self.duration_s.max(1e-9);
         writeln!(
             out,
-            "recorded {:.1} s: {} messages, {:.3} MB ({per_hour:.2} GB an hour), {:.1} % of a core, \
+            "recorded {}: {} messages, {:.3} MB ({per_hour:.2} GB an hour), {:.1} % of a core, \
              {} lost",
-            self.duration_s,
+            Lasting(self.duration_s),
             self.messages,
             self.bytes as f64 * 1e-6,
             100.0 * self.cpu_share,

@@ -21,8 +21,7 @@ pub fn find_program(name: &str) -> anyhow::Result<PathBuf> {
         let profile = if beside.ends_with("debug") { "" } else { "--release " };
         anyhow!(
             "neither {place} nor a directory of PATH has the program {name}: build it with `cargo \
-             build {profile}-p {name}`, which takes a few minutes, or install it with `cargo \
-             install {name}`"
+             build {profile}-p {name}`, which takes up to five minutes on two processors"
         )
     })
 }
