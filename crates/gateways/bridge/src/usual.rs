@@ -81,7 +81,9 @@ pub(crate) fn write_new(mapping: &str, path: &Path) -> anyhow::Result<Outcome> {
     if path.symlink_metadata().is_ok() {
         return Err(anyhow!("{shown} is there already: name a new file"));
     }
+    let command = format!("joulebus bridge {}", word(path));
+    let mapping = mapping.replace("joulebus bridge configs/bridges/ros2.toml", &command);
     write(path, mapping.as_bytes())?;
-    output::text(&format!("joulebus bridge {}", word(path)))?;
+    output::text(&command)?;
     Ok(Outcome::Done)
 }
