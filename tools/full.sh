@@ -76,6 +76,8 @@ step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignor
 step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
 step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
+# Its tables come as a patch of the pages.
+step gate-cost - 'python3 tools/gate_cost.py'
 step busy-processes - 'cargo build --quiet --locked --workspace --bins; tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
 step busy - 'tested tools/busy.sh 3'
 
