@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""What the first build, the tests and the gate cost, from a fresh clone of the commit: processor time, wall time, disk.
+"""What the first build, the tests and the gate cost: processor time, wall time, disk.
 
     tools/gate_cost.py                   # all, some two hours; leave the machine alone meanwhile
     tools/gate_cost.py --only demo       # demo, tests or gate
     tools/gate_cost.py --table           # what was measured on this commit
     tools/gate_cost.py --try COMMAND…    # one command, to see that the accounting works
 
-It can be interrupted: what was measured on this commit is not measured again. Records and logs are in
-target/gate-cost/COMMIT, the clone in target/gate-cost/clone. Its crates are downloaded first.
-When all is measured it writes docs/figures/gate.json, and fills docs/decisions/gate.md.
+Measures in a fresh clone of the commit, in target/gate-cost/clone, whose crates are downloaded
+first. It can be interrupted: what was measured on this commit is not measured again. Records and
+logs are in target/gate-cost/COMMIT. When all is measured it writes docs/figures/gate.json, and
+fills docs/decisions/gate.md.
 
 Processor time is that of all processes that a command has waited for. Standard library only.
 """
