@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# What x86-64 records and trains, aarch64 computes again to the bit: the tests of predictor, fleet and
-# capture's verification, and a short training, compiled for aarch64 and run by qemu.
+# What x86-64 records and trains, aarch64 computes again to the bit: the tests of predictor, fleet
+# and capture's verification, and a short training, compiled for aarch64 and run by qemu.
 # Usage: tools/aarch64.sh   (installs Debian's qemu and cross compiler if it may)
 # Where that cannot be it says so and ends with 0; with CI=true, with 1.
 set -euo pipefail

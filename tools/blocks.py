@@ -65,7 +65,8 @@ PREPARED = {
     r"/etc/joulebus\b": "mkdir -p /etc/joulebus; cp configs/fleet.toml /etc/joulebus/lab.toml\n"
     "cp -r configs/platforms configs/models /etc/joulebus",
 }
-# Shell functions around the block: commands that last run beside it, and are waited for until they say something.
+# Shell functions around the block: commands that last run beside it, and are waited for until they
+# say something.
 SHELL = r"""
 set -euo pipefail
 lasting() {

@@ -11,7 +11,8 @@ version=0.5.4
 mdbook=target/tools/bin/mdbook
 
 if [ "$("$mdbook" --version 2>/dev/null || true)" != "mdbook v$version" ]; then
-    # Without the features that watch files and serve pages. Not optimised: it compiles in half the time.
+    # Without the features that watch files and serve pages. Not optimised: it compiles in half the
+    # time.
     CARGO_PROFILE_DEV_DEBUG=0 CARGO_TARGET_DIR=target/tools/build nice cargo install --quiet --locked --force --debug \
         --root target/tools --no-default-features --features search "mdbook@$version"
     rm -rf target/tools/build

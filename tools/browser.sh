@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Drives the operator's page (`joulebus serve --http`) in a real browser: the real programs, headless Chromium,
-# Playwright and axe, whose versions tools/browser/package-lock.json fixes.
+# Drives the operator's page (`joulebus serve --http`) in a real browser: the real programs,
+# headless Chromium, Playwright and axe, whose versions tools/browser/package-lock.json fixes.
 #
 #     tools/browser.sh              # the tests
 #     tools/browser.sh --pictures   # docs/pictures/page*.png again
 #
-# Root installs Debian's Chromium. Without node 20, npm, Chromium or npm's registry it prints a note and passes, except with CI=true. CHROMIUM names
-# another browser, JOULEBUS_BIN another directory of the programs (default: built here, target/debug).
+# Root installs Debian's Chromium. Without node 20, npm, Chromium or npm's registry it prints a note
+# and passes, except with CI=true. CHROMIUM names another browser, JOULEBUS_BIN another directory of
+# the programs (default: built here, target/debug).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=target/browser
@@ -36,7 +37,8 @@ if ! cmp -s "$folder/package-lock.json" "$folder/node_modules/.installed"; then
     cp "$folder/package-lock.json" "$folder/node_modules/.installed"
 fi
 if [ -z "${JOULEBUS_BIN:-}" ]; then
-    # Examples need what tests need: so the dependencies have the features that `cargo test --workspace` compiled them with.
+    # Examples need what tests need: so the dependencies have the features that `cargo test
+    # --workspace` compiled them with.
     cargo build --locked --workspace --lib --bins --examples
     JOULEBUS_BIN=$PWD/target/debug
 fi

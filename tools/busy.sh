@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Runs the tests on a busy machine: beside eight busy loops, on any number of cores.
 # Usage: tools/busy.sh RUNS [cargo test arguments…]   (default of the arguments: --workspace)
-# Compiles first, runs the tests RUNS times, and prints for each run the passes, failures and duration.
-# Exits with 1 if anything failed. After an interruption it continues: a run that ended, passed or failed, is not
-# repeated for the same sources, arguments and variables of tests. Logs and records: target/busy/KEY/; remove that
-# folder to begin again.
+# Compiles first, runs the tests RUNS times, and prints for each run the passes, failures and
+# duration. Exits with 1 if anything failed. After an interruption it continues: a run that ended,
+# passed or failed, is not repeated for the same sources, arguments and variables of tests. Logs and
+# records: target/busy/KEY/; remove that folder to begin again.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -17,7 +17,8 @@ shift
 [ $# -gt 0 ] || set -- --workspace
 export CARGO_TERM_COLOR=never
 
-# What a run depends on: the commit, what was changed since, the arguments, and what tests read from the environment.
+# What a run depends on: the commit, what was changed since, the arguments, and what tests read from
+# the environment.
 sources=$(git rev-parse HEAD && git diff HEAD && git ls-files --others --exclude-standard -z | xargs -0r sha256sum) || exit 1
 key=$({ printf '%s\n' "$sources" "$@"; env | grep -E '^(CI=|RUST_TEST_THREADS=|JOULEBUS_|PROPTEST_)' | sort; } | sha256sum | cut -c1-16)
 logs=target/busy/$key

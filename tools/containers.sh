@@ -1,12 +1,14 @@
 #!/usr/bin/env bash
-# Lints configs/container: the Containerfile by dockerfile-utils (npm), compose.yaml by podman-compose (PyPI), and that the
-# verbs and options of its commands exist, and that Grafana's provisioning fits it. Worker, controller, page and Prometheus are then
-# started as the file says, without containers, and the page's metrics looked for in Prometheus. Grafana itself is not to be had from
-# a registry of packages. With podman or docker it also builds the image and runs it.
+# Lints configs/container: the Containerfile by dockerfile-utils (npm), compose.yaml by
+# podman-compose (PyPI), and that the verbs and options of its commands exist, and that Grafana's
+# provisioning fits it. Worker, controller, page and Prometheus are then started as the file says,
+# without containers, and the page's metrics looked for in Prometheus. Grafana itself is not to be
+# had from a registry of packages. With podman or docker it also builds the image and runs it.
 #
 #     tools/containers.sh
 #
-# Without npm or PyPI it prints what it skips; with CI=true that is a failure. Needs a `joulebus` of this build.
+# Without npm or PyPI it prints what it skips; with CI=true that is a failure. Needs a `joulebus` of
+# this build.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")

@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# Prints a Python with Eclipse Cyclone DDS and Eclipse zenoh, for the tests of `joulebus bridge` with ROS 2 (`JOULEBUS_CYCLONEDDS`): the system's
-# if it has the package, else an environment in target/cyclonedds with the version and hashes of
-# crates/gateways/bridge/tests/all/ros2/requirements.lock, from PyPI. Without one it prints nothing and says why; with CI=true that is a failure.
+# Prints a Python with Eclipse Cyclone DDS and Eclipse zenoh, for the tests of `joulebus bridge`
+# with ROS 2 (`JOULEBUS_CYCLONEDDS`): the system's if it has the package, else an environment in
+# target/cyclonedds with the version and hashes of
+# crates/gateways/bridge/tests/all/ros2/requirements.lock, from PyPI. Without one it prints nothing
+# and says why; with CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if python3 -c 'import cyclonedds.domain, zenoh' 2>/dev/null; then

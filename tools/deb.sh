@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
-# Builds the Debian package that crates/cli/Cargo.toml describes ([package.metadata.deb]), and checks it: contents, lintian, and,
-# for root, its installation, use, upgrade and removal in a copy-on-write view of a clean Debian (tools/deb/root.sh).
+# Builds the Debian package that crates/cli/Cargo.toml describes ([package.metadata.deb]), and
+# checks it: contents, lintian, and, for root, its installation, use, upgrade and removal in a
+# copy-on-write view of a clean Debian (tools/deb/root.sh).
 #
 #     tools/deb.sh                         # profile dist, as it is released; the package is in target/debian
 #     tools/deb.sh --profile release       # quicker to build
 #     tools/deb.sh --programs target/debug # of programs that are built already: to check the package, not to ship it
 #     tools/deb.sh --check FILE.deb        # only the checks
 #
-# cargo-deb is installed into target/tools if it is missing. What cannot be checked here is said; with CI=true that is a failure.
+# cargo-deb is installed into target/tools if it is missing. What cannot be checked here is said;
+# with CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
@@ -23,7 +25,8 @@ skip() {
     [ -z "${RELEASE_SKIPPED:-}" ] || touch "$RELEASE_SKIPPED"
 }
 
-# The programs' manual pages, completions, changelog and licences, in the folder that the manifest names.
+# The programs' manual pages, completions, changelog and licences, in the folder that the manifest
+# names.
 make_files() { # folder of the programs
     local made=$1/deb version
     rm -rf "$made"
@@ -72,8 +75,8 @@ check_contents() {
     tools/deb/lint.sh "$deb" || fail "lintian finds errors"
 }
 
-# In a mount namespace of its own: a clean Debian where debootstrap makes one, else this machine, with changes that go into a
-# folder in memory.
+# In a mount namespace of its own: a clean Debian where debootstrap makes one, else this machine,
+# with changes that go into a folder in memory.
 check_installed() {
     if [ "$(id -u)" != 0 ]; then
         skip "the package is installed by root only"

@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
-# Measures the figures of the pages: one commit, one machine. Writes docs/figures/NAME.json, and fills the pages.
+# Measures the figures of the pages: one commit, one machine. Writes docs/figures/NAME.json, and
+# fills the pages.
 #
 #   tools/figures.sh            some 20 minutes after the builds; leave the machine alone meanwhile
 #   tools/figures.sh --list     what is measured, and what is still to be measured
 #   tools/figures.sh --only tick,plan    only these
 #   tools/figures.sh --quick    a minute, into target/figures: a smoke test, whose figures are none
 #
-# It can be interrupted: what was measured on this commit and this machine is not measured again. No step begins
-# 120 minutes after the start. It refuses sources that are not committed. JOULEBUS_PEERS names a directory with an
-# existing environment of peers (default target/peers).
+# It can be interrupted: what was measured on this commit and this machine is not measured again. No
+# step begins 120 minutes after the start. It refuses sources that are not committed. JOULEBUS_PEERS
+# names a directory with an existing environment of peers (default target/peers).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -19,7 +20,7 @@ while [ $# -gt 0 ]; do
     --quick) quick=(--quick) long=2 results=target/figures picture=target/figures/peers.svg ;;
     --only) only=,$2, && shift ;;
     --list) list=1 ;;
-    *) sed -n '2,11p' "$0" && exit 2 ;;
+    *) sed -n '2,/^set/s/^# \?//p' "$0" && exit 2 ;;
     esac
     shift
 done

@@ -12,11 +12,11 @@
 #     tools/full.sh --names              # the steps' names, one a line
 #
 # It can be interrupted: a step that passed on this commit is not repeated, not even if it skipped a
-# part (partial). With --here and uncommitted changes all steps are repeated. Logs and records are in
-# target/full/COMMIT, the clone with its builds in target/full/clone. What a step changes in the clone
-# (a picture, a table) is kept as NAME.patch and undone. At the end a table has each step's time and
-# result, and why it was skipped. Ends with 1 if a step failed. With CI=true what is missing is a
-# failure.
+# part (partial). With --here and uncommitted changes all steps are repeated. Logs and records are
+# in target/full/COMMIT, the clone with its builds in target/full/clone. What a step changes in the
+# clone (a picture, a table) is kept as NAME.patch and undone. At the end a table has each step's
+# time and result, and why it was skipped. Ends with 1 if a step failed. With CI=true what is
+# missing is a failure.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -42,9 +42,12 @@ step containers - 'cargo build --quiet --locked --workspace --lib --bins --examp
 step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'
 step wheel - 'tools/python_package.sh'
 step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
-# What a release consists of, each artefact installed and tried; then users who start with an empty home and that.
+# What a release consists of, each artefact installed and tried; then users who start with an empty
+# home and that.
 step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'
 step install - 'tools/install.sh target/installed; target/installed/bin/joulebus demo --duration 5; target/installed/bin/joulebus mission --help'
+# The commit alone: a shallow clone has no earlier ones.
+step house - 'python3 tools/house.py HEAD'
 step shared-builds - 'python3 tools/shared_builds.py'
 step msrv rust-1.89 'cargo +1.89 check --workspace --all-targets --locked'
 step aarch64 - 'tools/aarch64.sh'
@@ -54,7 +57,8 @@ step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gc
 step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
 step train-peer - 'python3 tools/train_peer.py --quick'
-# Figures of --quick are none for a document; the tables are filled from them to see that they can be.
+# Figures of --quick are none for a document; the tables are filled from them to see that they can
+# be.
 step measure - 'tools/figures.sh --quick; tools/page_figures.py --write --figures target/figures'
 step instructions valgrind 'python3 tools/instructions.py'
 step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -p joulebus-link
@@ -74,6 +78,8 @@ step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignor
 step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
 step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
+# Its tables come as a patch of the pages.
+step gate-cost - 'python3 tools/gate_cost.py'
 step busy-processes - 'cargo build --quiet --locked --workspace --bins; tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
 step busy - 'tested tools/busy.sh 3'
 

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Checks configs/grafana/joulebus.json without a Grafana: its form by Grafana's own types (@grafana/schema), which also know the
-# options of each kind of panel; its queries by Prometheus' parser; its layout. That the metrics exist, tools/browser.sh checks
-# against a live server.
+# Checks configs/grafana/joulebus.json without a Grafana: its form by Grafana's own types
+# (@grafana/schema), which also know the options of each kind of panel; its queries by Prometheus'
+# parser; its layout. That the metrics exist, tools/browser.sh checks against a live server.
 #
 #     tools/grafana.sh
 #
-# Without node 20, npm's registry or promtool it prints what it skips; with CI=true that is a failure.
+# Without node 20, npm's registry or promtool it prints what it skips; with CI=true that is a
+# failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${CARGO_TARGET_DIR:-target}")/tools/grafana

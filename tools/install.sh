@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
-# Builds all programs of joulebus from these sources, and installs them with their manual pages and completions.
+# Builds all programs of joulebus from these sources, and installs them with their manual pages and
+# completions.
 #
 #     tools/install.sh                              # below ~/.local
 #     tools/install.sh /usr/local                   # below another prefix
 #     tools/install.sh PREFIX --from target/debug   # of programs that are built already
 #
-# The C library has tools/install_c.sh, Python `pip install ./crates/languages/python`, services the Debian package of
+# The C library has tools/install_c.sh, Python `pip install ./crates/languages/python`, services the
+# Debian package of
 # tools/deb.sh.
 set -euo pipefail
 cd "$(dirname "$0")/.."

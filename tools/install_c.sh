@@ -4,8 +4,9 @@
 #     tools/install_c.sh --prefix DIR              release build; DIR is /usr/local by default
 #     tools/install_c.sh --prefix DIR --from DEPS  takes libjoulebus_c.a from a folder, builds nothing
 #
-# The shared library is linked here from the static one: rustc's own would have neither the functions' version nor a
-# name for releases that fit each other. The prefix may be moved as a whole.
+# The shared library is linked here from the static one: rustc's own would have neither the
+# functions' version nor a name for releases that fit each other. The prefix may be moved as a
+# whole.
 set -euo pipefail
 prefix=/usr/local from=
 while [ $# -gt 0 ]; do
@@ -22,9 +23,11 @@ if [ -z "$from" ]; then
 fi
 header=crates/languages/c/include/joulebus.h
 version=$(sed -n 's/^#define JOULEBUS_VERSION "\(.*\)"$/\1/p' $header)
-# Sources of releases before 1.0 fit each other by their second number; what is compiled needs its very release.
+# Sources of releases before 1.0 fit each other by their second number; what is compiled needs its
+# very release.
 series=${version%.*}
-# What Rust's standard library needs on Linux (`cargo rustc -p joulebus-c -- --print native-static-libs`).
+# What Rust's standard library needs on Linux (`cargo rustc -p joulebus-c -- --print
+# native-static-libs`).
 native="-lgcc_s -lutil -lrt -lpthread -lm -ldl -lc"
 
 install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/joulebus}
@@ -37,8 +40,8 @@ filled joulebus.pc "$native" >"$prefix/lib/pkgconfig/joulebus.pc"
 filled joulebusConfig.cmake "${native// /;}" >"$prefix/lib/cmake/joulebus/joulebusConfig.cmake"
 filled joulebusConfigVersion.cmake "" >"$prefix/lib/cmake/joulebus/joulebusConfigVersion.cmake"
 
-# Each function that the header declares is taken from the archive, with what it needs. The library cannot be unloaded:
-# its threads run until the last handle is closed.
+# Each function that the header declares is taken from the archive, with what it needs. The library
+# cannot be unloaded: its threads run until the last handle is closed.
 functions=$(grep -o '\bjoulebus_[a-z_]*(' $header | tr -d '(' | sort -u)
 wanted=()
 for function in $functions; do wanted+=("-Wl,-u,$function"); done

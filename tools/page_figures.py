@@ -7,7 +7,7 @@
     tools/page_figures.py --names [tick]    # the names of figures, and their values
 
 tools/figures.sh measures, and writes docs/figures/NAME.json in the layout of `joulebus bench --json`,
-with commit and date. All files are of one commit and one machine. A page includes
+with commit and date. All files are of one commit and one machine (tools/gate_cost.py: of another). A page includes
 
     <!-- figures: kernel -->                    the tables of a file, up to <!-- end of figures -->
     <!-- figure: tick.tick_over_kernel[1,000 robots].p99 -->2.07<!-- /figure -->
@@ -219,6 +219,18 @@ def instructions(suite):
     return "\n\n".join([report.head(), report.pivot("instructions", [(name, name.replace("_", " ")) for name in report.by_name])])
 
 
+def gate(suite):
+    report = Report(suite, "gate")
+    its = lambda name, case: (f"{figure['p50']:.{0 if figure['unit'] == 's' else 1}f}"
+                              if (figure := report.by_name.get(name, {}).get(case)) else "–")
+    columns = {"processors": "processors, min", "wall": "wall time, min", "target": "`target`, GB"}
+    steps = {"step_cold": "empty clone, s", "step_warm": "after the change, s"}
+    known = unique(case for name in columns for case in report.by_name.get(name, {}))
+    named = unique(case for name in steps for case in report.by_name.get(name, {}))
+    return "\n\n".join([report.about, table(["command", *columns.values()], [[case, *(its(name, case) for name in columns)] for case in known]),
+                        table(["step of the gate", *steps.values()], [[case, *(its(name, case) for name in steps)] for case in named])])
+
+
 def spreads(suite):
     """Every figure of every report, p50 / p99 / p99.9 / max."""
     parts = [figures.describe(suite)]
@@ -233,6 +245,7 @@ def spreads(suite):
 RENDER = {
     "kernel": kernel, "tick": tick, "rollout": rollout, "peers": peers, "instructions": instructions,
     "plan": spreads, "questions": spreads, "learning": tick, "latency": spreads, "transport": spreads,
+    "gate": gate,
 }
 
 
@@ -398,9 +411,9 @@ def date(suite):
 
 
 def of_one_run(suites):
-    """Problems of files that are not of one commit and one machine."""
+    """Problems of files that are not of one commit and one machine. The gate's is of another one: it measures all files."""
     of = {name: (suite.get("commit"), suite.get("date"), suite["machine"]["processor"], suite["build"]["profile"])
-          for name, suite in suites.items()}
+          for name, suite in suites.items() if name != "gate"}
     problems = [f"docs/figures/{name}.json: commit or date is missing: let tools/figures.sh write it"
                 for name, (commit, day, *_) in of.items() if not commit or not day]
     problems += [f"docs/figures/{name}.json: a {profile} build" for name, (*_, profile) in of.items() if profile != "release"]

@@ -87,7 +87,8 @@ def run(programs, config, browsers, args):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while "ready:" not in worker.stderr.readline():
         pass
-    # Links before the source: until it sends there is no tick, so that none counts in which a link starts.
+    # Links before the source: until it sends there is no tick, so that none counts in which a link
+    # starts.
     linked = links(programs, config, args.links, args) if browsers and args.links else []
     source = subprocess.Popen(
         [programs / "joulebus", "publish", "sim", "--robots", str(args.robots), *named],

@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
-# Renders every picture of README.md again and takes a screenshot of each in a browser, for inspection.
+# Renders every picture of README.md again and takes a screenshot of each in a browser, for
+# inspection.
 #
 #     tools/pictures.sh [SCREENSHOTS]     # default: target/pictures
 #
-# JOULEBUS_BIN names another directory of the programs (default: built here, target/release). The live view and the page show latencies:
-# on a quiet machine.
+# JOULEBUS_BIN names another directory of the programs (default: built here, target/release). The
+# live view and the page show latencies: on a quiet machine.
 #
 # Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
-# BrOleg5/research-wheel-slippage
-# at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/pictures/dataflow.svg is drawn by
-# hand; docs/measured/peers.svg is written by tools/figures.sh.
+# BrOleg5/research-wheel-slippage at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four
+# surfaces). docs/pictures/dataflow.svg is drawn by hand; docs/measured/peers.svg is written by
+# tools/figures.sh.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 screenshots=${1:-target/pictures}

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Prints a Python with the packages that tests compare with: the system's if it has them, else an
-# environment in target/python with the versions and hashes of crates/languages/python/requirements.lock, from PyPI,
-# made when it is first needed. With --locked it is always that environment.
+# environment in target/python with the versions and hashes of
+# crates/languages/python/requirements.lock, from PyPI, made when it is first needed. With --locked
+# it is always that environment.
 #
 #     JOULEBUS_PYTHON=$(tools/python.sh) cargo test --workspace
 set -euo pipefail

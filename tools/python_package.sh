@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests the Python package in an environment of its own, against the program in target/debug. Skips aloud where
-# there is no Python or PyPI cannot be reached; with CI=true that is a failure.
+# Tests the Python package in an environment of its own, against the program in target/debug. Skips
+# aloud where there is no Python or PyPI cannot be reached; with CI=true that is a failure.
 #
 #     tools/python_package.sh                      builds the wheel with maturin and installs it, as users get it
 #     tools/python_package.sh --workspace          takes the extension of the workspace's build, whose dependencies are
@@ -17,7 +17,8 @@ fi
 target=${CARGO_TARGET_DIR:-$PWD/target}
 if [ "${1:-}" = --workspace ]; then
     shift
-    # Examples need what tests need: so the dependencies have the features that `cargo test --workspace` compiled them with.
+    # Examples need what tests need: so the dependencies have the features that `cargo test
+    # --workspace` compiled them with.
     cargo build --quiet --locked --workspace --lib --bins --examples
     package=$target/python-package
     rm -rf "$package"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds what a release consists of into dist/. Each artefact is installed into a clean environment and does its five
-# minutes there: tools/release/five_minutes.sh.
+# Builds what a release consists of into dist/. Each artefact is installed into a clean environment
+# and does its five minutes there: tools/release/five_minutes.sh.
 #
 #     tools/release.sh                     # every step, in their order: an hour and more
 #     tools/release.sh --list              # the steps, and what each makes
@@ -9,9 +9,9 @@
 #     tools/release.sh --profile release   # quicker to build than `dist`, with which releases are built
 #     tools/release.sh --programs DIR      # of programs and libjoulebus_c.a that are built already: to check the steps, not to ship
 #
-# It can be interrupted: a step that passed with the same sources and options is not repeated. Progress is told on stderr; what
-# is made is in dist/. What this machine lacks is skipped aloud; with CI=true that is a failure. Exit codes: 0 done, 1 a step
-# failed, 2 wrong usage.
+# It can be interrupted: a step that passed with the same sources and options is not repeated.
+# Progress is told on stderr; what is made is in dist/. What this machine lacks is skipped aloud;
+# with CI=true that is a failure. Exit codes: 0 done, 1 a step failed, 2 wrong usage.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -124,7 +124,8 @@ make_image() {
 
 # The environment in which wheels are built: maturin as the tests have it.
 python_of_wheels() { python_with wheels "maturin==$(sed -n 's/^maturin==\([0-9.]*\).*/\1/p' crates/languages/python/requirements.lock)" ziglang==0.13.0; }
-# Wheels: one for each processor and distribution, for CPython 3.10 and later, of glibc 2.28 and later.
+# Wheels: one for each processor and distribution, for CPython 3.10 and later, of glibc 2.28 and
+# later.
 make_wheels() { # processor
     local python
     python=$(python_of_wheels) || { skip "maturin and ziglang cannot be installed from PyPI: no wheels for $1"; return; }
@@ -149,7 +150,8 @@ make_sdist() {
     local python
     python=$(python_of_wheels) || { skip 'maturin cannot be installed from PyPI: no source distribution'; return; }
     (cd crates/languages/python && "$python" -m maturin sdist --out "$dist" >&2)
-    # Whole: Cargo finds all of it, and resolves it with the versions of Cargo.lock, from which maturin leaves out what is not there.
+    # Whole: Cargo finds all of it, and resolves it with the versions of Cargo.lock, from which
+    # maturin leaves out what is not there.
     rm -rf "$work/sdist" && mkdir "$work/sdist"
     tar -xzf "$dist/joulebus-$version.tar.gz" -C "$work/sdist"
     cargo metadata --offline --format-version 1 --manifest-path "$work/sdist/joulebus-$version/crates/languages/python/Cargo.toml" >/dev/null

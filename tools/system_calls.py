@@ -36,7 +36,8 @@ DOCKER = ("acct add_key bpf clock_adjtime clock_settime create_module delete_mod
           "process_vm_writev ptrace query_module quotactl reboot request_key set_mempolicy setns settimeofday stime "
           "swapon swapoff sysfs umount umount2 unshare uselib userfaultfd ustat vm86 vm86old io_uring_setup "
           "io_uring_enter io_uring_register").split()
-# Calls that wait, which a signal may interrupt. Linux interrupts none that opens, reads or writes a file.
+# Calls that wait, which a signal may interrupt. Linux interrupts none that opens, reads or writes a
+# file.
 INTERRUPTED = ("clock_nanosleep recvfrom sendto recvmsg sendmsg poll ppoll epoll_wait futex flock fallocate "
                "accept4").split()
 # Calls with the errors that they may have on a machine that works badly.

@@ -18,7 +18,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Read by every build: crates embed files of configs. This file is among them: changed rules change every digest.
+# Read by every build: crates embed files of configs. This file is among them: changed rules change
+# every digest.
 ALWAYS = ["Cargo.lock", "Cargo.toml", ".cargo", "configs", "tools/unless_passed.py"]
 
 

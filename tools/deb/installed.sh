@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs, uses, upgrades and removes the package in a copy-on-write view of a Debian: a clean one, or `/`. Run by tools/deb.sh as
-# root, in mount and process namespaces of its own: `installed.sh EMPTY-FOLDER FILE.deb ROOT`.
+# Installs, uses, upgrades and removes the package in a copy-on-write view of a Debian: a clean one,
+# or `/`. Run by tools/deb.sh as root, in mount and process namespaces of its own: `installed.sh
+# EMPTY-FOLDER FILE.deb ROOT`.
 set -euo pipefail
 work=$1 deb=$2 clean=$3
 mount --make-rprivate /
@@ -81,7 +82,8 @@ for unit in $(in_root dpkg -L joulebus | grep '@\.service$'); do
 done
 echo "manual pages, completions and units are fine"
 
-# An upgrade keeps what was configured and what was metered; removal leaves both; purging, the state and the user.
+# An upgrade keeps what was configured and what was metered; removal leaves both; purging, the state
+# and the user.
 echo '# changed here' >> "$root/etc/joulebus/lab.toml"
 in_root dpkg --install /tmp/joulebus.deb
 [ "$(in_root dpkg-query --show --showformat '${Version}' joulebus)" != 0.0.1-1 ] || fail "the previous version is still installed"

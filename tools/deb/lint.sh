@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Reads a Debian package by lintian: `lint.sh FILE.deb`. It is installed if apt may; else that is skipped aloud, and a failure with CI=true.
+# Reads a Debian package by lintian: `lint.sh FILE.deb`. It is installed if apt may; else that is
+# skipped aloud, and a failure with CI=true.
 set -euo pipefail
 if ! command -v lintian >/dev/null && [ "$(id -u)" = 0 ]; then
     { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends lintian; } >/dev/null 2>&1 || true

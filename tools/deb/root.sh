@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Prints a folder with a Debian of nothing but what packages are installed into, made by debootstrap when it is first needed. It stays as
-# it was made: who installs into it has a copy-on-write view of it. Ends with 1 where it cannot be made.
+# Prints a folder with a Debian of nothing but what packages are installed into, made by debootstrap
+# when it is first needed. It stays as it was made: who installs into it has a copy-on-write view of
+# it. Ends with 1 where it cannot be made.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$(realpath -m "${CARGO_TARGET_DIR:-target}")/tools/clean-root

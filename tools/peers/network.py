@@ -55,7 +55,8 @@ def say(text):
     print(text, file=sys.stderr, flush=True)
 
 
-# The first half runs in any Python: it installs the packages, and starts this file again in the environment.
+# The first half runs in any Python: it installs the packages, and starts this file again in the
+# environment.
 
 def in_environment(directory, wanted):
     """The environment's Python, with everything that the wanted peers need."""
@@ -87,7 +88,8 @@ def build_rust(directory):
     return target / "release" / "joulebus-network-peers"
 
 
-# Peers in Python: each is started as `network.py --as PEER …` and uses the protocol of the Rust one.
+# Peers in Python: each is started as `network.py --as PEER …` and uses the protocol of the Rust
+# one.
 
 def layers_of(model):
     """Folded weights, outputs by inputs, and biases, in double precision, then as float32."""

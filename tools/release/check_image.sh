@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Reads an OCI image by programs of others (skopeo, umoci), and runs what it holds in a root of nothing else: its five minutes.
+# Reads an OCI image by programs of others (skopeo, umoci), and runs what it holds in a root of
+# nothing else: its five minutes.
 #
 #     tools/release/check_image.sh FILE.oci.tar FOLDER     # a folder for what is unpacked
 set -euo pipefail

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Installs the wheels of both distributions into an environment of nothing else, and does their five minutes there.
+# Installs the wheels of both distributions into an environment of nothing else, and does their five
+# minutes there.
 #
 #     tools/release/check_wheel.sh DIST VERSION                 # those of this processor
 #     tools/release/check_wheel.sh DIST VERSION --foreign aarch64   # what can be read of another's without one

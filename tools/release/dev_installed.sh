@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs libjoulebus-dev in a copy-on-write view of a clean Debian, over an older version, and builds there what C++ users build. Run by
-# dev_package.sh in mount and process namespaces of its own: `dev_installed.sh EMPTY-FOLDER ROOT FILE.deb EXAMPLES`.
+# Installs libjoulebus-dev in a copy-on-write view of a clean Debian, over an older version, and
+# builds there what C++ users build. Run by dev_package.sh in mount and process namespaces of its
+# own: `dev_installed.sh EMPTY-FOLDER ROOT FILE.deb EXAMPLES`.
 set -euo pipefail
 work=$1 clean=$2 deb=$3 examples=$4
 mount --make-rprivate /

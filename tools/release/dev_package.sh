@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# Packs libjoulebus-dev: the C library with headers, pkg-config and CMake files, as tools/install_c.sh installs them below /usr.
+# Packs libjoulebus-dev: the C library with headers, pkg-config and CMake files, as
+# tools/install_c.sh installs them below /usr.
 #
 #     tools/release/dev_package.sh FOLDER-OF-libjoulebus_c.a OUTPUT VERSION
 #
-# Then lintian reads it, and in a clean root (tools/deb/root.sh) a C++ project of `find_package` is built and run with it.
+# Then lintian reads it, and in a clean root (tools/deb/root.sh) a C++ project of `find_package` is
+# built and run with it.
 set -euo pipefail
 from=$(realpath "$1") output=$(realpath "$2") version=$3
 cd "$(dirname "$0")/../.."

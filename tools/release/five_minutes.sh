@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# The first five minutes of who has installed the programs: the demo, then a worker with robots whose planner is told "yes".
+# The first five minutes of who has installed the programs: the demo, then a worker with robots
+# whose planner is told "yes".
 #
 #     tools/release/five_minutes.sh COMMAND…      # the command that runs `joulebus`: `joulebus`, or `chroot DIR joulebus`
 #
-# FIVE_MINUTES_ROOT names the folder that is / to that command; the files that it reads are written there.
+# FIVE_MINUTES_ROOT names the folder that is / to that command; the files that it reads are written
+# there.
 set -euo pipefail
 joulebus=("$@")
 root=${FIVE_MINUTES_ROOT:-}

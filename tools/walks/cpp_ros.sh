@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# From nothing to an echo, as who has robots on ROS 2 and writes C++: libjoulebus-dev of dist/, `find_package`, a bridge without a file.
+# From nothing to an echo, as who has robots on ROS 2 and writes C++: libjoulebus-dev of dist/,
+# `find_package`, a bridge without a file.
 #
 #     tools/walks/cpp_ros.sh
 #
-# The package is unpacked into the home: tools/release.sh installs it. Where there is no ROS 2, its robots and its echo are a participant of
-# Eclipse Cyclone DDS (tools/cyclonedds.sh). What is missing is skipped aloud; with CI=true that is a failure.
+# The package is unpacked into the home: tools/release.sh installs it. Where there is no ROS 2, its
+# robots and its echo are a participant of Eclipse Cyclone DDS (tools/cyclonedds.sh). What is
+# missing is skipped aloud; with CI=true that is a failure.
 . "$(dirname "$0")/step.sh"
 cyclonedds=$("$repository/tools/cyclonedds.sh" || true)
 walk_begins cpp_ros

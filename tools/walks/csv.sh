@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# From CSV logs to a worker that forecasts, from an empty home: every command as a new user types it,
-# with the time that it took.
+# From CSV logs to a worker that forecasts, from an empty home: every command as a new user types
+# it, with the time that it took.
 #
 #     tools/walks/csv.sh            # builds the programs first, and says how long that took
 #     tools/walks/csv.sh --built    # with those of target/release

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Writes power logs into a folder, as a user might have them: four runs of a robot with column names of its own and ROS's sign
-# of the current.
+# Writes power logs into a folder, as a user might have them: four runs of a robot with column names
+# of its own and ROS's sign of the current.
 #
 #     tools/walks/logs.sh logs
 set -euo pipefail

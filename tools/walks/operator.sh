@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# From nothing to an alarm in a chat, as who operates a fleet: the Debian package of dist/, the two services' commands, a page that names
-# what is missing, an alarm's card, the webhook.
+# From nothing to an alarm in a chat, as who operates a fleet: the Debian package of dist/, the two
+# services' commands, a page that names what is missing, an alarm's card, the webhook.
 #
 #     tools/walks/operator.sh
 #
-# The package is unpacked into the home and its units' commands are run: tools/release.sh installs it in a clean root.
+# The package is unpacked into the home and its units' commands are run: tools/release.sh installs
+# it in a clean root.
 . "$(dirname "$0")/step.sh"
 walk_begins operator
 command -v dpkg-deb >/dev/null || { echo 'SKIPPED: tools/walks/operator.sh: no dpkg-deb' >&2; [ "${CI:-}" != true ]; exit; }

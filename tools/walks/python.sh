@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# From nothing to a yes and a score, as who does research in Python: wheels of dist/, `joulebus.demo()`, `ask`, `cross_val_score`.
+# From nothing to a yes and a score, as who does research in Python: wheels of dist/,
+# `joulebus.demo()`, `ask`, `cross_val_score`.
 #
 #     tools/walks/python.sh
 #
-# NumPy, and at its end scikit-learn, come from PyPI; without it that step is skipped aloud, with CI=true it is a failure.
+# NumPy, and at its end scikit-learn, come from PyPI; without it that step is skipped aloud, with
+# CI=true it is a failure.
 . "$(dirname "$0")/step.sh"
 walk_begins python
 wheel() { ls "$dist/$1-$version"-*"_$(uname -m).whl"; }

@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# From nothing to an alarm, as who writes a controller in Rust: programs of dist/, `joulebus new`, a green page, 3 W too many, BiasHigh.
+# From nothing to an alarm, as who writes a controller in Rust: programs of dist/, `joulebus new`, a
+# green page, 3 W too many, BiasHigh.
 #
 #     tools/walks/rust.sh
 #
-# Of this machine it takes the Rust toolchain and what Cargo has downloaded: a new CARGO_HOME with the registry of the real one. Crates of
-# joulebus are those of this clone (`--sources`) as long as crates.io has none.
+# Of this machine it takes the Rust toolchain and what Cargo has downloaded: a new CARGO_HOME with
+# the registry of the real one. Crates of joulebus are those of this clone (`--sources`) as long as
+# crates.io has none.
 . "$(dirname "$0")/step.sh"
 cargo_home=${CARGO_HOME:-$HOME/.cargo}
 toolchain=$(rustup which cargo) || { echo 'tools/walks/rust.sh: no Rust by rustup' >&2; exit 1; }

@@ -1,4 +1,5 @@
-# What the walks share: an empty home, steps with the time that each took, processes that end with the walk. To be sourced:
+# What the walks share: an empty home, steps with the time that each took, processes that end with
+# the walk. To be sourced:
 #
 #     . "$(dirname "$0")/step.sh"
 #     walk_begins rust            # $home is empty, HOME, and the working directory; $dist is where artefacts are
@@ -6,7 +7,8 @@
 #     background worker joulebus run --config fleet.toml
 #     step 'the worker is ready' seen worker '^ready'
 #
-# A step that fails ends the walk with 1 and its output. A wait has ten minutes: the walk states times, it does not judge them.
+# A step that fails ends the walk with 1 and its output. A wait has ten minutes: the walk states
+# times, it does not judge them.
 set -euo pipefail
 repository=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
 dist=${JOULEBUS_DIST:-$repository/dist}
@@ -36,7 +38,8 @@ walk_begins() { # name
     echo "== $walk, with what $dist holds, in an empty home"
 }
 
-# Time that children which have ended had of a processor, ms, from what `times` wrote: on a busy machine this is what a step takes.
+# Time that children which have ended had of a processor, ms, from what `times` wrote: on a busy
+# machine this is what a step takes.
 cpu_ms() {
     awk 'NR == 2 { gsub("s", ""); split($1, user, "m"); split($2, kernel, "m"); printf "%d", 60000 * (user[1] + kernel[1]) + 1000 * (user[2] + kernel[2]) }' "$home/.times"
 }

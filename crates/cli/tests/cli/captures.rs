@@ -142,7 +142,7 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
     }
 }
 
-/// Files of the program of 22 November 2026 (df6ba14): a capture of one robot with a keyframe and
+/// Files of the program of 25 November 2026 (df6ba14): a capture of one robot with a keyframe and
 /// two answers, and the ledger of 4 s.
 #[test]
 fn files_of_an_earlier_release_are_refused_by_name_or_go_on() {

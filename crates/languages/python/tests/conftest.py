@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-# A shell that starts the tests in the background lets them ignore SIGINT, and their processes would inherit that.
+# A shell that starts the tests in the background lets them ignore SIGINT, and their processes would
+# inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[4]

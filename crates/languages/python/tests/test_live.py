@@ -273,7 +273,8 @@ def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
     """The worker, a process of Rust, and this one compute the same network on the same readings."""
     model = joulebus.Predictor()
     seen: dict[int, dict[int, int]] = {}
-    # A sample that comes later is overdue: what was missed before it is in the worker's window as forecasts.
+    # A sample that comes later is overdue: what was missed before it is in the worker's window as
+    # forecasts.
     on_time_ns = 45_000_000
 
     def compared():
@@ -295,8 +296,8 @@ def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
             v, omega = (np.float32(sent[newest][column][robot]) for column in (0, 1))
             before = [np.float32(sent[newest - 1][column][robot]) for column in (0, 1)]
             lags_w = [np.float32(sent[newest - lag][2][robot]) for lag in range(5)]
-            # The true time between the samples is the worker's to know: a row that it may have had, for the
-            # periods around 33 ms.
+            # The true time between the samples is the worker's to know: a row that it may have had,
+            # for the periods around 33 ms.
             dt = between(robot, newest)
             if dt is None:
                 continue

@@ -27,7 +27,8 @@ TOPICS = {
 def capture(program, tmp_path_factory):
     """A fleet's first seconds, recorded; and the frames that a planner saw meanwhile."""
     folder = tmp_path_factory.mktemp("capture")
-    # Frames are overwritten, and the recorder says so, if it gets no processor: then it is recorded again.
+    # Frames are overwritten, and the recorder says so, if it gets no processor: then it is recorded
+    # again.
     for attempt in range(5):
         code, *recorded = record(program, folder, attempt)
         if code == 0:

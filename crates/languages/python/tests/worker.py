@@ -19,7 +19,8 @@ PATIENCE_S = 120.0
 class Fleet:
     def __init__(self, program: Path, folder: Path, robots: int = 16, planners: int = 4, battery: str = "") -> None:
         name = f"joulebus-pytest-{os.getpid()}-{next(_NUMBERS)}"
-        # A process uses one domain: its tests share the names, one after the other. At most 8 letters.
+        # A process uses one domain: its tests share the names, one after the other. At most 8
+        # letters.
         self.prefix = f"p{os.getpid() % 0x1000000:06x}"
         self.program, self.root, self.folder = program, Path("/dev/shm", f"{self.prefix}.d"), folder
         self.config = folder / f"{name}.toml"

@@ -110,8 +110,8 @@ __all__ = [
 ]
 
 
-#: What needs another package, which is imported only where it is used: the Robotarium's simulator, gymnasium, pettingzoo, jax,
-#: scikit-learn.
+#: What needs another package, which is imported only where it is used: the Robotarium's simulator,
+#: gymnasium, pettingzoo, jax, scikit-learn.
 _OPTIONAL = {
     "EnergyEnv": "vector_env",
     "EnergyJaxEnv": "jax_env",

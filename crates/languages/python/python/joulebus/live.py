@@ -23,7 +23,8 @@ def _dtype(layout: tuple[list[tuple[str, str, int]], int]) -> np.dtype:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-#: NumPy's types of a row of forecasts, diagnostics, budgets and outlooks: names and units as in `joulebus-wire`.
+#: NumPy's types of a row of forecasts, diagnostics, budgets and outlooks: names and units as in
+#: `joulebus-wire`.
 FORECAST = _dtype(_native.FORECAST)
 DIAGNOSTIC = _dtype(_native.DIAGNOSTIC)
 BUDGET = _dtype(_native.BUDGET)

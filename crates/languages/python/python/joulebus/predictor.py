@@ -105,7 +105,8 @@ class Predictor(_native.Predictor):
         return self
 
     def __sklearn_tags__(self) -> Any:
-        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without; only scikit-learn calls it.
+        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without; only
+        # scikit-learn calls it.
         from sklearn.utils import RegressorTags, Tags, TargetTags
 
         return Tags(estimator_type="regressor", target_tags=TargetTags(required=True), regressor_tags=RegressorTags())
