@@ -33,7 +33,7 @@ fn main() -> anyhow::Result<()> {
                 break;
             }
             Event::Frame(frame) if !killed => {
-                println!("tick {}; now killing the worker", frame.header().tick);
+                println!("tick {}. Now killing the worker", frame.header().tick);
                 worker.kill()?;
                 killed = true;
             }

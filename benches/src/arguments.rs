@@ -27,13 +27,13 @@ pub(crate) enum Benchmark {
 /// The fleet of the tick benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum TickFleet {
-    /// One platform; every sample has a reading
+    /// One platform, whose every sample has a reading
     Uniform,
     /// Three platforms, whose robots alternate
     Mixed,
     /// One sample in ten has no reading
     MissingReadings,
-    /// Every robot's forecast learns online; in the others none does
+    /// Every robot's forecast learns online, unlike in the other fleets
     Learning,
 }
 
@@ -45,8 +45,8 @@ pub(crate) enum TickFleet {
     joulebus bench kernel --json before.json\n  \
     joulebus bench kernel --compare before.json            changes since then\n  \
     joulebus bench kernel --compare before.json --fail-above 1.1\n\n\
-    Times are p50, p99, p99.9 and max over all repetitions; measurements are interleaved, so that \
-    ratios hold on a busy machine while absolute figures do not. Timings never decide the exit code, \
+    Times are p50, p99, p99.9 and max over all repetitions. Measurements are interleaved, so that \
+    ratios hold on a busy machine. Absolute figures do not. Timings never decide the exit code, \
     except with --fail-above (exit 3). Build with --release.")]
 pub(crate) struct BenchArguments {
     /// The benchmark
@@ -72,7 +72,7 @@ pub(crate) struct BenchOptions {
     /// Sizes: robots per batch or fleet, separated by commas [default: those of the benchmark]
     #[arg(long, value_name = "N,N,…", value_delimiter = ',', value_parser = size)]
     pub(crate) robots: Vec<usize>,
-    /// Rounds, in each of which every measurement runs once [default: 1000; waits: 300]
+    /// Rounds, in each of which every measurement runs once [default: 1000, of waits 300]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) repetitions: Option<u32>,
     /// Time per measurement, s [default: 2 at most, and 10 for each size of a paced one]
@@ -93,10 +93,10 @@ pub(crate) struct BenchOptions {
     /// Only this kernel, such as avx2 [default: all that the processor supports]
     #[arg(long, value_name = "NAME")]
     pub(crate) kernel: Option<String>,
-    /// Latency: CPUs of the worker's tick thread; wait: CPUs of the waiting thread
+    /// CPUs of the worker's tick thread (latency), or of the waiting thread (wait)
     #[arg(long, value_name = "CPU,…", value_delimiter = ',')]
     pub(crate) worker_cpus: Vec<usize>,
-    /// The same: real-time priority; 0: none
+    /// Real-time priority of that thread, 0 for none
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=99))]
     pub(crate) worker_priority: u8,
     /// Latency: lock the worker's memory

@@ -213,7 +213,7 @@ impl fmt::Display for Comparison {
                 writeln!(out, "only {when}: {name}")?;
             }
         }
-        writeln!(out, "noise: the interquartile ranges of both runs overlap; medians are compared")
+        writeln!(out, "noise: the interquartile ranges of both runs overlap. Medians are compared")
     }
 }
 

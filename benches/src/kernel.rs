@@ -49,10 +49,10 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     }
     report.notes = vec![
         format!(
-            "A robot takes {sum} multiply-adds; shares are of the peak measured in the same round."
+            "A robot takes {sum} multiply-adds. Shares are of the peak measured in the same round."
         ),
         "Hot: the same rows in every repetition. A kernel without vector instructions computes fused \
-         multiply-adds in software; past 1,000 robots it is left out."
+         multiply-adds in software. Past 1,000 robots it is left out."
             .to_owned(),
     ];
     Ok(report)
@@ -70,7 +70,7 @@ pub(crate) fn kernels(name_wanted: Option<&str>) -> anyhow::Result<Vec<Kernel>> 
         Some(kernel) => Ok(vec![*kernel]),
         None => {
             let names: Vec<String> = available.iter().map(|kernel| name(*kernel)).collect();
-            bail!("no kernel {wanted:?} here; there are {}", names.join(", "))
+            bail!("no kernel {wanted:?} here, there are {}", names.join(", "))
         }
     }
 }

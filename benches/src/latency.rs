@@ -165,7 +165,7 @@ pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Re
     }
     let input = format!(
         "{rate_hz} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
-         broker, two raw hops and the kernel are interleaved; times are from the grid time \
+         broker, two raw hops and the kernel are interleaved. Times are from the grid time \
          at which a frame was due, skipped ones included; {}",
         describe(&scheduling)
     );

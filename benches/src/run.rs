@@ -55,7 +55,7 @@ struct RoleArguments {
 
 fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     if cfg!(debug_assertions) {
-        say("warning: this is a dev build; build with --release");
+        say("warning: this is a dev build. Build with --release");
     }
     // Read first, so that an error does not cost minutes of measuring.
     let old = arguments.compare.as_deref().map(read).transpose()?;

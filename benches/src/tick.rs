@@ -61,14 +61,14 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     }
     report.notes = [
         "Every robot sends a sample each tick. Ingest, forecasts, scoring and writing into \
-         existing memory are measured; shared memory and waking are not.",
+         existing memory are measured. Shared memory and waking are not.",
         "Back to back: kernel, tick in one pass and tick in two passes are interleaved. In two: first forecasts \
          (features, network, intervals, forecasts written), then scoring (residuals, \
          scores, alarms, ledgers, diagnostics and budgets written).",
-        "Without plan states and outlooks, which a worker writes while somebody reads them; \
-         tick_with_plan_states_over_tick and tick_with_outlooks_over_tick compare neighbouring \
+        "Without plan states and outlooks, which a worker writes while somebody reads them. \
+            tick_with_plan_states_over_tick and tick_with_outlooks_over_tick compare neighbouring \
          ticks in one pass with and without.",
-        "Paced: the tick starts after a sleep, and `due` is the grid time; a grid time that a \
+        "Paced: the tick starts after a sleep, and `due` is the grid time. A grid time that a \
          late tick skipped is a missed tick.",
     ]
     .map(str::to_owned)

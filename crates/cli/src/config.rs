@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use crate::{external, schema};
 
-/// Make configs from recordings; check, show and explain configs
+/// Make configs from recordings, and check, show and explain configs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus config init --from recordings/ --out lab/ --train\n  \
@@ -33,8 +33,7 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Init,
-    /// Check fleets' configs and the platform files and models they name, and the keys of files of
-    /// platforms, bridges, links and shards; exit 2 if one is refused
+    /// Check files of fleets, platforms, bridges, links and shards (exit 2 if one is refused)
     #[command(
         after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
     )]
@@ -43,7 +42,7 @@ enum Verb {
         #[arg(value_name = "FILE")]
         files: Vec<PathBuf>,
     },
-    /// Show the complete config with defaults; the output is a valid config
+    /// Show the complete config with defaults, as a valid config
     #[command(after_help = "Example:\n  joulebus config show configs/mixed.toml > whole.toml")]
     Show {
         /// The fleet's config [default: configs/fleet.toml, or the built-in one]

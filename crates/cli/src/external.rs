@@ -39,7 +39,7 @@ pub(crate) fn rosbag() -> clap::Command {
 pub(crate) fn lab() -> clap::Command {
     clap::Command::new("joulebus-lab")
         .version(env!("CARGO_PKG_VERSION"))
-        .about("The verbs of joulebus that work on recordings and models; joulebus VERB runs them")
+        .about("The verbs of joulebus that work on recordings and models (joulebus VERB runs them)")
         .after_help(
             "Examples:\n  joulebus eval recordings/ --model my.safetensors\n  joulebus help eval",
         )

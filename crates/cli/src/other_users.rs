@@ -15,7 +15,7 @@ pub(crate) struct OtherRoot {
 }
 
 /// What to do where the fleet of another user is wanted.
-pub(crate) const REMEDY: &str = "run as that user, or give both users' configs one `domain.root`; \
+pub(crate) const REMEDY: &str = "run as that user, or give both users' configs one `domain.root`. \
     `joulebus serve --socket PATH` and `--http` pass a fleet on to other users";
 
 /// The roots beside `root` that differ from it by the user's id alone, of users who run joulebus.

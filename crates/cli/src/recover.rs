@@ -17,15 +17,15 @@ use serde::Serialize;
 #[command(after_help = "Examples:\n  \
     joulebus recover killed.mcap -o whole.mcap\n  \
     joulebus recover damaged.mcap -o whole.mcap --format json\n\n\
-    Everything readable is rewritten with new indexes and checksums; the result is \
-    opened again and checked. Messages of a chunk whose checksum is wrong are kept and counted as \
+    Everything readable is rewritten with new indexes and checksums. The result is opened again \
+    and checked. Messages of a chunk whose checksum is wrong are kept and counted as \
     suspect.\n\
     Exit codes: 3 if something was lost, is suspect, or cannot be determined.")]
 pub(crate) struct Args {
-    /// The damaged file; it is not changed
+    /// The damaged file, which is not changed
     #[arg(value_name = "IN")]
     input: PathBuf,
-    /// The result; must not exist
+    /// The result, which must not exist
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
 }
@@ -100,7 +100,7 @@ impl fmt::Display for RecoverReport {
         let megabytes = self.input_bytes as f64 / 1e6;
         writeln!(
             out,
-            "{} → {}: {megabytes:.1} MB in {:.2} s ({:.0} MB/s); the result was opened and checked",
+            "{} → {}: {megabytes:.1} MB in {:.2} s ({:.0} MB/s). The result was opened and checked",
             self.input, self.output, self.duration_s, self.rate_mb_s
         )
     }

@@ -28,9 +28,9 @@ use crate::service_manager::ServiceManager;
     joulebus run --format json > report.json &\n  \
     joulebus run --record run.mcap\n  \
     joulebus run --standby        serves when the link of this host permits it: docs/how-to/standby.md\n\n\
-    A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
-    of a robot's alarm is one line of the log on stderr, and one for more than eight robots at once; \
-    --log-format json makes each an object. Under \
+    A fleet has one worker. A second one exits and reports the pid of the first. Each raise and \
+    each end of a robot's alarm is one line of the log on stderr. More than eight robots at once \
+    share a line. --log-format json makes each line an object. Under \
     systemd (Type=notify) it says when it is ready, and with WatchdogSec= that it works. Times in the \
     report are in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     worker.count_turns_in(turns);
     if args.standby {
         let waits = format!(
-            "standing by: {}; it serves when the link of this host permits it",
+            "standing by: {}. It serves when the link of this host permits it",
             described(&config)
         );
         service.ready(&waits);

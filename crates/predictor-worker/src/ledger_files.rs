@@ -60,7 +60,8 @@ pub enum LedgerFileError {
     },
     /// No existing file is valid.
     #[error(
-        "ledger {path:?} is damaged: {reason}; and there is no older one that is not: restore a copy, or \
+        "ledger {path:?} is damaged: {reason}. There is no older one that is whole: restore a \
+            copy, or \
          move the files away to begin a new account"
     )]
     Damaged {
@@ -82,7 +83,8 @@ pub enum LedgerFileError {
     },
     /// The file is of another fleet.
     #[error(
-        "ledger {path:?} is of fleet {found:?}, expected {expected:?}; give each fleet a file of its own"
+        "ledger {path:?} is of fleet {found:?}, expected {expected:?}. Give each fleet a file of \
+            its own"
     )]
     Foreign {
         /// The file.

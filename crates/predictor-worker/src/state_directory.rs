@@ -25,7 +25,8 @@ pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     if batteries {
         let why = if why.is_empty() { why } else { format!(": {why}") };
         tracing::warn!(
-            "batteries are not saved{why}; a restarted worker takes each for `initial_soc` full. Set \
+            "batteries are not saved{why}. A restarted worker takes each for `initial_soc` full. \
+                Set \
              `ledger.checkpoint` to a file to save them"
         );
     }

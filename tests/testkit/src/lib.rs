@@ -9,6 +9,7 @@ pub mod counting;
 mod end_signals;
 mod member;
 mod on_drop;
+mod pages;
 mod place;
 mod ports;
 pub mod recordings;
@@ -24,6 +25,7 @@ pub use child::{
 pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};
 pub use on_drop::OnDrop;
+pub use pages::assert_page_says;
 pub use place::{Place, run_member, told};
 pub use ports::free_port;
 pub use says::says;

@@ -29,7 +29,18 @@ const GENERATED: [&str; 1] = ["docs/reference/layout.md"];
 const LONG: [(&str, usize); 0] = [];
 
 /// What comments that enclose a generated part of a page begin with.
-const MARKS: [&str; 6] = ["figures:", "benchmark:", "cards", "doors", "keys", "end of"];
+const MARKS: [&str; 10] = [
+    "figures:",
+    "benchmark:",
+    "cards",
+    "doors",
+    "keys",
+    "limits",
+    "metrics",
+    "paths",
+    "verbs",
+    "end of",
+];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -176,6 +187,13 @@ fn sources_that_documents_and_comments_name_exist() {
         if !is_source && !path.ends_with(".md") {
             continue;
         }
+        // Pages of crates link into the book.
+        for link in text.split("joulebus/blob/main/").skip(1) {
+            let named = link.split([')', '#', '"', '\n']).next().unwrap();
+            if !root().join(named).exists() {
+                missing.push(format!("{path}: {named}"));
+            }
+        }
         let lines = text.lines().filter(|line| !is_source || line.trim_start().starts_with("//"));
         let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
         let is_path = |quoted: &&str| {
@@ -246,6 +264,30 @@ fn lines_of_comments_have_at_most_100_columns() {
     }
     assert!(long.is_empty(), "{long:#?}");
     assert!(checked > 10_000, "only {checked} lines were found");
+}
+
+/// A message has a sentence for what was found, and one for the remedy.
+#[test]
+fn messages_of_errors_have_no_semicolons() {
+    let (mut checked, mut wrong) = (0, Vec::new());
+    for (path, text) in documents() {
+        if !path.ends_with(".rs") || !path.contains("/src/") {
+            continue;
+        }
+        for rest in text.split("#[error(").skip(1) {
+            let mut parts = rest.split('"').skip(1);
+            let mut message = parts.next().unwrap_or_default().to_owned();
+            while message.ends_with('\\') {
+                message = format!("{message}\"{}", parts.next().unwrap());
+            }
+            checked += 1;
+            if message.contains("; ") {
+                wrong.push(format!("{path}: {message}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    assert!(checked > 400, "only {checked} messages were found");
 }
 
 /// Documents at the top level and pages of the book: path and text.

@@ -130,7 +130,7 @@ fn row_12_a_damaged_model_file_is_refused_with_path_and_both_values_and_leaves_n
         let errors = ended.errors();
         assert!(errors.contains(&path.display().to_string()), "{what}: no path in {errors}");
         assert!(!errors.contains("panicked"), "{what}: {errors}");
-        let remedies = errors.matches("copy or train the model again").count();
+        let remedies = errors.matches("Copy or train the model again").count();
         assert!(remedies <= 1, "more than one remedy: {errors}");
         for part in parts {
             assert!(errors.contains(part), "{what}: {part:?} in {errors}");

@@ -304,21 +304,21 @@ pub enum ReadError {
     /// The file is truncated: its recorder was killed, or its disk was full. All messages before
     /// are valid.
     #[error(
-        "the capture ends after {bytes} bytes without its last records; `joulebus recover` makes it \
-         whole"
+        "the capture ends after {bytes} bytes without its last records. `joulebus recover` makes \
+            it whole"
     )]
     Truncated {
         /// Bytes of the file.
         bytes: u64,
     },
     /// The file is of another program.
-    #[error("found {found}; expected a capture of joulebus (.mcap)")]
+    #[error("found {found}, expected a capture of joulebus (.mcap)")]
     Foreign {
         /// What it is, and how to get on.
         found: String,
     },
     /// The file is corrupt, or not a capture.
-    #[error("the capture is damaged: {detail}; `joulebus recover` saves what can be read")]
+    #[error("the capture is damaged: {detail}. `joulebus recover` saves what can be read")]
     Damaged {
         /// The error.
         detail: String,

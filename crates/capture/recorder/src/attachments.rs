@@ -12,7 +12,7 @@ pub enum AttachError {
     #[error(transparent)]
     Bundle(#[from] BundleError),
     /// Two fleets of the same name: their channels would be indistinguishable.
-    #[error("two configs of a fleet named {fleet:?}; give them different names to record both")]
+    #[error("two configs of a fleet named {fleet:?}. Give them different names to record both")]
     TwoOfAName {
         /// The name.
         fleet: String,

@@ -28,7 +28,7 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
         return Err(UsageError("--acknowledge takes a robot and an alarm".to_owned()).into());
     };
     let robot: u32 = robot.parse().map_err(|_| {
-        UsageError(format!("{robot:?} is no id of a robot; allowed: 0 to {}", u32::MAX))
+        UsageError(format!("{robot:?} is no id of a robot, allowed: 0 to {}", u32::MAX))
     })?;
     let alarm = alarm_named(alarm)?;
     let by = name(args.by.as_deref())?;
@@ -56,7 +56,7 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
             ));
         }
         let names = Alarm::ALL.map(Alarm::name).join(", ");
-        UsageError(format!("there is no alarm {name:?} of a robot; allowed: {names}"))
+        UsageError(format!("there is no alarm {name:?} of a robot, allowed: {names}"))
     })
 }
 

@@ -22,7 +22,7 @@ pub(super) fn run(name: &str, output: Output) -> anyhow::Result<Outcome> {
     } else {
         let card = AlarmCard::named(name).ok_or_else(|| {
             let names: Vec<&str> = AlarmCard::all().map(|card| card.name).collect();
-            UsageError(format!("there is no alarm {name:?}; allowed: {}", names.join(", ")))
+            UsageError(format!("there is no alarm {name:?}, allowed: {}", names.join(", ")))
         })?;
         vec![CardRecord::from(card)]
     };

@@ -30,19 +30,21 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms --explain BiasHigh                what it means and what to check\n  \
     joulebus alarms --acknowledge 7 BiasHigh --by ann\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
-    Live, one line for each change, with --format json one object; WorkerGone and WorkerStale are of \
-    the worker itself. What is raised at the start is shown as raised then.\n\
+    Live, each change is one line, or one object with --format json. WorkerGone and WorkerStale \
+    are alarms of the worker itself. Alarms that are raised already at the start are shown as \
+    raised then.\n\
     An alarm is acknowledged until it ends: if it returns it is raised again. WorkerGone and WorkerStale cannot be \
     acknowledged, since no worker is there that could take it.\n\
-    --on-alarm runs its command with `sh -c` for each change, one after the other, each for at most \
-    10 s: JOULEBUS_FLEET, JOULEBUS_ROBOT (empty for the worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
+    --on-alarm runs its command with `sh -c` for each change, one after the other, each for at \
+    most 10 s. The command gets the variables JOULEBUS_FLEET, JOULEBUS_ROBOT (empty for the \
+    worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
     warn, error, stale), JOULEBUS_CHANGE (raised, acknowledged, cleared, left), JOULEBUS_STAMP_NS \
-    (Unix time), JOULEBUS_LASTED_S (empty while raised), JOULEBUS_BY (who acknowledged it). Of more than 256 waiting changes further ones are not told, \
-    and counted.\n\
-    Exit codes: 1 if nothing of a file can be read, or an acknowledgement was not taken; 3 if ticks were missed, a file is damaged, or a \
-    command was not run or failed.")]
+    (Unix time), JOULEBUS_LASTED_S (empty while raised), JOULEBUS_BY (who acknowledged it). At \
+    most 256 changes wait. Further ones are counted and not told.\n\
+    Exit code 1: nothing of a file can be read, or an acknowledgement was not taken. Exit code 3: \
+    ticks were missed, a file is damaged, or a command was not run or failed.")]
 pub(crate) struct Args {
-    /// Captures; without any, the running fleet
+    /// Captures [default: the running fleet]
     #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration", "explain", "acknowledge"])]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -53,7 +55,7 @@ pub(crate) struct Args {
     /// End after this time, s
     #[arg(long, value_name = "S", value_parser = crate::alarms::seconds)]
     duration: Option<f64>,
-    /// Say what an alarm means, what to check and which keys set it; without a name, of all alarms
+    /// Say what an alarm means, what to check and which keys set it [default: of all alarms]
     #[arg(long, value_name = "ALARM", num_args = 0..=1, default_missing_value = explain::ALL,
           conflicts_with_all = ["config", "on_alarm", "duration"])]
     explain: Option<String>,
@@ -82,7 +84,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(seconds) if 0.0 < seconds && seconds <= 1e9 => Ok(seconds),
-        _ => Err(format!("{text} is not a time; allowed is 0 to 1e9 s")),
+        _ => Err(format!("{text} is not a time, allowed is 0 to 1e9 s")),
     }
 }
 

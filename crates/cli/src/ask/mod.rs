@@ -34,19 +34,22 @@ const PATIENCE: Duration = Duration::from_secs(3);
     joulebus ask --rank 7,9,12 --path p.csv                 the cheapest first\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
-    A path file is CSV with the columns x_m,y_m and, if wanted, speed_mps towards each point; the robot \
-    is at the first point and looks at the second. Speeds above the platform's greatest are refused:\n\n    \
+    A path file is CSV with the columns x_m,y_m and, if wanted, speed_mps towards each point. The \
+    robot is at the first point and looks at the second. Speeds above the platform's greatest are \
+    refused:\n\n    \
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
-    Verdicts: yes, the upper end of the energy at the asked coverage fits into the lower bound of what the \
-    battery can spare above its reserve, on every leg; tight, the expected energy fits, but not so surely, \
-    or the robot's state is weak (it is listed); no, it does not fit; unknown, with the reason. \
-    Computed in this process, unless --through worker says otherwise, from the worker's state in shared \
-    memory and the models of the config, which must be the worker's: no queue, no load on the worker, and \
-    paths of any length. Of several robots, those that are not there are named and the others answered. \
-    --through worker needs no models here, and asks what programs in other languages \
-    ask: the answer is recorded, paths take at most five minutes at 30 Hz, and the bits are the same.\n\
-    Exit codes: 0 answered, whatever the verdict; 1 no worker, no answer in time, no such robot, or another config or model \
-    than the worker's; 2 a wrong question, or one that is too large for the worker."
+    Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
+    battery can spare above its reserve. tight: only the expected energy fits, or the robot's \
+    state is weak (it is listed). no: the expected energy does not fit. unknown: the answer has \
+    the reason. \
+    This process computes, from the worker's state in shared memory and the models of the config, \
+    which must be the worker's. So there is no queue, no load on the worker, and paths have any \
+    length. Robots that are not there are named, and the others answered. \
+    --through worker asks the worker, as programs in other languages do, and needs no models \
+    here. The answer is recorded and has the same bits. Paths take at most five minutes at 30 Hz.\n\
+    Exit code 0: answered, whatever the verdict. 1: no worker, no answer in time, no such robot, \
+    or another config or model than the worker's. 2: a wrong question, or one that is too large \
+    for the worker."
 )]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -246,7 +249,7 @@ fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
         let (found, name) = (speeds[point], &platform.name);
         return Err(UsageError(format!(
             "a speed of {found} m/s towards point {point}: platform {name} drives at most {most} m/s (`v_max_mps` in its \
-             config); ask for that or less, or state no speed for the greatest"
+             config). Ask for that or less, or state no speed for the greatest"
         )));
     }
     Ok(())

@@ -36,7 +36,7 @@ impl FromStr for ReturnTo {
             return Ok(Self::Dock);
         }
         let place = text.parse().map(Self::At);
-        place.map_err(|error| format!("{error}; or dock"))
+        place.map_err(|error| format!("{error}, or dock"))
     }
 }
 

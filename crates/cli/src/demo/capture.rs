@@ -20,7 +20,7 @@ pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
     match tried {
         Ok(()) => Ok(path),
         Err(error) => Err(UsageError(format!(
-            "cannot write the capture {}: {error}; name another with --capture, or leave it out \
+            "cannot write the capture {}: {error}. Name another with --capture, or leave it out \
              with --no-capture",
             path.display()
         ))),

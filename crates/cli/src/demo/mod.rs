@@ -222,7 +222,7 @@ impl Demo<'_> {
             anyhow::ensure!(feed.is_reading(), "the demo's own planner has ended");
             anyhow::ensure!(
                 clock::monotonic_ns() < give_up_ns,
-                "the worker has sent nothing for {} s; see the output of the processes above",
+                "the worker has sent nothing for {} s. See the output of the processes above",
                 START_LIMIT_NS / 1_000_000_000
             );
             std::thread::sleep(LOOK_EVERY);

@@ -216,7 +216,7 @@ impl Summary {
         }
         writeln!(
             out,
-            "  90 % of the energies shall lie inside; the interval score is relative, too"
+            "  90 % of the energies shall lie inside. The interval score is relative, too"
         )
     }
 

@@ -63,7 +63,8 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     };
     let mebi = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let found = format!(
-        "one more source and planner need {:.1} MiB, {:.1} MiB of {:.1} MiB are free; they need {} file \
+        "one more source and planner need {:.1} MiB, {:.1} MiB of {:.1} MiB are free. They need \
+            {} file \
          descriptors, {} of {} are used",
         mebi(capacity.needed_bytes),
         mebi(capacity.free_bytes),
@@ -187,7 +188,8 @@ fn linked(config: &Config, pid: u32) -> Check {
     match heard {
         Ok(Ok(found)) => Check::ok(name, found),
         Ok(Err(found)) => {
-            let remedy = "nothing is told before a robot's first sample; otherwise see the link's log, and \
+            let remedy = "nothing is told before a robot's first sample. Otherwise see the link's \
+                log, and \
                           `joulebus link FILE --check` on both hosts. A link that only gives samples hears nothing";
             Check::new(name, Status::Warn, found, remedy)
         }
@@ -242,7 +244,7 @@ pub(super) fn nodes(inspection: &Inspection) -> Check {
     };
     if !dead.is_empty() {
         let found = format!("{found}; {} dead: {}", dead.len(), dead.join(", "));
-        let remedy = format!("{FIX}; a live process of the fleet does it within a second");
+        let remedy = format!("{FIX}. A live process of the fleet does it within a second");
         Check::new(name, Status::Warn, found, remedy)
     } else if !unknown.is_empty() {
         let found = format!("{found}; {} unknown", unknown.len());
@@ -279,7 +281,8 @@ pub(super) fn removed_files(removed: &[RemovedFiles]) -> Check {
         processes.len(),
         processes.join("; ")
     );
-    let remedy = "end these processes and start them again; if it happened when a user logged out, set \
+    let remedy = "end these processes and start them again. If it happened when a user logged \
+        out, set \
                   `RemoveIPC=no` in logind.conf, or enable lingering (docs/how-to/removeipc.md)";
     Check::new(name, Status::Fail, found, remedy)
 }

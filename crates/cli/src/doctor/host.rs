@@ -39,11 +39,11 @@ fn monotonic() -> Check {
     let source = source.map_or_else(|_| "unknown".to_owned(), |text| text.trim().to_owned());
     let found = format!("monotonic, resolution {resolution:?}, source {source}");
     if resolution > COARSE {
-        let remedy = "enable high-resolution timers; latencies are not to be trusted";
+        let remedy = "enable high-resolution timers. Latencies are not to be trusted";
         return Check::new(name, Status::Warn, found, remedy);
     }
     if matches!(source.as_str(), "hpet" | "acpi_pm" | "jiffies") {
-        let remedy = "reading this clock takes microseconds; prefer tsc or kvm-clock";
+        let remedy = "reading this clock takes microseconds. Prefer tsc or kvm-clock";
         return Check::new(name, Status::Warn, found, remedy);
     }
     Check::ok(name, found)
@@ -73,7 +73,7 @@ fn slack() -> Check {
     let name = "timer slack";
     match current_timer_slack() {
         Ok(slack_ns) if slack_ns <= USUAL_SLACK_NS => {
-            Check::ok(name, format!("{slack_ns} ns; the worker sets its own to 1 ns"))
+            Check::ok(name, format!("{slack_ns} ns. The worker sets its own to 1 ns"))
         }
         Ok(slack_ns) => {
             let remedy = "processes other than the worker wake that much later";

@@ -32,7 +32,7 @@ impl FromStr for FaultArgument {
             None if kind == "stuck" => Fault::StuckSensor,
             _ => {
                 let known = "load:WATT, noise:WATT (standard deviation), stuck";
-                return Err(format!("{kind:?} is not a fault; known are: {known}"));
+                return Err(format!("{kind:?} is not a fault, known are: {known}"));
             }
         };
         Ok(Self { robot, fault, from_s: number(from, 0.0, 1e8, "s")? })

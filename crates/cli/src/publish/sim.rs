@@ -46,16 +46,16 @@ pub(crate) struct Args {
     /// Control ticks per second, Hz, 0.1 to 1000 [default: the platform's rate]
     #[arg(long, value_name = "HZ")]
     rate: Option<Hertz>,
-    /// Inject a fault into a robot, optionally from a time on; may be repeated
+    /// Inject a fault into a robot, optionally from a time on (may be repeated)
     #[arg(long = "fault", value_name = fault::HELP)]
     faults: Vec<FaultArgument>,
     /// Platform of the config whose ids are used, lowest first [default: the first]
     #[arg(long, value_name = "NAME")]
     platform: Option<String>,
-    /// Id of the first robot; the others are numbered on [default: the platform's ids]
+    /// Id of the first robot, from which the others are numbered on [default: the platform's ids]
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
-    /// Name of the source; a second source of the same name replaces the first [default: sim and
+    /// Name of the source. A second source of the same name replaces the first [default: sim and
     /// the first robot's id]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
@@ -125,7 +125,7 @@ impl Args {
         for FaultArgument { robot, fault, from_s } in &self.faults {
             let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
                 let (first, last) = (ids[0], ids[ids.len() - 1]);
-                UsageError(format!("--fault for robot {robot}; the robots are {first} to {last}"))
+                UsageError(format!("--fault for robot {robot}, the robots are {first} to {last}"))
             })?;
             plant = plant.with_fault(place, *fault, *from_s)?;
         }

@@ -19,7 +19,7 @@ impl TopicChoice {
             topics.iter().find(|topic| !topic.contains('/') && !known.contains(&topic.as_str()));
         if let Some(stranger) = stranger {
             return Err(UsageError(format!(
-                "--topics {stranger}: no such service; there are {}",
+                "--topics {stranger}: no such service, there are {}",
                 known.join(", ")
             )));
         }
@@ -44,7 +44,7 @@ impl TopicChoice {
         };
         let there = there.join(", ");
         let remedy = "those of single robots need --per-robot";
-        Err(UsageError(format!("{what}; there are {there}; {remedy}")))
+        Err(UsageError(format!("{what}, there are {there}: {remedy}")))
     }
 
     /// Whether the topic is selected. A service name selects that service of any fleet.

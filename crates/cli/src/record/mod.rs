@@ -49,17 +49,17 @@ const STDOUT: &str = "-";
     joulebus record --config a.toml --config b.toml -o both.mcap\n\n\
     Ends with SIGINT, SIGTERM or SIGHUP. Config, models and build are attached. A slow disk costs messages, \
     which are counted, never a tick. Killed, it loses less than 100 ms of data (zstd_small: about \
-    1 s); `joulebus recover` makes such a file whole.\n\
-    Exit codes: 1 if the file could not be written on (what was written can be recovered); 3 if \
-    messages were lost, or if the worker runs with other settings or models than those attached: \
-    then the capture cannot be verified.")]
+    1 s). `joulebus recover` makes such a file whole.\n\
+    Exit code 1: the file could not be written on (what was written can be recovered). Exit code \
+    3: messages were lost, or the capture cannot be verified, because the worker runs with other \
+    settings or models than those attached.")]
 pub(crate) struct Args {
-    /// The fleet's config; repeat it to record several fleets into one file [default:
+    /// The fleet's config. Repeat it to record several fleets into one file [default:
     /// configs/fleet.toml, or the built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for
-    /// stdout
+    /// The file, or - for stdout. Further parts are run_1.mcap, run_2.mcap …, without names that
+    /// are taken
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Start with the next part instead of refusing when the file exists
@@ -78,11 +78,11 @@ pub(crate) struct Args {
     /// Trade-off between work and file size
     #[arg(long, value_name = "PRESET", default_value = Preset::default().name(), value_parser = preset)]
     preset: Preset,
-    /// Maximum file size, after which the next file begins, bytes; 0: unlimited
+    /// Maximum file size, after which the next file begins, bytes (0: unlimited)
     #[arg(long, value_name = "BYTES", default_value_t = 0)]
     max_bag_size: u64,
-    /// Maximum time span of a file, after which the next file begins, s; 0: unlimited. The index of
-    /// a file is kept in memory until its end, about 30 MB per hour
+    /// Maximum time span of a file, after which the next file begins, s (0: unlimited). The index
+    /// of a file is kept in memory until its end, about 30 MB per hour
     #[arg(long, value_name = "SECONDS", default_value_t = 3_600.0, value_parser = seconds)]
     max_bag_duration: f64,
     /// Keep the last seconds in memory, and save them when a robot raises an alarm or on SIGUSR1:

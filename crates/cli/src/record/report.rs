@@ -140,7 +140,8 @@ impl fmt::Display for RecordReport {
             let files = self.files.len();
             writeln!(
                 out,
-                "snapshot: {files} files were asked for; the last {span_s:.1} s in memory, {messages} \
+                "snapshot: {files} files were asked for. The last {span_s:.1} s in memory, \
+                    {messages} \
                  messages, are in none"
             )?;
         }

@@ -68,8 +68,8 @@ impl Files {
             return Ok(());
         };
         bail!(
-            "{}: its ticks were computed by rules {}, and this version computes by {TICK_RULES}; \
-             verify it with the version that recorded it ({}), or play it without --verify",
+            "{}: its ticks were computed by rules {}, and this version computes by {TICK_RULES}. \
+                Verify it with the version that recorded it ({}), or play it without --verify",
             path.display(),
             attachments.tick_rules(),
             attachments.about("version").unwrap_or("unknown"),
@@ -198,14 +198,14 @@ fn first_fleet(reader: Reader<std::fs::File>) -> anyhow::Result<String> {
         }
     }
     Err(damage
-        .map_or_else(|| anyhow!("contains no fleet; is it a capture of joulebus?"), Into::into))
+        .map_or_else(|| anyhow!("contains no fleet. Is it a capture of joulebus?"), Into::into))
 }
 
 fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
     let there = fleets.join(", ");
     match (wanted, fleets) {
         (Some(wanted), _) if fleets.iter().any(|fleet| fleet == wanted) => Ok(wanted.to_owned()),
-        (Some(wanted), _) => Err(format!("contains no fleet {wanted:?}; its fleets: {there}")),
+        (Some(wanted), _) => Err(format!("contains no fleet {wanted:?}, its fleets: {there}")),
         (None, [only]) => Ok(only.clone()),
         (None, _) => Err(format!("contains several fleets: choose with --fleet: {there}")),
     }

@@ -28,15 +28,15 @@ use joulebus_wire::Samples;
     joulebus replay run.mcap --start-offset 60 --playback-duration 10 --start-paused\n  \
     joulebus replay --verify run.mcap run_1.mcap\n  \
     joulebus replay --model new.safetensors run.mcap\n\n\
-    Intervals between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
-    forecasts, diagnostics, budgets and plan states come as from the recorded worker, and only while no other \
-    worker serves the fleet; planners first get the last ones before the offset. On a terminal \
-    space pauses and continues, the right arrow or s plays a step, q quits; without one, --step and \
-    --start-paused read a line of stdin for each.\n\
-    --verify: exit 0 says that every tick was computed again with the same bits; 3 that something \
-    differs, or could not be verified.")]
+    Intervals between stamps stay as recorded at any rate, so a worker computes the same bits. \
+    Played forecasts, diagnostics, budgets and plan states come as from the recorded worker, and \
+    only while no other worker serves the fleet. Planners first get the last ones before the \
+    offset. On a terminal space pauses and continues, the right arrow or s plays a step, q quits. \
+    Elsewhere --step and --start-paused read a line of stdin for each step.\n\
+    --verify: exit 0 says that every tick was computed again with the same bits. Exit 3 says that \
+    something differs, or could not be verified.")]
 pub(crate) struct Args {
-    /// The capture; if it was split, its files in order
+    /// The capture, or the files of a split one in order
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
     /// The config to use [default: the one attached to the capture]
@@ -45,10 +45,10 @@ pub(crate) struct Args {
     /// The fleet to play, if the capture contains several
     #[arg(long, value_name = "NAME")]
     fleet: Option<String>,
-    /// Recompute every tick and compare every bit; nothing is played
+    /// Recompute every tick and compare every bit, and play nothing
     #[arg(long, conflicts_with_all = ["model", "rate", "passes", "topics", "remap"])]
     verify: bool,
-    /// Recompute with another model and report the differences; nothing is played
+    /// Recompute with another model, report the differences, and play nothing
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "passes", "topics", "remap"])]
     model: Option<PathBuf>,
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers

@@ -328,7 +328,7 @@ fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let patience_ns = clock::monotonic_ns() + 10 * LOOK_EVERY_NS;
     while !flow.has_seen_worker()? {
         if !said && clock::monotonic_ns() > patience_ns {
-            say("no worker runs; waiting for one (`joulebus run` starts it)");
+            say("no worker runs, waiting for one (`joulebus run` starts it)");
             said = true;
         }
         if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {

@@ -25,7 +25,7 @@ struct RawTerminal {
 
 impl RawTerminal {
     fn take() -> anyhow::Result<Self> {
-        let terminal = ratatui::try_init().context("cannot use the terminal; try --plain")?;
+        let terminal = ratatui::try_init().context("cannot use the terminal. Try --plain")?;
         Ok(Self { terminal: ManuallyDrop::new(terminal) })
     }
 }

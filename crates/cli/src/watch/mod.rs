@@ -33,15 +33,16 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
     joulebus watch --config configs/fleet.toml\n  \
     joulebus watch --once\n  \
     joulebus watch --robot 3 --format json | jq .robots[0].power_w\n\n\
-    May start before the worker, and continues when it is restarted. In a terminal: the live \
-    view; otherwise one line a second. --format json: one object for each frame, in one line.")]
+    It may start before the worker, and continues when the worker is restarted. A terminal shows \
+    the live view. Elsewhere it prints one line a second. --format json: one object for each \
+    frame, in one line.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
-    /// Only this robot; in the live view: the initial selection
+    /// Only this robot, or in the live view the initial selection
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Show the newest frame and exit; exit code 1 if there is no worker within 3 s
+    /// Show the newest frame and exit, with code 1 if there is no worker within 3 s
     #[arg(long, conflicts_with_all = ["duration", "summary"])]
     once: bool,
     /// Stop after this time, s [default: at a signal]
@@ -110,7 +111,7 @@ impl Args {
         let Some(record) = FrameRecord::newest(&board, self.robot) else {
             say(&format!(
                 "no worker serves fleet {} of {}: start one with `joulebus run`, or give the \
-                 fleet's config with --config; `joulebus doctor` finds the cause",
+                 fleet's config with --config. `joulebus doctor` finds the cause",
                 config.fleet(),
                 self.config.name()
             ));

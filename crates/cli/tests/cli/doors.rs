@@ -8,6 +8,8 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use joulebus_testkit::assert_page_says;
+
 use super::fleet::{Fleet, code, done, output, stderr, stdout};
 
 /// Doors, with what stands for the recording.
@@ -311,17 +313,5 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         }
     }
     text.push('\n');
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/plausibility.md");
-    let old = fs::read_to_string(&path).unwrap();
-    let (before, rest) = old.split_once("<!-- doors -->\n").unwrap();
-    let (_, after) = rest.split_once("<!-- doors end -->").unwrap();
-    let new = format!("{before}<!-- doors -->\n{text}<!-- doors end -->{after}");
-    if std::env::var_os("JOULEBUS_WRITE").is_some() {
-        fs::write(&path, new).unwrap();
-    } else {
-        assert!(
-            old == new,
-            "docs/reference/plausibility.md has another table: run this test with JOULEBUS_WRITE=1\n{text}"
-        );
-    }
+    assert_page_says("docs/reference/plausibility.md", "<!-- doors", &text);
 }

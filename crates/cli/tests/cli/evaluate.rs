@@ -345,7 +345,7 @@ fn parts_that_are_missing_twice_there_damaged_or_of_other_evaluations_are_refuse
     };
     refused(&[&first, &third], 2, "parts 2 of 3 are missing");
     let twice = [&first, &second, &second, &third];
-    refused(&twice, 2, "name each part once");
+    refused(&twice, 2, "Name each part once");
 
     let seed = [&asked[..], &["--seed", "1"]].concat();
     let elsewhere = tempfile::tempdir().unwrap();

@@ -51,14 +51,14 @@ pub struct EnergyModel {
 #[non_exhaustive]
 pub enum EnergyModelError {
     /// The text cannot be read.
-    #[error("the energy model cannot be read: {reason}; train the model again with this version")]
+    #[error("the energy model cannot be read: {reason}. Train the model again with this version")]
     Malformed {
         /// The decoder's error.
         reason: String,
     },
     /// A value is out of range.
     #[error(
-        "the energy model states {what} as {found}, allowed is {allowed}; train the model again"
+        "the energy model states {what} as {found}, allowed is {allowed}. Train the model again"
     )]
     Value {
         /// The value.

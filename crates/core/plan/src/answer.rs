@@ -155,7 +155,7 @@ impl fmt::Display for Unknown {
         match self {
             Self::Stale { age_ns } => write!(
                 out,
-                "the worker's newest frame is {:.2} s old; does it run?",
+                "the worker's newest frame is {:.2} s old. Does it run?",
                 *age_ns as f64 * 1e-9
             ),
             Self::Invalid { reason } => {

@@ -31,7 +31,8 @@ pub enum AskError {
     },
     /// Too many steps.
     #[error(
-        "{found} steps: allowed are {allowed} a candidate or path; use a longer period, or a shorter path"
+        "{found} steps: allowed are {allowed} a candidate or path. Use a longer period, or a \
+            shorter path"
     )]
     Steps {
         /// Steps of a candidate.

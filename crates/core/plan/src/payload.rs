@@ -216,7 +216,8 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     ] {
         if found > allowed {
             let text = format!(
-                "{found} {name}: the worker answers at most {allowed}; ask in your own process instead"
+                "{found} {name}: the worker answers at most {allowed}. Ask in your own process \
+                    instead"
             );
             return Err(Refused::new(QueryRefusal::TooLarge, text));
         }

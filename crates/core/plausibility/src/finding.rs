@@ -72,7 +72,7 @@ impl FromStr for Kind {
         let named = Self::ALL.into_iter().find(|kind| kind.name() == text);
         named.ok_or_else(|| {
             let allowed = Self::ALL.map(Self::name).join(", ");
-            format!("{text:?} is no finding; allowed are {allowed}")
+            format!("{text:?} is no finding, allowed are {allowed}")
         })
     }
 }
@@ -210,9 +210,9 @@ impl Finding {
         };
         match source {
             Source::Recording | Source::TurnedRecording | Source::Bag => {
-                format!("{remedy}; if it is right, --accept {accept}")
+                format!("{remedy}. If it is right, --accept {accept}")
             }
-            Source::Bridge => format!("{remedy}; if it is right, accept = [\"{accept}\"]"),
+            Source::Bridge => format!("{remedy}. If it is right, accept = [\"{accept}\"]"),
             Source::Program => remedy,
         }
     }
@@ -226,6 +226,6 @@ impl Finding {
 
 impl fmt::Display for Finding {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}: {}; {}", self.kind, self.found, self.allowed)
+        write!(out, "{}: {}, {}", self.kind, self.found, self.allowed)
     }
 }

@@ -167,7 +167,7 @@ impl Magnitudes<'_> {
                 false => usual / THOUSAND,
             };
             let what = format!(
-                "{} is usually {}; a thousandth or a thousandfold of it, {}, would be a robot's",
+                "{} is usually {}. A thousandth or a thousandfold of it, {}, would be a robot's",
                 quantity.name(),
                 quantity.shown(usual),
                 quantity.shown(other)
@@ -182,7 +182,7 @@ impl Magnitudes<'_> {
             && let Some(driving_w) = driving.filter(|driving_w| *driving_w < DRIVING_W)
         {
             let what = format!(
-                "power is usually {} while the robot drives; in a thousandfold unit it would be {}",
+                "power is usually {} while the robot drives. In a thousandfold unit it would be {}",
                 Quantity::Power.shown(driving_w),
                 Quantity::Power.shown(driving_w * THOUSAND)
             );

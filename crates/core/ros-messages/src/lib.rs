@@ -196,7 +196,7 @@ pub enum Message {
 pub enum RosError {
     /// An unsupported type.
     #[error(
-        "type {found:?}; supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
+        "type {found:?}, supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
          geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
     )]
     Type {
@@ -204,7 +204,7 @@ pub enum RosError {
         found: String,
     },
     /// Another encoding of messages or definitions.
-    #[error("encoding {found:?}; supported is {allowed:?}")]
+    #[error("encoding {found:?}, supported is {allowed:?}")]
     Encoding {
         /// The encoding found.
         found: String,
@@ -220,7 +220,7 @@ pub enum RosError {
         expected: &'static str,
     },
     /// The bytes are not plain CDR.
-    #[error("begins with {found:02x?}; plain CDR begins with 00 00 or 00 01")]
+    #[error("begins with {found:02x?}. Plain CDR begins with 00 00 or 00 01")]
     Encapsulation {
         /// The first bytes, at most four.
         found: Vec<u8>,

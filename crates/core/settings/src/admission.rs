@@ -109,7 +109,7 @@ impl fmt::Display for RefusedSample {
         write!(out, "the worker refuses the sample of robot {robot} ({reason}): ")?;
         match (&self.value, self.reason) {
             (Some((name, found, _)), DropReason::NotFinite) => {
-                write!(out, "{name} is {found}; leave out what is unknown")
+                write!(out, "{name} is {found}. Leave out what is unknown")
             }
             (Some((name, found, allowed)), _) => {
                 let (lo, hi) = (allowed.start(), allowed.end());

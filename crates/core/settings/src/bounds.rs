@@ -43,8 +43,8 @@ pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;
 pub const ALARM_SAMPLES: RangeInclusive<u32> = 1..=10_000;
 /// Distance of a feature from its training range, as a share of that range.
 pub const TRAINING_MARGIN: RangeInclusive<f64> = 0.0..=10.0;
-/// Sample period of a robot, ms. Config keys for rates restrict a live fleet to 1 ms to 10 s;
-/// recordings may be faster or slower.
+/// Sample period of a robot, ms. Config keys for rates restrict a live fleet to 1 ms to 10 s.
+/// Recordings may be faster or slower.
 pub const PERIOD_MS: RangeInclusive<f64> = 0.1..=60_000.0;
 /// Silence that ends a robot's forecasts, sample periods.
 pub const STALE_AFTER_PERIODS: RangeInclusive<f64> = 2.0..=1000.0;

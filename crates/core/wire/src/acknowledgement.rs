@@ -6,9 +6,9 @@
 use crate::declare::ZeroCopySend;
 use crate::{Alarm, rows};
 
-/// Most alarms that are acknowledged at once.
+/// Maximum number of alarms that are acknowledged at once.
 pub const MAX_ACKNOWLEDGED: usize = 128;
-/// Most bytes of a person's name.
+/// Maximum length of a person's name, bytes.
 pub const MAX_NAME_BYTES: usize = 32;
 
 rows! {

@@ -64,7 +64,7 @@ impl AlarmCard {
         check: "Do sources publish? With no samples there are no ticks by frames. Is its process \
             stopped, or the host overloaded? `joulebus doctor` looks at both.",
         keys: &["readers.worker_stale_after_s", "tick.policy", "tick.rate_hz"],
-        found_within: "a second; planners hear of two missed ticks",
+        found_within: "a second (planners hear of two missed ticks)",
     };
 }
 
@@ -127,8 +127,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         level: Level::Error,
         meaning: "New measurements arrive, and all of them show the same power for longer than the \
              monitor's resolution explains.",
-        check: "The power monitor and its bus. A source that makes up a constant power is found as \
-             well; one that repeats an old measurement must keep its time of measurement.",
+        check: "The power monitor and its bus. A source that makes up a constant power is found \
+            as well. One that repeats an old measurement must keep its time of measurement.",
         keys: &["platform.stuck_after_s", "platform.power_resolution_w", RAISE],
         found_within: "10 s and 20 samples",
     },
@@ -148,18 +148,18 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         check: "Load, slope and floor, a dragging wheel, a motor that wears, a device that was switched \
              on. If the whole fleet has it, the model: train it on newer recordings.",
         keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second where the power doubles, minutes where it rises by a tenth; after the first \
-             150 samples",
+        found_within: "a second where the power doubles, minutes where it rises by a tenth (after \
+            the first 150 samples)",
     },
     AlarmCard {
         name: "BiasLow",
         level: Level::Warn,
         meaning: "The robot draws persistently less than its commands and its model explain.",
-        check: "Does it drive at all: stalled drivers, a wheel in the air, commands that do not reach \
-             it? A load that was taken off; the gain of the power monitor.",
+        check: "Does it drive at all? Look for stalled drivers, a wheel in the air, commands that \
+            do not reach it. Was a load taken off? Is the gain of the power monitor right?",
         keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second where the power halves, minutes where it falls by a tenth; after the first \
-             150 samples",
+        found_within: "a second where the power halves, minutes where it falls by a tenth (after \
+            the first 150 samples)",
     },
     AlarmCard {
         name: "NoiseHigh",
@@ -168,7 +168,7 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         check: "The power monitor's wiring and averaging, a loose contact, a wheel that slips. If it \
              comes with every drive, the model: train it on newer recordings.",
         keys: &["alarms.noise_limit", "alarms.noise_weight", SETTLE, RAISE],
-        found_within: "seconds; after the first 150 samples",
+        found_within: "seconds (after the first 150 samples)",
     },
     AlarmCard {
         name: "ModelMismatch",
@@ -185,8 +185,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         level: Level::Warn,
         meaning: "A power, speed or their change lies outside what the model was trained on: the \
              forecast is a guess there.",
-        check: "Does the robot drive faster than in the recordings of the model? Train with recordings \
-             that cover it; `joulebus model info` prints the range of each feature.",
+        check: "Does the robot drive faster than in the recordings of the model? Train with \
+            recordings that cover it. `joulebus model info` prints the range of each feature.",
         keys: &["alarms.training_margin", RAISE],
         found_within: "20 samples, 0.7 s at 30 Hz",
     },
@@ -246,11 +246,11 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "SocImplausible",
         level: Level::Warn,
         meaning: "The measured state of charge contradicts the energy drawn: it does not change, or it \
-             jumps. It is not used; the energy is counted instead.",
+             jumps. It is not used. The energy is counted instead.",
         check: "The robot's battery monitor, the unit of its charge (0 to 1, not percent), and the \
              platform's capacity.",
         keys: &["platform.battery.sensor_sd", "platform.battery.capacity_wh"],
-        found_within: "at a jump, at once; otherwise when the energy drawn shows it",
+        found_within: "at once at a jump, otherwise when the energy drawn shows it",
     },
     AlarmCard {
         name: "LevelHigh",
@@ -260,18 +260,18 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         check: "What changed since: load, floor or slope, a dragging wheel, a device that was switched \
             on. Acknowledge it if that is meant, as a payload is.",
         keys: &["alarms.level_limit"],
-        found_within: "seconds where the power doubles, ten where it rises by two fifths, a minute where it \
-            drifts by 30 % a minute; after five seconds of known commands",
+        found_within: "seconds where the power doubles, ten where it rises by two fifths, a \
+            minute at 30 % a minute (after five seconds of known commands)",
     },
     AlarmCard {
         name: "LevelLow",
         level: Level::Warn,
         meaning: "The robot draws less than it did before for the same commands. It stays until the \
             power is back, or the worker restarts: nothing of it is learned.",
-        check: "Does it drive at all: a wheel in the air, a driver that stalled, commands that do not \
-            reach it? A load that was taken off; the gain of the power monitor.",
+        check: "Does it drive at all? Look for a wheel in the air, a stalled driver, commands \
+            that do not reach it. Was a load taken off? Is the gain of the power monitor right?",
         keys: &["alarms.level_limit"],
-        found_within: "seconds where the power halves; after five seconds of known commands",
+        found_within: "seconds where the power halves (after five seconds of known commands)",
     },
 ];
 

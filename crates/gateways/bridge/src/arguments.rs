@@ -10,23 +10,26 @@ use joulebus_program::config_file::ConfigFile;
 #[command(after_help = "Examples:\n  \
     joulebus bridge configs/bridges/json.toml             power and commands as JSON, forecasts and budgets out\n  \
     joulebus bridge configs/bridges/vda5050.toml          vehicles' states by VDA 5050\n  \
-    joulebus bridge configs/bridges/robotarium.toml       asks the Robotarium's robots; sends them nothing else\n  \
+    joulebus bridge configs/bridges/robotarium.toml       asks the Robotarium's robots, sends \
+    nothing else\n  \
     joulebus bridge configs/bridges/ros2.toml             battery states and commands of ROS 2, diagnostics out\n  \
     joulebus bridge my-bridge.toml --check                only checks the file\n  \
     joulebus bridge ros2 --robots 'robot{id}=0-9'         the usual topics, without a file\n  \
     joulebus bridge mqtt --robots 'robot{id}=0-9' --write my-bridge.toml   the same as a file, to be changed\n\n\
-    FILE says which robots are meant by which names, where values stand in messages, with units and signs: \
-    docs/reference/bridge-file.md. A bridge is a source and a planner like any other; several may run beside each other, each \
-    with a name of its own. It connects again by itself. What it cannot map is counted, named once on stderr, and \
+    FILE maps names to robots, and says where values stand in messages, with units and signs. \
+    docs/reference/bridge-file.md has its keys. A bridge is a source and a planner like any \
+    other. Several may run beside each other, each with a name of its own. It connects again by \
+    itself. What it cannot map is counted, named once on stderr, and \
     listed at the end.\n\n\
-    Exit codes: 0 ended by a signal; 1 the fleet or the ROS domain cannot be joined, or the broker refuses the login at the start; \
-    2 a wrong option, config or FILE; 3 messages could not be mapped, or what was to be told was lost.")]
+    Exit code 0: ended by a signal. 1: the fleet or the ROS domain cannot be joined, or the \
+    broker refuses the login at the start. 2: a wrong option, config or FILE. 3: messages could \
+    not be mapped, or what was to be told was lost.")]
 pub(crate) struct BridgeArguments {
-    /// What is bridged; `ros2` or `mqtt`: the usual topics of --robots, which are printed
+    /// The bridge's file. `ros2` or `mqtt`: the usual topics of --robots, which are printed
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
-    /// With `ros2` or `mqtt`: names of robots and their ids, 'robot{id}=0-9' or lifter=12; several
-    /// times
+    /// With `ros2` or `mqtt`: names of robots and their ids, 'robot{id}=0-9' or lifter=12 (may be
+    /// repeated)
     #[arg(long, value_name = "NAME=IDS")]
     pub(crate) robots: Vec<String>,
     /// With `mqtt`: the broker [default: localhost:1883]

@@ -66,7 +66,7 @@ fn quoted(text: &str) -> String {
 
 /// Prints a mapping to stderr, without its comments.
 pub(crate) fn print(mapping: &str) {
-    say("the usual mapping; --write FILE writes it, to be changed:");
+    say("the usual mapping, which --write FILE writes, to be changed:");
     for line in mapping.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
         say(&format!("  {line}"));
     }

@@ -19,15 +19,16 @@ use joulebus_program::config_file::ConfigFile;
     FILE says what this host gives and takes, and how it reaches the others (zenoh): docs/reference/link-file.md. Planners, \
     `ask`, `watch`, `record` and `serve` work on a linked host as beside the worker. It connects again by itself. \
     Every host of a fleet needs the same release and the same config of the fleet.\n\n\
-    Exit codes: 0 ended by a signal; 1 the fleet cannot be joined, it has a worker already, or the network is \
-    refused; 2 a wrong option, config or FILE; 3 frames were lost on the way, or refused.")]
+    Exit code 0: ended by a signal. 1: the fleet cannot be joined, it has a worker already, or \
+    the network is refused. 2: a wrong option, config or FILE. 3: frames were lost on the way, or \
+    refused.")]
 pub(crate) struct LinkArguments {
     /// What is linked
     #[arg(value_name = "FILE", required = true)]
     pub(crate) file: Option<PathBuf>,
     #[command(subcommand)]
     pub(crate) verb: Option<LinkVerb>,
-    /// Only check FILE, and say what it does; with TLS, whether name, certificate and key fit
+    /// Only check FILE, and say what it does, and with TLS whether name, certificate and key fit
     #[arg(long)]
     pub(crate) check: bool,
     /// Have the worker of this host serve its shard, in place of another host's: of those that
@@ -42,7 +43,7 @@ pub(crate) struct LinkArguments {
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum LinkVerb {
     Init(InitArguments),
-    /// Carry messages of `joulebus bridge` as ROS 2's rmw_zenoh does; the bridge starts it
+    /// Carry messages of `joulebus bridge`, which starts it, as ROS 2's rmw_zenoh does
     #[command(hide = true)]
     RmwZenoh,
 }
@@ -68,7 +69,7 @@ pub(crate) struct InitArguments {
     /// Days for which certificates are valid
     #[arg(long, value_name = "DAYS", default_value_t = 825, value_parser = clap::value_parser!(u32).range(1..=3650))]
     pub(crate) days: u32,
-    /// Replace folders that are there; the authority stays
+    /// Replace folders that are there, but keep the authority
     #[arg(long)]
     pub(crate) replace: bool,
 }

@@ -253,7 +253,7 @@ impl Etcd {
             let term: u64 = it.text()?.parse().context("the term's key")?;
             anyhow::ensure!(
                 term < u64::MAX,
-                "the term's key: after {term} there is no other; set it anew"
+                "the term's key: after {term} there is no other. Set it anew"
             );
             Ok(term)
         };
@@ -369,7 +369,7 @@ fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
         }
     }
     if found.is_empty() {
-        bail!("{}: no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----", named());
+        bail!("{}: no certificate is in it, expected PEM, -----BEGIN CERTIFICATE-----", named());
     }
     Ok(found)
 }

@@ -112,7 +112,7 @@ impl Ingress {
         if before.contested == 0 && after.contested > 0 {
             tracing::warn!(
                 "a second link sends as {from}, and is ignored: the files of two hosts have this name, or a \
-                 stranger uses it; give each link a name of its own",
+                 stranger uses it. Give each link a name of its own",
                 from = self.from
             );
         }

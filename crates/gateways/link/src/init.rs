@@ -186,7 +186,8 @@ fn other_file(host: &Host<'_>, worker: &Host<'_>, port: u16) -> String {
     let worker = worker.name;
     format!(
         "{head}\n# Samples that are published on this host go to the worker.\n[samples]\nto = \"{worker}\"\n\n\
-         # What the worker writes is read on this host; `robots` leaves some out.\n[follow]\nworker = \"{worker}\"\n"
+         # What the worker writes is read on this host. `robots` leaves some \
+         out.\n[follow]\nworker = \"{worker}\"\n"
     )
 }
 

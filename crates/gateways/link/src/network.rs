@@ -469,7 +469,8 @@ fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> s
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum NetworkError {
     #[error(
-        "cannot open the network (listen {listen:?}, connect {connect:?}): {reason}; are the addresses this host's, and \
+        "cannot open the network (listen {listen:?}, connect {connect:?}): {reason}. Are the \
+            addresses this host's, and \
          free?"
     )]
     Open { listen: Vec<String>, connect: Vec<String>, reason: String },

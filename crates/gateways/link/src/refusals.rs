@@ -14,7 +14,7 @@ impl Refusals {
         let count = self.0.entry(reason).or_default();
         *count += 1;
         if *count == 1 {
-            tracing::warn!("refused what came from {from}: {error}; further ones are only counted");
+            tracing::warn!("refused what came from {from}: {error}. Further ones are only counted");
         }
     }
 

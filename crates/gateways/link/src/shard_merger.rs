@@ -167,7 +167,8 @@ impl ShardMerger {
             if differs && !*differed {
                 let name = &self.shards.all()[shard].name;
                 tracing::warn!(
-                    "shard {name} computes with other settings or models: nobody plans for its robots; use one config"
+                    "shard {name} computes with other settings or models: nobody plans for its \
+                        robots. Use one config"
                 );
             }
             *differed = differs;

@@ -24,9 +24,9 @@ use ureq::Agent;
 use ureq::http::Uri;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
-/// Maximum number of queued changes. Further ones are lost.
+/// Maximum number of changes that wait for a webhook. Further ones are lost.
 const MAX_WAITING: usize = 10_000;
-/// Maximum number of changes in a request.
+/// Maximum number of changes in a request to a webhook.
 const MAX_CHANGES: usize = 100;
 /// Time that a request may take.
 const REQUEST_LIMIT: Duration = Duration::from_secs(10);
@@ -203,7 +203,7 @@ fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
         }
     }
     if found.is_empty() {
-        let expected = "no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----";
+        let expected = "no certificate is in it, expected PEM, -----BEGIN CERTIFICATE-----";
         return Err(anyhow!(expected)).with_context(named);
     }
     Ok(RootCerts::new_with_certs(&found))

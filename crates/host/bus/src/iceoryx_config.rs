@@ -93,7 +93,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 #[non_exhaustive]
 pub enum IceoryxConfigError {
     /// iceoryx2 rejects the name.
-    #[error("iceoryx2 refuses the {what} of {domain:?}; choose a shorter `root` and `fleet`")]
+    #[error("iceoryx2 refuses the {what} of {domain:?}. Choose a shorter `root` and `fleet`")]
     Refused {
         /// Which name.
         what: &'static str,

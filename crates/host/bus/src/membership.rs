@@ -171,7 +171,7 @@ pub enum JoinError {
     #[error(transparent)]
     Capacity(#[from] CapacityError),
     /// Stale files could not be removed.
-    #[error("{0}; run `joulebus doctor --fix`")]
+    #[error("{0}. Run `joulebus doctor --fix`")]
     Sweep(#[from] SweepError),
     /// The members' lock could not be taken.
     #[error("cannot lock {path:?}: {source}")]
@@ -183,8 +183,8 @@ pub enum JoinError {
     },
     /// Another process has held the members' lock exclusively for too long.
     #[error(
-        "{path:?} has been locked for {waited_s} s by a process that cleans up; is one stopped? \
-         Run `joulebus doctor --fix`"
+        "{path:?} has been locked for {waited_s} s by a process that cleans up. Is one stopped? \
+            Run `joulebus doctor --fix`"
     )]
     Timeout {
         /// The lock file.
@@ -194,7 +194,7 @@ pub enum JoinError {
     },
     /// An object with the domain's prefix belongs to another user.
     #[error(
-        "{path:?} belongs to uid {owner}, expected uid {expected}; have its owner remove it, or \
+        "{path:?} belongs to uid {owner}, expected uid {expected}. Have its owner remove it, or \
          set another `root` or `prefix`"
     )]
     ForeignObject {
@@ -215,7 +215,7 @@ pub enum JoinError {
         name: String,
     },
     /// iceoryx2 could not create a node.
-    #[error("iceoryx2 cannot create a node below {root:?} ({reason}); run `joulebus doctor --fix`")]
+    #[error("iceoryx2 cannot create a node below {root:?} ({reason}). Run `joulebus doctor --fix`")]
     Node {
         /// iceoryx2's root path.
         root: PathBuf,

@@ -237,7 +237,7 @@ fn descriptors(limits: &Limits) -> u64 {
 pub enum CapacityError {
     /// Too little shared memory.
     #[error(
-        "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}; lower `capacity` or \
+        "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}. Lower `capacity` or \
          `max_planners`, enlarge it (`mount -o remount,size=… {SHM_DIR}`, in a container \
          `--shm-size`), or remove stale files with `joulebus doctor --fix`"
     )]
@@ -249,8 +249,8 @@ pub enum CapacityError {
     },
     /// Too few file descriptors.
     #[error(
-        "file descriptors: {needed} needed ({used} of them in use), {limit} allowed; raise the \
-         limit (`ulimit -n {needed}`)"
+        "file descriptors: {needed} needed ({used} of them in use), {limit} allowed. Raise the \
+            limit (`ulimit -n {needed}`)"
     )]
     Descriptors {
         /// Total required.
@@ -263,7 +263,7 @@ pub enum CapacityError {
     /// Too few files can be created in shared memory, although bytes are free.
     #[error(
         "shared memory: {needed} files needed, {free} of the {files} that {SHM_DIR} may hold are \
-         free; remove some (stale ones with `joulebus doctor --fix`), or allow more (`mount -o \
+         free. Remove some (stale ones with `joulebus doctor --fix`), or allow more (`mount -o \
          remount,nr_inodes=… {SHM_DIR}`)"
     )]
     Files {
@@ -276,7 +276,7 @@ pub enum CapacityError {
     },
     /// The process may not map more memory.
     #[error(
-        "address space: {needed} bytes more needed, {used} used, {limit} allowed; raise the limit \
+        "address space: {needed} bytes more needed, {used} used, {limit} allowed. Raise the limit \
          (`ulimit -v`)"
     )]
     AddressSpace {
@@ -289,7 +289,7 @@ pub enum CapacityError {
     },
     /// The stack may not grow as far as is needed.
     #[error(
-        "stack: {needed} bytes needed, {limit} allowed; raise the limit (`ulimit -s {}`)",
+        "stack: {needed} bytes needed, {limit} allowed. Raise the limit (`ulimit -s {}`)",
         needed / 1024
     )]
     Stack {

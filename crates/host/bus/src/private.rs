@@ -39,20 +39,20 @@ pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
 #[non_exhaustive]
 pub enum RootError {
     /// A symbolic link could be redirected.
-    #[error("{path:?} is a symbolic link; remove it, or set `root` to the directory itself")]
+    #[error("{path:?} is a symbolic link. Remove it, or set `root` to the directory itself")]
     Symlink {
         /// The path.
         path: PathBuf,
     },
     /// The path is not a directory.
-    #[error("{path:?} is not a directory; remove it, or set another `root`")]
+    #[error("{path:?} is not a directory. Remove it, or set another `root`")]
     NotADirectory {
         /// The path.
         path: PathBuf,
     },
     /// Another user owns it.
     #[error(
-        "{path:?} belongs to uid {found}, expected uid {expected}; set another `root`, or have its \
+        "{path:?} belongs to uid {found}, expected uid {expected}. Set another `root`, or have its \
          owner remove it"
     )]
     Owner {
@@ -64,7 +64,7 @@ pub enum RootError {
         expected: u32,
     },
     /// Other users can access it.
-    #[error("{path:?} has mode {found:04o}, allowed is 0700; run `chmod 700 {}`", path.display())]
+    #[error("{path:?} has mode {found:04o}, allowed is 0700. Run `chmod 700 {}`", path.display())]
     Mode {
         /// The path.
         path: PathBuf,
@@ -98,7 +98,8 @@ pub enum RootError {
     },
     /// It is a mount point.
     #[error(
-        "{path:?} is a mount point, which joulebus did not make; unmount it, or set another `domain.root`"
+        "{path:?} is a mount point, which joulebus did not make. Unmount it, or set another \
+            `domain.root`"
     )]
     MountPoint {
         /// The path.
@@ -106,7 +107,8 @@ pub enum RootError {
     },
     /// The parent directory does not exist.
     #[error(
-        "{path:?} cannot be made, because {parent:?} does not exist; make it, or set another `domain.root`"
+        "{path:?} cannot be made, because {parent:?} does not exist. Make it, or set another \
+            `domain.root`"
     )]
     NoParent {
         /// The path.
@@ -155,7 +157,7 @@ impl std::fmt::Display for DomainWarning {
             Self::NotInMemory { root, filesystem } => write!(
                 f,
                 "{root:?} is not on a tmpfs (filesystem {filesystem:#x}): starts are slower and \
-                 stale files more likely; set `root` below /dev/shm or /run/user"
+                 stale files more likely. Set `root` below /dev/shm or /run/user"
             ),
         }
     }

@@ -111,11 +111,11 @@ impl Source<'_> {
             let key = error.span().and_then(|span| self.text.get(span)).unwrap_or("");
             let first = first_of(self.text, place.line)
                 .map_or_else(|| "before".to_owned(), |line| format!("in line {line}"));
-            let what = format!("is set again; it was first set {first}");
+            let what = format!("is set again. It was first set {first}");
             (key.trim().to_owned(), what, "Keep one of the two")
         } else {
             let what = format!("this is not TOML: {message}");
-            (String::new(), what, "Correct the line; the rest of the file was not checked")
+            (String::new(), what, "Correct the line. The rest of the file was not checked")
         };
         Problem {
             file: place.file.to_string(),

@@ -34,7 +34,7 @@ impl Problem {
             MAX_PROBLEMS => problems.push(Self {
                 key: String::new(),
                 what: format!("there are more than {MAX_PROBLEMS} problems"),
-                remedy: "Correct those listed; the others were not looked for".to_owned(),
+                remedy: "Correct those listed. The others were not looked for".to_owned(),
                 ..self
             }),
             _ => {}

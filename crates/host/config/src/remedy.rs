@@ -84,7 +84,8 @@ pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
         return None;
     }
     Some(format!(
-        "{text} is {converted} {unit}: write {converted}, without quotes; the unit is always {unit}",
+        "{text} is {converted} {unit}: write {converted}, without quotes. The unit is always \
+            {unit}",
         unit = key.unit
     ))
 }

@@ -38,10 +38,12 @@ type Kind = (usize, &'static [u8], &'static str, &'static str);
 /// A file that captures and bags may be.
 pub const MCAP: &str = "an MCAP file";
 
-const MAT: &str = "in MATLAB `writetable(T, 'log.csv')` or `writematrix`; in Python `scipy.io.loadmat` or `mat73.loadmat`, \
+const MAT: &str = "in MATLAB `writetable(T, 'log.csv')` or `writematrix`. In Python \
+    `scipy.io.loadmat` or `mat73.loadmat`, \
                    then `pandas.DataFrame(…).to_csv`";
 const PANDAS: &str = "in Python `pandas.read_feather('FILE').to_csv('log.csv', index=False)`";
-const PICKLE: &str = "reading it runs its code; only if you trust it, in Python `pandas.read_pickle('FILE').to_csv('log.csv')`, \
+const PICKLE: &str = "reading it runs its code. Only if you trust it, in Python \
+    `pandas.read_pickle('FILE').to_csv('log.csv')`, \
                       or `torch.load` and `safetensors.torch.save_file`";
 const UTF8: &str = "save it as UTF-8: `iconv -f UTF-16 -t UTF-8 FILE > log.csv`";
 const LFS: &str = "the file itself was not downloaded: `git lfs pull`";
@@ -145,7 +147,8 @@ const KINDS: [Kind; 46] = [
     (0, b"[\n", "JSON", JSON),
 ];
 
-const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', index=False)`; without `lines` for one list";
+const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', \
+    index=False)`, without `lines` for one list";
 
 /// What a file is that begins with `head`, if it is none of text or of an unknown kind. At least
 /// [`HEAD_BYTES`] are looked at, if the file has them. Whoever reads one of these kinds looks for

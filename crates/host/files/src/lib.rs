@@ -25,14 +25,15 @@ pub use whole::{check_kind, create, replace};
 #[non_exhaustive]
 pub enum Refused {
     /// It is not a regular file.
-    #[error("is {found}; allowed are regular files")]
+    #[error("is {found}, allowed are regular files")]
     Kind {
         /// Its kind.
         found: &'static str,
     },
     /// It would replace a file that no program of joulebus has written.
     #[error(
-        "begins with {found:?}, which is not what would be written there, and is not overwritten; move it away, or name \
+        "begins with {found:?}, which is not what would be written there, and is not overwritten. \
+            Move it away, or name \
          another file"
     )]
     Foreign {
@@ -40,7 +41,7 @@ pub enum Refused {
         found: String,
     },
     /// It is longer than the limit.
-    #[error("has {found} bytes; allowed are {allowed}")]
+    #[error("has {found} bytes, allowed are {allowed}")]
     TooLong {
         /// Length of the file, at least, bytes.
         found: u64,
@@ -48,7 +49,7 @@ pub enum Refused {
         allowed: u64,
     },
     /// Others may read a secret.
-    #[error("has mode {mode:04o}: others may read it; chmod 600 makes it its owner's alone")]
+    #[error("has mode {mode:04o}: others may read it. `chmod 600` makes it its owner's alone")]
     Readable {
         /// Its permissions.
         mode: u32,

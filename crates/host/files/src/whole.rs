@@ -89,7 +89,7 @@ fn is_of_kind(found: &[u8], beginning: &[u8]) -> bool {
 }
 
 fn taken() -> io::Error {
-    let what = "the file exists and is not overwritten; name another";
+    let what = "the file exists and is not overwritten. Name another";
     io::Error::new(io::ErrorKind::AlreadyExists, what)
 }
 

@@ -25,11 +25,11 @@ fn only_regular_files_are_opened_without_blocking() {
         symlink(at(to), at(link)).unwrap();
     }
     for (path, expected) in [
-        (at("fifo"), "is a named pipe; allowed are regular files"),
-        (at("link to a fifo"), "is a named pipe; allowed are regular files"),
-        (at("socket"), "is a socket; allowed are regular files"),
-        (at("."), "is a directory; allowed are regular files"),
-        (PathBuf::from("/dev/zero"), "is a device; allowed are regular files"),
+        (at("fifo"), "is a named pipe, allowed are regular files"),
+        (at("link to a fifo"), "is a named pipe, allowed are regular files"),
+        (at("socket"), "is a socket, allowed are regular files"),
+        (at("."), "is a directory, allowed are regular files"),
+        (PathBuf::from("/dev/zero"), "is a device, allowed are regular files"),
         (at("dangling"), "No such file or directory (os error 2)"),
     ] {
         let refusals = [
@@ -61,14 +61,14 @@ fn files_beyond_the_limit_are_refused_with_both_lengths_before_reading() {
     }
     fs::write(&path, "0123456789").unwrap();
     let refused = joulebus_files::read(&path, 9).unwrap_err();
-    assert_eq!(refused.to_string(), "has 10 bytes; allowed are 9");
+    assert_eq!(refused.to_string(), "has 10 bytes, allowed are 9");
     // A sparse file of a terabyte takes no memory.
     fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
     let refused = joulebus_files::read(&path, 9).unwrap_err();
-    assert_eq!(refused.to_string(), "has 1099511627776 bytes; allowed are 9");
+    assert_eq!(refused.to_string(), "has 1099511627776 bytes, allowed are 9");
     // The length of these is unknown to the system.
     let refused = joulebus_files::read(Path::new("/proc/self/status"), 9).unwrap_err();
-    assert_eq!(refused.to_string(), "has 10 bytes; allowed are 9");
+    assert_eq!(refused.to_string(), "has 10 bytes, allowed are 9");
     fs::write(&path, b"\xff").unwrap();
     let refused = joulebus_files::read_to_string(&path, 9).unwrap_err();
     assert_eq!(refused.kind(), std::io::ErrorKind::InvalidData);

@@ -37,7 +37,7 @@ impl GlobalOptions {
             exit_with_parent::end_with_stdin().map_err(failed)?;
         }
         if !has_rows && matches!(self.format, OutputFormat::Ndjson | OutputFormat::Csv) {
-            let what = "--format ndjson and csv are of `cat` alone; use --format json\n";
+            let what = "--format ndjson and csv are of `cat` alone. Use --format json\n";
             return Err(clap::Error::raw(ErrorKind::InvalidValue, what));
         }
         Ok(Output::new(self.format))

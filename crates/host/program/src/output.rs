@@ -18,7 +18,7 @@ pub struct StdoutClosed;
 pub enum Format {
     /// Text
     Text,
-    /// JSON; unknown numbers are null
+    /// JSON, with null for unknown numbers
     Json,
 }
 
@@ -27,7 +27,7 @@ pub enum Format {
 pub enum OutputFormat {
     /// Text
     Text,
-    /// JSON; unknown numbers are null
+    /// JSON, with null for unknown numbers
     Json,
     /// JSON, one object per line (`cat`)
     Ndjson,

@@ -12,7 +12,7 @@ pub fn platform<'a>(settings: &'a FleetSettings, name: &str) -> Result<&'a Platf
     let mut platforms = settings.platforms.iter();
     platforms.find(|platform| platform.name == name).ok_or_else(|| {
         let known = names(&settings.platforms);
-        UsageError(format!("{name:?} is not a platform of the config; its platforms are: {known}"))
+        UsageError(format!("{name:?} is not a platform of the config. Its platforms are: {known}"))
     })
 }
 

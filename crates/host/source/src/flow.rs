@@ -140,7 +140,7 @@ impl Flow {
                 return Ok(SendWindow::Free);
             }
             if now_ns >= mention_ns {
-                say("the worker runs, but has not answered for 2 s; waiting for it");
+                say("the worker runs, but has not answered for 2 s, waiting for it");
                 mention_ns = u64::MAX;
             }
             let process = self.worker.as_ref().and_then(|worker| worker.process.as_ref());

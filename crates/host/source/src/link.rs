@@ -116,7 +116,7 @@ impl Link {
         if self.has_worker()? {
             return Ok(true);
         }
-        say("no worker runs; waiting for one (`joulebus run` starts it)");
+        say("no worker runs, waiting for one (`joulebus run` starts it)");
         while !self.has_worker()? {
             if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
                 return Ok(false);

@@ -129,7 +129,7 @@ pub enum SavedStateError {
         source: io::Error,
     },
     /// The file is damaged, or something else.
-    #[error("state {path:?} is damaged: {reason}; remove it if it stays so")]
+    #[error("state {path:?} is damaged: {reason}. Remove it if it stays so")]
     Damaged {
         /// The file.
         path: PathBuf,

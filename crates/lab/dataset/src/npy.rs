@@ -43,11 +43,12 @@ pub enum HeaderError {
         detail: String,
     },
     /// The elements are records.
-    #[error("found records; allowed: plain elements")]
+    #[error("found records, allowed: plain elements")]
     Records,
     /// There are too many dimensions, or too large ones.
     #[error(
-        "found shape ({found}); allowed: up to {MAX_DIMENSIONS} dimensions of up to {MAX_DIGITS} digits"
+        "found shape ({found}), allowed: up to {MAX_DIMENSIONS} dimensions of up to {MAX_DIGITS} \
+            digits"
     )]
     Shape {
         /// The shape as stated.
@@ -95,7 +96,7 @@ impl Header {
             ref version => {
                 let [major, minor] = [version[0], version[1]];
                 let detail =
-                    format!("found format version {major}.{minor}; allowed: 1.0, 2.0 and 3.0");
+                    format!("found format version {major}.{minor}, allowed: 1.0, 2.0 and 3.0");
                 return Err(malformed(MAGIC.len(), detail));
             }
         };
@@ -103,7 +104,7 @@ impl Header {
         let length = bytes[VERSION_END..].iter().rev();
         let length = length.fold(0_usize, |length, byte| length << 8 | usize::from(*byte));
         if length > MAX_TEXT_BYTES {
-            let detail = format!("found a length of {length} bytes; allowed: {MAX_TEXT_BYTES}");
+            let detail = format!("found a length of {length} bytes, allowed: {MAX_TEXT_BYTES}");
             return Err(malformed(VERSION_END, detail));
         }
         read_until(&mut source, &mut bytes, text_at + length)?;
@@ -190,7 +191,7 @@ fn parse(at: usize, text: &[u8]) -> Result<(String, bool, Vec<usize>), HeaderErr
     let refused = || {
         let found: String = found.trim_end().chars().take(200).collect();
         let allowed = "{'descr': '<f8', 'fortran_order': False, 'shape': (n, 11), }";
-        malformed(at, format!("found {found:?}; allowed: {allowed}"))
+        malformed(at, format!("found {found:?}, allowed: {allowed}"))
     };
     let (before, shape, after) = parts(&found).ok_or_else(refused)?;
     // The shape's parentheses stay empty, so that a comma ends a field.

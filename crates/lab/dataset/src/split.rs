@@ -174,7 +174,7 @@ pub enum SplitError {
         held_out: f64,
     },
     /// A unit to be held out does not exist.
-    #[error("found no {by} {wanted:?}; there are {found}")]
+    #[error("found no {by} {wanted:?}, there are {found}")]
     Unknown {
         /// Unit of the split.
         by: By,
@@ -185,7 +185,7 @@ pub enum SplitError {
     },
     /// There are too few units.
     #[error(
-        "found {found} {by}s, at least 3 are needed, one a part; name more recordings, or split by \
+        "found {found} {by}s, at least 3 are needed, one a part. Name more recordings, or split by \
          time"
     )]
     TooFew {
@@ -195,7 +195,7 @@ pub enum SplitError {
         found: usize,
     },
     /// Every recording is left out.
-    #[error("{names}: no other recording is left to learn from; name fewer, or more recordings")]
+    #[error("{names}: no other recording is left to learn from. Name fewer, or more recordings")]
     NothingLeft {
         /// The names.
         names: String,

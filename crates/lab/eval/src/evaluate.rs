@@ -32,11 +32,11 @@ const BASE_NS: u64 = 1_000_000_000;
 #[non_exhaustive]
 pub enum EvaluateError {
     /// No trial was given.
-    #[error("found no trial to evaluate; name one or more files")]
+    #[error("found no trial to evaluate. Name one or more files")]
     NoTrial,
     /// No platform lists the robot's id.
     #[error(
-        "robot {robot} belongs to none of the {platforms} platforms; add its id to one of them"
+        "robot {robot} belongs to none of the {platforms} platforms. Add its id to one of them"
     )]
     UnknownRobot {
         /// The robot.
@@ -45,7 +45,7 @@ pub enum EvaluateError {
         platforms: usize,
     },
     /// Two trials have the same robot.
-    #[error("robot {robot} has more than one trial; give each trial an id of its own")]
+    #[error("robot {robot} has more than one trial. Give each trial an id of its own")]
     DuplicateRobot {
         /// The robot.
         robot: u32,

@@ -31,11 +31,12 @@ pub struct EvalPart {
 #[non_exhaustive]
 pub enum PartError {
     /// No part was given.
-    #[error("found no part to merge; name the files that `joulebus eval --partition` wrote")]
+    #[error("found no part to merge. Name the files that `joulebus eval --partition` wrote")]
     None,
     /// It is another kind of file.
     #[error(
-        "{name}: is no part of an evaluation; allowed are files that `joulebus eval --partition` wrote"
+        "{name}: is no part of an evaluation, allowed are files that `joulebus eval --partition` \
+            wrote"
     )]
     Foreign {
         /// The file.
@@ -43,7 +44,8 @@ pub enum PartError {
     },
     /// The file is damaged.
     #[error(
-        "{name}: is damaged or cut short: {bytes} bytes with another hash than they state; make it again"
+        "{name}: is damaged or cut short: {bytes} bytes with another hash than they state. Make \
+            it again"
     )]
     Damaged {
         /// The file.
@@ -53,7 +55,8 @@ pub enum PartError {
     },
     /// Another release wrote it.
     #[error(
-        "{name}: was written by release {found}, this is {RELEASE}; make all parts and merge them with one release"
+        "{name}: was written by release {found}, this is {RELEASE}. Make all parts and merge them \
+            with one release"
     )]
     Release {
         /// The file.
@@ -63,7 +66,8 @@ pub enum PartError {
     },
     /// Parts of different partitions.
     #[error(
-        "{name}: is part {number} of {found}, {first} is one of {expected}; merge the parts of one evaluation"
+        "{name}: is part {number} of {found}, {first} is one of {expected}. Merge the parts of \
+            one evaluation"
     )]
     Count {
         /// The file.
@@ -78,7 +82,7 @@ pub enum PartError {
         expected: u32,
     },
     /// Two files are the same part.
-    #[error("{name}: is part {number}, as {first} is; name each part once")]
+    #[error("{name}: is part {number}, as {first} is. Name each part once")]
     Twice {
         /// The file.
         name: String,
@@ -89,7 +93,8 @@ pub enum PartError {
     },
     /// Parts are missing.
     #[error(
-        "parts {missing} of {of} are missing; make them with `joulebus eval --partition`, and name all"
+        "parts {missing} of {of} are missing. Make them with `joulebus eval --partition`, and \
+            name all"
     )]
     Missing {
         /// Their numbers.
@@ -99,7 +104,8 @@ pub enum PartError {
     },
     /// Parts of different evaluations.
     #[error(
-        "platform {platform}: the parts are of different evaluations; allowed are parts of the same recordings in \
+        "platform {platform}: the parts are of different evaluations, allowed are parts of the \
+            same recordings in \
          the same order, with the same models, config and options"
     )]
     Different {
@@ -108,7 +114,7 @@ pub enum PartError {
     },
     /// A recording is in several parts or in none; never caused by files that were written here.
     #[error(
-        "platform {platform}: recording {place} is not in exactly one part; make the parts again"
+        "platform {platform}: recording {place} is not in exactly one part. Make the parts again"
     )]
     Recording {
         /// Name of the platform.

@@ -75,8 +75,8 @@ pub struct Layer {
 pub enum FigureError {
     /// There are no panels, or the layout is out of range.
     #[error(
-        "figure {name}: {panels} panels in {columns} columns of {height_px} px height; allowed are \
-         1 to 64 panels, 1 to 8 columns and 100 to 2000 px"
+        "figure {name}: {panels} panels in {columns} columns of {height_px} px height, allowed \
+            are 1 to 64 panels, 1 to 8 columns and 100 to 2000 px"
     )]
     Layout {
         /// The figure.

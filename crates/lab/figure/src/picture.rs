@@ -25,7 +25,7 @@ impl Figure {
 fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
     let failed = |reason: String| FigureError::Picture { name: figure.name.clone(), reason };
     if !(0.5..=8.0).contains(&scale) {
-        return Err(failed(format!("scale {scale}; allowed: 0.5 to 8")));
+        return Err(failed(format!("scale {scale}, allowed: 0.5 to 8")));
     }
     let options = Options { fontdb: fonts(), font_family: FAMILY.to_owned(), ..Options::default() };
     let tree =

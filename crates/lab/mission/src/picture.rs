@@ -49,7 +49,7 @@ pub fn picture(scenario: &Scenario, policy: Policy, seed: u64) -> Result<String,
             "mission",
             title,
             "Above: what each of the robots does over time. Below: the true state of charge of four of \
-             them; the policy sees only the fleet's account.",
+             them. The policy sees only the fleet's account.",
             vec![jobs(&looks, ends), charge(&looks, ends)],
         )
     };

@@ -222,7 +222,7 @@ impl fmt::Display for Summary {
                 Shown(percent(*more), 1)
             ),
             Some(Comparison { stranded, .. }) => {
-                writeln!(out, "joulebus strands {stranded} robots; every baseline strands more")
+                writeln!(out, "joulebus strands {stranded} robots. Every baseline strands more")
             }
             None => Ok(()),
         }

@@ -60,13 +60,13 @@ pub(super) fn foreign(members: &[Member]) -> Option<String> {
     };
     let other = members.iter().find(|member| !member.name.ends_with(".npy"));
     Some(if has("model.weights.h5") || has("keras_metadata.pb") {
-        "found a model of Keras; save its arrays: `numpy.savez('model.npz', *model.get_weights())`"
+        "found a model of Keras. Save its arrays: `numpy.savez('model.npz', *model.get_weights())`"
             .to_owned()
     } else if has("archive_format")
         || has("models/model.json")
         || has("serialized_exported_program.json")
     {
-        "found an exported program of PyTorch (.pt2); save its arrays: \
+        "found an exported program of PyTorch (.pt2). Save its arrays: \
          `torch.save(torch.export.load('FILE').state_dict, 'model.pt')`"
             .to_owned()
     } else if has("data.pkl") {

@@ -151,7 +151,7 @@ impl FromStr for Convention {
         };
         let Some(((((unit, order), lags), derivative), magnitude)) = convention else {
             let example = "mW+newest-first+lags-last+d-own-per-second+abs-own";
-            return Err(format!("{text:?} is not a convention; an example is {example}"));
+            return Err(format!("{text:?} is not a convention, an example is {example}"));
         };
         Ok(Convention { unit, order, lags, derivative, magnitude })
     }
@@ -164,7 +164,7 @@ pub enum ChooseError {
     /// There are too few readings.
     #[error(
         "the recordings have {found} readings with all inputs of a forecast (command, five \
-         readings before it, no gap); at least {allowed} are needed"
+         readings before it, no gap), at least {allowed} are needed"
     )]
     TooFewRows {
         /// Rows found.
@@ -173,7 +173,7 @@ pub enum ChooseError {
         allowed: usize,
     },
     /// The power is constant.
-    #[error("all {rows} readings are the same; recordings with changing power are needed")]
+    #[error("all {rows} readings are the same. Recordings with changing power are needed")]
     ConstantPower {
         /// Rows.
         rows: usize,
@@ -181,7 +181,8 @@ pub enum ChooseError {
     /// Even the best convention forecasts worse than a constant.
     #[error(
         "no convention fits: the best one, {best}, has R² {r2:.4} on these {rows} readings, no \
-         better than a constant; check that they are of the robots that the model was trained for. To import \
+         better than a constant. Check that they are of the robots that the model was trained \
+         for. To import \
          it nevertheless, name a convention"
     )]
     NothingFits {
@@ -194,7 +195,8 @@ pub enum ChooseError {
     },
     /// Several conventions forecast equally well.
     #[error(
-        "the recordings do not tell these conventions apart: {candidates}; give recordings with more \
+        "the recordings do not tell these conventions apart: {candidates}. Give recordings with \
+            more \
          changing commands, or name one with --convention"
     )]
     Indistinguishable {
@@ -204,7 +206,8 @@ pub enum ChooseError {
     /// The file has no statistics, and the published model's statistics do not fit this robot.
     #[error(
         "the file has no normalisation constants, and the recordings are not of the published \
-         model's robot: {found}, published: {published}; add the constants to the file, or take those \
+         model's robot: {found}, published: {published}. Add the constants to the file, or take \
+         those \
          of the recordings with --normalisation recordings if the network was trained on them"
     )]
     NotPublished {
@@ -214,7 +217,7 @@ pub enum ChooseError {
         published: String,
     },
     /// The requested convention does not match the statistics.
-    #[error("{asked} does not match the file's statistics; those that match: {allowed}")]
+    #[error("{asked} does not match the file's statistics. Those that match: {allowed}")]
     NotACandidate {
         /// The requested convention.
         asked: Convention,
@@ -224,7 +227,7 @@ pub enum ChooseError {
     /// The features cannot be expressed by the worker's features.
     #[error(
         "{convention} (R² {r2:.4}) cannot run here: it needs |v − mean|, and the worker's features \
-         hold |v|; the best that can run is {runner_up} (R² {runner_up_r2:.4})"
+         hold |v|. The best that can run is {runner_up} (R² {runner_up_r2:.4})"
     )]
     CannotRun {
         /// The convention.

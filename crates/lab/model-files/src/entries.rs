@@ -302,7 +302,7 @@ fn too_many(container: Container, path: &str) -> ReadError {
     ReadError::Part {
         container,
         part: place(path),
-        detail: "more entries than any model has; check that it is a model file".to_owned(),
+        detail: "more entries than any model has. Check that it is a model file".to_owned(),
     }
 }
 

@@ -5,7 +5,8 @@ use joulebus_predictor::ModelError;
 use super::entry::Container;
 use super::pickle::PickleError;
 
-/// Maximum size of a file, bytes: a checkpoint of this network with its optimizer has some 100 kB.
+/// Maximum size of a file to import, bytes: a checkpoint of this network with its optimizer has
+/// some 100 kB.
 pub const MAX_FILE_BYTES: usize = 16 << 20;
 
 /// Errors of reading a file. The caller adds the file's name.
@@ -14,7 +15,8 @@ pub const MAX_FILE_BYTES: usize = 16 << 20;
 pub enum ReadError {
     /// Larger than any model of this kind.
     #[error(
-        "the file has {found} bytes, at most {MAX_FILE_BYTES} are read; check that it is a model file"
+        "the file has {found} bytes, at most {MAX_FILE_BYTES} are read. Check that it is a model \
+            file"
     )]
     TooLarge {
         /// Bytes found.
@@ -22,7 +24,7 @@ pub enum ReadError {
     },
     /// None of the supported formats.
     #[error(
-        "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth), tensors \
+        "byte 0: {found}, expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth), tensors \
          (.safetensors) or a model that joulebus exported (.onnx)"
     )]
     Kind {
@@ -60,10 +62,10 @@ pub enum ReadError {
 pub enum FindError {
     /// No part of the file has the arrays of the network.
     #[error(
-        "no part of the file has exactly the arrays of a network: one to three hidden layers of at \
-         most 64, 64 and 32 units, each with weights (from 11 or 5 inputs to one output, all of them or \
-         none transposed) and biases, and no other array of these sizes; a network that reads \
-         freshness comes as an own model only; found: {found}"
+        "no part of the file has exactly the arrays of a network, found: {found}. A network has one to \
+         three hidden layers of at most 64, 64 and 32 units. Each layer has biases, and weights from \
+         11 or 5 inputs to one output, all of them or none transposed. No other array has these \
+         sizes. A network that reads freshness comes as an own model only"
     )]
     NoNetwork {
         /// The arrays found, with their shapes.
@@ -71,22 +73,22 @@ pub enum FindError {
     },
     /// The network is larger than the worker's.
     #[error(
-        "the network is {found}; the worker runs 11→64→64→32→1 or smaller: 11 inputs, or the 5 \
-         readings alone, and one to three hidden layers of at most 64, 64 and 32 units; train a smaller \
-         one"
+        "the network is {found}. The worker runs 11→64→64→32→1 or smaller: 11 inputs, or the 5 \
+         readings alone, and one to three hidden layers of at most 64, 64 and 32 units. Train a \
+         smaller one"
     )]
     TooLarge {
         /// Its widths, such as `11→128→64→32→1`.
         found: String,
     },
     /// Several parts of the file have them.
-    #[error("several parts of the file hold a network: {found}; name one of them")]
+    #[error("several parts of the file hold a network: {found}. Name one of them")]
     Several {
         /// The parts.
         found: String,
     },
     /// The requested part does not exist.
-    #[error("no part of the file is called {asked:?}; parts: {found}")]
+    #[error("no part of the file is called {asked:?}, parts: {found}")]
     NoSuchPart {
         /// The requested part.
         asked: String,
@@ -105,8 +107,10 @@ pub enum FindError {
     },
     /// The activation is unsupported.
     #[error(
-        "{path:?} states the activation {found:?}, which the worker does not have; allowed: {allowed}, \
-         or gelu, which is gelu_erf; if this is not about the hidden layers, name theirs with --activation",
+        "{path:?} states the activation {found:?}, which the worker does not have, allowed: \
+            {allowed}, \
+         or gelu, which is gelu_erf. If this is not about the hidden layers, name theirs with \
+         --activation",
         allowed = joulebus_predictor::Activation::NAMES
     )]
     Activation {
@@ -117,7 +121,8 @@ pub enum FindError {
     },
     /// Statements of the activation contradict each other.
     #[error(
-        "{first}, but {second}; allowed: one activation in all hidden layers, or name it with --activation"
+        "{first}, but {second}, allowed: one activation in all hidden layers, or name it with \
+            --activation"
     )]
     ActivationsDiffer {
         /// A statement.
@@ -127,7 +132,7 @@ pub enum FindError {
     },
     /// The output has an activation.
     #[error(
-        "{path:?} is {found:?}: the output has no activation here; allowed: identity, linear, none"
+        "{path:?} is {found:?}: the output has no activation here, allowed: identity, linear, none"
     )]
     OutputActivation {
         /// The setting.
@@ -137,7 +142,8 @@ pub enum FindError {
     },
     /// The weights are a product of other arrays.
     #[error(
-        "{path:?} is a factor of weights (weight_norm or another parametrisation); save the weights themselves: \
+        "{path:?} is a factor of weights (weight_norm or another parametrisation). Save the \
+            weights themselves: \
          `torch.nn.utils.parametrize.remove_parametrizations(layer, 'weight')`, or `remove_weight_norm(layer)`, \
          of each such layer before `state_dict()`"
     )]
@@ -147,7 +153,8 @@ pub enum FindError {
     },
     /// The network has layers that are not run.
     #[error(
-        "{path:?} belongs to a normalisation layer; the worker runs dense layers alone: fold it into the \
+        "{path:?} belongs to a normalisation layer. The worker runs dense layers alone: fold it \
+            into the \
          layer beside it, or train without it"
     )]
     NormalisationLayer {
@@ -155,7 +162,7 @@ pub enum FindError {
         path: String,
     },
     /// Some statistics of the normalisation are missing.
-    #[error("the normalisation is incomplete: found {found}; missing: {missing}")]
+    #[error("the normalisation is incomplete: found {found}, missing: {missing}")]
     Normalisation {
         /// The statistics found.
         found: String,

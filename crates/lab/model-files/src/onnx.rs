@@ -228,7 +228,7 @@ pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
     };
     let metadata = model.metadata_props.iter().find(|property| property.key == METADATA);
     let Some(metadata) = metadata.filter(|_| model.producer_name == PRODUCER) else {
-        let detail = "is not joulebus; only graphs that `model export` wrote are read, others as \
+        let detail = "is not joulebus. Only graphs that `model export` wrote are read, others as \
                       state dict (.pt, .safetensors) or arrays (.npz)";
         return Some(Err(bad("producer_name", detail)));
     };

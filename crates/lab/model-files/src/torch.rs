@@ -42,7 +42,7 @@ pub(super) fn read_zip(members: &[Member]) -> Result<Vec<Entry>, ReadError> {
         members.find(|member| member.name.strip_prefix(prefix) == Some(name))
     };
     if member("constants.pkl").is_some() {
-        let detail = "this is a TorchScript archive, which holds a program; save the state dict";
+        let detail = "this is a TorchScript archive, which holds a program. Save the state dict";
         return Err(bad("constants.pkl", detail));
     }
     if member("byteorder").is_some_and(|order| order.bytes != b"little") {
@@ -109,7 +109,7 @@ fn check_origin(version: &Pickle, system: &Pickle) -> Result<(), ReadError> {
     };
     match little {
         Some(true) => Ok(()),
-        _ => bad("system", "little_endian is not true; allowed: true".to_owned()),
+        _ => bad("system", "little_endian is not true, allowed: true".to_owned()),
     }
 }
 

@@ -29,7 +29,7 @@ use crate::split_unit::SplitUnit;
     joulebus analyze recordings/ --native --format json\n\n\
     The held series is what a controller at 30 Hz reads, whatever the sensor's own rate. \
     Linear models are fitted by least squares on the training rows of the split, and all models are scored on \
-    the same held-out rows. A held reading equals the one before to the bit; a constant load \
+    the same held-out rows. A held reading equals the one before to the bit. A constant load \
     below the sensor's resolution looks the same.")]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -69,7 +69,8 @@ pub(crate) struct Args {
     /// Seed of the split
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Models to score as well; scores of one that was trained on the held-out rows are meaningless
+    /// Models to score as well (scores of one that was trained on the held-out rows are
+    /// meaningless)
     #[arg(long, value_name = "FILE", num_args = 1)]
     model: Vec<PathBuf>,
     /// Show the autocorrelation of each trial

@@ -31,12 +31,13 @@ use joulebus_program::utc::Utc;
     joulebus calibrate recordings/ --config configs/mixed.toml --platform husky --false-alarms 2/hour\n  \
     joulebus calibrate trials/ --config lab/fleet.toml --false-alarms 1/day --extrapolate --format json\n\n\
     The recordings are taken for healthy: leave out those with faults. They are played through the code of the \
-    tick at a grid of limits. Half of them decides how the limits stand to each other, the other half how \
-    high they are, and states the rate with an exact Poisson bound, widened where alarms come in groups. What the \
-    recordings are too short for is refused (exit 1) with the hours needed; --extrapolate continues the tail of \
-    what they show, and says so. Then faults are put into the second half: how soon they are found, beside the \
-    textbook's CUSUM (limit 5) and limits of power and voltage.\n\
-    --out writes the platform's file with these limits and their evidence; nothing is overwritten. \
+    tick at a grid of limits. Half of them decides how the limits stand to each other, the other \
+    half how high they are. The second half states the rate with an exact Poisson bound, widened \
+    where alarms come in groups. A rate that needs longer recordings is refused (exit 1) with the \
+    hours needed. --extrapolate continues the tail of what they show, and says so. Then faults \
+    are put into the second half. The report says how soon they are found, beside the textbook's \
+    CUSUM (limit 5) and limits of power and voltage.\n\
+    --out writes the platform's file with these limits and their evidence, and overwrites nothing. \
     docs/measured/alarms.md has results.")]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -54,7 +55,7 @@ pub(crate) struct Args {
     /// False alarms of the whole fleet: a number an hour, a day or a week, such as 1/day
     #[arg(long, value_name = "N/TIME", value_parser = rate)]
     false_alarms: f64,
-    /// Robots of the fleet [default: those of the platform in the capture that has most; 1 without
+    /// Robots of the fleet [default: those of the platform in the capture that has most, 1 without
     /// captures]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     robots: Option<u32>,
@@ -81,7 +82,7 @@ struct CalibrateReport {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_ref().filter(|out| out.exists()) {
         let what = format!("{} exists", out.display());
-        return Err(UsageError(format!("{what}; name another file with --out")).into());
+        return Err(UsageError(format!("{what}. Name another file with --out")).into());
     }
     let config = args.config.load()?;
     args.check_config()?;
@@ -133,7 +134,8 @@ impl Args {
         match files.iter().find(|file| !is_capture(file)) {
             Some(file) if self.config.is_builtin() => {
                 let what = format!("which platform recorded {}?", file.display());
-                let remedy = "name its fleet's config with --config; `joulebus config init` makes one from recordings";
+                let remedy = "name its fleet's config with --config. `joulebus config init` makes \
+                    one from recordings";
                 Err(UsageError(format!("{what} {remedy}")).into())
             }
             _ => Ok(()),
@@ -149,7 +151,7 @@ impl Args {
             (None, several) => {
                 let names = names(several);
                 let what = "which platform? The config has several";
-                return Err(UsageError(format!("{what}: {names}; give --platform NAME")));
+                return Err(UsageError(format!("{what}: {names}. Give --platform NAME")));
             }
         };
         let named = platform(settings, name)?;
@@ -267,7 +269,7 @@ impl fmt::Display for CalibrateReport {
         match &self.written {
             Some(path) => writeln!(
                 out,
-                "written: {}; name it as the platform's file in the fleet's config",
+                "written: {}. Name it as the platform's file in the fleet's config",
                 path.display()
             ),
             None => Ok(()),

@@ -20,10 +20,12 @@ use serde_json::Value;
     joulebus cat run.mcap --topics joulebus/lab/forecasts | head\n  \
     joulebus cat run.mcap --format csv --topics joulebus/lab/samples > samples.csv\n  \
     joulebus cat recording.mcap -e battery --format ndjson\n\n\
-    Protobuf is decoded by the descriptors in the file, JSON is passed on, and of ROS 2 BatteryState, \
-    Twist, TwistStamped and Odometry; of other messages time, number and length are shown. CSV has \
+    Protobuf is decoded by the descriptors in the file, and JSON is passed on. BatteryState, \
+    Twist, TwistStamped and Odometry of ROS 2 are decoded too. Other messages are shown with \
+    time, number and length. CSV has \
     a row for each robot of a message and takes one type of messages.\n\
-    Exit codes: 1 if the file has no topic that was asked for; 3 if it is corrupt or values could not be decoded.")]
+    Exit code 1: the file has no topic that was asked for. Exit code 3: it is corrupt, or values \
+    could not be decoded.")]
 pub(crate) struct Args {
     /// An MCAP file
     #[arg(value_name = "FILE")]
@@ -89,7 +91,7 @@ fn refuse_strangers(
         0 => String::new(),
         more => format!(" and {more} more: `joulebus info` lists them"),
     };
-    anyhow::bail!("no topic {asked}; there are {}{more}", first.join(", "));
+    anyhow::bail!("no topic {asked}, there are {}{more}", first.join(", "));
 }
 
 /// Writer of messages to stdout.
@@ -152,7 +154,7 @@ impl Out {
             None => self.begin(line, rows.first().map_or(&[], Vec::as_slice))?,
             Some(schema) if schema != line.schema => {
                 let what = format!("a table of {schema} cannot hold {}", line.schema);
-                return Err(UsageError(format!("{what}; name one kind with --topics")).into());
+                return Err(UsageError(format!("{what}. Name one kind with --topics")).into());
             }
             Some(_) => {}
         }

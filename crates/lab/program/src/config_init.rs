@@ -32,9 +32,10 @@ use joulebus_program::model_range;
     joulebus config init --from recordings/ --out lab/\n  \
     joulebus config init --from recordings/ --out lab/ --train\n  \
     joulebus config init --from runs/*.csv --map time=t,power_W=p --name husky --battery-wh 480 --out lab/\n\n\
-    Rate, limits, resolution, holds and residual deviation are those of the recordings, each with its \
-    measured value in a comment; limits leave a margin. Without --train or --model, forecasts are by \
-    persistence. The files pass `config check`; nothing is overwritten.")]
+    Rate, limits, resolution, holds and residual deviation are those of the recordings, each with \
+    its measured value in a comment. Limits leave a margin. Without --train or --model, forecasts \
+    are by \
+    persistence. The files pass `config check`. Nothing is overwritten.")]
 pub(crate) struct Args {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
     /// patterns in quotes
@@ -164,14 +165,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let implausible = args.accept.settle(found.into_iter())?;
     let Some(recorded) = profiler.finish() else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
-        return Err(UsageError(format!("{what}; give recordings of a working robot")).into());
+        return Err(UsageError(format!("{what}. Give recordings of a working robot")).into());
     };
     let name = args.name()?;
     let places = Places::new(&args.out, &name);
     places.check(args.train)?;
     for stuck in &recorded.stuck {
         let held = "its readings are held far longer than those of the others";
-        say(&format!("warning: {stuck}: {held}; they set no hold_max_s"));
+        say(&format!("warning: {stuck}: {held}. They set no hold_max_s"));
     }
     let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
@@ -234,7 +235,7 @@ fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
     let draft = tempfile::tempdir().context("cannot make a directory to check the files in")?;
     let places = Places::new(draft.path(), name);
     places.write(platform, fleet)?;
-    let refused = "recordings and options contradict each other; nothing was written";
+    let refused = "recordings and options contradict each other. Nothing was written";
     let config = Config::load(&places.fleet).context(refused)?;
     load_models(&config).context(refused)?;
     Ok(())
@@ -270,7 +271,7 @@ impl Places {
         match existing {
             Some(path) => {
                 let what = format!("{} exists", path.display());
-                Err(UsageError(format!("{what}; name another directory with --out")))
+                Err(UsageError(format!("{what}. Name another directory with --out")))
             }
             None => Ok(()),
         }
@@ -320,7 +321,7 @@ impl Args {
         match (1..=32).contains(&name.len()) && name.chars().all(is_allowed) {
             true => Ok(name),
             false => Err(UsageError(format!(
-                "the name {name:?} is not of 1 to 32 letters, digits, - and _; give one with --name"
+                "the name {name:?} is not of 1 to 32 letters, digits, - and _. Give one with --name"
             ))),
         }
     }
@@ -394,7 +395,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
         Some(value) => number(
             key,
             above(1.25 * value),
-            format!("Recorded: up to {value:.3} {unit}; a quarter more."),
+            format!("Recorded: up to {value:.3} {unit}, a quarter more."),
         ),
     };
     let mut assignments = vec![
@@ -423,7 +424,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
         number(
             "power_max_w",
             above(1.5 * greatest_w.max(0.0)).max(min_w.abs() * 1e-3).max(1e-3),
-            format!("Recorded: up to {greatest_w:.3} W; half as much again."),
+            format!("Recorded: up to {greatest_w:.3} W, half as much again."),
         ),
         number("power_resolution_w", resolution.0, resolution.1),
         speed("v_max_mps", recorded.v_mps, "m/s", 1.0),
@@ -452,7 +453,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
     );
     if let (Some((low, high)), None) = (recorded.voltage_v, args.battery_wh) {
         title += &format!(
-            " Battery voltage {low:.2} to {high:.2} V; recordings do not state its capacity: add a \
+            " Battery voltage {low:.2} to {high:.2} V. Recordings do not state its capacity: add a \
              [battery] section for budgets (config explain platform.battery)."
         );
     }

@@ -31,13 +31,15 @@ pub(crate) use subject::{Selection, usage};
     joulebus eval --model my.safetensors recordings/ --partition 2/7 -o 2.part\n  \
     joulebus eval --merge *.part\n\n\
     Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
-    with its own forecasts and the true commands. MAE in W; skill is 1 - squared error over \
-    that of persistence: above 0 is better than repeating the last reading. [lo, hi] are confidence \
+    with its own forecasts and the true commands. MAE is in W. Skill is 1 - squared error over \
+    that of persistence: above 0 is better than repeating the last reading. [lo, hi] are \
+    confidence \
     intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
     gapless readings before them.\n\n\
-    With --model and no config, period and limits are those of each recording; else those of the \
-    config's platforms. Rows that a model was trained on, as its file states, are recognised by their \
-    readings and scored apart; the tables are of the others. --split evaluates what `joulebus train trials` with the same recordings, \
+    With --model and no config, period and limits are those of each recording. Otherwise they are \
+    those of the config's platforms. Rows that a model was trained on, as its file states, are \
+    recognised by their readings and scored apart. The tables are of the others. --split \
+    evaluates what `joulebus train trials` with the same recordings, \
     split and seed holds out.\n\n\
     --partition I/N runs every N-th recording, on any host, and --merge makes of the N files what one run reports, to \
     the bit. Each part reads all recordings, because baselines are fitted on them.")]

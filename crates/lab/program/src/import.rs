@@ -32,13 +32,15 @@ use options::ImportArguments;
     joulebus import bag/ -o trials/ --mapping mapping.toml\n  \
     joulebus import trials/*.csv.gz -o trials.mcap\n  \
     joulebus import captures/fleet.mcap -o trials/\n\n\
-    A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag; .db3 needs the \
-    program joulebus-rosbag. Of a bag, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
-    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Of a capture of \
-    joulebus, the samples of each robot are read. Data that the file \
-    does not have is missing in the result, never 0; unusable data is named and counted.\n\
-    The result is a capture if its name ends in .mcap, a dataset if it ends in .csv or .csv.gz, \
-    else a directory of datasets, which `joulebus publish trial` plays.\n\n\
+    A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag. A .db3 file \
+    needs the program joulebus-rosbag. Of a bag, sensor_msgs/BatteryState, geometry_msgs/Twist, \
+    TwistStamped and \
+    nav_msgs/Odometry are read (cdr). Without options every battery topic is a robot. Of a \
+    capture of \
+    joulebus, the samples of each robot are read. Data that the file does not have is missing in \
+    the result, never 0. Unusable data is named and counted.\n\
+    The result is a capture if its name ends in .mcap, and a dataset if it ends in .csv or \
+    .csv.gz. Otherwise it is a directory of datasets, which `joulebus publish trial` plays.\n\n\
     A mapping file (all keys except name and battery are optional):\n\n  \
     time = \"auto\"              # header, log, publish\n  \
     burst_s = 0.005            # of readings closer than this the last counts\n  \
@@ -51,12 +53,13 @@ use options::ImportArguments;
     battery = \"/r1/battery\"\n  \
     command = \"/r1/cmd_vel\"    # Twist or TwistStamped\n  \
     odometry = \"/r1/odom\"\n  \
-    current = \"discharge-negative\"   # as ROS has it; or discharge-positive\n  \
+    current = \"discharge-negative\"   # as ROS has it, or discharge-positive\n  \
     voltage_unit_v = 1.0       # 0.001 for millivolts\n  \
     current_unit_a = 1.0\n\n\
-    Exit codes: 1 if nothing could be used; 3 if messages, files of a bag or lines could not.")]
+    Exit code 1: nothing could be used. Exit code 3: some messages, files of a bag or lines could \
+    not.")]
 pub(crate) struct Args {
-    /// Recordings; several go into one capture, or into a directory
+    /// Recordings, of which several go into one capture, or into a directory
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// A capture (.mcap), a dataset (.csv, .csv.gz) or a directory
@@ -68,8 +71,8 @@ pub(crate) struct Args {
     columns: ColumnArguments,
     #[command(flatten)]
     accept: AcceptArguments,
-    /// Id in a capture of the first robot without one; the others are numbered on [default: the
-    /// lowest of the config]
+    /// Id in a capture of the first robot without one, from which the others are numbered on
+    /// [default: the lowest of the config]
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
     /// Fleet whose config goes into a capture
@@ -278,7 +281,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
     if is_dataset && recordings.len() > 1 {
         let what = format!("{} robots cannot be written to one dataset", recordings.len());
-        return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
+        return Err(UsageError(format!("{what}. Name a directory or a capture (.mcap)")).into());
     }
     let places = match is_dataset {
         true => vec![args.out.clone()],
@@ -320,7 +323,7 @@ fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<Path
             return Err(UsageError(format!("{what}: {remedy}")).into());
         }
         if disk::exists(&place) {
-            let what = format!("{at} exists and is not overwritten; name another directory");
+            let what = format!("{at} exists and is not overwritten. Name another directory");
             return Err(anyhow!(what));
         }
         places.push(place);

@@ -32,7 +32,7 @@ use joulebus_program::exit::{self, Outcome};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::output::Output;
 
-/// The verbs of joulebus that work on recordings and models; `joulebus VERB` runs them
+/// The verbs of joulebus that work on recordings and models (`joulebus VERB` runs them)
 #[derive(Debug, Parser)]
 #[command(name = "joulebus", bin_name = "joulebus", version)]
 struct Cli {

@@ -63,7 +63,7 @@ pub(crate) struct Args {
     /// End after this time, s [default: at the end of the trials]
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
-    /// Name of the source; a second source of the same name replaces the first [default: trial and
+    /// Name of the source. A second source of the same name replaces the first [default: trial and
     /// the first robot's id]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,

@@ -26,11 +26,11 @@ pub(crate) struct Recordings {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ColumnArguments {
     /// Names of columns in CSV files, where they are not found by themselves:
-    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns
-    /// the sign: current_A=-i; := gives a value for every row: voltage_V:=3.0
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names). A minus turns
+    /// the sign: current_A=-i. := gives a value for every row: voltage_V:=3.0
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
-    /// Sign of the current, and of a power that has its sign [default: discharge-positive; of bags
+    /// Sign of the current, and of a power that has its sign [default: discharge-positive, of bags
     /// discharge-negative, as in ROS]
     #[arg(long, value_name = "SIGN")]
     pub(crate) current: Option<Sign>,

@@ -9,9 +9,9 @@ use joulebus_eval::score::{Foreign, Reference, ScoreError};
 /// Forecasts to compare with.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct ReferenceArguments {
-    /// Forecasts of another program, one tick ahead, for every evaluated row: a CSV with the
-    /// columns recording (its file), row (from 1, the row whose power is forecast), power_w, and
-    /// lo_w and hi_w if it has intervals
+    /// Forecasts of another program, one tick ahead, for every evaluated row, as CSV. Its columns
+    /// are recording (its file), row (from 1, the row whose power is forecast), power_w, and lo_w
+    /// and hi_w if it has intervals
     #[arg(long, value_name = "NAME=FILE")]
     forecasts: Vec<Named>,
 }

@@ -25,7 +25,7 @@ pub(crate) struct TrialFiles {
     /// [default: the config's only platform]
     #[arg(long, value_name = "NAME", conflicts_with = "first_robot")]
     platform: Option<String>,
-    /// Id of the first robot for paths without an @; the following ids are consecutive
+    /// Id of the first robot for paths without an @. The following ids are consecutive
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
     #[command(flatten)]
@@ -157,8 +157,8 @@ impl TrialFiles {
             (None, several) => {
                 let names = names(several);
                 let what = "which platform? The config has several";
-                let remedy = "give --platform NAME or PATH@NAME";
-                return Err(UsageError(format!("{what}: {names}; {remedy}")));
+                let remedy = "Give --platform NAME or PATH@NAME";
+                return Err(UsageError(format!("{what}: {names}. {remedy}")));
             }
         };
         Ok(Some(IdSource::Platform(platform)))
@@ -227,7 +227,7 @@ fn assign(
                 let name = file.display();
                 let what = format!("{name}: no robot id is left");
                 let remedy = "enlarge the `robots` of its platform in the config";
-                return Err(UsageError(format!("{what}; give fewer files or {remedy}")).into());
+                return Err(UsageError(format!("{what}. Give fewer files or {remedy}")).into());
             }
         }
     }

@@ -154,8 +154,9 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
         "figure-7-calibration",
         "Figure 7. Calibration.",
         format!(
-            "(a) Share of readings inside the live interval against the nominal coverage; on the dashed \
-             line both are equal. (b) Mean of reading minus forecast in {PARTS} equal parts of the \
+            "(a) Share of readings inside the live interval against the nominal coverage. On the \
+                dashed line both are equal. (b) Mean of reading minus forecast in {PARTS} equal \
+                parts of the \
              forecasts, from low to high. (c) Share inside over time.{last}"
         ),
         panels,

@@ -102,7 +102,8 @@ pub(super) fn summary(draws: &[Numbers]) -> Vec<String> {
         format!(
             "The forecast that the worker publishes reaches R² {} and a mean absolute error of {} mW \
              on seven simulated robots that are in no training data (mean ± deviation of {seeds} \
-             draws); persistence, the last reading again, reaches {} and {} mW. Its squared error is \
+             draws). Persistence, the last reading again, reaches {} and {} mW. Its squared error \
+             is \
              smaller than persistence's on {ours} of {all} robots.",
             r2(PUBLISHED),
             mae(PUBLISHED),
@@ -111,7 +112,7 @@ pub(super) fn summary(draws: &[Numbers]) -> Vec<String> {
         ),
         format!(
             "The plain network, trained by the paper's recipe and without learning online, reaches \
-             R² {} and {} mW there, and beats persistence on {plain} of {all} robots; the paper's \
+             R² {} and {} mW there, and beats persistence on {plain} of {all} robots. The paper's \
              network reached {papers_mean:.2} ± {papers_std:.3} on its seven real robots.",
             r2(NETWORK),
             mae(NETWORK)
@@ -194,8 +195,8 @@ pub(super) fn product(draws: &[Numbers]) -> Section {
         parts: vec![
             Part::Words(
                 "The worker publishes what it learns online from the network, the readings and an \
-                 autoregression; the plain network is what the paper scores. One tick ahead, \
-                 corrected by each reading. Trial 6 is held out; the seven robots are other robots \
+                 autoregression. The plain network is what the paper scores. One tick ahead, \
+                 corrected by each reading. Trial 6 is held out. The seven robots are other robots \
                  than the one that trained."
                     .to_owned(),
             ),

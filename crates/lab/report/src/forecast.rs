@@ -57,7 +57,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         "figure-3-forecast",
         "Figure 3. Forecast against reading.",
         format!(
-            "{name}. Left: readings over the forecasts made for them; on the dashed line both \
+            "{name}. Left: readings over the forecasts made for them. On the dashed line both \
              are equal. Right: distribution of reading minus forecast, with its central 90 %."
         ),
         vec![cloud, residual_panel(material, series)],

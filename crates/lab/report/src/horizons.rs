@@ -18,7 +18,8 @@ pub(super) fn section(material: &Material<'_>) -> Option<Section> {
         parts: vec![
             Part::Words(format!(
                 "Starting every {} rows (at shorter horizons, every as many rows as the horizon has ticks), each \
-                 forecaster is fed with its own forecasts and the true commands. The paper evaluates one tick ahead; a planner needs the whole curve.",
+                 forecaster is fed with its own forecasts and the true commands. The paper \
+                 evaluates one tick ahead. A planner needs the whole curve.",
                 material.scored.report.origins_every
             )),
             Part::Figure(figure(material, horizons)),
@@ -51,7 +52,7 @@ fn figure(material: &Material<'_>, horizons: &[Horizon]) -> Figure {
         "Figure 6. Open loop.",
         "By horizon: (a) coefficient of determination, (b) mean absolute error of the power, (c) \
          mean absolute error of the energy up to the horizon, (d) skill: one minus the squared \
-         error over that of persistence; above 0 is better than repeating the last reading.",
+         error over that of persistence. Above 0 is better than repeating the last reading.",
         vec![
             panel("coefficient of determination", Axis::new("R²"), r2),
             panel("error", Axis::new(format!("MAE ({})", unit.name())).including(0.0), mae),

@@ -225,7 +225,7 @@ fn table(material: &Material<'_>, found: &[Readings]) -> Table {
     };
     Table {
         id: "table-power".to_owned(),
-        caption: "Power readings of each recording; ρ₁ is the autocorrelation at a lag of one row."
+        caption: "Power readings of each recording. ρ₁ is the autocorrelation at a lag of one row."
             .to_owned(),
         columns: vec![
             Column::new("recording", "recording"),

@@ -46,7 +46,7 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
     let shown = &sets[..sets.len().min(MAX_SETS)];
     let what = kind.plural();
     let left_out = if shown.len() < sets.len() {
-        format!(" The figure shows the first {MAX_SETS} of {}; the table has all.", sets.len())
+        format!(" The figure shows the first {MAX_SETS} of {}. The table has all.", sets.len())
     } else {
         String::new()
     };

@@ -124,7 +124,7 @@ fn document(
         title: "The paper's experiments on simulated robots".to_owned(),
         warning: Some(
             "Every number here is of simulated robots. They stand in for the dataset of arXiv \
-             2603.13908; nothing here is a claim about real robots."
+             2603.13908. Nothing here is a claim about real robots."
                 .to_owned(),
         ),
         summary,
@@ -183,7 +183,7 @@ fn training(trained: &Trained, note: &str) -> Section {
 fn per_trial(material: &Material<'_>) -> Section {
     let sets: Vec<&Scores> = material.scored.report.trials.iter().collect();
     let caption = "Corrected mode, one tick ahead. The network has learned from trials 1 to 4, and \
-                   trial 5 is the validation trial; only trial 6 is held out.";
+                   trial 5 is the validation trial. Only trial 6 is held out.";
     Section {
         id: "trials".to_owned(),
         title: "The six trials".to_owned(),

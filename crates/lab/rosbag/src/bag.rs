@@ -50,7 +50,8 @@ pub(crate) enum BagError {
     },
     /// Its writer was stopped within a change, which only a writer can undo.
     #[error(
-        "{path:?} is changed in part: {journal:?} has what it was before; if no program writes it any more, copy both, then \
+        "{path:?} is changed in part: {journal:?} has what it was before. If no program writes it \
+            any more, copy both, then \
          let SQLite undo the change: sqlite3 FILE 'PRAGMA quick_check'"
     )]
     Journal {

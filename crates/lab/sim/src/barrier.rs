@@ -72,7 +72,7 @@ pub enum Answer {
 #[non_exhaustive]
 pub enum BarrierError {
     /// The numbers of positions and velocities differ.
-    #[error("{points} positions and {wanted} velocities; give one of each for every robot")]
+    #[error("{points} positions and {wanted} velocities. Give one of each for every robot")]
     Lengths {
         /// Positions given.
         points: usize,

@@ -49,7 +49,7 @@ pub enum TrainError {
         allowed: &'static str,
     },
     /// The power is constant, so there is nothing to learn.
-    #[error("the power of all {rows} training rows is {power_w} W; a varying power is needed")]
+    #[error("the power of all {rows} training rows is {power_w} W. A varying power is needed")]
     ConstantPower {
         /// Number of training rows.
         rows: usize,

@@ -120,8 +120,8 @@ impl fmt::Display for Terms {
 pub enum LinearError {
     /// There are fewer rows than coefficients.
     #[error(
-        "{terms} needs at least {allowed} rows with every number known, found {found} of {rows}; \
-         name more or longer recordings, or fewer features"
+        "{terms} needs at least {allowed} rows with every number known, found {found} of {rows}. \
+            Name more or longer recordings, or fewer features"
     )]
     TooFewRows {
         /// The requested features.
@@ -134,7 +134,7 @@ pub enum LinearError {
         allowed: usize,
     },
     /// The moments lack a requested feature.
-    #[error("moments of {taken} were computed, {asked} needs others; compute them for both")]
+    #[error("moments of {taken} were computed, {asked} needs others. Compute them for both")]
     NotTaken {
         /// The features of the moments.
         taken: Terms,

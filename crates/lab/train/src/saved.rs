@@ -23,7 +23,7 @@ pub enum ResumeError {
     #[error("no saved run: {0}")]
     Format(String),
     /// The checkpoint was made with other data or settings.
-    #[error("the saved run has another {what}: {found}, expected {expected}; start a new run")]
+    #[error("the saved run has another {what}: {found}, expected {expected}. Start a new run")]
     Differs {
         /// The part that differs.
         what: &'static str,

@@ -32,7 +32,7 @@ impl Failure {
         let said = panic.downcast_ref::<&str>().copied();
         let said = said.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
         let text = format!(
-            "a defect of joulebus: {}; the handle of this call is closed; please report it",
+            "a defect of joulebus: {}. The handle of this call is closed. Please report it",
             said.unwrap_or("without a message")
         );
         Self::new(joulebus_error::Defect, text)

@@ -204,7 +204,7 @@ fn check<T: Kind>(handle: *mut T::Handle) -> Result<Token, Failure> {
     if token.thread != thread {
         let text = format!(
             "a {name} of thread {} used in thread {thread} (counted as they open their first): it belongs to the \
-             thread that opened it; open another one there",
+             thread that opened it. Open another one there",
             token.thread
         );
         return Err(Failure::new(joulebus_error::Thread, text));
@@ -215,7 +215,7 @@ fn check<T: Kind>(handle: *mut T::Handle) -> Result<Token, Failure> {
 fn take<T: Kind>(token: Token) -> Result<Box<T>, Failure> {
     let name = T::NAME;
     let closed = || {
-        let text = format!("the {name} is closed; open a new one");
+        let text = format!("the {name} is closed. Open a new one");
         Failure::new(joulebus_error::Handle, text)
     };
     T::table(|table| {
@@ -228,7 +228,7 @@ fn take<T: Kind>(token: Token) -> Result<Box<T>, Failure> {
         if found != allowed {
             let text = format!(
                 "a {name} used in process {found}, which was forked from {allowed}: its ports belong to process \
-                 {allowed}; open another one after a fork"
+                 {allowed}. Open another one after a fork"
             );
             return Err(Failure::new(joulebus_error::Process, text));
         }

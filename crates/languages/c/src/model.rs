@@ -16,7 +16,7 @@ pub(crate) fn open(model: &str) -> Result<Model, Failure> {
         let Some((_, bytes)) = builtin_model(name) else {
             let allowed: Vec<&str> = builtin_models().collect();
             return Err(refused(format!(
-                "there is no built-in model {name}; allowed are {}",
+                "there is no built-in model {name}, allowed are {}",
                 allowed.join(", ")
             )));
         };

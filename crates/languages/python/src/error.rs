@@ -10,7 +10,8 @@ create_exception!(
     joulebus,
     Error,
     PyException,
-    "Base of the package's exceptions; the message says what was found, what is allowed and what to do."
+    "Base of the package's exceptions. The message says what was found, what is allowed and what \
+        to do."
 );
 create_exception!(
     joulebus,
@@ -28,7 +29,7 @@ create_exception!(
     joulebus,
     ReadError,
     Error,
-    "Frames could not be read; the next call may succeed."
+    "Frames could not be read. The next call may succeed."
 );
 create_exception!(joulebus, PublishError, Error, "A frame was refused, and not sent.");
 
@@ -49,7 +50,8 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
 pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(
-            "{error}; this package is joulebus {}: `joulebus --version` on the worker's side says which release to \
+            "{error}. This package is joulebus {}: `joulebus --version` on the worker's side says \
+                which release to \
              install",
             env!("CARGO_PKG_VERSION")
         ),

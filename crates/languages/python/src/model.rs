@@ -30,8 +30,9 @@ fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
         .map_err(|error| ModelError::new_err(format!("{name}: {error}")))?;
     checkpoint.network.ok_or_else(|| {
         ModelError::new_err(format!(
-            "{name} ({}) is another program's model, which does not state how its features were computed; convert \
-             it once: joulebus model import {name} --data RECORDINGS --out my.safetensors",
+            "{name} ({}) is another program's model, which does not state how its features were \
+                computed. Convert it once: joulebus model import {name} --data RECORDINGS --out \
+                my.safetensors",
             checkpoint.container
         ))
     })
@@ -42,7 +43,8 @@ fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
     Network::from_safetensors(bytes).map_err(|error| {
         let name = model.display();
         ModelError::new_err(format!(
-            "{name}: {error}; other formats than .safetensors are read by the lab: pip install 'joulebus[lab]'"
+            "{name}: {error}. Other formats than .safetensors are read by the lab: pip install \
+                'joulebus[lab]'"
         ))
     })
 }
@@ -51,7 +53,7 @@ fn builtin(name: &str) -> PyResult<Network> {
     let Some((_, bytes)) = builtin_model(name) else {
         let allowed: Vec<&str> = builtin_models().collect();
         return Err(ModelError::new_err(format!(
-            "there is no built-in model {name}; allowed are {}",
+            "there is no built-in model {name}, allowed are {}",
             allowed.join(", ")
         )));
     };

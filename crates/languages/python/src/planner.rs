@@ -375,7 +375,7 @@ pub(crate) fn deadline(timeout_s: Option<f64>) -> PyResult<Option<Instant>> {
 }
 
 fn closed() -> PyErr {
-    PyRuntimeError::new_err("the planner is closed; connect a new one")
+    PyRuntimeError::new_err("the planner is closed. Connect a new one")
 }
 
 fn read_failed(error: &ReadError, kept: usize) -> PyErr {

@@ -72,8 +72,8 @@ impl<S: 'static> PortThread<S> {
             return Ok(());
         }
         Err(PyRuntimeError::new_err(format!(
-            "used in process {found}, which was forked from {allowed}: its ports belong to process {allowed}; connect \
-             anew after a fork, or start processes by `spawn`"
+            "used in process {found}, which was forked from {allowed}: its ports belong to \
+                process {allowed}. Connect anew after a fork, or start processes by `spawn`"
         )))
     }
 

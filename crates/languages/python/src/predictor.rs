@@ -78,7 +78,8 @@ impl Predictor {
         };
         if model.needs_freshness() {
             return Err(ModelError::new_err(
-                "the network reads the age of readings, which a rollout is not told; train one without: \
+                "the network reads the age of readings, which a rollout is not told. Train one \
+                    without: \
                  `joulebus train … --features full`",
             ));
         }

@@ -125,7 +125,7 @@ impl PublisherPort {
 }
 
 fn closed() -> PyErr {
-    pyo3::exceptions::PyRuntimeError::new_err("the publisher is closed; connect a new one")
+    pyo3::exceptions::PyRuntimeError::new_err("the publisher is closed. Connect a new one")
 }
 
 /// The states of the robots with these ids.

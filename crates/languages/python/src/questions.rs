@@ -41,7 +41,7 @@ pub(crate) fn acknowledge(
     let mut all = Alarm::ALL.into_iter();
     let alarm = all.find(|known| known.name() == alarm).ok_or_else(|| {
         let allowed = Alarm::ALL.map(Alarm::name).join(", ");
-        PyValueError::new_err(format!("{alarm:?} is no alarm of a robot; allowed: {allowed}"))
+        PyValueError::new_err(format!("{alarm:?} is no alarm of a robot, allowed: {allowed}"))
     })?;
     let timeout = Duration::try_from_secs_f64(timeout_s);
     let timeout = timeout.map_err(|error| PyValueError::new_err(error.to_string()))?;
@@ -266,7 +266,7 @@ fn path(
         [] => vec![speed.values[0]; count],
         [found] if found == count => speed.values,
         _ => {
-            let allowed = format!("() or ({count},), towards each point; the first is not used");
+            let allowed = format!("() or ({count},), towards each point. The first is not used");
             return Err(shape_error("speed", &speed.shape, &allowed));
         }
     };
@@ -324,5 +324,5 @@ fn refused(error: QuestionError) -> PyErr {
 }
 
 fn closed() -> PyErr {
-    PyRuntimeError::new_err("the planner is closed; connect a new one")
+    PyRuntimeError::new_err("the planner is closed. Connect a new one")
 }

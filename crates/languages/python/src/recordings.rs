@@ -181,7 +181,7 @@ impl Found {
         }
         if self.fleet.is_none() && fleets.len() > 1 {
             return Err(RecordingError::new_err(format!(
-                "{path} has {name} of {} fleets; name one of: {}",
+                "{path} has {name} of {} fleets. Name one of: {}",
                 fleets.len(),
                 fleets.join(", ")
             )));

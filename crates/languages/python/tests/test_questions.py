@@ -197,7 +197,7 @@ def test_a_stopped_worker_makes_every_answer_unknown_with_the_reason(asking, fle
     finally:
         fleet.process.send_signal(signal.SIGCONT)
     assert answers.verdict.tolist() == ["unknown"] * 2 and np.isnan(answers.energy_j).all()
-    assert answers[0].energy_j is None and answers[0].margin_j is None and "does it run?" in answers[0].reason
+    assert answers[0].energy_j is None and answers[0].margin_j is None and "Does it run?" in answers[0].reason
     until("answers again", lambda: asking.ask(7, idle_s=1.0).verdict[0] != "unknown")
 
 

@@ -93,7 +93,7 @@ impl Job {
         if now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =
-                format!("not answered within the client's time; it waited for {waited_s:.3} s");
+                format!("not answered within the client's time, it waited for {waited_s:.3} s");
             return Some(Refused::new(QueryRefusal::Deadline, text));
         }
         if now_ns.saturating_sub(self.taken_ns) >= WATCHED_FROM_NS {

@@ -14,8 +14,8 @@ pub(crate) const READ_EVERY: Duration = Duration::from_millis(50);
 /// The permit has run out, or was withdrawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the permit to serve in term {term} has ended: another host's worker may serve from now on; \
-     start this one again, and it stands by"
+    "the permit to serve in term {term} has ended: another host's worker may serve from now on. \
+        Start this one again, and it stands by"
 )]
 pub struct PermitOver {
     /// Term of the permit.

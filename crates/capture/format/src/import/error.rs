@@ -18,14 +18,15 @@ pub enum ImportError {
         why: String,
     },
     /// The robots' topics are ambiguous.
-    #[error("{what}; name them with options or a mapping file")]
+    #[error("{what}. Name them with options or a mapping file")]
     Choice {
         /// The ambiguity.
         what: String,
     },
     /// Two robots have the same name.
     #[error(
-        "two robots named {name:?}, with the batteries {batteries}; choose the one of its power with --battery, or give \
+        "two robots named {name:?}, with the batteries {batteries}. Choose the one of its power \
+            with --battery, or give \
          them different names in a mapping file"
     )]
     TwoOfAName {

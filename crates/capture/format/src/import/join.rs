@@ -313,7 +313,7 @@ impl Track {
             omega_radps: known(twist.angular.z),
         };
         if motion.x_m.is_nan() || motion.y_m.is_nan() {
-            self.odometry.refuse("its position is not a number; the rest is used");
+            self.odometry.refuse("its position is not a number. The rest is used");
         }
         self.odometry.push(times, motion);
     }

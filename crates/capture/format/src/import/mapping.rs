@@ -367,7 +367,7 @@ fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), Import
             None => {
                 let topics: Vec<&str> =
                     channels.iter().map(|channel| channel.topic.as_str()).collect();
-                format!("the file does not have it; it has {}", topics.join(", "))
+                format!("the file does not have it. It has {}", topics.join(", "))
             }
             Some(Channel { kind: Ok(kind), .. }) if allowed.contains(kind) => return Ok(()),
             Some(Channel { kind: Ok(kind), .. }) => {

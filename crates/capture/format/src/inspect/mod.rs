@@ -159,7 +159,7 @@ impl Inspector {
             Event::TooLong { place, opcode, bytes } => {
                 let kind = crate::scan::kind_name(opcode);
                 let most = crate::scan::MAX_RECORD_BYTES;
-                let what = format!("{kind} of {bytes} bytes was not read; at most {most} are");
+                let what = format!("{kind} of {bytes} bytes was not read, at most {most} are");
                 self.note(Some(place), what);
             }
         }

@@ -224,7 +224,7 @@ impl Channel {
 /// The file's descriptor of a message.
 fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescriptor, String> {
     if encoding != "protobuf" {
-        return Err(format!("schema encoding {encoding:?}; read is \"protobuf\""));
+        return Err(format!("schema encoding {encoding:?}, read is \"protobuf\""));
     }
     let pool = DescriptorPool::decode(data).map_err(|error| error.to_string())?;
     pool.get_message_by_name(name)

@@ -239,7 +239,8 @@ impl Ledger {
         self.messages.suspect += suspect;
         let (start, end) = (frame.header.message_start_time, frame.header.message_end_time);
         let what = format!(
-            "chunk: its checksum is wrong; its {suspect} messages, log time {start} to {end} ns, are suspect"
+            "chunk: its checksum is wrong, and its {suspect} messages, log time {start} to {end} \
+                ns, are suspect"
         );
         let place = Place { offset: frame.offset, in_chunk: None };
         self.troubles.add(place, what);
@@ -372,7 +373,7 @@ impl Ledger {
     pub(super) fn footer(&mut self, place: Place, crc: Option<Crc>) {
         if let Some(Crc { saved, found }) = crc.filter(Crc::is_wrong) {
             let what =
-                format!("summary: checksum {found:08x}, stored was {saved:08x}; it is recreated");
+                format!("summary: checksum {found:08x}, stored was {saved:08x}. It is recreated");
             self.troubles.add(place, what);
         }
     }

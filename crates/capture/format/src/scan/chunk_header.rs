@@ -23,7 +23,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
     let name_bytes = u32::from_le_bytes(number(&mut rest)?);
     if u64::from(name_bytes) > MAX_NAME_BYTES {
         let detail = format!(
-            "the name of its compression has {name_bytes} bytes; allowed are {MAX_NAME_BYTES}"
+            "the name of its compression has {name_bytes} bytes, allowed are {MAX_NAME_BYTES}"
         );
         return Err(Some(detail));
     }

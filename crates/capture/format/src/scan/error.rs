@@ -31,7 +31,7 @@ pub enum ScanError {
         missing: Option<u64>,
     },
     /// An invalid opcode.
-    #[error("{place}: found opcode {found:#04x}; records have 0x01 to 0xff")]
+    #[error("{place}: found opcode {found:#04x}, records have 0x01 to 0xff")]
     Opcode {
         /// The location.
         place: Place,
@@ -57,7 +57,7 @@ pub enum ScanError {
         detail: String,
     },
     /// An unknown compression.
-    #[error("{place}: found compression {found:?}; supported are \"\", \"lz4\" and \"zstd\"")]
+    #[error("{place}: found compression {found:?}, supported are \"\", \"lz4\" and \"zstd\"")]
     Compression {
         /// Location of the chunk.
         place: Place,

@@ -10,7 +10,7 @@ use mcap::McapError;
 pub enum WriteError {
     /// There is a file of that name.
     #[error(
-        "{path:?} exists and is not touched; name another file, or begin its next part \
+        "{path:?} exists and is not touched. Name another file, or begin its next part \
          (`joulebus record --resume`)"
     )]
     Exists {
@@ -39,7 +39,7 @@ pub enum WriteError {
     NotOurs,
     /// More channels than a file can have.
     #[error(
-        "more than {allowed} channels in one file; record fewer robots with channels of their own"
+        "more than {allowed} channels in one file. Record fewer robots with channels of their own"
     )]
     TooManyChannels {
         /// Channels that a file may have.

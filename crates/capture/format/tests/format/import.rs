@@ -180,7 +180,7 @@ fn undecodable_messages_are_refused_by_reason_and_the_rest_is_used() {
     assert_eq!(accounted, messages, "{found:?}");
     assert!(!imported.is_whole());
     let reasons: Vec<&str> = found.refused.keys().map(|why| &**why).collect();
-    let parts = ["plain CDR begins with", "not a number", "9 bytes follow"];
+    let parts = ["Plain CDR begins with", "not a number", "9 bytes follow"];
     says(&reasons.join("\n"), parts);
 }
 

@@ -630,7 +630,7 @@ fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
     let report = verifier.finish();
     assert_eq!((report.ticks_verified, report.ticks_unverified), (0, 60));
     assert_eq!(report.refused_keyframes, report.keyframes, "{report}");
-    assert!(report.to_string().contains("use the same models"), "{report}");
+    assert!(report.to_string().contains("Use the same models"), "{report}");
 }
 
 #[test]

@@ -60,7 +60,7 @@ pub(crate) struct Counters {
 pub enum StateError {
     /// Not a state, or one of another version.
     #[error(
-        "not a fleet's state in version {expected}: it begins with {found:02x?}; read it with the \
+        "not a fleet's state in version {expected}: it begins with {found:02x?}. Read it with the \
          version of joulebus that wrote it"
     )]
     Version {
@@ -78,7 +78,7 @@ pub enum StateError {
         reason: String,
     },
     /// The state of a fleet with another capacity.
-    #[error("a state of a fleet with capacity {found}, expected {expected}; use the same config")]
+    #[error("a state of a fleet with capacity {found}, expected {expected}. Use the same config")]
     Capacity {
         /// Capacity in the state.
         found: u32,
@@ -86,7 +86,7 @@ pub enum StateError {
         expected: u32,
     },
     /// The state of a fleet with other platforms.
-    #[error("a state of a fleet with {found} platforms, expected {expected}; use the same config")]
+    #[error("a state of a fleet with {found} platforms, expected {expected}. Use the same config")]
     Platforms {
         /// Platforms in the state.
         found: u32,
@@ -95,7 +95,7 @@ pub enum StateError {
     },
     /// The state of a fleet with other settings.
     #[error(
-        "a state taken with settings {found:016x}, these are {expected:016x}; use the same config"
+        "a state taken with settings {found:016x}, these are {expected:016x}. Use the same config"
     )]
     FleetSettings {
         /// Hash of the settings in the state.
@@ -105,7 +105,7 @@ pub enum StateError {
     },
     /// The state of a fleet with other models.
     #[error(
-        "a state taken with models {found:016x}, these are {expected:016x}; use the same models"
+        "a state taken with models {found:016x}, these are {expected:016x}. Use the same models"
     )]
     Models {
         /// Hash of the models in the state.

@@ -152,7 +152,7 @@ impl Check<'_> {
         }
         let capacity = config.settings().capacity as usize;
         if robots.len() == 0 || robots.len() > capacity {
-            let what = format!("has {} robots; allowed are 1 to {capacity}", robots.len());
+            let what = format!("has {} robots, allowed are 1 to {capacity}", robots.len());
             self.add(file.problem("robots", what, "`fleet.capacity` is the limit"));
         }
         robots

@@ -279,7 +279,7 @@ impl Check<'_> {
     pub(super) fn quantity(&mut self, value: &Text) -> Option<Quantity> {
         let known = quantity(value).ok_or_else(|| {
             let all: Vec<&str> = value_names().collect();
-            format!("is no value; allowed are {}", all.join(", "))
+            format!("is no value, allowed are {}", all.join(", "))
         });
         self.checked(value, known)
     }

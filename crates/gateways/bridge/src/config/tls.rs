@@ -27,9 +27,9 @@ pub(crate) struct TlsSettings {
 pub(crate) enum TlsError {
     #[error("cannot be read: {0}")]
     Read(#[from] io::Error),
-    #[error("has no certificate; expected PEM, -----BEGIN CERTIFICATE-----")]
+    #[error("has no certificate, expected PEM, -----BEGIN CERTIFICATE-----")]
     NoCertificate,
-    #[error("has no key; expected PEM without a password, -----BEGIN PRIVATE KEY-----")]
+    #[error("has no key, expected PEM without a password, -----BEGIN PRIVATE KEY-----")]
     NoKey,
     #[error("is damaged: {0}")]
     Pem(pem::Error),

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 
-/// Maximum length of a name, bytes.
+/// Maximum length of a robot's name, bytes.
 const MAX_BYTES: usize = 128;
 /// Maximum number of robots in a range.
 const MAX_RANGE: u32 = 100_000;
@@ -18,7 +18,8 @@ pub(crate) enum RobotsError {
     #[error("gives a second name to robot {robot}, which is {first:?} already")]
     TwoNames { robot: u32, first: String },
     #[error(
-        "has {found:?}; allowed are an id (7), or with {{id}} in the name a range (\"0-19\") of at most {MAX_RANGE}"
+        "has {found:?}, allowed are an id (7), or with {{id}} in the name a range (\"0-19\") of \
+            at most {MAX_RANGE}"
     )]
     Ids { found: String },
 }

@@ -8,7 +8,7 @@ pub(crate) const ROBOT: &str = "{robot}";
 /// Why a pattern is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum TopicError {
-    #[error("has {found} bytes; allowed are 1 to {MAX_BYTES}")]
+    #[error("has {found} bytes, allowed are 1 to {MAX_BYTES}")]
     Length { found: usize },
     #[error("has {{robot}} more than once")]
     TwoRobots,

@@ -26,7 +26,7 @@ pub(crate) struct Unit {
 
 /// A unit that does not measure the quantity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{found:?} is no unit of {quantity}; allowed are {allowed}")]
+#[error("{found:?} is no unit of {quantity}, allowed are {allowed}")]
 pub(crate) struct UnitError {
     found: String,
     quantity: &'static str,

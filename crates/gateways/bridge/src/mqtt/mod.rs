@@ -147,7 +147,7 @@ impl Mqtt {
                 let falls_back = self.version == newer && why.is_of_version(self.knows_newer);
                 self.version = if falls_back { older } else { newer };
                 if falls_back {
-                    say(&format!("not connected to {broker} by MQTT 5: {why}; trying MQTT 3.1.1"));
+                    say(&format!("not connected to {broker} by MQTT 5: {why}, trying MQTT 3.1.1"));
                     continue;
                 }
             }
@@ -155,7 +155,7 @@ impl Mqtt {
                 let broker = broker.clone();
                 return Err(MqttError { broker, why });
             }
-            say(&format!("not connected to {broker}: {why}; trying again"));
+            say(&format!("not connected to {broker}: {why}, trying again"));
             if clock::monotonic_ns() - began_ns > RETRY_DELAYS.1.as_nanos() as u64 {
                 pause = RETRY_DELAYS.0;
             }

@@ -43,7 +43,7 @@ impl Check {
             ranges.into_iter().flatten().map(|ids| (*ids.start(), *ids.end())).collect();
         let (found, most) = (ranges.len(), MAX_RANGES);
         if found > most || is_set && found == 0 {
-            let what = format!("has {found} entries; allowed are 1 to {most}");
+            let what = format!("has {found} entries, allowed are 1 to {most}");
             let remedy = "Join neighbouring ids, or leave the key out for all";
             self.add(section.problem("robots", what, remedy));
         }

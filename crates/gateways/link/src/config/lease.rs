@@ -80,7 +80,8 @@ fn endpoint(text: &str, unencrypted: bool) -> Result<(), &'static str> {
         "https" => Ok(()),
         "http" if is_loopback(host) || unencrypted => Ok(()),
         "http" => Err(
-            "Use https://; `unencrypted = true` in [network] allows every host of the network to take the shard",
+            "Use https://. `unencrypted = true` in [network] allows every host of the network to \
+                take the shard",
         ),
         _ => Err(form),
     }

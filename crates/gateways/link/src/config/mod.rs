@@ -145,7 +145,7 @@ impl Check {
                 let all = shards.as_deref().map(Shards::all).unwrap_or_default();
                 if let Some(shard) = all.iter().find(|shard| shard.workers.contains(&name)) {
                     let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
-                    let remedy = "A worker's host has [worker]; give this link another name";
+                    let remedy = "A worker's host has [worker]. Give this link another name";
                     self.add(file.problem("name", what, remedy));
                 }
                 let of = (name.as_str(), shards.as_deref(), has_shards);

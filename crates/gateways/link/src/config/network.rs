@@ -109,7 +109,8 @@ fn address(text: &str, has_tls: bool, unencrypted: bool) -> Result<(), &'static 
         "tls" => Ok(()),
         "tcp" if is_loopback(host) || unencrypted => Ok(()),
         "tcp" => Err(
-            "Use \"tls/…\"; `unencrypted = true` in [network] allows every host of the network to read and to forge",
+            "Use \"tls/…\". `unencrypted = true` in [network] allows every host of the network to \
+                read and to forge",
         ),
         _ => Err(form),
     }

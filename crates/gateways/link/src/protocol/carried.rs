@@ -185,7 +185,8 @@ pub(crate) enum FrameError {
     #[error("a frame of {found} bytes that should have {allowed}")]
     Length { found: usize, allowed: usize },
     #[error(
-        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use one release on all hosts"
+        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}. Use one release on all \
+            hosts"
     )]
     Schema { found: u32 },
 }

@@ -357,14 +357,15 @@ pub(crate) enum MessageError {
     Foreign,
     #[error(
         "the other side is release {release} (messages {protocol}, schema {schema}), this one {own} (messages \
-         {PROTOCOL}, schema {SCHEMA_VERSION}); use one release on all hosts",
+         {PROTOCOL}, schema {SCHEMA_VERSION}). Use one release on all hosts",
         own = env!("CARGO_PKG_VERSION")
     )]
     Release { release: String, protocol: u32, schema: u32 },
     #[error("it is of another fleet ({found:016x}, this one is {allowed:016x})")]
     Fleet { found: u64, allowed: u64 },
     #[error(
-        "its file of shards is another one ({found:08x}, this one is {allowed:08x}, 0 is none); copy one to all hosts"
+        "its file of shards is another one ({found:08x}, this one is {allowed:08x}, 0 is none). \
+            Copy one to all hosts"
     )]
     Shards { found: u32, allowed: u32 },
     #[error("it has {found} bytes where {allowed} are needed")]

@@ -8,7 +8,7 @@ use joulebus_consumer::{AlarmHistory, FleetAlarm, SourceAlarms};
 use joulebus_wire::{Acknowledgement, AlarmCard};
 use serde::Serialize;
 
-/// Maximum number of changes kept.
+/// Maximum number of raises and ends of alarms that are kept.
 const MAX_CHANGES: usize = 200;
 
 /// A raised alarm.

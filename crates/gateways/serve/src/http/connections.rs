@@ -20,7 +20,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::Notify;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Maximum number of connections.
+/// Maximum number of connections of clients.
 pub(super) const MAX_CONNECTIONS: usize = 256;
 /// Connections beside these, for supervisors of processes.
 const RESERVED: usize = 16;

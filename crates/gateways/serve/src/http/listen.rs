@@ -22,7 +22,7 @@ const WAITING: i32 = 128;
 /// Contents of the lock file. They distinguish it from other files of that name.
 const MARKER: &[u8] = b"the lock of a socket of joulebus\n";
 /// Why a path cannot be had.
-const ANOTHER: &str = "another server does; end it, or name another file";
+const ANOTHER: &str = "another server does. End it, or name another file";
 
 /// The client of a request, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -117,13 +117,14 @@ fn remove_stale(path: &Path) -> anyhow::Result<()> {
     };
     let shown = path.display();
     if !found.file_type().is_socket() {
-        bail!("cannot listen at {shown}: there is something else than a socket; name another file");
+        bail!("cannot listen at {shown}: there is something else than a socket. Name another file");
     }
     match UnixStream::connect(path) {
         Ok(_) => bail!("cannot listen at {shown}: {ANOTHER}"),
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
         Err(error) => bail!(
-            "cannot listen at {shown}: there is a socket that is not ours ({error}); name another file"
+            "cannot listen at {shown}: there is a socket that is not ours ({error}). Name another \
+                file"
         ),
     }
     fs::remove_file(path).with_context(|| format!("cannot listen at {shown}"))
@@ -166,7 +167,8 @@ impl SocketLock {
             }
             if !mark(&mut file).with_context(failed)? {
                 bail!(
-                    "cannot lock {}: there is something else than our lock; move it away, or name another socket",
+                    "cannot lock {}: there is something else than our lock. Move it away, or name \
+                        another socket",
                     path.display()
                 );
             }

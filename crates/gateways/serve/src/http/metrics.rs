@@ -130,14 +130,18 @@ impl Collector for Metrics {
 
 impl Metrics {
     fn worker(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
-        let mut info =
-            encoder.encode_descriptor("joulebus_build", "This program", None, MetricType::Info)?;
+        let mut info = encoder.encode_descriptor(
+            "joulebus_build",
+            "Version of joulebus-serve",
+            None,
+            MetricType::Info,
+        )?;
         info.encode_info(&vec![("version", env!("CARGO_PKG_VERSION"))])?;
         let up = self.snapshot.why_not_up(self.now_ns).is_none();
         gauge(
             encoder,
             "joulebus_worker_up",
-            "1 while frames of a worker arrive in time",
+            "1 while frames of a worker arrive in time and are read, else 0",
             up.into(),
         )?;
         let counters = &self.snapshot.accumulated;
@@ -161,7 +165,7 @@ impl Metrics {
             ("joulebus_ticks", "Ticks done", counters.ticks),
             (
                 "joulebus_tick_deadline_missed",
-                "Ticks that started more than a tenth of a period late",
+                "Ticks that started over a tenth of a period late",
                 counters.ticks_late,
             ),
             (
@@ -169,10 +173,14 @@ impl Metrics {
                 "Ticks skipped because the one before took too long",
                 counters.ticks_skipped,
             ),
-            ("joulebus_samples_accepted", "Samples accepted", counters.samples_accepted),
+            (
+                "joulebus_samples_accepted",
+                "Samples that the worker accepted",
+                counters.samples_accepted,
+            ),
             (
                 "joulebus_questions_answered",
-                "Questions about plans answered",
+                "Questions about plans that the worker answered",
                 counters.queries.answered,
             ),
         ] {
@@ -181,9 +189,14 @@ impl Metrics {
         }
         let dropped = counters.samples_dropped.iter();
         let dropped = dropped.map(|(reason, count)| (reason.name(), count));
-        by_reason(encoder, "joulebus_samples_dropped", "Samples dropped", dropped)?;
+        by_reason(encoder, "joulebus_samples_dropped", "Samples that the worker dropped", dropped)?;
         let refused = counters.queries.iter().map(|(reason, count)| (reason.name(), count));
-        by_reason(encoder, "joulebus_questions_refused", "Questions about plans refused", refused)
+        by_reason(
+            encoder,
+            "joulebus_questions_refused",
+            "Questions about plans that the worker refused",
+            refused,
+        )
     }
 
     fn fleet(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
@@ -195,7 +208,7 @@ impl Metrics {
             ("stale", totals.stale),
         ];
         let levels = levels.map(|(level, count)| (vec![("level", level.to_owned())], count as f64));
-        gauges(encoder, "joulebus_robots", "Robots of the fleet", None, levels)?;
+        gauges(encoder, "joulebus_robots", "Robots at each level", None, levels)?;
         let mut raised = [0_u32; Alarm::ALL.len()];
         for diagnostic in self.snapshot.entries().iter().filter_map(|entry| entry.newest.diagnostic)
         {
@@ -222,7 +235,7 @@ impl Metrics {
         )?;
         let mut metric = encoder.encode_descriptor(
             "joulebus_fleet_consumed",
-            "Energy consumed by all robots seen by this program, as their ledgers count it",
+            "Energy consumed by all robots. It does not fall when robots leave",
             Some(&Unit::Joules),
             MetricType::Counter,
         )?;
@@ -234,7 +247,12 @@ impl Metrics {
         let all = self.snapshot.entries();
         let robots = &all[..all.len().min(self.max_robots)];
         let beyond = (all.len() - robots.len()) as f64;
-        gauge(encoder, "joulebus_robots_without_series", "Robots beyond --metrics-robots", beyond)?;
+        gauge(
+            encoder,
+            "joulebus_robots_without_series",
+            "Robots beyond --metrics-robots, without metrics of their own",
+            beyond,
+        )?;
         if robots.is_empty() {
             return Ok(());
         }
@@ -250,7 +268,7 @@ impl Metrics {
         gauges(
             encoder,
             "joulebus_power",
-            "Newest reading, forecast of the next and its interval",
+            "Newest reading, forecast of the next reading, and the ends of its interval",
             Some(&watts()),
             power,
         )?;
@@ -271,7 +289,7 @@ impl Metrics {
         let soc = series(&|entry| {
             battery(entry.newest.budget.as_ref()?, budget_flag::CHARGE, |budget| budget.soc)
         });
-        gauges(encoder, "joulebus_soc", "State of charge", Some(&ratio), soc)?;
+        gauges(encoder, "joulebus_soc", "State of charge, 0 to 1", Some(&ratio), soc)?;
         let left = series(&|entry| {
             battery(entry.newest.budget.as_ref()?, budget_flag::TIME_TO_EMPTY, |budget| {
                 budget.time_to_empty_s
@@ -304,7 +322,7 @@ impl Metrics {
         gauges(
             encoder,
             "joulebus_energy_ahead",
-            "Energy over the next seconds if the robot goes on as it does, and its interval",
+            "Energy over the next seconds if the robot goes on as now, and the ends of its interval",
             Some(&Unit::Joules),
             ahead,
         )?;
@@ -324,7 +342,7 @@ impl Metrics {
 fn consumed(encoder: &mut DescriptorEncoder, robots: &[Entry]) -> fmt::Result {
     let mut metric = encoder.encode_descriptor(
         "joulebus_consumed",
-        "Energy consumed by the robot, as its ledgers count it",
+        "Greatest energy drawn that the robot's ledger counted. It does not fall when energy is fed back",
         Some(&Unit::Joules),
         MetricType::Counter,
     )?;
@@ -418,36 +436,44 @@ fn histogram(
 #[cfg(test)]
 mod tests {
     use joulebus_board::{Board, Link, Platforms};
+    use joulebus_testkit::assert_page_says;
+    use joulebus_wire::{DropReason, ForecastHeader, QueryCounts, QueryRefusal};
 
     use super::super::alarms::Alarms;
     use super::super::fleet::{Around, Distributions, FleetRecord};
     use super::super::totals::Accumulator;
     use super::*;
 
-    #[test]
-    fn a_worker_is_not_up_when_the_reading_thread_shows_nothing_more() {
-        let second_ns = 1_000_000_000;
-        let mut board = Board::new(0);
-        board.link = Link::Live;
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    /// The snapshot of a fleet at the end of the first second.
+    fn snapshot(board: &Board) -> Arc<Snapshot> {
         let around = Around {
             fleet: "lab",
             period_ns: 33_333_333,
             stale_after_ns: 1_000_000_000,
-            now_ns: second_ns,
-            now_unix_ns: second_ns,
+            now_ns: SECOND_NS,
+            now_unix_ns: SECOND_NS,
             distributions: &Distributions::default(),
             recorders: None,
             model_warnings: &[],
         };
-        let snapshot = Arc::new(Snapshot::new(
-            &board,
-            FleetRecord::of(&board, &around),
+        Arc::new(Snapshot::new(
+            board,
+            FleetRecord::of(board, &around),
             Arc::<Alarms>::default(),
             &mut Accumulator::default(),
-            second_ns,
+            SECOND_NS,
             Arc::new(Platforms::default()),
-        ));
-        for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
+        ))
+    }
+
+    #[test]
+    fn a_worker_is_not_up_when_the_reading_thread_shows_nothing_more() {
+        let mut board = Board::new(0);
+        board.link = Link::Live;
+        let snapshot = snapshot(&board);
+        for (now_ns, up) in [(SECOND_NS, 1), (3 * SECOND_NS, 1), (3 * SECOND_NS + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
             let text =
@@ -455,8 +481,63 @@ mod tests {
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }
-        let why = snapshot.why_not_up(9 * second_ns).unwrap_or_default();
+        let why = snapshot.why_not_up(9 * SECOND_NS).unwrap_or_default();
         assert!(why.contains("for 8.0 s, 2.0 s are allowed"), "{why}");
+    }
+
+    /// Values of these labels are not listed.
+    const MANY: [&str; 3] = ["robot", "alarm", "version"];
+
+    /// `JOULEBUS_WRITE=1 cargo test -p joulebus-serve --bins every_metric` writes the page.
+    #[test]
+    fn the_page_about_metrics_has_every_metric() {
+        let mut board = Board::new(0);
+        let forecast = Forecast { robot: 1, flags: u32::MAX, ..Forecast::default() };
+        let mut header = ForecastHeader::default();
+        DropReason::ALL.into_iter().for_each(|reason| header.samples_dropped.add(reason, 1));
+        board.forecasts(&header, &[forecast], 0);
+        let mut queries = QueryCounts::default();
+        QueryRefusal::ALL.into_iter().for_each(|reason| queries.refuse(reason));
+        board.queries = Some(queries);
+        board.diagnostics(&[Diagnostic { robot: 1, flags: u32::MAX, ..Diagnostic::default() }], 0);
+        board.budgets(&[Budget { robot: 1, flags: u32::MAX, ..Budget::default() }]);
+        let outlook =
+            Outlook { robot: 1, flags: u32::MAX, bounded: u16::MAX, ..Outlook::default() };
+        let format = TextFormat::Classic;
+        let text = text(&snapshot(&board), vec![outlook], SECOND_NS, ("lab", 1), format).unwrap();
+        let mut tables = [String::new(), String::new()];
+        for family in text.split("# HELP ").skip(1) {
+            let (name, rest) = family.split_once(' ').unwrap();
+            let (help, rest) = rest.split_once('\n').unwrap();
+            let (typed, samples) = rest.split_once('\n').unwrap();
+            let kind = typed.rsplit(' ').next().unwrap();
+            let mut labels: Vec<(&str, Vec<&str>)> = Vec::new();
+            for sample in samples.lines() {
+                let (_, sample) = sample.split_once('{').unwrap();
+                for label in sample.split("\",").filter_map(|label| label.split_once("=\"")) {
+                    let value = label.1.split('"').next().unwrap();
+                    match labels.iter_mut().find(|known| known.0 == label.0) {
+                        _ if ["fleet", "le"].contains(&label.0) => {}
+                        Some((_, values)) if values.contains(&value) => {}
+                        Some((_, values)) => values.push(value),
+                        None => labels.push((label.0, vec![value])),
+                    }
+                }
+            }
+            assert!(samples.contains('{'), "{name} has no value");
+            let is_of_robot = labels.iter().any(|(label, _)| *label == "robot");
+            let described = labels.iter().map(|(label, values)| match MANY.contains(label) {
+                true => format!("`{label}`"),
+                false => format!("`{label}`: {}", values.join(", ")),
+            });
+            let described: Vec<String> = described.filter(|label| label != "`robot`").collect();
+            tables[usize::from(is_of_robot)] +=
+                &format!("| `{name}` | {kind} | {} | {help} |\n", described.join("<br>"));
+        }
+        let head = "| metric | type | labels | meaning |\n|---|---|---|---|\n";
+        let [fleet, robots] = tables.map(|rows| format!("\n{head}{rows}\n"));
+        assert_page_says("docs/reference/metrics.md", "<!-- metrics of the fleet", &fleet);
+        assert_page_says("docs/reference/metrics.md", "<!-- metrics of robots", &robots);
     }
 
     #[test]

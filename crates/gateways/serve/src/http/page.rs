@@ -49,7 +49,8 @@ static PAGE: &[File] = &[
 /// The page for a client without the token.
 const CLOSED: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>joulebus</title>\
     <h1>joulebus</h1><p>This page needs the token of the server's <code>--token-file</code>. Open \
-    <code>/?token=TOKEN</code> once; programs send <code>Authorization: Bearer TOKEN</code>.</p></html>\n";
+    <code>/?token=TOKEN</code> once. Programs send <code>Authorization: Bearer \
+    TOKEN</code>.</p></html>\n";
 
 /// The file at `path`, or only that the client has it.
 pub(super) fn file(path: &str, request: &HeaderMap) -> Option<Response> {

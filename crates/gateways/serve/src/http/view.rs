@@ -8,7 +8,7 @@ use super::entry::Entry;
 use super::error::ApiError;
 use super::snapshot::Snapshot;
 
-/// Maximum number of robots in a window.
+/// Maximum number of robots in an answer or a stream.
 const MAX_ROBOTS: usize = 200;
 /// Maximum length of a search, bytes.
 const MAX_SEARCH_BYTES: usize = 100;

@@ -80,7 +80,7 @@ fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result
     if !(2..=MAX_POINTS).contains(&places.len()) {
         let found = places.len();
         return Err(format!(
-            "path has {found} points, allowed: 2 to {MAX_POINTS}; the first is where the robot is"
+            "path has {found} points, allowed: 2 to {MAX_POINTS}. The first is where the robot is"
         ));
     }
     let point = |place: &Place| Point::new(place.x_m, place.y_m);

@@ -364,7 +364,7 @@ pub enum WorkerLockError {
     /// No worker has the lock, but a process that looked for one does not let it go.
     #[error(
         "{path:?} is held for more than {} s by a process that looks whether there is a worker: it is stopped, or \
-         in a debugger; `lslocks` names it. Let it go on, or end it",
+         in a debugger. `lslocks` names it. Let it go on, or end it",
         RETRY_LIMIT.as_secs()
     )]
     Looked {
@@ -373,8 +373,8 @@ pub enum WorkerLockError {
     },
     /// The file is not a lock file.
     #[error(
-        "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds something else; it \
-         is left as it is. Move it away, or set another `domain.root`"
+        "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds \
+            something else. It is left as it is. Move it away, or set another `domain.root`"
     )]
     NotALock {
         /// The file.
@@ -413,9 +413,10 @@ fn remedy(owner: WorkerOwner, path: &Path) -> String {
             " on another host: the link here holds its place, pid {pid}. Run the worker beside a link whose file has \
              [worker]"
         ),
-        Some(pid) => format!(", pid {pid}; stop it first (`kill {pid}`)"),
+        Some(pid) => format!(", pid {pid}. Stop it first (`kill {pid}`)"),
         None => format!(
-            " whose process is not visible here (it holds {}; is it in another container?); stop it first",
+            " whose process is not visible here (it holds {}. Is it in another container?). Stop \
+                it first",
             path.display()
         ),
     }

@@ -121,8 +121,8 @@ impl Rights {
 pub enum SchedulingError {
     /// The CPU does not exist or is not allowed for this process.
     #[error(
-        "the tick's thread cannot stay on CPU {cpu} ({source}): this process may use {allowed:?}; \
-         change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
+        "the tick's thread cannot stay on CPU {cpu} ({source}): this process may use {allowed:?}. \
+            Change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
     )]
     Cpu {
         /// The requested CPU.
@@ -135,7 +135,7 @@ pub enum SchedulingError {
     /// Real-time priority was refused.
     #[error(
         "SCHED_FIFO priority {priority} was refused ({source}): RLIMIT_RTPRIO is {limit}, \
-         CAP_SYS_NICE is {capability}; {remedy}, or set `worker.priority = 0`"
+         CAP_SYS_NICE is {capability}. {remedy}, or set `worker.priority = 0`"
     )]
     Priority {
         /// The requested priority.
@@ -152,7 +152,7 @@ pub enum SchedulingError {
     /// Memory cannot be locked.
     #[error(
         "memory was not locked ({reason}): RLIMIT_MEMLOCK is {limit} and must be unlimited, \
-         CAP_IPC_LOCK is {capability}; write `LimitMEMLOCK=infinity` into the service, or `USER - \
+         CAP_IPC_LOCK is {capability}. Write `LimitMEMLOCK=infinity` into the service, or `USER - \
          memlock unlimited` into /etc/security/limits.conf, or set `worker.memory = \"unlocked\"`"
     )]
     Memory {
@@ -196,12 +196,12 @@ fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     let source = io::Error::last_os_error();
     let rights = Rights::of_this_process();
     let remedy = if rights.allow_priority(priority) {
-        "the limits would allow it, so ask whoever runs the container or the cgroup for real-time \
+        "The limits would allow it, so ask whoever runs the container or the cgroup for real-time \
          time"
             .to_owned()
     } else {
         format!(
-            "write `LimitRTPRIO={priority}` into the service, or `USER - rtprio {priority}` into \
+            "Write `LimitRTPRIO={priority}` into the service, or `USER - rtprio {priority}` into \
              /etc/security/limits.conf, or give the program the capability (`setcap \
              cap_sys_nice+ep`)"
         )

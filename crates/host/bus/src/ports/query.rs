@@ -479,7 +479,8 @@ pub enum QueryError {
     /// The worker does not answer questions.
     #[error(
         "the worker does not answer questions: it is just starting, or its config says `queries.answer = \
-         \"off\"`; ask in this process instead (`joulebus_planner::Planner`, `joulebus ask --through memory`)"
+         \"off\"`. Ask in this process instead (`joulebus_planner::Planner`, `joulebus ask \
+             --through memory`)"
     )]
     NotServed,
     /// The worker has not taken an earlier question that was given up.
@@ -497,7 +498,7 @@ pub enum QueryError {
         waited_ns: u64,
     },
     /// Too many values.
-    #[error("a question of {found} values: allowed are {allowed}; ask in this process instead")]
+    #[error("a question of {found} values: allowed are {allowed}. Ask in this process instead")]
     TooLong {
         /// Values.
         found: usize,
@@ -505,7 +506,7 @@ pub enum QueryError {
         allowed: usize,
     },
     /// iceoryx2 refused.
-    #[error("cannot ask the worker: {reason}; join again")]
+    #[error("cannot ask the worker: {reason}. Join again")]
     Send {
         /// The error of iceoryx2.
         reason: String,

@@ -321,7 +321,7 @@ pub enum ReceiveError {
     /// The connection to a writer has failed for three seconds or more; its frames are missing. It
     /// is retried every three seconds. A writer that died in the meantime is not an error.
     #[error(
-        "{connections} connections to writers failed so far; are there file descriptors left \
+        "{connections} connections to writers failed so far. Are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"
     )]
     Degraded {

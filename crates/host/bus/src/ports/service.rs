@@ -343,7 +343,7 @@ fn refused(
 pub enum OpenError {
     /// Another process of the fleet uses other limits.
     #[error(
-        "service {service:?} runs with limits {found}, wanted are {wanted}; use one config for \
+        "service {service:?} runs with limits {found}, wanted are {wanted}. Use one config for \
          all processes of a fleet, and restart those with the old one"
     )]
     Limits {
@@ -370,8 +370,8 @@ pub enum OpenError {
     Removed(#[from] FilesRemoved),
     /// All places that are not reserved are taken.
     #[error(
-        "service {service:?}: all {allowed} places that are not reserved are taken, by {holders}; \
-         end one of them (of what planners read and ask there are more with a greater \
+        "service {service:?}: all {allowed} places that are not reserved are taken, by {holders}. \
+            End one of them (of what planners read and ask there are more with a greater \
          `readers.max_planners`, for all processes of the fleet)"
     )]
     Places {
@@ -384,7 +384,7 @@ pub enum OpenError {
     },
     /// iceoryx2 refused.
     #[error(
-        "service {service:?}: {reason}; are all processes of the same version, and are there more \
+        "service {service:?}: {reason}. Are all processes of the same version, and are there more \
          than the limits allow? `joulebus doctor` lists them"
     )]
     Port {

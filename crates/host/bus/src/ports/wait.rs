@@ -240,7 +240,7 @@ pub enum WaitError {
         reason: String,
     },
     /// iceoryx2 could not read the listener.
-    #[error("cannot read what woke us: {reason}; join again")]
+    #[error("cannot read what woke us: {reason}. Join again")]
     Listen {
         /// The error of iceoryx2.
         reason: String,

@@ -238,7 +238,7 @@ pub enum SendError {
         reason: String,
     },
     /// The frame could not be delivered to any reader.
-    #[error("cannot send a frame: {reason}; join again")]
+    #[error("cannot send a frame: {reason}. Join again")]
     Send {
         /// The error of iceoryx2.
         reason: String,

@@ -98,7 +98,7 @@ impl Listing {
     pub fn read(path: &Path) -> Result<Self, ListingError> {
         let text = joulebus_files::read_to_string(path, MAX_BYTES)?;
         let remedy = "allowed is what `joulebus export` writes";
-        let refused = |what: String| ListingError::Refused(format!("{what}; {remedy}"));
+        let refused = |what: String| ListingError::Refused(format!("{what}, {remedy}"));
         let listing: Self = serde_json::from_str(&text)
             .map_err(|error| refused(format!("no listing of an archive: {error}")))?;
         if listing.schema != SCHEMA {
@@ -154,21 +154,19 @@ pub(crate) fn table(at: &Path, listing: &Listing, number: usize) -> Result<Table
         ListingError::Io(source) if source.kind() == io::ErrorKind::NotFound => {
             let name = &listing.name;
             refused(format!(
-                "a file of the recording {name} is missing; bring it back, or name the partitions that are left \
+                "a file of the recording {name} is missing. Bring it back, or name the partitions \
+                    that are left \
                  (…/fleet=…/day=…) instead of the archive"
             ))
         }
-        ListingError::Io(source) => TrialError::Io {
-            path: path.clone(),
-            source,
-        },
+        ListingError::Io(source) => TrialError::Io { path: path.clone(), source },
         ListingError::Refused(detail) => refused(detail),
     })?;
     let (table, head) = read::table(&path)?;
     let Head { recording, trial, .. } = &head;
     if *recording != listing.name || *trial as usize != number {
         return Err(refused(format!(
-            "is trial {trial} of {recording}; its listing has it as trial {number} of {}",
+            "is trial {trial} of {recording}. Its listing has it as trial {number} of {}",
             listing.name
         )));
     }
@@ -185,7 +183,8 @@ fn check_sum(path: &Path, trial: &ListedTrial) -> Result<(), ListingError> {
     }
     let stated = trial.bytes;
     Err(ListingError::Refused(format!(
-        "damaged: {bytes} bytes or more with another checksum than the {stated} that were written; copy it again, or \
+        "damaged: {bytes} bytes or more with another checksum than the {stated} that were \
+            written. Copy it again, or \
          export the recording again"
     )))
 }

@@ -33,7 +33,7 @@ struct Refused(String);
 
 impl From<ParquetError> for Refused {
     fn from(error: ParquetError) -> Self {
-        Self(format!("damaged or no Parquet file: {error}; export the recording again"))
+        Self(format!("damaged or no Parquet file: {error}. Export the recording again"))
     }
 }
 
@@ -52,7 +52,7 @@ pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
     let (head, columns) = match read {
         Some(read) => read.map_err(refused)?,
         None => {
-            let detail = "damaged: its pages contradict each other; export the recording again";
+            let detail = "damaged: its pages contradict each other. Export the recording again";
             return Err(refused(Refused(detail.to_owned())));
         }
     };
@@ -73,7 +73,7 @@ fn columns(file: File) -> Result<(Head, Values), Refused> {
     let found_bytes = file.metadata().map_or(u64::MAX, |about| about.len());
     if found_bytes > MAX_BYTES {
         return Err(Refused(format!(
-            "found {found_bytes} bytes; allowed are {MAX_BYTES}, more than the longest trial has"
+            "found {found_bytes} bytes, allowed are {MAX_BYTES}, more than the longest trial has"
         )));
     }
     let rows_of = file.try_clone()?;
@@ -105,7 +105,7 @@ fn value<'a>(about: &'a FileMetaData, key: &str) -> Option<&'a str> {
 fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
     let Some(stated) = value(about, SUM_KEY).and_then(Sum::parse) else {
         return Err(Refused(format!(
-            "damaged: no {SUM_KEY} in its footer; export the recording again"
+            "damaged: no {SUM_KEY} in its footer. Export the recording again"
         )));
     };
     let (bytes, crc) = beginning(file, stated.bytes)?;
@@ -114,7 +114,8 @@ fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
         return Ok(());
     }
     Err(Refused(format!(
-        "damaged: its rows are {found} (bytes, CRC-32), {stated} were written; copy it again, or export the recording \
+        "damaged: its rows are {found} (bytes, CRC-32), {stated} were written. Copy it again, or \
+            export the recording \
          again"
     )))
 }
@@ -122,14 +123,15 @@ fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
 /// The metadata in the footer of a file with the columns of this version.
 fn head(about: &FileMetaData) -> Result<Head, Refused> {
     let value = |key| value(about, key);
-    let remedy = "allowed are files that `joulebus export` wrote; write others as CSV";
+    let remedy = "allowed are files that `joulebus export` wrote. Write others as CSV";
     match value(SCHEMA_KEY) {
         None => {
-            return Err(Refused(format!("a Parquet file of another program; {remedy}")));
+            return Err(Refused(format!("a Parquet file of another program, {remedy}")));
         }
         Some(found) if found != SCHEMA.to_string() => {
             return Err(Refused(format!(
-                "has schema {found:?}, allowed is {SCHEMA}; export the recording again with this release"
+                "has schema {found:?}, allowed is {SCHEMA}. Export the recording again with this \
+                    release"
             )));
         }
         Some(_) => {}
@@ -138,17 +140,18 @@ fn head(about: &FileMetaData) -> Result<Head, Refused> {
     if about.schema() != allowed.as_ref() {
         let differs = difference(about.schema(), &allowed);
         return Err(Refused(format!(
-            "states schema {SCHEMA}, but has other columns or types: {differs}; another program has written it since: {remedy}"
+            "states schema {SCHEMA}, but has other columns or types: {differs}. Another program \
+                has written it since: {remedy}"
         )));
     }
     let text = value(HEAD_KEY).unwrap_or_default();
     let head: Head = serde_json::from_str(text)
-        .map_err(|error| Refused(format!("{HEAD_KEY} in its footer: {error}; {remedy}")))?;
+        .map_err(|error| Refused(format!("{HEAD_KEY} in its footer: {error}, {remedy}")))?;
     let is_known = |name: &String| Column::ALL.iter().any(|column| column.name() == name);
     match head.columns.iter().find(|name| !is_known(name)) {
         None => Ok(head),
         Some(name) => Err(Refused(format!(
-            "{HEAD_KEY} in its footer: no column is called {name:?}; {remedy}"
+            "{HEAD_KEY} in its footer: no column is called {name:?}, {remedy}"
         ))),
     }
 }
@@ -181,14 +184,16 @@ fn rows(about: &RowGroupMetaData, before: usize) -> Result<usize, Refused> {
     let rows = rows.filter(|rows| *rows <= MAX_ROWS.saturating_sub(before));
     let Some(rows) = rows else {
         return Err(Refused(format!(
-            "states {stated} rows in a row group; allowed are {MAX_ROWS} in the whole file: split the recording"
+            "states {stated} rows in a row group, allowed are {MAX_ROWS} in the whole file: split \
+                the recording"
         )));
     };
     for column in about.columns() {
         let (name, values) = (column.column_path().string(), column.num_values());
         if values != stated {
             return Err(Refused(format!(
-                "{name}: {values} values in a row group of {stated} rows; export the recording again"
+                "{name}: {values} values in a row group of {stated} rows. Export the recording \
+                    again"
             )));
         }
         // The crate takes these for granted.
@@ -196,14 +201,15 @@ fn rows(about: &RowGroupMetaData, before: usize) -> Result<usize, Refused> {
         let first = first.unwrap_or(column.data_page_offset());
         if first < 0 || column.data_page_offset() < 0 || column.compressed_size() < 0 {
             return Err(Refused(format!(
-                "{name}: states {} bytes from {first} on; allowed are no negative numbers: export the recording again",
+                "{name}: states {} bytes from {first} on, allowed are no negative numbers: export \
+                    the recording again",
                 column.compressed_size()
             )));
         }
         let found = column.compression();
         if found != Compression::UNCOMPRESSED {
             return Err(Refused(format!(
-                "{name}: compressed by {found}; allowed is none, as `joulebus export` writes it"
+                "{name}: compressed by {found}, allowed is none, as `joulebus export` writes it"
             )));
         }
     }
@@ -254,7 +260,7 @@ where
         if records == 0 {
             let name = field.name;
             return Err(Refused(format!(
-                "{name}: {found} values in a row group of {rows} rows; export the recording again"
+                "{name}: {found} values in a row group of {rows} rows. Export the recording again"
             )));
         }
         found += records;
@@ -270,7 +276,7 @@ where
     let each: Option<Vec<T::T>> = each.collect();
     each.ok_or_else(|| {
         let name = field.name;
-        Refused(format!("{name}: fewer values than it states; export the recording again"))
+        Refused(format!("{name}: fewer values than it states. Export the recording again"))
     })
 }
 

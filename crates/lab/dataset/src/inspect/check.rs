@@ -298,7 +298,7 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let held_s = time_s[run.from + run.rows - 1] - time_s[run.from];
         if held_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
             found.add(FindingKind::Stuck, 1, || {
-                let what = format!("for {held_s:.1} s, {} rows; usually {usual}", run.rows);
+                let what = format!("for {held_s:.1} s, {} rows, usually {usual}", run.rows);
                 at(trial, run.from, Some(Column::Power), what)
             });
         }
@@ -333,7 +333,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
             } else if let Some(range) = range.filter(|range| !range.holds(*value)) {
                 found.add(FindingKind::OutOfRange, 1, || {
                     let what = format!(
-                        "{value} in SI units; allowed: {} to {}",
+                        "{value} in SI units, allowed: {} to {}",
                         range.least, range.greatest
                     );
                     at(trial, row, Some(column), what)
@@ -365,7 +365,7 @@ fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let allowed_w = limits.power_step_w.max(limits.power_share * product_w.abs());
         if away_w > allowed_w {
             found.add(FindingKind::PowerMismatch, 1, || {
-                let what = format!("{power_w:.4} W; voltage times current is {product_w:.4} W");
+                let what = format!("{power_w:.4} W. Voltage times current is {product_w:.4} W");
                 at(trial, row, Some(Column::Power), what)
             });
         }
@@ -399,7 +399,7 @@ fn check_file(trial: &Trial, found: &mut Findings) {
     });
     found.add(FindingKind::UnnamedRow, notes.unnamed_rows, || {
         let robot = trial.robot_name().unwrap_or_default();
-        let what = format!("{} rows; the others name robot {robot:?}", notes.unnamed_rows);
+        let what = format!("{} rows. The others name robot {robot:?}", notes.unnamed_rows);
         whole(trial, None, what)
     });
 }

@@ -17,7 +17,7 @@ pub struct Found {
     pub files: Vec<PathBuf>,
     /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz`, `.mat` or a capture, ignored.
     pub others: Vec<PathBuf>,
-    /// Files named more than once; each is used once.
+    /// Files named more than once. Each is used once.
     pub repeated: Vec<PathBuf>,
 }
 
@@ -29,7 +29,7 @@ impl Found {
             Some(format!("{} {what}, the first {first}", files.len()))
         };
         let others = remark(&self.others, "other files in the directories are ignored");
-        let repeated = remark(&self.repeated, "files are named more than once; each is used once");
+        let repeated = remark(&self.repeated, "files are named more than once. Each is used once");
         others.into_iter().chain(repeated)
     }
 }
@@ -55,7 +55,7 @@ pub enum FindError {
         other: String,
     },
     /// A pattern without a match.
-    #[error("nothing matches {pattern:?}; * and ? match within a name, ** matches directories")]
+    #[error("nothing matches {pattern:?}: * and ? match within a name, ** matches directories")]
     NoMatch {
         /// The pattern.
         pattern: String,

@@ -80,7 +80,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         file: trial.path().to_owned(),
         row: None,
         column: name,
-        what: format!("{}; {}; {remedy}", finding.found, finding.allowed),
+        what: format!("{}, {}: {remedy}", finding.found, finding.allowed),
     };
     Implausible { finding, remedy, place }
 }

@@ -149,8 +149,9 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
         }
     }
     if frames == 0 {
-        let detail = "no samples of joulebus in this MCAP file; a capture of another host's planners has none: record \
-                      beside the worker; convert recordings of other programs: joulebus import";
+        let detail = "no samples of joulebus in this MCAP file. A capture of another host's \
+            planners has none: record \
+                      beside the worker. Convert recordings of other programs: joulebus import";
         return Err(refused(detail.to_owned()));
     }
     // A run of one sample is no trial: it belongs to the one that it goes on with.
@@ -171,7 +172,7 @@ fn spilled(error: &io::Error) -> String {
     let folder = std::env::temp_dir();
     let folder = folder.display();
     format!(
-        "cannot keep samples in a temporary file in {folder}: {error}; TMPDIR names another folder"
+        "cannot keep samples in a temporary file in {folder}: {error}. TMPDIR names another folder"
     )
 }
 

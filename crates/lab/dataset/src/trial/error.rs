@@ -22,14 +22,15 @@ pub enum TrialError {
         source: io::Error,
     },
     /// The file is empty.
-    #[error("{path}: empty; expected a .npy array or a CSV with a header", path = path.display())]
+    #[error("{path}: empty, expected a .npy array or a CSV with a header", path = path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
     /// The file has another format.
     #[error(
-        "{path}: found {found}; expected a .npy array of shape (n, 11), a CSV, plain or .gz, a capture \
+        "{path}: found {found}, expected a .npy array of shape (n, 11), a CSV, plain or .gz, a \
+            capture \
          (.mcap), or an archive of `joulebus export`",
         path = path.display()
     )]
@@ -41,7 +42,8 @@ pub enum TrialError {
     },
     /// The file is truncated.
     #[error(
-        "{path}: truncated: {missing} after {rows} complete rows; copy the file again, or leave it out of the command",
+        "{path}: truncated: {missing} after {rows} complete rows. Copy the file again, or leave \
+            it out of the command",
         path = path.display()
     )]
     Truncated {
@@ -64,7 +66,8 @@ pub enum TrialError {
     },
     /// Too many rows.
     #[error(
-        "{path}: more than {allowed} rows, which this verb has in memory at the same time; split the recording (`data check`, \
+        "{path}: more than {allowed} rows, which this verb has in memory at the same time. Split \
+            the recording (`data check`, \
          `train`, `eval`, `analyze`, `config init` and `export` read it in parts)",
         path = path.display()
     )]
@@ -76,7 +79,7 @@ pub enum TrialError {
     },
     /// Too much text.
     #[error(
-        "{path}: more than {MAX_TEXT_BYTES} bytes of text; split the recording",
+        "{path}: more than {MAX_TEXT_BYTES} bytes of text. Split the recording",
         path = path.display()
     )]
     TooLong {
@@ -85,8 +88,9 @@ pub enum TrialError {
     },
     /// Too much text for the size of the compressed file.
     #[error(
-        "{path}: more than {allowed} bytes of text in {found} bytes of gzip; allowed are {MAX_EXPANSION} \
-         for each, and {FREE_TEXT_BYTES} in any case; decompress it first",
+        "{path}: more than {allowed} bytes of text in {found} bytes of gzip, allowed are \
+            {MAX_EXPANSION} \
+         for each, and {FREE_TEXT_BYTES} in any case. Decompress it first",
         path = path.display()
     )]
     Expands {
@@ -118,8 +122,8 @@ pub enum TrialError {
     },
     /// The array holds Python objects: reading them would execute code.
     #[error(
-        "{path}: found an array of Python objects, which is never read; save the table \
-         as a plain float64 array",
+        "{path}: found an array of Python objects, which is never read. Save the table as a plain \
+            float64 array",
         path = path.display()
     )]
     ObjectArray {
@@ -127,7 +131,7 @@ pub enum TrialError {
         path: PathBuf,
     },
     /// The elements of the array are not floats.
-    #[error("{path}: found elements of type {found}; allowed: f4 or f8", path = path.display())]
+    #[error("{path}: found elements of type {found}, allowed: f4 or f8", path = path.display())]
     ElementType {
         /// The file.
         path: PathBuf,
@@ -135,7 +139,7 @@ pub enum TrialError {
         found: String,
     },
     /// The array does not have eleven columns.
-    #[error("{path}: found shape ({found}); allowed: (n, 11) with n ≥ 2", path = path.display())]
+    #[error("{path}: found shape ({found}), allowed: (n, 11) with n ≥ 2", path = path.display())]
     Shape {
         /// The file.
         path: PathBuf,
@@ -144,8 +148,8 @@ pub enum TrialError {
     },
     /// The file is longer than its header states.
     #[error(
-        "{path}: {found_bytes} bytes, but the header's {rows} rows end at {expected_bytes}; \
-         another file may have been appended",
+        "{path}: {found_bytes} bytes, but the header's {rows} rows end at {expected_bytes}. \
+            Another file may have been appended",
         path = path.display()
     )]
     TrailingBytes {
@@ -160,7 +164,8 @@ pub enum TrialError {
     },
     /// The first line has no names.
     #[error(
-        "{path}: the first line has no names, but {found}; put a line with the names of the columns in front, such as \
+        "{path}: the first line has no names, but {found}. Put a line with the names of the \
+            columns in front, such as \
          timestamp_s,voltage_V,current_A (`ros2 topic echo --csv` writes none)",
         path = path.display()
     )]
@@ -171,7 +176,7 @@ pub enum TrialError {
         found: String,
     },
     /// A line is no row.
-    #[error("{path}: row {row}: {what}; {LEAVE_OUT}", path = path.display())]
+    #[error("{path}: row {row}: {what}. {LEAVE_OUT}", path = path.display())]
     Line {
         /// The file.
         path: PathBuf,
@@ -182,7 +187,7 @@ pub enum TrialError {
     },
     /// Required columns are missing.
     #[error(
-        "{path}: no column for {missing}; found {found}; name them with --map, such as \
+        "{path}: no column for {missing}, found {found}. Name them with --map, such as \
          {suggestion} (`joulebus data check --help` lists the accepted names)",
         path = path.display()
     )]
@@ -214,8 +219,8 @@ pub enum TrialError {
     },
     /// A file that is read a second time has other contents than before.
     #[error(
-        "{path}: changed while it was used: {found} rows, or other ones, where {before} were read before; run the \
-         command again when it is complete",
+        "{path}: changed while it was used: {found} rows, or other ones, where {before} were read \
+            before. Run the command again when it is complete",
         path = path.display()
     )]
     Changed {
@@ -228,7 +233,7 @@ pub enum TrialError {
     },
     /// Two columns have the same meaning.
     #[error(
-        "{path}: columns {first} and {second} are synonyms; keep one, or name it with --map",
+        "{path}: columns {first} and {second} are synonyms. Keep one, or name it with --map",
         path = path.display()
     )]
     DuplicateColumn {
@@ -241,7 +246,7 @@ pub enum TrialError {
     },
     /// A row has more or fewer fields than the header.
     #[error(
-        "{path}: row {row}: found {found} fields, the header has {expected}; {LEAVE_OUT}",
+        "{path}: row {row}: found {found} fields, the header has {expected}. {LEAVE_OUT}",
         path = path.display()
     )]
     FieldCount {
@@ -256,7 +261,7 @@ pub enum TrialError {
     },
     /// A value is not allowed.
     #[error(
-        "{path}: row {row}, column {column}: found {found:?}; allowed: {allowed}",
+        "{path}: row {row}, column {column}: found {found:?}, allowed: {allowed}",
         path = path.display()
     )]
     Value {
@@ -273,7 +278,7 @@ pub enum TrialError {
     },
     /// More than one robot in the file.
     #[error(
-        "{path}: row {row}: robot {found:?} after robot {first:?}; a trial holds one robot: \
+        "{path}: row {row}: robot {found:?} after robot {first:?}. A trial holds one robot: \
          `joulebus data convert` splits the file",
         path = path.display()
     )]
@@ -288,14 +293,15 @@ pub enum TrialError {
         found: String,
     },
     /// More robots in one file than plausible.
-    #[error("{path}: more than {MAX_ROBOTS} robots; split the recording", path = path.display())]
+    #[error("{path}: more than {MAX_ROBOTS} robots. Split the recording", path = path.display())]
     TooManyRobots {
         /// The file.
         path: PathBuf,
     },
     /// No timestamp advances.
     #[error(
-        "{path}: {rows} rows, and no timestamp advances; a trial needs two rows at increasing times",
+        "{path}: {rows} rows, and no timestamp advances. A trial needs two rows at increasing \
+            times",
         path = path.display()
     )]
     NoPeriod {

@@ -20,16 +20,16 @@ pub struct Playback {
 #[non_exhaustive]
 pub enum TrialFleetError {
     /// No trial was given.
-    #[error("found no trial; a fleet needs one or more")]
+    #[error("found no trial. A fleet needs one or more")]
     NoTrial,
     /// Two trials have the same robot.
-    #[error("robot {robot} has more than one trial; give each trial an id of its own")]
+    #[error("robot {robot} has more than one trial. Give each trial an id of its own")]
     DuplicateRobot {
         /// The robot's id.
         robot: u32,
     },
     /// The ids exceed the largest one.
-    #[error("{trials} robots from id {first} on run past {max}; start lower", max = u32::MAX)]
+    #[error("{trials} robots from id {first} on run past {max}. Start lower", max = u32::MAX)]
     IdsExhausted {
         /// The first robot's id.
         first: u32,
@@ -37,7 +37,7 @@ pub enum TrialFleetError {
         trials: usize,
     },
     /// The frame period is zero.
-    #[error("found a frame period of 0 ns; allowed: 1 ns or more")]
+    #[error("found a frame period of 0 ns, allowed: 1 ns or more")]
     NoPeriod,
 }
 

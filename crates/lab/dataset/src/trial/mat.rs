@@ -48,8 +48,9 @@ pub(super) fn read(
     let refused = |what: String| TrialError::Kind {
         path: path.to_owned(),
         found: format!(
-            "a MATLAB file {what}; in MATLAB save vectors of numbers, one for each column (`save('log.mat', 't', 'voltage_V', \
-             'current_A')`), or `writetable(T, 'log.csv')`; in Python `scipy.io.loadmat`"
+            "a MATLAB file {what}. In MATLAB save vectors of numbers, one for each column \
+                (`save('log.mat', 't', 'voltage_V', \
+             'current_A')`), or `writetable(T, 'log.csv')`. In Python `scipy.io.loadmat`"
         ),
     };
     if bytes.len() as u64 > MAX_BYTES {

@@ -287,7 +287,8 @@ pub struct MappedColumn {
 pub enum MapError {
     /// There is no name on one of the sides.
     #[error(
-        "{found:?} is no mapping; examples: power=battery_W, power_mW=p1, and voltage_V:=3.0 for what every row has"
+        "{found:?} is no mapping. Examples: power=battery_W, power_mW=p1, and voltage_V:=3.0 for \
+            what every row has"
     )]
     Form {
         /// The found name.
@@ -295,8 +296,9 @@ pub enum MapError {
     },
     /// The quantity is unknown.
     #[error(
-        "{found:?} is no quantity; allowed: {allowed}, each with a unit if it is not in the column's name; an energy (Wh) \
-         or a charge (Ah) is not read: give power, or voltage and current"
+        "{found:?} is no quantity, allowed: {allowed}, each with a unit if it is not in the \
+            column's name. An energy (Wh) or a charge (Ah) is not read: give power, or voltage \
+            and current"
     )]
     Quantity {
         /// The found name.

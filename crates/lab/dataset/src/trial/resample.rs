@@ -47,13 +47,13 @@ pub struct Resampled {
 #[non_exhaustive]
 pub enum ResampleError {
     /// The rate is out of range.
-    #[error("found a rate of {rate_hz} Hz; allowed: above 0 and up to {MAX_RATE_HZ}")]
+    #[error("found a rate of {rate_hz} Hz, allowed: above 0 and up to {MAX_RATE_HZ}")]
     Rate {
         /// The rate.
         rate_hz: f64,
     },
     /// More rows than a trial may have.
-    #[error("{duration_s} s at {rate_hz} Hz are more than {MAX_ROWS} rows; take a lower rate")]
+    #[error("{duration_s} s at {rate_hz} Hz are more than {MAX_ROWS} rows. Take a lower rate")]
     TooManyRows {
         /// Time from the first row to the last, s.
         duration_s: f64,
@@ -61,7 +61,7 @@ pub enum ResampleError {
         rate_hz: f64,
     },
     /// Fewer than two rows would be left.
-    #[error("{duration_s} s at {rate_hz} Hz leave fewer than two rows; take a higher rate")]
+    #[error("{duration_s} s at {rate_hz} Hz leave fewer than two rows. Take a higher rate")]
     TooFewRows {
         /// Time from the first row to the last, s.
         duration_s: f64,

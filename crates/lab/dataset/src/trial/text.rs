@@ -222,7 +222,7 @@ impl Start {
                 Ok(mut start) => {
                     if line > 1 {
                         let what =
-                            format!("its header is line {line}; those above are passed over");
+                            format!("its header is line {line}. Those above are passed over");
                         start.understood.push(what);
                     }
                     return Ok(start);
@@ -318,7 +318,7 @@ impl Numbers {
         let is_fraction =
             fraction.len() != 3 || !(1..=3).contains(&digits.len()) || digits.starts_with('0');
         if text.contains('.') || !(is_fraction || self.decimal_comma == Some(true)) {
-            return Err("a number with a point; a comma could separate thousands here");
+            return Err("a number with a point. A comma could separate thousands here");
         }
         let number = format!("{whole}.{fraction}").parse().map_err(|_| ALLOWED)?;
         self.decimal_comma = Some(true);
@@ -507,7 +507,8 @@ fn either(name: &str) -> String {
 
 fn many_seconds(name: &str) -> String {
     format!(
-        "a number of seconds within ±4e9; if it counts milliseconds, --map time_ms={name}, and time_us or time_ns for \
+        "a number of seconds within ±4e9. If it counts milliseconds, --map time_ms={name}, and \
+            time_us or time_ns for \
          smaller ones"
     )
 }

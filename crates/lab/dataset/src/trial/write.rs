@@ -136,7 +136,8 @@ pub enum WriteError {
     },
     /// An array holds numbers only.
     #[error(
-        "{path}: the robot's name is {found:?}, but an array holds numbers; allowed: a numeric name \
+        "{path}: the robot's name is {found:?}, but an array holds numbers, allowed: a numeric \
+            name \
          a number and reads back as it is, such as 7",
         path = path.display()
     )]
@@ -147,7 +148,7 @@ pub enum WriteError {
         found: String,
     },
     /// The reader of arrays refuses fewer rows.
-    #[error("{path}: {rows} rows; an array needs at least 2, write CSV", path = path.display())]
+    #[error("{path}: {rows} rows. An array needs at least 2, write CSV", path = path.display())]
     TooFewRows {
         /// The file.
         path: PathBuf,
@@ -156,7 +157,7 @@ pub enum WriteError {
     },
     /// The array layout lacks columns for recorded values.
     #[error(
-        "{path}: the array layout has no columns {found}, which hold values; drop them by name, or \
+        "{path}: the array layout has no columns {found}, which hold values. Drop them by name, or \
          write CSV",
         path = path.display()
     )]

@@ -9,10 +9,10 @@ use joulebus_train::linear::LinearError;
 #[non_exhaustive]
 pub enum AnalyzeError {
     /// No trial.
-    #[error("found no trial to analyse; name one or more files")]
+    #[error("found no trial to analyse. Name one or more files")]
     NoTrial,
     /// A number is out of range.
-    #[error("{what} = {found}; allowed: {allowed}")]
+    #[error("{what} = {found}, allowed: {allowed}")]
     Setting {
         /// Name of the setting.
         what: &'static str,

@@ -120,7 +120,8 @@ impl Calibration {
         ];
         if self.extrapolated {
             lines.push(format!(
-                "EXTRAPOLATED: the recordings do not show what was asked for; {:.0} robot-hours without an alarm \
+                "EXTRAPOLATED: the recordings do not show what was asked for. {:.0} robot-hours \
+                    without an alarm \
                  would.",
                 self.needed_h
             ));

@@ -44,7 +44,8 @@ pub enum CalibrateError {
     /// The recordings are too short for the request.
     #[error(
         "{hours:.2} robot-hours, half of the recordings, can show at most {at_best:.3} false alarms a robot-hour at \
-         {:.0} %, {:.1} a day of {robots} robots; asked for are {wanted:.3e}: record {needed_h:.1} robot-hours in which \
+         {:.0} %, {:.1} a day of {robots} robots, and asked for are {wanted:.3e}. Record \
+         {needed_h:.1} robot-hours in which \
          none is raised, ask for more alarms, or allow what is not shown (--extrapolate)",
         100.0 * confidence,
         at_best * f64::from(*robots) * 24.0
@@ -80,8 +81,9 @@ pub enum CalibrateError {
     },
     /// An extrapolation leaves the allowed limits.
     #[error(
-        "{key}: {reached} recordings reach the tail, which leaves {rate:.3e} false alarms a robot-hour at the \
-         greatest limit, {greatest}; {wanted:.3e} are allowed: give more recordings, or ask for a higher rate"
+        "{key}: {reached} recordings reach the tail, which leaves {rate:.3e} false alarms a \
+            robot-hour at the greatest limit, {greatest}. Allowed are {wanted:.3e}: give more \
+            recordings, or ask for a higher rate"
     )]
     Tail {
         /// The limit.
@@ -98,7 +100,7 @@ pub enum CalibrateError {
     /// The half that states the rate contradicts an extrapolation.
     #[error(
         "{key}: {found} recordings of the half that states the rate go beyond {limit}, and the tail of the others \
-         expects at most {expected:.2}: the tail does not hold; give more recordings"
+         expects at most {expected:.2}: the tail does not hold. Give more recordings"
     )]
     Refuted {
         /// The limit's key.

@@ -95,7 +95,7 @@ impl Design {
         }
         Ok(Self {
             description: format!(
-                "left out: {}; baselines are fitted on all others",
+                "left out: {}. Baselines are fitted on all others",
                 names.join(", ")
             ),
             split: None,
@@ -140,15 +140,15 @@ impl Design {
             _ => in_turn(recordings, count),
         };
         let description = match count {
-            1 => "no split: all rows; baselines of each half are fitted on the other".to_owned(),
+            1 => "no split: all rows. Baselines of each half are fitted on the other".to_owned(),
             _ => format!(
-                "no split: all trials; baselines are fitted on the other trials, {count} folds"
+                "no split: all trials. Baselines are fitted on the other trials, {count} folds"
             ),
         };
         Self { description, split: None, folds, units: names(recordings), others: Vec::new() }
     }
 
-    /// Evaluates every row; baselines are fitted on other recordings.
+    /// Evaluates every row. Baselines are fitted on other recordings.
     pub fn fitted_on(recordings: &[Recording], others: Vec<Recording>) -> Self {
         let whole = |(at, recording): (usize, &Recording)| (at, 0..recording.rows());
         let fold = Fold {
@@ -157,7 +157,7 @@ impl Design {
             trained_on: Vec::new(),
         };
         Self {
-            description: format!("all trials; baselines are fitted on {} named ones", others.len()),
+            description: format!("all trials. Baselines are fitted on {} named ones", others.len()),
             split: None,
             folds: vec![fold],
             units: names(recordings),

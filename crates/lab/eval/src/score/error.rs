@@ -8,7 +8,7 @@ use joulebus_train::linear::LinearError;
 
 use crate::evaluate::EvaluateError;
 
-/// The longest horizon, ticks.
+/// Maximum horizon of an evaluation, ticks.
 pub const MAX_HORIZON: usize = 300;
 
 /// Errors of scoring.
@@ -16,15 +16,15 @@ pub const MAX_HORIZON: usize = 300;
 #[non_exhaustive]
 pub enum ScoreError {
     /// No recording was given.
-    #[error("found no recording to evaluate; name one or more files")]
+    #[error("found no recording to evaluate. Name one or more files")]
     NoRecording,
     /// No model was given.
-    #[error("found no model to evaluate; name one")]
+    #[error("found no model to evaluate. Name one")]
     NoModel,
     /// No row can be scored.
     #[error(
         "none of the {rows} rows of {recordings} recordings can be evaluated: a row needs five \
-         gapless readings before it, a reading after it, and a forecast; name longer or more \
+         gapless readings before it, a reading after it, and a forecast. Name longer or more \
          recordings"
     )]
     NoRows {
@@ -54,7 +54,7 @@ pub enum ScoreError {
     /// The design refers to rows that the recordings lack.
     #[error(
         "the design belongs to other recordings: it has row {found} of recording {recording}, which has \
-         {allowed} rows; make it from the recordings that are evaluated"
+         {allowed} rows. Make it from the recordings that are evaluated"
     )]
     Design {
         /// Index of the recording.
@@ -77,7 +77,8 @@ pub enum ScoreError {
     Recording(String),
     /// The residuals of many rows could not be kept in a temporary file.
     #[error(
-        "cannot keep residuals in a temporary file in {folder}: {detail}; TMPDIR names another folder"
+        "cannot keep residuals in a temporary file in {folder}: {detail}. TMPDIR names another \
+            folder"
     )]
     Kept {
         /// The folder.

@@ -90,7 +90,7 @@ impl Foreign {
             }
             let rows = recordings.entry(recording).or_default();
             if rows.insert(row, [power_w, lo_w, hi_w]).is_some() {
-                return Err(refused(format!("{place} is there twice; leave one out")));
+                return Err(refused(format!("{place} is there twice. Leave one out")));
             }
         }
         Ok(Self { name: name.to_owned(), recordings, has_interval })
@@ -124,7 +124,8 @@ impl Foreign {
             _ => Err(ScoreError::Foreign {
                 name: self.name.clone(),
                 what: format!(
-                    "{name}: {lacking} of the {} evaluated rows have no forecast; allowed is one for each",
+                    "{name}: {lacking} of the {} evaluated rows have no forecast, allowed is one \
+                        for each",
                     rows.count()
                 ),
             }),

@@ -357,7 +357,8 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
     };
     writeln!(
         out,
-        "\nOpen loop: fed with its own forecasts, commands known; a rollout every {every} rows, every h rows \
+        "\nOpen loop: fed with its own forecasts, commands known. A rollout every {every} rows, \
+            every h rows \
          at h < {every} ticks"
     )?;
     write_headings(
@@ -394,8 +395,9 @@ fn write_energy(out: &mut Formatter<'_>, model: &ModelReport) -> fmt::Result {
     writeln!(
         out,
         "\nEnergy of the next seconds by {}, with the commands that were driven: sum of |forecast − measured| over \
-         that of the measured energy; coverage and mean width of the 90 % interval, and the narrowest that would have \
-         covered as much. The outlook, the last reading and the means do not know the commands; its score is the \
+         that of the measured energy. Then coverage and mean width of the 90 % interval, and the \
+         narrowest that would have covered as much. The outlook, the last reading and the means \
+         do not know the commands. Its score is the \
          interval score through the mean energy",
         model.name
     )?;

@@ -7,7 +7,7 @@
 pub enum PickleError {
     /// The bytes end too early, or a length is wrong.
     #[error(
-        "byte {at}: {opcode} needs {needs} bytes, {left} are left; the file is truncated or corrupt"
+        "byte {at}: {opcode} needs {needs} bytes, {left} are left. The file is truncated or corrupt"
     )]
     Truncated {
         /// Offset of the opcode.
@@ -21,7 +21,7 @@ pub enum PickleError {
     },
     /// An opcode that tensors and plain containers do not need.
     #[error(
-        "byte {at}: opcode {name} ({code:#04x}) is refused; tensors and plain containers need no \
+        "byte {at}: opcode {name} ({code:#04x}) is refused. Tensors and plain containers need no \
          such opcode"
     )]
     Opcode {
@@ -35,7 +35,7 @@ pub enum PickleError {
     /// A Python function or class that is not on the allowlist.
     #[error(
         "byte {at}: `{name}` is refused: it is none of the functions and classes that tensors and \
-         plain containers need, and nothing was run; if this is a model of your own, save \
+         plain containers need, and nothing was run. If this is a model of your own, save \
          `model.state_dict()` or a dict of arrays and numbers"
     )]
     Global {
@@ -55,7 +55,7 @@ pub enum PickleError {
         detail: String,
     },
     /// An opcode that is invalid in its context.
-    #[error("byte {at}: {opcode} {detail}; the file is corrupt")]
+    #[error("byte {at}: {opcode} {detail}. The file is corrupt")]
     Program {
         /// Offset of the opcode.
         at: usize,
@@ -65,7 +65,7 @@ pub enum PickleError {
         detail: String,
     },
     /// More values than any model file has.
-    #[error("byte {at}: more than {allowed} values; check that it is a model file")]
+    #[error("byte {at}: more than {allowed} values. Check that it is a model file")]
     TooMany {
         /// Offset of the opcode that exceeded the limit.
         at: usize,

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::recordings::{Recordings, Resampling};
 
-/// Convert recorded trials to another format, bit for bit; resample only on request
+/// Convert recorded trials to another format, bit for bit, and resample on request
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus data convert trial1.npy --out trial1.csv.gz\n  \
@@ -20,8 +20,9 @@ use crate::recordings::{Recordings, Resampling};
     joulebus data convert husky/ --to csv.gz --resample hold --rate 30 --out husky-30hz/\n\n\
     A file of several robots is split into one file per robot. What the format cannot represent is refused, never \
     dropped: an array has eleven columns, and the robot as a number.\n\
-    Resampling changes the data. hold: the latest row, as a controller would have read it; mean: over \
-    the period that ends, which keeps the energy; linear: between the adjacent rows. Gaps are kept, \
+    Resampling changes the data. hold: the latest row, as a controller would have read it. mean: \
+    over the period that ends, which keeps the energy. linear: between the adjacent rows. Gaps \
+    are kept, \
     and NaN stays NaN.\n\
     --whole-rows keeps what a power failure left of a file: the rows before its cut or empty end.\n\
     Exit codes: 3 if rows were left out because their time does not advance, or lines because they are no whole rows.")]
@@ -151,7 +152,7 @@ impl Args {
                 let (count, out) = (tables.len(), self.out.display());
                 let what = format!("{count} trials cannot all be written to {out}");
                 return Err(UsageError(format!(
-                    "{what}; give --to npy, csv or csv.gz, and a directory"
+                    "{what}. Give --to npy, csv or csv.gz, and a directory"
                 )));
             }
             return Ok(vec![self.out.clone()]);
@@ -173,7 +174,7 @@ impl Args {
                 let (from, file) = (tables[at].path().display(), file.display());
                 let what =
                     format!("{from} and an earlier recording would both be written to {file}");
-                Err(UsageError(format!("{what}; convert them one by one")))
+                Err(UsageError(format!("{what}. Convert them one by one")))
             }
         }
     }
@@ -221,7 +222,7 @@ fn drop_columns(
     if let Some(name) = unnamed {
         let file = table.path().display();
         let what = format!("{file}: the column {name:?} is unknown");
-        return Err(UsageError(format!("{what}; drop it with --drop {name}")));
+        return Err(UsageError(format!("{what}. Drop it with --drop {name}")));
     }
     let mut dropped = table.ignored_columns().to_vec();
     for column in known {

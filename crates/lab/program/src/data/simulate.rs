@@ -24,13 +24,13 @@ use serde::Serialize;
     The files replace the GTernal dataset of arXiv 2603.13908 and support no claim about real \
     robots. The same seed gives the same bytes on every machine. Nothing is overwritten.")]
 pub(crate) struct Args {
-    /// Output directory; it is created if it does not exist
+    /// Output directory, which is created if it does not exist
     #[arg(value_name = "DIR")]
     directory: PathBuf,
     /// Seed of the robots, their motion and everything random
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Samples of each of the seven robots, 2 to 4,194,304; the six trials have 8,000 each
+    /// Samples of each of the seven robots, 2 to 4,194,304 (the six trials have 8,000 each)
     #[arg(long, value_name = "N", default_value_t = SAMPLES as u64, value_parser = clap::value_parser!(u64).range(2..=MAX_ROWS as u64))]
     steps: u64,
 }
@@ -101,7 +101,8 @@ impl fmt::Display for SimulateReport {
         }
         writeln!(
             out,
-            "the seven robots came no closer than {:.3} m; barriers changed the motion in {:.0} % of \
+            "the seven robots came no closer than {:.3} m. Barriers changed the motion in {:.0} % \
+                of \
              the steps, {} times all stopped",
             self.closest_m,
             100.0 * self.avoiding_share,

@@ -24,7 +24,7 @@ const MAX_BYTES: u64 = 8 << 30;
 /// Evaluating in parts.
 #[derive(Debug, clap::Args)]
 pub(super) struct PartArguments {
-    /// Evaluate part I of N, from 1: every N-th recording; its sums are written with --out
+    /// Evaluate part I of N, from 1: every N-th recording. Its sums are written with --out
     #[arg(long, value_name = "I/N", requires = "out")]
     partition: Option<Partition>,
     /// The part's file, which must not exist
@@ -97,7 +97,8 @@ impl fmt::Display for PartReport {
         let Self { partition, recordings, of, file } = self;
         writeln!(
             out,
-            "part {partition}: {recordings} of {of} recordings in {file}; with all parts: joulebus eval --merge FILE…"
+            "part {partition}: {recordings} of {of} recordings in {file}. With all parts: \
+                joulebus eval --merge FILE…"
         )
     }
 }
@@ -113,7 +114,7 @@ pub(super) fn run(
     // Checked before the work. A file of that name that appears during it belongs to a process with
     // the same part.
     if out.symlink_metadata().is_ok() {
-        bail!("{} exists; name a new file, or remove it", out.display());
+        bail!("{} exists. Name a new file, or remove it", out.display());
     }
     let options = args.options()?;
     // Recordings are counted through all platforms, so that parts are of about the same size.

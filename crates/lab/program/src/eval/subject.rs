@@ -46,13 +46,13 @@ pub(crate) struct Selection {
     /// Horizons of the open loop, ticks from 1 to 300, or none
     #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
     horizons: String,
-    /// Rows between the origins of rollouts; a horizon of fewer ticks has one every so many rows
+    /// Rows between the origins of rollouts, or as many rows as a shorter horizon has ticks
     #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
     origins_every: usize,
     /// Also score the energy of the next 1 to 300 s, as far as the recordings reach
     #[arg(long)]
     energy: bool,
-    /// Draws for confidence intervals, at most 1,000,000; 0 disables them
+    /// Draws for confidence intervals, at most 1,000,000 (0 disables them)
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
     /// Confidence level, a share
@@ -180,7 +180,7 @@ impl Selection {
                 let (name, platforms) = (file.display(), settings.platforms.len());
                 let what =
                     format!("{name}: robot {id} belongs to none of the {platforms} platforms");
-                Err(UsageError(format!("{what}; add its id to one of them")).into())
+                Err(UsageError(format!("{what}. Add its id to one of them")).into())
             }
         }
     }

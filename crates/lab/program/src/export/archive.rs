@@ -79,7 +79,8 @@ impl Archive {
                 let other = other.with_context(failed)?.path();
                 let other = other.display();
                 return Err(UsageError(format!(
-                    "{shown} has other files, such as {other}; allowed are a new or an empty folder, and one of an \
+                    "{shown} has other files, such as {other}, allowed are a new or an empty \
+                        folder, and one of an \
                      earlier export"
                 ))
                 .into());
@@ -118,7 +119,7 @@ impl Archive {
             .with_context(failed)?;
         if flock(&mark, FlockOperation::NonBlockingLockExclusive).is_err() {
             let folder = folder.display();
-            bail!("another export is writing to {folder}; wait until it has ended");
+            bail!("another export is writing to {folder}. Wait until it has ended");
         }
         let text = joulebus_files::read_to_string(path, 1 << 16).with_context(failed)?;
         if text.is_empty() {
@@ -131,11 +132,11 @@ impl Archive {
         match serde_json::from_str::<Mark>(&text) {
             Ok(Mark { schema, .. }) if schema == SCHEMA => Ok(mark),
             Ok(Mark { schema, .. }) => Err(UsageError(format!(
-                "{shown}: found schema {schema}, allowed is {SCHEMA}; export into another folder"
+                "{shown}: found schema {schema}, allowed is {SCHEMA}. Export into another folder"
             ))
             .into()),
             Err(error) => Err(UsageError(format!(
-                "{shown}: no mark of an archive: {error}; export into another folder"
+                "{shown}: no mark of an archive: {error}. Export into another folder"
             ))
             .into()),
         }
@@ -151,10 +152,10 @@ impl Archive {
             let number = name.and_then(|name| name.strip_suffix(LISTING_ENDING));
             let number: Option<u32> = number.and_then(|number| number.parse().ok());
             let Some(number) = number else {
-                bail!("{}: its name is no number; remove it", path.display());
+                bail!("{}: its name is no number. Remove it", path.display());
             };
             let Some(after) = number.checked_add(1) else {
-                bail!("{}: allowed are numbers below {number}; give it another", path.display());
+                bail!("{}: allowed are numbers below {number}. Give it another", path.display());
             };
             self.next = self.next.max(after);
             self.recordings.insert(listing.name, number);
@@ -251,7 +252,8 @@ impl Archive {
             return Ok(levels);
         }
         let mut what = format!(
-            "{name}: a trial has {}, those in {} have {}; pandas and Dask cannot read an archive of both: export it into \
+            "{name}: a trial has {}, those in {} have {}. pandas and Dask cannot read an archive \
+                of both: export it into \
              another folder, or name the robot that a file lacks with --map robot:=NAME",
             own.names(),
             self.folder.display(),
@@ -399,7 +401,7 @@ fn own_folder(path: &Path) -> anyhow::Result<()> {
     let shown = path.display();
     let found = fs::symlink_metadata(path).with_context(|| format!("cannot use {shown}"))?;
     if !found.is_dir() {
-        bail!("{shown} is a link or no folder: an archive's folders lie in it; move it away");
+        bail!("{shown} is a link or no folder: an archive's folders lie in it. Move it away");
     }
     Ok(())
 }

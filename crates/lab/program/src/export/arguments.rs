@@ -12,12 +12,16 @@ use crate::recordings::ColumnArguments;
     joulebus export recordings/ --to parquet archive/\n  \
     joulebus eval archive/ --model my.safetensors\n\n\
     Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit. \
-    What no recording has, as the fleet and day of a CSV, is no folder; recordings that have it go into another DIR. \
+    Properties that no recording has, as the fleet and day of a CSV, make no folder. Recordings \
+    that have them go into another DIR. \
     docs/how-to/archives.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
-    exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
-    add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
-    Exit codes: 1 if something cannot be read or written: whole recordings before it are in DIR; 2 for wrong usage, \
-    such as a folder with other files; 3 if lines were left out because they are no whole rows.")]
+    exported, in their order. Of a partition (DIR/fleet=a/day=2026-11-22) they take file by file. \
+    Further exports into DIR \
+    add to it. Captures of any length need little memory. A temporary file in TMPDIR has their \
+    samples meanwhile.\n\n\
+    Exit code 1: something cannot be read or written, and whole recordings before it are in DIR. \
+    2: wrong usage, such as a folder with other files. 3: lines were left out because they are no \
+    whole rows.")]
 pub(crate) struct Args {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
     /// patterns in quotes: 'runs/**/*.npy'

@@ -60,7 +60,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let Some(name) = names.iter().find(|name| archive.has(name)) {
         let folder = folder.display();
         return Err(UsageError(format!(
-            "{name} is in {folder} already; name other recordings, or another folder"
+            "{name} is in {folder} already. Name other recordings, or another folder"
         ))
         .into());
     }
@@ -165,10 +165,10 @@ fn name(file: &Path) -> anyhow::Result<&str> {
     let is_parquet = file.extension().is_some_and(|ending| ending == "parquet");
     if is_listing(file) || is_parquet {
         let file = file.display();
-        let what = format!("{file} is of an archive; copy the folder, or name recordings");
+        let what = format!("{file} is of an archive. Copy the folder, or name recordings");
         return Err(UsageError(what).into());
     }
-    file.to_str().with_context(|| format!("{}: its name is no UTF-8; rename it", file.display()))
+    file.to_str().with_context(|| format!("{}: its name is no UTF-8. Rename it", file.display()))
 }
 
 impl fmt::Display for ExportReport {

@@ -84,10 +84,10 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         if let Some(unpacked) = unpacked(&name) {
             // Beside it, it is read already.
             if !folder.join(unpacked).exists() {
-                left_out.push(format!("{name}: is compressed; first `zstd -d {name}`"));
+                left_out.push(format!("{name}: is compressed. First `zstd -d {name}`"));
             }
         } else if ends_in(&path, "mcap") && is_capture(&path) {
-            left_out.push(format!("{name}: is a capture of joulebus; import it by its own name"));
+            left_out.push(format!("{name}: is a capture of joulebus. Import it by its own name"));
         } else if ends_in(&path, "db3") || ends_in(&path, "mcap") {
             files.push(path);
         }

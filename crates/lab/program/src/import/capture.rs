@@ -105,7 +105,7 @@ fn numbered(
             None => {
                 while taken.contains(&next) {
                     next = next.checked_add(1).ok_or_else(|| {
-                        UsageError("there are no more ids; start lower".to_owned())
+                        UsageError("there are no more ids. Start lower".to_owned())
                     })?;
                 }
                 taken.insert(next);

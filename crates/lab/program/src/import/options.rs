@@ -35,8 +35,8 @@ pub(super) struct ImportArguments {
     /// Time to use [default: auto: the header's, or the log time where headers have none]
     #[arg(long, value_name = "CLOCK")]
     time: Option<Clock>,
-    /// Readings within this time are one burst, of which the last is used, s; 0 keeps all [default:
-    /// 0.005]
+    /// Readings within this time are one burst, of which the last is used, s (0 keeps all)
+    /// [default: 0.005]
     #[arg(long, value_name = "SECONDS")]
     burst: Option<f64>,
 }

@@ -5,27 +5,29 @@ use std::path::PathBuf;
 /// What energy forecasts are worth: missions of simulated robots under several charging policies
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    joulebus mission                                   100 seeds, an hour each; some minutes on two cores\n  \
+    joulebus mission                                   100 seeds, an hour each, some minutes on \
+    two cores\n  \
     joulebus mission --seeds 8 --hours 0.25            a quick look\n  \
     joulebus mission --dragging 0 --battery-wh 0.25    no faults, larger batteries\n  \
     joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n  \
     joulebus mission --seeds 1 --picture run.svg       a picture of one mission\n\n\
-    Twenty simulated robots with small batteries and varied parts do tasks that arrive; three chargers take \
-    one robot each. Every policy gets the same tasks, robots, dispatcher and account of its batteries, and \
-    faces the same seeds; settings were chosen on seeds from 1001 on (--tune). Intervals are at 95 %, by \
+    Twenty simulated robots with small batteries and varied parts do tasks that arrive. Three \
+    chargers take one robot each. Every policy gets the same tasks, robots, dispatcher and \
+    account of its batteries, and faces the same seeds. Settings were chosen on seeds from 1001 \
+    on (--tune). Intervals are at 95 %, by \
     bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/measured/mission.md has \
     results.")]
 pub(crate) struct Args {
     /// Number of missions of each policy
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub(super) seeds: u64,
-    /// First seed [default: 1; with --tune 1001]
+    /// First seed [default: 1, with --tune 1001]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     pub(super) first_seed: Option<u64>,
-    /// Simulated time of a mission, h; 0.01 to 24
+    /// Simulated time of a mission, h (0.01 to 24)
     #[arg(long, value_name = "H", default_value_t = 1.0, value_parser = hours)]
     pub(super) hours: f64,
-    /// Capacity of a battery, Wh; 0.05 to 10
+    /// Capacity of a battery, Wh (0.05 to 10)
     #[arg(long, value_name = "WH", default_value_t = 0.15, value_parser = battery)]
     pub(super) battery_wh: f64,
     /// Share of the robots in which a brush begins to drag at a random time, 0 to 1

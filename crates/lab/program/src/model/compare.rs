@@ -16,12 +16,12 @@ use crate::judgement::report;
 #[command(after_help = "Examples:\n  \
     joulebus model compare old.safetensors new.safetensors recordings/\n  \
     joulebus model compare old.safetensors new.safetensors recordings/ --split trial --fail-worse\n\n\
-    Both are scored on the rows for which both have a forecast and that neither was trained on. Differences are new less old; skill is \
-    1 - squared error of the new over that of the old. Better or worse means that the whole \
-    confidence interval of the skill lies on one side of 0; of twenty robots, one will do so by chance \
-    at 95 %.\n\n\
-    Exits with 0 whichever is better; with --fail-worse, exits with 3 if the new one is worse on all \
-    recordings of a platform together.")]
+    Both are scored on the rows for which both have a forecast and that neither was trained on. \
+    Differences are new less old. Skill is 1 - squared error of the new over that of the old. \
+    Better or worse means that the whole confidence interval of the skill lies on one side of 0. \
+    Of twenty robots, one will do so by chance at 95 %.\n\n\
+    Exits with 0 whichever is better. With --fail-worse, exits with 3 if the new one is worse on \
+    all recordings of a platform together.")]
 pub(super) struct Args {
     /// The current model
     #[arg(value_name = "OLD")]

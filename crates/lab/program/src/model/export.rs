@@ -21,8 +21,9 @@ use joulebus_program::file::write;
     joulebus model export my.safetensors --out my.npz\n  \
     joulebus model export my.safetensors --to npy --out my/\n  \
     joulebus model export my.safetensors --python predictor.py\n\n\
-    ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
-    (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
+    ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output \
+    `power_w` (n, 1). The normalisation is part of the graph. Arrays carry `check_features` and \
+    `check_power_w`, \
     rows with their forecasts, for testing a reimplementation of the network. Python: one file that needs \
     NumPy only, with the model inside and the paper's `EnergyPredictor`: `reset`, `step(v_cmd, w_cmd)`, \
     `step_with_correction(v_cmd, w_cmd, measured_power)`, in mW.")]
@@ -41,7 +42,7 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 struct Target {
-    /// The output file; a directory for npy
+    /// The output file, or a directory for npy
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// The output file, a Python module: as --to python --out FILE
@@ -82,7 +83,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let Some(network) = checkpoint.network else {
         let (model, kind) = (args.model.display(), checkpoint.container);
         let what = format!("{model} ({kind}) is another program's model");
-        return Err(UsageError(format!("{what}; import it first: joulebus model import")).into());
+        return Err(UsageError(format!("{what}. Import it first: joulebus model import")).into());
     };
     let bytes = export(&network, kind, out)?;
     output.report(&ExportReport {
@@ -105,7 +106,7 @@ fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
         _ => {
             let out = out.display();
             let what = format!("{out} does not end in .onnx, .npz, .py or .safetensors");
-            Err(UsageError(format!("{what}; name the format: --to FORMAT")))
+            Err(UsageError(format!("{what}. Name the format: --to FORMAT")))
         }
     }
 }
@@ -131,7 +132,7 @@ fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
     let is_used = fs::read_dir(folder).with_context(failed)?.next().is_some();
     if is_used {
         let what = format!("{} is not empty", folder.display());
-        return Err(UsageError(format!("{what}; name a new directory")).into());
+        return Err(UsageError(format!("{what}. Name a new directory")).into());
     }
     let (mut written, mut paths) = (0, Vec::new());
     for (name, bytes) in to_arrays(network)? {

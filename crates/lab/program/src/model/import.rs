@@ -29,10 +29,10 @@ const SHOWN: usize = 5;
     --out mine.safetensors\n  \
     joulebus model import exported.npz --out again.safetensors    a joulebus model needs no data\n\n\
     No code in the file is executed. Networks of one to three hidden layers of at most 64, 64 and 32 \
-    units run, with gelu_erf, gelu_tanh or relu. The recordings should be of the robots that the model \
-    was trained for; range, residuals and scores of the imported model are those on them. If they do \
-    not clearly distinguish the best convention from the second, nothing is written; name one with \
-    --convention then.")]
+    units run, with gelu_erf, gelu_tanh or relu. The recordings should be of the robots that the \
+    model was trained for. Range, residuals and scores of the imported model are those on them. \
+    If they do not clearly distinguish the best convention from the second, nothing is written. \
+    Then name one with --convention.")]
 pub(crate) struct Args {
     /// A model file (.npy, .npz, .pt, .pth, .safetensors, our .onnx) or a directory of .npy files
     #[arg(value_name = "FILE")]
@@ -93,7 +93,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         (None, _) => {}
         (Some(_), StatisticsFrom::File) => {
             let what = format!("{file} has normalisation constants of its own");
-            return Err(UsageError(format!("{what}; leave out --normalisation")).into());
+            return Err(UsageError(format!("{what}. Leave out --normalisation")).into());
         }
         (Some(Constants::Published), _) => found.normalisation.from = StatisticsFrom::Published,
         (Some(Constants::Recordings), _) => found.normalisation.from = StatisticsFrom::Recordings,
@@ -140,7 +140,7 @@ struct OwnReport {
 impl fmt::Display for OwnReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { file, out: written, kind, model_hash } = self;
-        writeln!(out, "{file} ({kind}): a joulebus model, hash {model_hash}; written to {written}")
+        writeln!(out, "{file} ({kind}): a joulebus model, hash {model_hash}, written to {written}")
     }
 }
 

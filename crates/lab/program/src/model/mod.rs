@@ -65,7 +65,7 @@ fn bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
         let known = || joulebus_config::builtin_models().collect::<Vec<_>>().join(", ");
         return joulebus_config::builtin_model(name)
             .map(|(_, bytes)| bytes.to_vec())
-            .with_context(|| format!("there is no built-in model {name}; there are {}", known()));
+            .with_context(|| format!("there is no built-in model {name}, there are {}", known()));
     }
     joulebus_files::read(path, MAX_FILE_BYTES as u64)
         .with_context(|| format!("cannot read {}", path.display()))

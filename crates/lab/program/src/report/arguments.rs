@@ -16,15 +16,17 @@ use crate::references::ReferenceArguments;
     joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
     joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
     joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
-    DIR/report.html is a self-contained file; DIR also gets report.json, report.txt and \
-    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten times: six \
-    trials, training on 1 to 4, evaluation on all six and on seven robots; mean and deviation stand \
-    beside the paper's figures, and everything says that it is simulated.\n\
-    Rows that a model was trained on, as its file states, are scored apart from the others; the page warns \
-    of them, and of models whose files do not state theirs. --split evaluates what `joulebus train trials` \
+    DIR/report.html is a self-contained file. DIR also gets report.json, report.txt and \
+    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten \
+    times. It trains on trials 1 to 4 and evaluates on all six trials and on seven robots. Mean \
+    and deviation stand beside the paper's figures, and everything says that it is simulated.\n\
+    Rows that a model was trained on, as its file states, are scored apart from the others. The \
+    page warns of them, and of models whose files do not state theirs. --split evaluates what \
+    `joulebus train trials` \
     with the same recordings, split and seed holds out.\n\
-    Every model is compared with persistence, AR(5) + velocities, the mean so far, the season before and ridge \
-    regression, and with the forecasts of --forecasts, on the same rows, with 95 % intervals.")]
+    Every model is compared with persistence, AR(5) + velocities, the mean so far, the season \
+    before, ridge regression, and the forecasts of --forecasts. All are scored on the same rows, \
+    with 95 % intervals.")]
 pub(crate) struct Args {
     /// Recordings to evaluate (.npy, .csv, .csv.gz), captures (.mcap), or directories of them
     #[arg(value_name = "PATH", required_unless_present = "simulated")]
@@ -33,10 +35,10 @@ pub(crate) struct Args {
     pub(super) columns: ColumnArguments,
     #[command(flatten)]
     pub(super) accept: AcceptArguments,
-    /// A model file; the first is shown in every figure, further ones are compared with it
+    /// A model file. The first is shown in every figure, further ones are compared with it
     #[arg(long, value_name = "FILE", required_unless_present = "simulated")]
     pub(super) model: Vec<PathBuf>,
-    /// The output directory; it is created if it does not exist
+    /// The output directory, which is created if it does not exist
     #[arg(short, long, value_name = "DIR")]
     pub(super) out: PathBuf,
     /// Recordings that the linear baselines are fitted on [default: cross-fitted on the evaluated
@@ -49,7 +51,7 @@ pub(crate) struct Args {
     /// The recordings are those of arXiv 2603.13908: show its numbers for comparison
     #[arg(long, conflicts_with = "simulated")]
     pub(super) published: bool,
-    /// Simulate the paper's trials and robots, train on them and report; needs no data
+    /// Simulate the paper's trials and robots, train on them and report, without data
     #[arg(long, conflicts_with_all = ["paths", "model"])]
     pub(super) simulated: bool,
     /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and

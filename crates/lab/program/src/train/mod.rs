@@ -24,7 +24,7 @@ use run::RunArguments;
     joulebus train trials recordings/ --split group --out husky.safetensors\n\n\
     The model file identifies the rows it was trained on, so that `eval` and `report` can score them \
     apart.\n\
-    Ctrl-C saves a checkpoint beside the model; --resume continues from it, to the same bytes.")]
+    Ctrl-C saves a checkpoint beside the model. --resume continues from it, to the same bytes.")]
 pub(crate) struct Args {
     #[command(subcommand)]
     verb: Verb,
@@ -38,8 +38,8 @@ enum Verb {
         joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n  \
         joulebus train sim --seed 7 --features freshness --out configs/models/gternal-sim-freshness.safetensors\n\n\
         The shipped models were made with these three commands: 12 robots on trials 1 to 4 train, 4 on \
-        trial 5 validate, 8 on trial 6 are held out (docs/measured/plant.md). A model from simulation supports no \
-        claim about real robots; its file states this.")]
+        trial 5 validate, 8 on trial 6 are held out (docs/measured/plant.md). A model from \
+        simulation supports no claim about real robots. Its file states this.")]
     Sim(Sim),
     /// Train on recorded trials (.npy, .csv, .csv.gz), one robot per file
     Trials(Box<trials::Args>),

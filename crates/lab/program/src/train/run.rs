@@ -35,7 +35,7 @@ pub(super) struct RunArguments {
     /// Continue the interrupted run from its checkpoint, FILE.training beside the model
     #[arg(long)]
     resume: bool,
-    /// Threads to compute on, at most 256; the result does not depend on it [default: one per core]
+    /// Threads to compute on, at most 256. The result does not depend on it [default: one per core]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     threads: usize,
 }
@@ -84,7 +84,8 @@ impl RunArguments {
                 write(&saved_at, &training.saved())?;
                 let (at, made) = (saved_at.display(), epoch.number);
                 say(&format!(
-                    "interrupted after {made} epochs, checkpoint saved in {at}; continue with --resume"
+                    "interrupted after {made} epochs, checkpoint saved in {at}. Continue with \
+                        --resume"
                 ));
                 return Ok(None);
             }
@@ -117,7 +118,7 @@ impl RunArguments {
             Ok(saved) => saved,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 let what = format!("there is no checkpoint {at}");
-                return Err(UsageError(format!("{what}; leave out --resume")).into());
+                return Err(UsageError(format!("{what}. Leave out --resume")).into());
             }
             Err(error) => return Err(error).with_context(|| format!("cannot read {at}")),
         };

@@ -35,7 +35,7 @@ pub(super) struct Args {
     /// patterns in quotes
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
-    /// Recordings for early stopping; with --hold-out, instead of a split
+    /// Recordings for early stopping, with --hold-out, instead of a split
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "hold_out")]
     validate: Vec<PathBuf>,
     /// Recordings for the final scores only

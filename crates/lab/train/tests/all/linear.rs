@@ -201,7 +201,7 @@ fn too_few_rows_and_features_without_moments_are_refused() {
     let error = Linear::fit(&few, Terms::AR5).expect_err("two rows, six numbers");
     assert_eq!(
         error.to_string(),
-        "AR(5) needs at least 6 rows with every number known, found 2 of 3; name more or longer \
+        "AR(5) needs at least 6 rows with every number known, found 2 of 3. Name more or longer \
          recordings, or fewer features"
     );
     let taken = Moments::of(&few, Terms::AR5);

@@ -111,7 +111,8 @@ pub unsafe extern "C" fn joulebus_predictor_rollout(
     entry(|| {
         let model = model(predictor)?;
         if model.needs_freshness() {
-            let text = "the network reads the age of readings, which a rollout is not told; train one without: \
+            let text = "the network reads the age of readings, which a rollout is not told. Train \
+                one without: \
                         `joulebus train … --features full`";
             return Err(Failure::new(joulebus_error::Model, text));
         }
@@ -221,7 +222,7 @@ fn of_process() -> usize {
 }
 
 fn not_open() -> Failure {
-    let text = "the predictor is closed; open a new one";
+    let text = "the predictor is closed. Open a new one";
     Failure::new(joulebus_error::Handle, text)
 }
 

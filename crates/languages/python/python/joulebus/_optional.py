@@ -8,7 +8,7 @@ from . import _native
 
 
 def needed(package: str, what: str) -> Any:
-    """The package; an ImportError that names the remedy where it is missing."""
+    """The package, or an ImportError that names the remedy where it is missing."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
@@ -17,7 +17,7 @@ def needed(package: str, what: str) -> Any:
 
 
 def lab(what: str) -> Any:
-    """The native half with the lab; an ImportError that names the remedy where it is missing."""
+    """The native half with the lab, or an ImportError that names the remedy where it is missing."""
     if not hasattr(_native, "evaluate"):
         raise ImportError(
             f"{what} need the lab, which is not installed: pip install 'joulebus[lab]'"
@@ -33,7 +33,7 @@ def axes(ax: Any) -> Any:
 
 
 class Progress:
-    """A bar by tqdm; nothing where tqdm is not installed or no bar is wanted."""
+    """A bar by tqdm, or nothing where tqdm is not installed or no bar is wanted."""
 
     def __init__(self, wanted: bool, what: str, unit: str, total: int | None = None) -> None:
         self._bar: Any = None

@@ -124,7 +124,7 @@ class EnergyJaxEnv:
     def step(
         self, key: Any, state: EnergyState, actions: dict[str, Any]
     ) -> tuple[dict[str, Any], EnergyState, dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """One step of 33 ms; an arena whose episode ends is reset at once, as JaxMARL's are."""
+        """One step of 33 ms. An arena whose episode ends is reset at once, as JaxMARL's are."""
         ahead, again = _jax.random.split(key)
         _, after, rewards, dones, infos = self.step_env(ahead, state, actions)
         _, fresh = self.reset(again)

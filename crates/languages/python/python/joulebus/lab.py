@@ -129,12 +129,12 @@ def train(
     threads: int = 0,
     progress: bool | Callable[..., Any] = True,
 ) -> Training:
-    """Trains a network, as `joulebus train trials` does; with `simulated`, as `joulebus train sim`, without recordings.
+    """Trains a network, as `joulebus train trials` does. With `simulated`, as `joulebus train sim`, without recordings.
 
-    recordings:  what trains; without the next two it is split into training, validation and held-out rows
+    recordings:  what trains. Without the next two they are split into training, validation and held-out rows
     validate, hold_out: recordings that end the training early, and that are only scored
     split:       what is not divided: ``trial`` (default), ``robot``, ``group``, or ``time``, which cuts each trial
-    recipe:      a TOML file (`configs/recipes/paper.toml` explains it); the paper's recipe by default. The next five
+    recipe:      a TOML file (`configs/recipes/paper.toml` explains it) [default: the paper's recipe]. The next five
                  replace its settings
     feature_set: ``full`` (the paper's), ``power_only``, ``freshness``, ``power_freshness``
     columns:     names of columns of CSV files where they are not found by themselves: ``{"power": "load_W"}``
@@ -291,7 +291,7 @@ def evaluate(
     fit:       recordings that the linear baselines are fitted on; cross-fitted by default
     split:     evaluates the held-out part of a split, as in `train` with the same recordings and seed; `held_out` is its
                share, `leave_out` names the units instead
-    horizons:  ticks of the open loop, ascending, 1 to 300; none disables it
+    horizons:  ticks of the open loop, ascending, 1 to 300 (an empty tuple disables it)
     energy:    also scores the energy of the next 1 to 300 s
     resamples, confidence, block_rows: of the confidence intervals; 0 resamples disable them
 
@@ -403,7 +403,7 @@ def analyze(
 class Report(_Result):
     """A report: ``tables`` maps ids to rows, ``figures`` lists `Figure` objects, ``html()`` is the page.
 
-    ``network`` is the predictor that simulated experiments trained and show; else None.
+    ``network`` is the predictor that simulated experiments trained and show, else None.
     """
 
     def __init__(self, native: _native.Report) -> None:

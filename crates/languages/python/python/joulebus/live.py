@@ -105,7 +105,7 @@ class Frame:
     """Forecasts of all robots, as the worker wrote them into shared memory.
 
     ``rows`` is a read-only array of `joulebus.FORECAST` on that memory, and ``power_w``, ``lo_w``, ``hi_w``, ``robot``
-    and every other field of it a view of a column; none copies. A frame, and each array made of it, keeps the memory
+    and every other field of it a view of a column. Nothing is copied. A frame, and each array made of it, keeps the memory
     for as long as it exists: two frames beside the newest can be kept, further reading is then refused. ``rows.copy()``
     is yours.
 
@@ -149,7 +149,7 @@ class Frame:
         return Forecast(self.rows[position])
 
     def to_pandas(self) -> Any:
-        """A copy as a DataFrame, indexed by robot; unknown values are NaN. Needs pandas."""
+        """A copy as a DataFrame, indexed by robot. Unknown values are NaN. Needs pandas."""
         return _data_frame(self.rows)
 
     def _position(self, robot: int) -> int | None:
@@ -204,7 +204,7 @@ class _Connection:
     _ports: Any
 
     def close(self) -> None:
-        """Leaves the fleet. Further use is refused; closing again does nothing."""
+        """Leaves the fleet. Further use is refused. Closing again does nothing."""
         ports, _open = self._ports, _CONNECTIONS
         _open.discard(self)
         ports.close()
@@ -237,7 +237,7 @@ class Planner(_Connection):
                 if isinstance(event, joulebus.Frame):
                     print(event[7].interval_w, event.power_w.sum())
 
-    Several threads may use one planner; their calls follow one another. A process made by `fork` cannot use its
+    Several threads may use one planner. Their calls follow one another. A process made by `fork` cannot use its
     parent's: connect a new one there.
     """
 
@@ -346,7 +346,7 @@ class Planner(_Connection):
         _native.acknowledge(self._joined, robot, alarm, by, timeout)
 
     def close(self) -> None:
-        """Leaves the fleet. Further use is refused; closing again does nothing."""
+        """Leaves the fleet. Further use is refused. Closing again does nothing."""
         super().close()
         asking = self._asking
         if asking is not None:
@@ -385,7 +385,7 @@ class Publisher(_Connection):
 
         ids: ids of robots, each once. Columns have one element for each robot, or one number for all:
         v (m/s) and omega (rad/s) as commanded, power (W), voltage (V), current (A, positive while discharging),
-        soc (0 to 1), return_j (energy needed to return, J); held (the reading repeats the one before), charging, full
+        soc (0 to 1), return_j (energy needed to return, J), held (the reading repeats the one before), charging, full
         (which implies charging) and swapped are truth values. A NaN, or no column, means unknown. `intended_ns`: when
         the frame was due (`time.monotonic_ns`).
         """

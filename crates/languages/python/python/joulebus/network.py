@@ -34,7 +34,7 @@ def forward(model: Any = "builtin:gternal-sim", xp: Any = np) -> Callable[[dict[
     """The network as a function ``f(arrays, features)`` of `arrays` and of rows ``(…, 11)`` in SI units, in the order of
     ``joulebus.FEATURE_NAMES``; it returns the readings expected next, W, ``(…,)``.
 
-    `xp` is the module that computes: numpy, jax.numpy or torch; it can be differentiated, compiled and trained further
+    `xp` is the module that computes: numpy, jax.numpy or torch. It can be differentiated, compiled and trained further
     there. Forecasts are those of `Predictor.predict` within 1e-5 of the power's scale. Networks that read the age of
     readings take rows of 13.
     """

@@ -36,13 +36,13 @@ class OnlineConformal(_base.RegressorMixin, _base.BaseEstimator):  # type: ignor
     regressor:   any regressor of scikit-learn, or a `Predictor`, which needs no `fit`; by default linear least squares
     coverage:    share of the readings inside, 0.5 to 0.99
     rate:        step of an end that a reading missed, as a share of its distance, 0.001 to 0.5
-    resolution:  of the readings, in their unit; residuals below it are not believed
-    limits:      the least and the largest possible reading; forecasts stay within
+    resolution:  of the readings, in their unit. Residuals below it are not believed
+    limits:      the least and the largest possible reading. Forecasts stay within
     longest_gap: successive missing readings that its own forecasts bridge, up to 65,535
 
     `fit(X, y)` fits a clone of the regressor, `regressor_`, and begins anew with all robots. `update(X, y)` takes rows with
     the readings that followed them, in the order of time. `predict(X)` and `predict_interval(X)` change nothing: each row
-    is the next of its robot. `robots` is a label for all rows, or one for each; a robot is new when it is first named.
+    is the next of its robot. `robots` is a label for all rows, or one for each. A robot is new when it is first named.
 
     It can be pickled, with what the robots have learned.
     """
@@ -232,7 +232,7 @@ def _successive(readings: np.ndarray, labels: list[Hashable]) -> tuple[np.ndarra
 
 
 def _autoregression(lags: np.ndarray, following: np.ndarray) -> tuple[float, list[float]]:
-    """Bias and weights by least squares; the last reading where there are too few."""
+    """Bias and weights by least squares, or the last reading where there are too few."""
     if len(lags) <= 2 * LAGS:
         return 0.0, [1.0, 0.0, 0.0, 0.0, 0.0]
     level = lags.mean()

@@ -46,13 +46,13 @@ class EnergyParallelEnv(_pettingzoo.ParallelEnv):  # type: ignore[misc, name-def
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Begins an episode; the same `seed` gives the same one."""
+        """Begins an episode. The same `seed` gives the same one."""
         observations, infos = self._envs.reset(seed=seed)
         self.agents = self.possible_agents[:]
         return self._each(observations[0]), self._infos(infos)
 
     def step(self, actions: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-        """One step of 33 ms of all robots; one without an action stands still."""
+        """One step of 33 ms of all robots. One without an action stands still."""
         if not self.agents:
             raise RuntimeError("the episode has ended: call reset()")
         unknown = set(actions) - set(self.agents)

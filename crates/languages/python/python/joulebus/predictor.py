@@ -16,10 +16,10 @@ HELD_OUT = 0.1
 class Predictor(_native.Predictor):
     """Forecasts the power of any number of robots at once, in SI units.
 
-    model:       a joulebus model file (.safetensors; with the lab also an exported .npz or .onnx), or ``builtin:NAME``
+    model:       a joulebus model file (.safetensors, with the lab also an exported .npz or .onnx), or ``builtin:NAME``
     feature_set: what `fit` trains on: ``full`` (the paper's 11 features), ``power_only``, and both with the age of
                  the newest reading, ``freshness`` and ``power_freshness`` (13)
-    seed, max_epochs, patience: of `fit`, by the paper's recipe; the same seed gives the same bytes
+    seed, max_epochs, patience: of `fit`, by the paper's recipe. The same seed gives the same bytes
 
     ``predict(features)`` takes rows ``(robots, 11)`` in the order of the first 11 ``joulebus.FEATURE_NAMES`` (v, omega, their
     derivatives, their magnitudes, the last five readings, newest first; m, rad, s, W), or rows of 13 for a model with
@@ -93,7 +93,7 @@ class Predictor(_native.Predictor):
         return {name: getattr(self, name) for name in ("model", "feature_set", "seed", "max_epochs", "patience")}
 
     def set_params(self, **params: Any) -> Predictor:
-        """Sets arguments of the constructor; another `model` is opened at once."""
+        """Sets arguments of the constructor. Another `model` is opened at once."""
         allowed = self.get_params()
         for name in params:
             if name not in allowed:

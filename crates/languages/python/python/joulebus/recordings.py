@@ -73,7 +73,7 @@ class Trial:
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Features ``(rows, 13)`` and the readings that followed, W: what `Predictor.fit`, `predict` and `score` take.
 
-        One row for each reading with five gapless readings before it; the features are those that the worker would have
+        One row for each reading with five gapless readings before it. The features are those that the worker would have
         computed, to the bit.
         """
         return lab("trials").trial_rows(self.columns)

@@ -1,6 +1,6 @@
 """What a call from Python costs beside the same call in Rust: `python -m joulebus.speed`.
 
-Rounds alternate between the two, and each round's ratio is of neighbours in time; the medians are printed.
+Rounds alternate between the two, and each round's ratio is of neighbours in time. The medians are printed.
 """
 from __future__ import annotations
 

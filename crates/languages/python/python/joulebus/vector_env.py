@@ -41,7 +41,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
 
     Motion, power, batteries and chargers are those of `EnergyRobotarium`: a unicycle with the wheels' limits, and the
     model's open-loop forecast for the velocities that the robots really had. A robot with an empty battery stands still
-    and draws nothing until it has been charged. Walls stop robots; robots do not collide.
+    and draws nothing until it has been charged. Walls stop robots. Robots do not collide.
 
     robots:          in each arena; None is one robot, without the axis of robots in all arrays
     battery_j, initial_soc: one number, or one for each robot of an arena
@@ -56,7 +56,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
 
     Actions are ``(num_envs, robots, 2)``: v (m/s) and omega (rad/s). Observations are ``(num_envs, robots, 8)``: x, y (m),
     cosine and sine of the heading, x and y of the goal (m), state of charge (0 to 1), power of the last step (W). An
-    episode terminates when all batteries of its arena are empty and none is being charged; the arena is reset by the next
+    episode terminates when all batteries of its arena are empty and none is being charged. The arena is reset by the next
     `step` (``AutoresetMode.NEXT_STEP``). ``infos`` has ``energy_j`` (drawn in the episode), ``step_energy_j``, ``soc``,
     ``power_w``, ``charging`` and ``goals``, each ``(num_envs, robots)``.
 
@@ -126,7 +126,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins an episode in every arena. `seed`: of the first arena, or one for each; without it they go on."""
+        """Begins an episode in every arena. `seed`: of the first arena, or one for each. Without it they go on."""
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
         else:
@@ -140,7 +140,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
         return self._observations(), self._infos(np.zeros_like(self._drawn_j))
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One step of 33 ms in every arena; those whose episode has ended are reset instead."""
+        """One step of 33 ms in every arena. Those whose episode has ended are reset instead."""
         rewards, step_j, terminated, truncated = self._advance(actions)
         return self._observations(), rewards.sum(axis=1), terminated, truncated, self._infos(step_j)
 
@@ -235,7 +235,7 @@ class EnergyEnv(gymnasium.Env):  # type: ignore[misc, name-defined]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins an episode; the same `seed` gives the same one."""
+        """Begins an episode. The same `seed` gives the same one."""
         super().reset(seed=seed)
         observations, infos = self._envs.reset(seed=int(self.np_random.integers(1 << 31)))
         return observations[0], _first(infos)
@@ -272,7 +272,7 @@ def _limited(v: Any, omega: Any, xp: Any = np) -> tuple[Any, Any]:
 
 
 def _moved(poses: Any, v: Any, omega: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """The poses after a step, in the order of the Robotarium's simulator; walls stop robots."""
+    """The poses after a step, in the order of the Robotarium's simulator. Walls stop robots."""
     x, y, theta = poses
     x0, x1, y0, y1 = ARENA_M
     turned = theta + STEP_S * omega

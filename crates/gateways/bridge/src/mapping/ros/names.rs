@@ -21,7 +21,7 @@ pub(crate) enum NameError {
          parts are letters, digits and single underscores that do not begin with a digit"
     )]
     Topic { found: String },
-    #[error("is no type that is read; allowed are {allowed}")]
+    #[error("is no type that is read, allowed are {allowed}")]
     Type { allowed: String },
 }
 

@@ -206,7 +206,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
         (b"ARROW1\0\0\x10\0\0\0", "Feather", "read_feather"),
         (b"\x28\xb5\x2f\xfd\x04\x58", "zstd", "zstd -d"),
         (b"BZh91AY&SY", "bzip2", "bzip2 -d"),
-        (b"\x80\x05\x95\xda\x28", "pickle", "only if you trust it"),
+        (b"\x80\x05\x95\xda\x28", "pickle", "Only if you trust it"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS", "git lfs pull"),
         (b"\xff\xfet\0i\0m\0e\0", "UTF-16", "iconv"),
         (b"{\"time\": [0, 1]}", "JSON", "read_json"),
