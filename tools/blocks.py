@@ -116,6 +116,7 @@ WHOLE = {
     "battery": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "clock": ("configs/links/worker.toml", "joulebus link configs/links/worker.toml --check"),
+    "webhook": ("configs/webhooks/people.toml", "joulebus config check configs/webhooks/people.toml"),
     "shard": ("configs/links/standby-shards.toml", "joulebus link configs/links/standby.toml --check"),
 }
 

@@ -88,7 +88,7 @@ make_tarball() {
     find "$staged/$name/bin" -type f -exec strip {} +
     cp README.md CHANGELOG.md LICENSE-* "$staged/$name"
     mkdir "$staged/$name/configs"
-    cp -r configs/fleet.toml configs/platforms configs/bridges "$staged/$name/configs"
+    cp -r configs/fleet.toml configs/platforms configs/bridges configs/webhooks "$staged/$name/configs"
     mapfile -t programs < <(tools/programs.sh)
     tools/licences.py "${programs[@]}" | gzip -9n >"$staged/$name/licences.txt.gz"
     tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$SOURCE_DATE_EPOCH" -C "$staged" -c "$name" | gzip -9n >"$dist/$name.tar.gz"

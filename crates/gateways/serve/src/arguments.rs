@@ -11,13 +11,15 @@ use joulebus_program::config_file::ConfigFile;
 /// Foxglove, live
 #[derive(Debug, clap::Args)]
 #[command(
-    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "socket", "foxglove", "webhook"]),
+    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "socket", "foxglove", "webhook", "webhooks"]),
     after_help = "Examples:\n  \
     joulebus serve --http                                  http://127.0.0.1:8630\n  \
     joulebus serve --http 0.0.0.0:8630 --token-file token  for other hosts, who need the token\n  \
     joulebus serve --socket /run/joulebus-serve/lab.sock   for users of this host who may enter its folder\n  \
     joulebus serve --http --foxglove\n  \
     joulebus serve --webhook https://hooks.example/fleet   each raise and end of an alarm\n  \
+    joulebus serve --webhooks configs/webhooks/people.toml Slack, Teams, other messages\n  \
+    joulebus serve --webhooks configs/webhooks/pager.toml  Alertmanager, signed requests\n  \
     joulebus serve --foxglove --per-robot --port 9000\n  \
     joulebus serve --foxglove --allow-origin https://lab.example\n\n\
     --http: the page at /, the API at /api/v1/openapi.json, OpenMetrics at /metrics, /healthz and \
@@ -32,6 +34,9 @@ use joulebus_program::config_file::ConfigFile;
     100 changes each. Changes that the receiver does not take (no answer within 10 s, 5xx, 408, \
     425, 429) are sent again after 1 s, 2 s … 60 s. Up to 10,000 changes wait. Other answers \
     refuse them.\n\n\
+    --webhooks: receivers in a file, each with a body of its own (Slack, Teams, Alertmanager, a \
+    template), and signed where it has a secret: docs/how-to/webhook.md. `joulebus config explain \
+    webhook` has the keys.\n\n\
     --foxglove: in Foxglove, Open connection, Foxglove WebSocket, ws://127.0.0.1:8765. Then \
     import the layout \
     configs/foxglove/joulebus.json. The topics and schemas are those of a capture. Only this host \
@@ -69,6 +74,9 @@ pub(crate) struct ServeArguments {
     /// list
     #[arg(long, value_name = "FILE", requires = "webhook")]
     pub(crate) webhook_ca: Option<PathBuf>,
+    /// Tell the receivers in this file of alarms
+    #[arg(long, value_name = "FILE")]
+    pub(crate) webhooks: Option<PathBuf>,
     /// Serve the Foxglove WebSocket protocol
     #[arg(long)]
     pub(crate) foxglove: bool,

@@ -1,4 +1,4 @@
-//! `joulebus serve`: runs the page, Foxglove and the webhook in one process.
+//! `joulebus serve`: runs the page, Foxglove and the webhooks in one process.
 
 use std::fmt;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::foxglove::{Foxglove, FoxgloveReport};
 use crate::http::{HttpReport, HttpServer, Options};
-use crate::webhook::{Webhook, WebhookReport};
+use crate::webhook::{WebhookReport, Webhooks};
 
 /// Interval of checking whether to stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -23,8 +23,8 @@ struct ServeReport {
     foxglove: Option<FoxgloveReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
     http: Option<HttpReport>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    webhook: Option<WebhookReport>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    webhooks: Vec<WebhookReport>,
 }
 
 pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
@@ -45,9 +45,10 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let http = http.transpose()?;
     let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
     let foxglove = foxglove.transpose()?;
-    let webhook =
-        args.webhook.as_deref().map(|to| Webhook::start(&config, to, args.webhook_ca.as_deref()));
-    let webhook = webhook.transpose()?;
+    let (to, listed) = (args.webhook.as_deref(), args.webhooks.as_deref());
+    let webhooks = (to.is_some() || listed.is_some())
+        .then(|| Webhooks::start(&config, to, args.webhook_ca.as_deref(), listed));
+    let webhooks = webhooks.transpose()?;
     let fleet = config.fleet();
     for place in http.iter().flat_map(HttpServer::places) {
         say(&format!("serving fleet {fleet} at {place}"));
@@ -55,11 +56,11 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     if let Some(foxglove) = &foxglove {
         say(&format!("serving fleet {fleet} at {}", foxglove.address()));
     }
-    if let Some(webhook) = &webhook {
-        say(&format!("telling {} of alarms of fleet {fleet}", webhook.host()));
+    if let Some(webhooks) = &webhooks {
+        say(&format!("telling {} of alarms of fleet {fleet}", webhooks.hosts()));
     }
     let is_over = || {
-        webhook.as_ref().is_some_and(Webhook::is_over)
+        webhooks.as_ref().is_some_and(Webhooks::is_over)
             || http.as_ref().is_some_and(HttpServer::is_over)
             || foxglove.as_ref().is_some_and(Foxglove::is_over)
     };
@@ -68,10 +69,10 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     }
     let foxglove = foxglove.map(Foxglove::finish).transpose()?;
     let http = http.map(HttpServer::finish).transpose()?;
-    let webhook = webhook.map(Webhook::finish).transpose()?;
+    let webhooks = webhooks.map(Webhooks::finish).transpose()?.unwrap_or_default();
     let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0)
-        || webhook.as_ref().is_some_and(|webhook| webhook.lost > 0);
-    output.report(&ServeReport { fleet: fleet.to_owned(), foxglove, http, webhook })?;
+        || webhooks.iter().any(|webhook| webhook.lost > 0);
+    output.report(&ServeReport { fleet: fleet.to_owned(), foxglove, http, webhooks })?;
     Ok(Outcome::unless_lost(lost))
 }
 
@@ -92,7 +93,7 @@ impl fmt::Display for ServeReport {
                 "served fleet {fleet} at {places}: {requests} requests, {refused} refused, {messages} messages"
             )?;
         }
-        if let Some(webhook) = &self.webhook {
+        for webhook in &self.webhooks {
             let WebhookReport { host, told, failed, lost, ticks_missed } = webhook;
             writeln!(
                 out,

@@ -1,7 +1,7 @@
-//! Keys of the files of bridges, links and shards.
+//! Keys of the files of bridges, links, shards and webhooks.
 
 use crate::key::DefaultValue::{Flag, Integer, Number, Required, Text, Unset};
-use crate::key::File::{Bridge, Link, Shards};
+use crate::key::File::{Bridge, Link, Shards, Webhooks};
 use crate::key::{DefaultValue, Key, TextRule, ValueKind};
 use crate::keys::{int, key, num, of};
 
@@ -15,6 +15,11 @@ const fn link(path: &'static str, kind: ValueKind, unit: &'static str, default: 
     of(Link, key(path, kind, unit, default, doc))
 }
 
+#[rustfmt::skip]
+const fn hook(path: &'static str, kind: ValueKind, default: DefaultValue, doc: &'static str) -> Key {
+    of(Webhooks, key(path, kind, "", default, doc))
+}
+
 const fn any(words: &'static str) -> ValueKind {
     ValueKind::Text(TextRule::Any(words))
 }
@@ -25,6 +30,7 @@ const fn texts(rule: TextRule, min: usize, max: usize) -> ValueKind {
 
 const FILE: ValueKind = ValueKind::Text(TextRule::File);
 const LINK_NAME: ValueKind = ValueKind::Text(TextRule::Link);
+const WEB: ValueKind = ValueKind::Text(TextRule::Web);
 const TOPIC: ValueKind = any("topic like \"fleet/{robot}/power\"");
 const UNIT: ValueKind = any("unit like \"mW\"");
 const VALUE: ValueKind = any("name of a value like \"power_w\"");
@@ -130,4 +136,21 @@ pub(crate) const LINK: &[Key] = &[
     of(Shards, key("shard.workers", texts(TextRule::Link, 1, 4), "", Required,
         "Names of the links of its worker and the standbys, the preferred leader first.")),
     of(Shards, key("shard.robots", ValueKind::Robots, "ids", Unset, "Robots of the shard. Either every shard lists its robots, or none does.")),
+];
+
+/// Every key of a file of webhooks.
+#[rustfmt::skip]
+pub(crate) const WEBHOOKS: &[Key] = &[
+    hook("webhook.address", WEB, Unset, "Address that alarms are posted to; Alertmanager's own without /api/v2/alerts."),
+    hook("webhook.address_file", FILE, Unset, "Instead of address: file with it, mode 0600. Addresses of Slack and Teams are secret."),
+    hook("webhook.ca", FILE, Unset, "Authorities that the receiver's certificate may be of, PEM. Without it Mozilla's."),
+    hook("webhook.format", ValueKind::Choice(&["joulebus", "slack", "teams", "alertmanager"]), Text("joulebus"),
+        "Body of a request: the changes as JSON, a message for people, or alerts of Alertmanager's API v2."),
+    hook("webhook.template", any("JSON with names like {robot} in its texts"), Unset,
+        "Instead of format: body of one change, in which {name} stands for its values."),
+    hook("webhook.page", WEB, Unset, "Address of the page of joulebus serve --http, as its readers reach it: messages link to it."),
+    hook("webhook.secret_file", FILE, Unset,
+        "File with a secret, mode 0600: requests are signed with it as Standard Webhooks says. Base64 of 24 to 64 bytes."),
+    of(Webhooks, key("webhook.repeat_s", num(1.0..=3_600.0), "s", Number(60.0),
+        "With alertmanager: time after which raised alarms are sent again. They end there after four times it without.")),
 ];

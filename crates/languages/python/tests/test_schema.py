@@ -20,6 +20,7 @@ KINDS = {
     "bridge": sorted((CONFIGS / "bridges").glob("*.toml")),
     "link": [path for path in sorted((CONFIGS / "links").glob("*.toml")) if "shards" not in path.name],
     "shards": sorted((CONFIGS / "links").glob("*shards.toml")),
+    "webhooks": sorted((CONFIGS / "webhooks").glob("*.toml")),
 }
 FILES = [(kind, path) for kind, paths in KINDS.items() for path in paths]
 

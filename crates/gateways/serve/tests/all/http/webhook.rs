@@ -3,10 +3,11 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt as _;
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use joulebus_testkit::{Child, PATIENCE, eventually};
+use joulebus_testkit::{Child, PATIENCE, eventually, free_port};
 use rustix::process::Signal;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -15,10 +16,13 @@ use serde_json::Value;
 
 use super::fleet::Fleet;
 
+/// A request: its headers with names in lower case, and its body.
+type Request = (Vec<(String, String)>, Vec<u8>);
+
 /// A web server that answers its first requests with errors.
 struct Receiver {
     address: String,
-    taken: Arc<Mutex<Vec<Value>>>,
+    taken: Arc<Mutex<Vec<Request>>>,
 }
 
 impl Receiver {
@@ -44,18 +48,18 @@ impl Receiver {
     ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("{scheme}://{}/alarms?secret=1", listener.local_addr().unwrap());
-        let taken = Arc::<Mutex<Vec<Value>>>::default();
+        let taken = Arc::<Mutex<Vec<Request>>>::default();
         let into = Arc::clone(&taken);
         std::thread::spawn(move || {
             let mut answers = answers.iter();
             for stream in listener.incoming() {
                 let mut reader = BufReader::new(open(stream.unwrap()));
-                let Some(body) = request(&mut reader) else {
+                let Some(request) = request(&mut reader) else {
                     continue;
                 };
                 let answer = answers.next().unwrap_or(&"204 No Content");
                 if answer.starts_with('2') {
-                    into.lock().unwrap().push(body);
+                    into.lock().unwrap().push(request);
                 }
                 if !answer.is_empty() {
                     let text = format!(
@@ -69,10 +73,16 @@ impl Receiver {
         Self { address, taken }
     }
 
+    /// The bodies of everything taken, in order.
+    fn bodies(&self) -> Vec<Value> {
+        let taken = self.taken.lock().unwrap();
+        taken.iter().map(|(_, body)| serde_json::from_slice(body).unwrap()).collect()
+    }
+
     /// Robot, alarm and change of everything taken, in order.
     fn changes(&self) -> Vec<String> {
-        let taken = self.taken.lock().unwrap();
-        let bodies = taken.iter().inspect(|body| assert_eq!(body["fleet"], "http"));
+        let bodies = self.bodies();
+        let bodies = bodies.iter().inspect(|body| assert_eq!(body["fleet"], "http"));
         let changes = bodies.flat_map(|body| body["changes"].as_array().unwrap());
         let of = |change: &Value| {
             let meaning = change["card"]["meaning"].as_str();
@@ -83,26 +93,27 @@ impl Receiver {
     }
 }
 
-/// The body of a request. `None` if no request comes, for instance because the client refuses a
-/// certificate.
-fn request(reader: &mut impl BufRead) -> Option<Value> {
-    let (mut head, mut length) = (Vec::new(), 0);
+/// A request. `None` if none comes, for instance because the client refuses a certificate.
+fn request(reader: &mut impl BufRead) -> Option<Request> {
+    let mut lines = Vec::new();
     loop {
         let mut line = String::new();
         if reader.read_line(&mut line).unwrap_or(0) == 0 || line == "\r\n" {
             break;
         }
-        let (name, value) = line.split_once(": ").unwrap_or((&line, ""));
-        if name.eq_ignore_ascii_case("content-length") {
-            length = value.trim().parse().unwrap();
-        }
-        head.push(line);
+        lines.push(line.trim_end().to_owned());
     }
-    let first = head.first()?;
-    assert!(first.starts_with("POST /alarms?secret=1 "), "{head:?}");
-    let mut body = vec![0; length];
+    let first = lines.first()?;
+    assert!(first.starts_with("POST /alarms?secret=1 "), "{lines:?}");
+    let named = |line: &String| {
+        let (name, value) = line.split_once(": ")?;
+        Some((name.to_lowercase(), value.to_owned()))
+    };
+    let headers: Vec<_> = lines.iter().filter_map(named).collect();
+    let length = headers.iter().find(|(name, _)| name == "content-length");
+    let mut body = vec![0; length.map_or(0, |(_, length)| length.parse().unwrap())];
     reader.read_exact(&mut body).unwrap();
-    Some(serde_json::from_slice(&body).unwrap())
+    Some((headers, body))
 }
 
 /// An authority of the test's own: files that openssl makes.
@@ -170,6 +181,21 @@ fn serve(fleet: &Fleet, to: &str) -> Child {
     serve_with(fleet, &["--webhook", to])
 }
 
+/// Starts a server with a file of receivers.
+fn serve_listed(fleet: &Fleet, hooks: &str) -> Child {
+    let file = fleet.file("hooks.toml");
+    std::fs::write(&file, hooks).unwrap();
+    serve_with(fleet, &["--webhooks", &file.display().to_string()])
+}
+
+/// Writes a file of mode 0600.
+fn secret(fleet: &Fleet, name: &str, line: &str) -> PathBuf {
+    let file = fleet.file(name);
+    std::fs::write(&file, format!("{line}\n")).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    file
+}
+
 fn serve_with(fleet: &Fleet, words: &[&str]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
     command.args(words).args(["--format", "json", "--config"]);
@@ -180,15 +206,18 @@ fn serve_with(fleet: &Fleet, words: &[&str]) -> Child {
 }
 
 /// Ends a server that has delivered every change. It reads diagnostics as it gets a processor:
-/// ticks that it missed are lost, too, and counted.
-fn end_delivered(server: &mut Child) -> Value {
+/// ticks that it missed are lost, too, and counted. Returns the report of each receiver.
+fn end_delivered(server: &mut Child) -> Vec<Value> {
     let ended = server.end();
-    let report = ended.json();
-    let missed = report["webhook"]["ticks_missed"].as_u64().unwrap();
-    assert_eq!(report["webhook"]["lost"], missed, "{ended:?}");
+    let reports = ended.json()["webhooks"].as_array().unwrap().clone();
+    let mut missed = 0;
+    for report in &reports {
+        missed = report["ticks_missed"].as_u64().unwrap();
+        assert_eq!(report["lost"], missed, "{ended:?}");
+    }
     let code = if missed > 0 { 3 } else { 0 };
     assert_eq!(ended.code(), Some(code), "{ended:?}");
-    report
+    reports
 }
 
 fn publish(fleet: &Fleet) {
@@ -203,9 +232,7 @@ fn every_change_is_told_in_order_also_after_failures() {
     let mut worker = fleet.worker();
     let mut watch = fleet.joulebus("alarms --format json");
     watch.wait_for_line("alarms of fleet");
-    let file = fleet.file("hook");
-    std::fs::write(&file, format!("{}\n", receiver.address)).unwrap();
-    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let file = secret(&fleet, "hook", &receiver.address);
     let mut server = serve(&fleet, &format!("@{}", file.display()));
     publish(&fleet);
     eventually("the robots' silence is told", || {
@@ -216,8 +243,8 @@ fn every_change_is_told_in_order_also_after_failures() {
         receiver.changes().iter().any(|change| change == "null WorkerGone raised")
     });
     let report = end_delivered(&mut server);
-    assert_eq!(report["webhook"]["told"], receiver.changes().len(), "{report}");
-    assert_eq!(report["webhook"]["failed"], 3, "{report}");
+    assert_eq!(report[0]["told"], receiver.changes().len(), "{report:?}");
+    assert_eq!(report[0]["failed"], 3, "{report:?}");
     watch.end();
     drop(worker);
 }
@@ -233,7 +260,7 @@ fn what_is_refused_is_lost_and_counted() {
     let ended = server.end();
     assert_eq!(ended.code(), Some(3), "{ended:?}");
     let report: Value = serde_json::from_str(&ended.text()).unwrap();
-    assert!(report["webhook"]["lost"].as_u64().unwrap() > 0, "{report}");
+    assert!(report["webhooks"][0]["lost"].as_u64().unwrap() > 0, "{report}");
     worker.stop();
 }
 
@@ -257,7 +284,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
         let ended = server.end();
         assert_eq!(ended.code(), Some(3), "{ended:?}");
         let report: Value = serde_json::from_str(&ended.text()).unwrap();
-        assert_eq!(report["webhook"]["told"], 0, "{report}");
+        assert_eq!(report["webhooks"][0]["told"], 0, "{report}");
     }
     assert_eq!(receiver.changes(), Vec::<String>::new());
     // The right authority is not enough for a name that the certificate does not have.
@@ -308,9 +335,172 @@ fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
     let ended = server.end();
     assert_eq!(ended.code(), Some(3), "{ended:?}");
     let report: Value = serde_json::from_str(&ended.text()).unwrap();
-    assert_eq!(report["webhook"]["told"], 0, "{report}");
-    assert!(report["webhook"]["lost"].as_u64().unwrap() > 0, "{report}");
+    assert_eq!(report["webhooks"][0]["told"], 0, "{report}");
+    assert!(report["webhooks"][0]["lost"].as_u64().unwrap() > 0, "{report}");
     // The request has 10 s. A server that waited for it would have sent it again.
     assert!(requests.try_recv().is_err(), "sent again");
+    worker.stop();
+}
+
+const SECRET: &str = "whsec_MDEyMzQ1Njc4OTAxMjM0NTY3ODkwMTIzNDU2Nzg5MDE=";
+
+#[test]
+fn each_listed_receiver_is_told_in_its_own_format() {
+    let fleet = Fleet::new();
+    let [slack, teams, other, signed] = [(); 4].map(|()| Receiver::start(&[]));
+    let address = secret(&fleet, "slack", &slack.address);
+    secret(&fleet, "secret", SECRET);
+    let mut worker = fleet.worker();
+    let mut server = serve_listed(
+        &fleet,
+        &format!(
+            "[[webhook]]\naddress_file = {address:?}\nformat = \"slack\"\npage = \"http://page/\"\n\
+             [[webhook]]\naddress = {:?}\nformat = \"teams\"\n\
+             [[webhook]]\naddress = {:?}\ntemplate = '{{\"message\": \"{{robot}} {{alarm}} {{change}}\"}}'\n\
+             [[webhook]]\naddress = {:?}\nsecret_file = \"secret\"\n",
+            teams.address, other.address, signed.address,
+        ),
+    );
+    publish(&fleet);
+    let told = |receiver: &Receiver, words: &str| {
+        eventually("the robots' silence is told", || {
+            let bodies: Vec<String> = receiver.bodies().iter().map(ToString::to_string).collect();
+            (0..3).all(|robot| {
+                bodies.iter().any(|body| body.contains(&words.replace('#', &robot.to_string())))
+            })
+        });
+    };
+    told(&slack, "fleet http, robot #: NoData raised (stale) http://page/?robot=#");
+    told(&teams, "fleet http, robot #: NoData raised (stale)");
+    told(&other, "\"# NoData raised\"");
+    eventually("the robots' silence is told", || {
+        (0..3).all(|robot| signed.changes().contains(&format!("{robot} NoData raised")))
+    });
+    let reports = end_delivered(&mut server);
+    assert_eq!(reports.len(), 4, "{reports:?}");
+    for report in &reports {
+        assert_eq!(report["told"], signed.changes().len(), "{reports:?}");
+    }
+    assert_eq!(other.bodies().len(), signed.changes().len(), "one change a request");
+    assert!(slack.bodies()[0]["text"].is_string());
+    assert_eq!(teams.bodies()[0]["attachments"][0]["content"]["type"], "AdaptiveCard");
+    worker.stop();
+    let (headers, body) = signed.taken.lock().unwrap()[0].clone();
+    is_verified(&headers, &body);
+}
+
+/// Has a request verified by the function of the documents, and by nothing that was changed.
+fn is_verified(headers: &[(String, String)], body: &[u8]) {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/how-to/webhook.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let (_, code) = page.split_once("```python\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    let script = format!(
+        "{code}\nimport json, sys\n\
+         headers, body = json.loads(sys.argv[1]), sys.argv[2].encode()\n\
+         assert is_signed(headers, body, {SECRET:?})\n\
+         assert not is_signed(headers, body + b' ', {SECRET:?})\n\
+         assert not is_signed(headers, body, {SECRET:?}[:-5] + 'AAAA=')\n\
+         later = str(int(headers['webhook-timestamp']) + 1)\n\
+         assert not is_signed(headers | {{'webhook-timestamp': later}}, body, {SECRET:?})\n"
+    );
+    let named = std::env::var("JOULEBUS_PYTHON").ok();
+    let mut python = Command::new(named.as_deref().unwrap_or("python3"));
+    let headers: serde_json::Map<String, Value> =
+        headers.iter().map(|(name, value)| (name.clone(), value.as_str().into())).collect();
+    python.arg("-c").arg(script).arg(Value::from(headers).to_string());
+    match python.arg(std::str::from_utf8(body).unwrap()).output() {
+        Ok(ended) => assert!(ended.status.success(), "{ended:?}"),
+        Err(error) => {
+            assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no python3: {error}");
+            eprintln!("SKIPPED: no python3: {error}");
+        }
+    }
+}
+
+#[test]
+fn a_file_of_webhooks_that_is_refused_names_the_line() {
+    let fleet = Fleet::new();
+    let file = fleet.file("hooks.toml");
+    std::fs::write(&file, "[[webhook]]\naddress = \"http://127.0.0.1:9/\"\nformat = \"irc\"\n")
+        .unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
+    command.arg("--webhooks").arg(&file).arg("--config").arg(fleet.path());
+    let ended = Child::spawn("serve --webhooks", command).wait();
+    assert_eq!(ended.code(), Some(2), "{ended:?}");
+    assert!(ended.errors().contains("hooks.toml:3"), "{ended:?}");
+}
+
+/// A running Alertmanager and its address. Without one it logs that the test is skipped.
+fn alertmanager(fleet: &Fleet) -> Option<(Child, String)> {
+    let program = std::env::var("JOULEBUS_ALERTMANAGER")
+        .unwrap_or_else(|_| "prometheus-alertmanager".to_owned());
+    let mut probe = Command::new(&program);
+    probe.arg("--version").stdout(Stdio::null()).stderr(Stdio::null());
+    if !probe.status().is_ok_and(|status| status.success()) {
+        let remedy = "tools/alertmanager.sh installs it";
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no {program}: {remedy}");
+        eprintln!("SKIPPED: no {program} ({remedy}; JOULEBUS_ALERTMANAGER names another)");
+        return None;
+    }
+    let config = fleet.file("alertmanager.yml");
+    std::fs::write(&config, "route: {receiver: none}\nreceivers: [{name: none}]\n").unwrap();
+    let address = format!("127.0.0.1:{}", free_port());
+    let mut command = Command::new(program);
+    command.arg(format!("--config.file={}", config.display()));
+    command.arg(format!("--storage.path={}", fleet.file("alerts").display()));
+    command.arg(format!("--web.listen-address={address}"));
+    // Without a cluster.
+    command.arg("--cluster.listen-address=");
+    let mut child = Child::spawn("prometheus-alertmanager", command);
+    child.wait_for_line("Listening on");
+    Some((child, address))
+}
+
+#[test]
+fn a_real_alertmanager_keeps_raised_alarms_and_ends_them_when_they_end() {
+    let fleet = Fleet::new();
+    let Some((mut manager, at)) = alertmanager(&fleet) else {
+        return;
+    };
+    let active = |robot: &str| {
+        let address = format!("http://{at}/api/v2/alerts?active=true");
+        let text = ureq::get(address).call().unwrap().body_mut().read_to_string().unwrap();
+        let alerts: Value = serde_json::from_str(&text).unwrap();
+        let is_of = |alert: &&Value| {
+            alert["labels"]["robot"] == robot && alert["labels"]["alertname"] == "NoData"
+        };
+        alerts.as_array().unwrap().iter().find(is_of).cloned()
+    };
+    let hook = |more: &str| {
+        format!("[[webhook]]\naddress = \"http://{at}\"\nformat = \"alertmanager\"\n{more}")
+    };
+    let mut worker = fleet.worker();
+    // Alerts that last four seconds if they are not repeated.
+    let mut server = serve_listed(&fleet, &hook("repeat_s = 1\npage = \"http://page:8630\"\n"));
+    publish(&fleet);
+    eventually("three alerts", || (0..3).all(|robot| active(&robot.to_string()).is_some()));
+    let first = active("1").unwrap();
+    assert_eq!(first["labels"]["fleet"], "http", "{first}");
+    assert_eq!(first["labels"]["severity"], "warning", "{first}");
+    assert_eq!(first["generatorURL"], "http://page:8630/?robot=1", "{first}");
+    let description = first["annotations"]["description"].as_str().unwrap();
+    assert!(description.starts_with("No sample of the robot has arrived"), "{first}");
+    eventually("it was repeated after its first end", || {
+        active("1").is_some_and(|again| {
+            assert_eq!(again["fingerprint"], first["fingerprint"]);
+            again["updatedAt"].as_str() > first["endsAt"].as_str()
+        })
+    });
+    end_delivered(&mut server);
+    eventually("without its sender it ends", || active("1").is_none());
+    // Alerts that last four hours: an end is one that was sent.
+    let mut server = serve_listed(&fleet, &hook("repeat_s = 3600\n"));
+    eventually("three alerts", || (0..3).all(|robot| active(&robot.to_string()).is_some()));
+    let mut source = fleet.joulebus("publish sim --robots 3");
+    eventually("the end of each", || (0..3).all(|robot| active(&robot.to_string()).is_none()));
+    end_delivered(&mut server);
+    source.end();
+    manager.end();
     worker.stop();
 }

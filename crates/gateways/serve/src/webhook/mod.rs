@@ -1,0 +1,441 @@
+//! `joulebus serve --webhook` and `--webhooks`: posts every raise and end of an alarm to web
+//! addresses.
+//!
+//! One thread reads, and each receiver has one that sends, with a bounded queue between them. A
+//! receiver that does not answer costs neither the reader nor the fleet anything. All queued
+//! changes are sent in one request. Alertmanager gets the state of the alarms instead, so that
+//! nothing can be lost on the way to it.
+
+mod alertmanager;
+mod body;
+mod receiver;
+mod signature;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver as Queue, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::anyhow;
+use joulebus_board::AlarmRecord;
+use joulebus_bus::{Background, Running, clock};
+use joulebus_capture_recorder::host_clock;
+use joulebus_config::Config;
+use joulebus_consumer::FleetAlarms;
+use joulebus_program::exit::UsageError;
+use serde::Serialize;
+use serde_json::Value;
+
+use alertmanager::Alerts;
+use receiver::{Format, Receiver};
+
+/// Maximum number of queued changes. Further ones are lost.
+const MAX_WAITING: usize = 10_000;
+/// Maximum number of changes in a request.
+const MAX_CHANGES: usize = 100;
+/// Time that a request may take.
+const REQUEST_LIMIT: Duration = Duration::from_secs(10);
+/// Pause before a request is sent again: doubled each time, up to the second.
+const RETRY_DELAYS: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
+/// Time for what waits when the program ends.
+const END_LIMIT: Duration = Duration::from_secs(5);
+/// Interval of checking whether to end.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// The report of a webhook that has ended.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct WebhookReport {
+    /// Host of the address. The rest may be secret.
+    pub(crate) host: String,
+    /// Changes that the receiver took.
+    pub(crate) told: u64,
+    /// Requests that failed and were sent again, or given up.
+    pub(crate) failed: u64,
+    /// Changes that the receiver did not take or that the queue had no room for, and ticks without
+    /// diagnostics.
+    pub(crate) lost: u64,
+    /// The ticks without diagnostics. Alarms that were raised and cleared within them are unknown.
+    pub(crate) ticks_missed: u64,
+}
+
+/// The running threads.
+pub(crate) struct Webhooks {
+    shared: Arc<Shared>,
+    reading: Background<anyhow::Result<()>>,
+    sending: Vec<(Arc<Counts>, JoinHandle<()>)>,
+}
+
+/// State shared by the threads.
+#[derive(Debug, Default)]
+struct Shared {
+    /// Deadline of what waits, set when the program ends.
+    end_by: OnceLock<Instant>,
+    /// Whether the reader has ended.
+    has_read: AtomicBool,
+    /// Number of changes seen. Those that are not delivered are lost.
+    changes: AtomicU64,
+    /// Ticks without diagnostics.
+    ticks_missed: AtomicU64,
+}
+
+/// What became of the requests to a receiver.
+#[derive(Debug)]
+struct Counts {
+    host: String,
+    delivered: AtomicU64,
+    failed: AtomicU64,
+}
+
+/// Where the reader puts changes for a receiver.
+enum Outlet {
+    /// Every change, in order.
+    Queue(SyncSender<AlarmRecord>),
+    /// The state of the alarms.
+    State(Arc<Mutex<Alerts>>),
+}
+
+impl Shared {
+    /// Timeout of the next request. `None` if it is too late for one.
+    fn limit(&self, now: Instant) -> Option<Duration> {
+        let Some(end_by) = self.end_by.get() else {
+            return Some(REQUEST_LIMIT);
+        };
+        let left = end_by.saturating_duration_since(now);
+        (!left.is_zero()).then(|| left.min(REQUEST_LIMIT))
+    }
+
+    fn is_late(&self) -> bool {
+        self.limit(Instant::now()).is_none()
+    }
+}
+
+impl Webhooks {
+    /// Joins the fleet, and tells receivers of alarm changes from now on: `to`, an address or
+    /// `@FILE` with one, whose certificate is checked against those of the file `authorities`, and
+    /// those in the file `listed`.
+    ///
+    /// # Errors
+    /// An address or file is wrong, or the fleet cannot be joined.
+    pub(crate) fn start(
+        config: &Config,
+        to: Option<&str>,
+        authorities: Option<&Path>,
+        listed: Option<&Path>,
+    ) -> anyhow::Result<Self> {
+        let named = to.map(|to| Receiver::named(to, authorities)).transpose();
+        let named = named.map_err(|error| UsageError(format!("{error:#}")))?;
+        let mut receivers = listed.map_or(Ok(Vec::new()), Receiver::read)?;
+        receivers.extend(named);
+        let shared = Arc::<Shared>::default();
+        let (mut outlets, mut sending) = (Vec::new(), Vec::new());
+        for receiver in receivers {
+            let fleet = config.fleet().to_owned();
+            let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
+            let sender = Sending::new(fleet.clone(), receiver, Arc::clone(&shared));
+            let counts = Arc::clone(&sender.counts);
+            let thread = if let Format::Alertmanager(repeat) = sender.receiver.format {
+                let alerts = Alerts::new(fleet, sender.receiver.page.clone(), repeat);
+                let alerts = Arc::new(Mutex::new(alerts));
+                outlets.push(Outlet::State(Arc::clone(&alerts)));
+                thread.spawn(move || sender.run_state(&alerts))?
+            } else {
+                let (records, waiting) = sync_channel(MAX_WAITING);
+                outlets.push(Outlet::Queue(records));
+                thread.spawn(move || sender.run(&waiting))?
+            };
+            sending.push((counts, thread));
+        }
+        let (of, inside) = (config.clone(), Arc::clone(&shared));
+        let reading = Background::run("joulebus-alarms", move |thread| {
+            let alarms = FleetAlarms::with_config(&of, "webhook")?;
+            thread.joined(());
+            read(thread, alarms, of.fleet(), &outlets, &inside)
+        });
+        // Otherwise the senders would wait for a reader that does not come.
+        if reading.is_err() {
+            shared.has_read.store(true, Ordering::Relaxed);
+        }
+        let (reading, ()) = reading?;
+        Ok(Self { shared, reading, sending })
+    }
+
+    /// Hosts of the receivers.
+    pub(crate) fn hosts(&self) -> String {
+        let hosts: Vec<&str> =
+            self.sending.iter().map(|(counts, _)| counts.host.as_str()).collect();
+        hosts.join(", ")
+    }
+
+    /// Whether it has ended by itself. [`Webhooks::finish`] returns the reason.
+    pub(crate) fn is_over(&self) -> bool {
+        self.reading.has_ended()
+    }
+
+    /// Delivers what waits within five seconds, and leaves the fleet.
+    ///
+    /// # Errors
+    /// The reason for which it ended early.
+    pub(crate) fn finish(self) -> anyhow::Result<Vec<WebhookReport>> {
+        let shared = &self.shared;
+        // No other call sets it.
+        let _ = shared.end_by.set(Instant::now() + END_LIMIT);
+        let read = self.reading.join();
+        shared.has_read.store(true, Ordering::Relaxed);
+        let (changes, ticks_missed) =
+            (shared.changes.load(Ordering::Relaxed), shared.ticks_missed.load(Ordering::Relaxed));
+        let mut reports = Vec::new();
+        for (counts, thread) in self.sending {
+            while !thread.is_finished() && !shared.is_late() {
+                thread::sleep(POLL_INTERVAL);
+            }
+            // Otherwise the thread waits for the answer to a request that was sent before the end.
+            // It ends with the process.
+            if thread.is_finished() {
+                thread.join().map_err(|_| anyhow!("a thread of --webhook panicked"))?;
+            }
+            let told = counts.delivered.load(Ordering::Relaxed);
+            reports.push(WebhookReport {
+                host: counts.host.clone(),
+                told,
+                failed: counts.failed.load(Ordering::Relaxed),
+                lost: changes.saturating_sub(told) + ticks_missed,
+                ticks_missed,
+            });
+        }
+        read?;
+        Ok(reports)
+    }
+}
+
+fn locked(alerts: &Mutex<Alerts>) -> MutexGuard<'_, Alerts> {
+    // A panicking thread leaves whole alerts.
+    alerts.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Passes every change on until a stop is requested.
+fn read(
+    thread: &Running,
+    mut alarms: FleetAlarms,
+    fleet: &str,
+    outlets: &[Outlet],
+    shared: &Shared,
+) -> anyhow::Result<()> {
+    let clock = host_clock();
+    while !thread.is_stopping() {
+        alarms.wait(|change| {
+            let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
+            shared.changes.fetch_add(1, Ordering::Relaxed);
+            for outlet in outlets {
+                match outlet {
+                    // Without room the change is lost.
+                    Outlet::Queue(records) => drop(records.try_send(record.clone())),
+                    Outlet::State(alerts) => {
+                        let raised_ns = clock.unix_ns(change.raised_ns);
+                        locked(alerts).take(&record, raised_ns, Instant::now());
+                    }
+                }
+            }
+        })?;
+    }
+    let missed = alarms.history().ticks_missed();
+    shared.ticks_missed.store(missed, Ordering::Relaxed);
+    Ok(())
+}
+
+/// The result of a request.
+enum Answer {
+    Taken,
+    /// Sending it again may help.
+    Later(String),
+    /// The receiver refused it.
+    Refused(String),
+}
+
+struct Sending {
+    fleet: String,
+    receiver: Receiver,
+    shared: Arc<Shared>,
+    counts: Arc<Counts>,
+    /// Of the process and its thread: ids of requests begin with it.
+    start_ns: u64,
+    requests: AtomicU64,
+}
+
+impl Sending {
+    fn new(fleet: String, receiver: Receiver, shared: Arc<Shared>) -> Self {
+        let host = receiver.host().to_owned();
+        let counts = Counts { host, delivered: AtomicU64::new(0), failed: AtomicU64::new(0) };
+        let (counts, start_ns) = (Arc::new(counts), clock::unix_ns());
+        Self { fleet, receiver, shared, counts, start_ns, requests: AtomicU64::new(0) }
+    }
+
+    /// Sends changes until the reader has ended and nothing waits, or the time is over.
+    fn run(self, waiting: &Queue<AlarmRecord>) {
+        let most = match self.receiver.format {
+            Format::Template(_) => 1,
+            _ => MAX_CHANGES,
+        };
+        let mut changes = Vec::new();
+        loop {
+            match waiting.recv_timeout(POLL_INTERVAL) {
+                Ok(change) => changes.push(change),
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            while changes.len() < most
+                && let Ok(change) = waiting.try_recv()
+            {
+                changes.push(change);
+            }
+            if self.deliver(changes.len(), || self.body(&changes)) {
+                self.counts.delivered.fetch_add(changes.len() as u64, Ordering::Relaxed);
+            }
+            changes.clear();
+        }
+    }
+
+    /// Sends alerts until the reader has ended and no change waits, or the time is over.
+    fn run_state(self, alerts: &Mutex<Alerts>) {
+        loop {
+            let has_read = self.shared.has_read.load(Ordering::Relaxed);
+            let due = locked(alerts).due(Instant::now());
+            if due.is_empty() {
+                if has_read {
+                    return;
+                }
+                thread::sleep(POLL_INTERVAL);
+                continue;
+            }
+            let body = || locked(alerts).body(&due, clock::unix_ns());
+            let taken = self.deliver(due.len(), body);
+            let told = locked(alerts).settle(&due, Instant::now());
+            if taken {
+                self.counts.delivered.fetch_add(told, Ordering::Relaxed);
+            }
+        }
+    }
+
+    fn body(&self, changes: &[AlarmRecord]) -> Value {
+        let page = self.receiver.page.as_deref();
+        match &self.receiver.format {
+            Format::Slack => body::slack(changes, page),
+            Format::Teams => body::teams(changes, page),
+            Format::Template(template) => {
+                let filled = changes.first().map(|change| body::filled(template, change, page));
+                filled.unwrap_or_default()
+            }
+            Format::Joulebus | Format::Alertmanager(_) => body::changes(&self.fleet, changes),
+        }
+    }
+
+    /// Sends a body of so many changes until the receiver has taken or refused it, or the time is
+    /// over. Whether it was taken.
+    fn deliver(&self, count: usize, body: impl Fn() -> Value) -> bool {
+        let number = self.requests.fetch_add(1, Ordering::Relaxed);
+        let id = format!("msg_{:x}_{number}", self.start_ns);
+        let host = &self.counts.host;
+        let mut pause = RETRY_DELAYS.0;
+        while let Some(limit) = self.shared.limit(Instant::now()) {
+            let why = match self.send(&id, body().to_string().as_bytes(), limit) {
+                Answer::Taken => return true,
+                Answer::Refused(why) => {
+                    self.counts.failed.fetch_add(1, Ordering::Relaxed);
+                    tracing::warn!(
+                        changes = count,
+                        host,
+                        "--webhook: refused, and not sent again: {why}"
+                    );
+                    return false;
+                }
+                Answer::Later(why) => why,
+            };
+            self.counts.failed.fetch_add(1, Ordering::Relaxed);
+            let pause_s = pause.as_secs_f64();
+            tracing::warn!(
+                changes = count,
+                host,
+                pause_s,
+                "--webhook: sent again after a pause: {why}"
+            );
+            if !self.pauses(pause) {
+                break;
+            }
+            pause = (pause * 2).min(RETRY_DELAYS.1);
+        }
+        false
+    }
+
+    fn send(&self, id: &str, body: &[u8], limit: Duration) -> Answer {
+        let request = self.receiver.agent.post(&self.receiver.address).config();
+        let mut request = request.timeout_global(Some(limit)).build();
+        if let Some(signer) = &self.receiver.signer {
+            let unix_s = clock::unix_ns() / 1_000_000_000;
+            request = request.header("webhook-id", id);
+            request = request.header("webhook-timestamp", unix_s.to_string());
+            request = request.header("webhook-signature", signer.sign(id, unix_s, body));
+        }
+        let sent = request.content_type("application/json").send(body);
+        match sent.map(|response| response.status()) {
+            Ok(status) if status.is_success() => Answer::Taken,
+            Ok(status)
+                if status.is_server_error() || [408, 425, 429].contains(&status.as_u16()) =>
+            {
+                Answer::Later(status.to_string())
+            }
+            Ok(status) => Answer::Refused(status.to_string()),
+            Err(error) => Answer::Later(error.to_string()),
+        }
+    }
+
+    /// Waits before the next attempt. False if there is no time for one.
+    fn pauses(&self, pause: Duration) -> bool {
+        let until = Instant::now() + pause;
+        loop {
+            let now = Instant::now();
+            if self.shared.end_by.get().is_some_and(|end_by| until > *end_by) {
+                return false;
+            }
+            if now >= until {
+                return true;
+            }
+            thread::sleep(POLL_INTERVAL.min(until - now));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_waits_has_five_seconds_whatever_the_receiver_does() {
+        let (shared, now) = (Arc::<Shared>::default(), Instant::now());
+        assert_eq!(shared.limit(now), Some(REQUEST_LIMIT));
+        shared.end_by.set(now + END_LIMIT).unwrap();
+        assert_eq!(shared.limit(now), Some(END_LIMIT));
+        let seconds = Duration::from_secs;
+        assert_eq!(shared.limit(now + seconds(3)), Some(seconds(2)));
+        assert_eq!(shared.limit(now + END_LIMIT), None);
+        assert_eq!(shared.limit(now + seconds(60)), None);
+    }
+
+    #[test]
+    fn nothing_is_sent_after_the_end() {
+        // This receiver never answers.
+        let receiver = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let to = format!("http://{}/x", receiver.local_addr().unwrap());
+        let shared = Arc::<Shared>::default();
+        shared.end_by.set(Instant::now()).unwrap();
+        let (records, waiting) = sync_channel(MAX_WAITING);
+        for _ in 0..MAX_WAITING {
+            records.send(body::tests::raised("NoData")).unwrap();
+        }
+        drop(records);
+        let to = Receiver::named(&to, None).unwrap();
+        Sending::new("lab".to_owned(), to, Arc::clone(&shared)).run(&waiting);
+        receiver.set_nonblocking(true).unwrap();
+        assert!(receiver.accept().is_err(), "a request was sent");
+    }
+}
