@@ -169,7 +169,8 @@ impl fmt::Display for Unknown {
             Self::NoBattery => write!(out, "{NO_BATTERY}"),
             Self::BatteryUnknown => write!(
                 out,
-                "the energy in its battery is unknown, or less is measured than was counted"
+                "the energy in its battery is unknown, or less is measured than was counted: let the \
+                 source send state_of_charge, or report a full or exchanged battery"
             ),
             Self::NoBudget => write!(out, "there is no current budget of the robot"),
         }
