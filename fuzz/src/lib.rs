@@ -14,6 +14,7 @@ mod model;
 #[allow(dead_code)] // Its tests use more of it.
 mod oracle;
 mod questions;
+mod ros;
 pub mod seeds;
 mod trials;
 
@@ -39,7 +40,7 @@ const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target
 }
 
 /// All targets. A scan buffers a record of at most 64 MiB, an archive at most 32 MiB.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     of("archive", 96, checkpoints::archive),
     of("checkpoint", 96, checkpoints::whole),
     of("config", 16, config::run),
@@ -50,6 +51,7 @@ pub const TARGETS: [Target; 13] = [
     of("pickle", 96, checkpoints::pickle),
     of("questions", 16, questions::run),
     Target { seeds: "mcap", ..of("recover", 24, capture::recover) },
+    of("ros", 16, ros::run),
     Target { seeds: "mcap", ..of("scan", 24, capture::scan) },
     of("trial_csv", 16, trials::csv),
     of("trial_npy", 16, trials::npy),

@@ -13,6 +13,7 @@ use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;
 use joulebus_model_files::{to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
+use joulebus_ros_messages::{RosError, TwistStamped, encode};
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
 use joulebus_testkit_networks::random::network;
 use joulebus_wire::{
@@ -41,6 +42,7 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     add("model", models());
     add("pickle", pickles());
     add("questions", questions());
+    add("ros", ros_messages());
     add("trial_csv", tables());
     add("trial_npy", arrays());
     all
@@ -309,6 +311,20 @@ fn recordings() -> Vec<(String, Vec<u8>)> {
         named("chunks", of(0, WriteOptions::new())),
         named("plain", of(0, plain())),
         named("plain-by-publish-time", of(3, plain())),
+    ]
+}
+
+fn ros_messages() -> Vec<(String, Vec<u8>)> {
+    let of = |which: u8, message: &dyn Fn() -> Result<Vec<u8>, RosError>| {
+        [vec![which, 0, 1, 0, 0], message().expect("short")].concat()
+    };
+    let (now_ns, twist) = (1_700_000_000_000_000_000, bag::twist(0.2, -1.0));
+    let stamped = TwistStamped { header: bag::header(now_ns), twist };
+    vec![
+        named("battery", of(0, &|| encode(&bag::battery(now_ns, 12.0, -0.5)))),
+        named("twist", of(1, &|| encode(&twist))),
+        named("twist-stamped", of(2, &|| encode(&stamped))),
+        named("odometry", of(3, &|| encode(&bag::odometry(now_ns, 1.5, 0.5, 0.3)))),
     ]
 }
 

@@ -16,7 +16,7 @@ mod spoilt;
 
 pub use arena::{Arena, Setup, alone, program, without_loss};
 pub use figure::{Dice, Spread, figure};
-pub use joulebus_testkit::{Child, Ended, PATIENCE, eventually};
+pub use joulebus_testkit::{Child, Ended, MemoryGroup, PATIENCE, as_in_docker, eventually};
 pub use planner::{Answers, Planner};
 pub use protocol::{
     AskerLine, BudgetFrame, BudgetLine, DiagnosticFrame, DiagnosticLine, ForecastFrame,

@@ -40,6 +40,10 @@ pub enum Fault {
     WallClock(i64),
     /// The monotonic clock is adjusted by so many millionths.
     Drift(i64),
+    /// The machine is suspended, for a time: the wall clock and the time since boot go on alone.
+    Suspend(u64),
+    /// The whole machine stands still, for a time that the monotonic clock leaves out by a jump.
+    Jump(u64),
     /// The disk fails, for a time.
     Disk(disk::Fault, u64),
     /// The power fails; the machine starts again after a time.
@@ -228,6 +232,7 @@ impl Scenario {
         faults.extend(faults_of_clients(&mut asking, &setup, duration_ns));
         faults.extend(faults_at_the_disk(&mut Noise::new(seed, 4), &setup, duration_ns));
         faults.extend(hostile_at_starts(&mut Noise::new(seed, 6), &setup, duration_ns));
+        faults.extend(standstills(&mut Noise::new(seed, 7), &setup, duration_ns));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
         // The first source that comes owns a robot: source 0, which starts while there is memory,
         // if nothing is to happen to it.
@@ -354,6 +359,30 @@ fn hostile_at_starts(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<
         }
         let frames = 1 + noise.below(20) as u64;
         let fault = Fault::HostileAtStart(Role::Recorder, frames);
+        faults.push(((at_s * 1e9) as u64, fault));
+    }
+}
+
+/// In one seed of four, the whole machine is suspended or stands still.
+fn standstills(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let duration_s = duration_ns as f64 * 1e-9;
+    let mean_s = f64::max(200.0 * setup.period_ns as f64 * 1e-9, duration_s / 50.0);
+    let mut faults = Vec::new();
+    let mut at_s = 0.0;
+    if noise.below(4) > 0 {
+        return faults;
+    }
+    loop {
+        at_s += noise.waiting_s(mean_s);
+        if at_s >= duration_s {
+            return faults;
+        }
+        let fault = match noise.below(2) {
+            0 => Fault::Suspend([1, 600, 86_400, 8_640_000][noise.below(4)] * SECOND),
+            // Within what a robot bridges, beyond it, and until robots have left.
+            _ if setup.everything => Fault::Jump([2, 30, 300][noise.below(3)] * setup.period_ns),
+            _ => continue,
+        };
         faults.push(((at_s * 1e9) as u64, fault));
     }
 }

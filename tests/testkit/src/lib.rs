@@ -5,6 +5,7 @@
 
 mod certificates;
 mod child;
+mod confined;
 pub mod counting;
 mod end_signals;
 mod member;
@@ -22,6 +23,7 @@ pub use certificates::certificates;
 pub use child::{
     Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, link_beside, run,
 };
+pub use confined::{MemoryGroup, as_in_docker};
 pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};
 pub use on_drop::OnDrop;

@@ -4,6 +4,7 @@
 mod batteries;
 mod captures;
 mod clocks;
+mod confined;
 mod cut_short;
 mod floods;
 mod foreign_files;

@@ -24,7 +24,9 @@ use crate::ingress::IngressRecord;
 use crate::leadership::Leadership;
 use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::{follow, forward, init, intake, outputs, rmw, standby, take_over, tls_workaround};
+use crate::{
+    follow, forward, init, intake, outputs, rmw, standby, take_over, tls_causes, tls_workaround,
+};
 
 /// Interval between checks for a stop. The main thread does nothing else.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -111,6 +113,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     };
     while !stop.is_asked() && !link.threads.iter().any(Background::has_ended) {
         thread::sleep(POLL_INTERVAL);
+        tls_causes::take().iter().for_each(|cause| tracing::warn!("{cause}"));
     }
     let report = link.finish(&config, &settings)?;
     let lost = report.is_lossy();

@@ -24,6 +24,7 @@ mod rmw;
 mod shard_merger;
 mod standby;
 mod take_over;
+mod tls_causes;
 mod tls_workaround;
 mod wall_clock;
 mod worker_ports;
@@ -32,6 +33,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
+    joulebus_program::logging::overhear(tls_causes::OVERHEARD);
     joulebus_program::verb::main("link", link::run)
 }
 

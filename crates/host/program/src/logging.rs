@@ -1,10 +1,15 @@
 //! Logging to stderr.
 
+use std::fmt::{Debug, Write as _};
 use std::io::{self, IsTerminal as _};
+use std::sync::OnceLock;
 
+use tracing::field::{Field, Visit};
+use tracing::subscriber::Interest;
+use tracing::{Event, Metadata, Subscriber};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt;
-use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::output::{SAID, say, say_in_log};
@@ -23,6 +28,23 @@ pub enum LogFormat {
     Json,
 }
 
+/// What a program hears of its libraries' logs, whatever is shown of them.
+#[derive(Debug, Clone, Copy)]
+pub struct Overheard {
+    /// Beginnings of targets, with their levels.
+    pub targets: &'static [(&'static str, LevelFilter)],
+    /// Takes a message. Returns true if it needs no line in the log: the program says it otherwise.
+    /// It must not log.
+    pub hear: fn(&str) -> bool,
+}
+
+static OVERHEARD: OnceLock<Overheard> = OnceLock::new();
+
+/// Before [`start`]: lets this program hear its libraries' logs. Later calls have no effect.
+pub fn overhear(overheard: Overheard) {
+    let _ = OVERHEARD.set(overheard);
+}
+
 /// Starts logging to stderr at the level of `JOULEBUS_LOG`, or else of the number of `--verbose`.
 pub fn start(verbose: u8, format: LogFormat) {
     let told = std::env::var(VARIABLE).ok().filter(|told| !told.is_empty());
@@ -35,6 +57,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     });
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
     let levels = levels.with_target(SAID, LevelFilter::INFO);
+    let levels = Levels { levels, overheard: OVERHEARD.get().copied() };
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
     // Fails only if logging was already started; it is then left unchanged.
@@ -64,4 +87,65 @@ fn by_verbosity(verbose: u8) -> Targets {
         // It warns of each message to a peer on another network of the host than the chosen one.
         .with_target("rustdds", libraries)
         .with_target(ALARMS, level.max(LevelFilter::INFO))
+}
+
+/// Which events are shown: those of `levels` that the program does not say otherwise.
+struct Levels {
+    levels: Targets,
+    overheard: Option<Overheard>,
+}
+
+impl Levels {
+    fn shows(&self, of: &Metadata<'_>) -> bool {
+        self.levels.would_enable(of.target(), of.level())
+    }
+
+    fn hears(&self, of: &Metadata<'_>) -> bool {
+        let targets = self.overheard.map_or(&[][..], |it| it.targets);
+        targets.iter().any(|(target, level)| of.target().starts_with(target) && of.level() <= level)
+    }
+}
+
+impl<S: Subscriber> Layer<S> for Levels {
+    fn enabled(&self, of: &Metadata<'_>, _: Context<'_, S>) -> bool {
+        self.shows(of) || self.hears(of)
+    }
+
+    fn register_callsite(&self, of: &'static Metadata<'static>) -> Interest {
+        match self.shows(of) || self.hears(of) {
+            true => Interest::always(),
+            false => Interest::never(),
+        }
+    }
+
+    fn max_level_hint(&self) -> Option<LevelFilter> {
+        let shown = Layer::<S>::max_level_hint(&self.levels)?;
+        let targets = self.overheard.map_or(&[][..], |it| it.targets);
+        Some(targets.iter().fold(shown, |max, (_, level)| max.max(*level)))
+    }
+
+    fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
+        let of = event.metadata();
+        if let Some(overheard) = self.overheard.filter(|_| self.hears(of)) {
+            let mut message = Message::default();
+            event.record(&mut message);
+            if (overheard.hear)(&message.0) {
+                return false;
+            }
+        }
+        self.shows(of)
+    }
+}
+
+/// An event's message.
+#[derive(Default)]
+struct Message(String);
+
+impl Visit for Message {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            // Writing to a string cannot fail.
+            let _ = write!(self.0, "{value:?}");
+        }
+    }
 }

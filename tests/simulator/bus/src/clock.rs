@@ -8,10 +8,10 @@ pub fn monotonic_ns() -> u64 {
     time::monotonic_ns()
 }
 
-/// The same, since no simulated host is suspended. It is no operation, so that the permits of some
-/// workers change nothing for the others.
+/// Time since boot with suspend, ns. It is no operation, so that the permits of some workers change
+/// nothing for the others.
 pub fn boot_ns() -> u64 {
-    time::monotonic_ns()
+    time::boot_ns()
 }
 
 /// Wall-clock time, Unix ns.

@@ -2,7 +2,8 @@
 //!
 //! All times within the simulator are simulated ns since its beginning. The monotonic clock begins
 //! anew with each boot, and may run slightly too fast or slow, as while it is adjusted. The wall
-//! clock may be set.
+//! clock may be set. While the host is suspended, the wall clock and the time since boot go on, and
+//! nothing else does: so that time is no simulated time.
 
 use std::cell::Cell;
 
@@ -17,12 +18,22 @@ struct Clocks {
     of_ns: u64,
     ppm: i64,
     wall_offset_ns: i64,
+    /// Time of this boot for which the host was suspended.
+    suspended_ns: u64,
     boots: u64,
 }
 
 thread_local! {
     static CLOCKS: Cell<Clocks> = const {
-        Cell::new(Clocks { now_ns: 0, at_ns: 0, of_ns: 0, ppm: 0, wall_offset_ns: 0, boots: 0 })
+        Cell::new(Clocks {
+            now_ns: 0,
+            at_ns: 0,
+            of_ns: 0,
+            ppm: 0,
+            wall_offset_ns: 0,
+            suspended_ns: 0,
+            boots: 0,
+        })
     };
 }
 
@@ -33,6 +44,7 @@ pub(crate) fn begin(uptime_ns: u64) {
         of_ns: uptime_ns,
         ppm: 0,
         wall_offset_ns: 0,
+        suspended_ns: 0,
         boots: 1,
     });
 }
@@ -71,6 +83,12 @@ pub fn monotonic_ns() -> u64 {
     CLOCKS.get().monotonic_ns()
 }
 
+/// Time since boot with suspend, ns.
+pub fn boot_ns() -> u64 {
+    let clocks = CLOCKS.get();
+    clocks.monotonic_ns().saturating_add(clocks.suspended_ns)
+}
+
 /// Simulated time at which the monotonic clock will show `monotonic_ns`, give or take its drift.
 pub fn simulated_ns(monotonic_ns: u64) -> u64 {
     let clocks = CLOCKS.get();
@@ -92,6 +110,14 @@ pub fn set_wall_clock(step_ns: i64) {
     }
 }
 
+/// The host is suspended for `ns`, and wakes again.
+pub fn suspend(ns: u64) {
+    change(|clocks| {
+        clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_add_unsigned(ns);
+        clocks.suspended_ns = clocks.suspended_ns.saturating_add(ns);
+    });
+}
+
 /// From now on the monotonic clock runs `ppm` millionths too fast.
 pub fn drift(ppm: i64) {
     change(|clocks| {
@@ -106,6 +132,7 @@ pub fn boot() {
     change(|clocks| {
         clocks.of_ns = 0;
         clocks.at_ns = clocks.now_ns;
+        clocks.suspended_ns = 0;
         clocks.boots += 1;
     });
 }

@@ -62,6 +62,14 @@ impl World<'_> {
             }
             Fault::WallClock(step_ns) => time::set_wall_clock(step_ns),
             Fault::Drift(ppm) => time::drift(ppm),
+            Fault::Suspend(for_ns) => time::suspend(for_ns),
+            Fault::Jump(for_ns) => {
+                for slot in &mut self.slots {
+                    slot.paused_until_ns = slot.paused_until_ns.max(now_ns + for_ns);
+                    slot.learn_until_ns = u64::MAX;
+                }
+                self.checker.excuse(now_ns + for_ns);
+            }
             Fault::Disk(fault, for_ns) => {
                 disk::fail(fault);
                 self.disk_until_ns = now_ns + for_ns;

@@ -128,5 +128,5 @@ fn every_kind_of_fault_is_planned() {
             kinds.insert(text.split('(').next().unwrap_or_default().to_owned());
         }
     }
-    assert_eq!(kinds.len(), 22, "{kinds:?}");
+    assert_eq!(kinds.len(), 24, "{kinds:?}");
 }

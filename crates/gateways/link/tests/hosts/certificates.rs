@@ -92,6 +92,48 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
     assert!(frames(&mut link) > 10);
 }
 
+/// Waits until the link has logged this, and no library has in other words.
+fn says(link: &Child, expected: &str) {
+    eventually(expected, || link.errors().contains(expected));
+    assert!(!link.errors().contains("open file limit"), "{}", link.errors());
+}
+
+#[test]
+fn both_links_say_why_a_certificate_is_refused() {
+    const IP: &str = "127.0.0.1";
+    let folder = tempfile::tempdir().unwrap();
+    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
+    if !certificates(&own, 30, &["base", "edge"]) {
+        return;
+    }
+    certificates(&other, 30, &["edge"]);
+    certificates(&own, 0, &["late"]);
+    // The certificate of the side that connects, the authority and the host that it expects, and
+    // what it and the other side say.
+    for ((of, name), authority, host, here, there) in [
+        ((&other, "edge"), &own, IP, "refuses this link's certificate", "is of another authority"),
+        ((&own, "edge"), &other, IP, "is of another authority", "in the other link's file"),
+        ((&own, "edge"), &own, "localhost", "is for another address", "may be for another address"),
+        ((&own, "late"), &own, IP, "it has expired", "certificate has expired"),
+    ] {
+        let address = free_address().replacen("tcp", "tls", 1);
+        let (base, edge) = (Host::new(), Host::new());
+        let _worker = base.worker();
+        let listen = format!("listen = [\"{address}\"]");
+        let takes = "[worker]\n[[worker.take]]\nfrom = \"edge\"\n";
+        let mut link = base.link(&file("base", "base", &own, &listen, takes));
+        let to = address.replace(IP, host);
+        let text = file("edge", name, of, &format!("connect = [\"{to}\"]"), SAMPLES);
+        let ca = |folder: &Path| format!("{}/fleet-ca.pem", folder.display());
+        let mut edge = edge.link(&text.replace(&ca(of), &ca(authority)));
+        says(&edge, &format!("no connection to {to}: "));
+        says(&edge, here);
+        says(&link, there);
+        edge.end();
+        link.end();
+    }
+}
+
 /// Whether a stranger can connect, with this certificate and key or with none.
 fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool {
     let mut config = zenoh::Config::default();
@@ -272,6 +314,8 @@ fn a_certificate_that_expires_ends_its_connection_and_a_renewed_one_makes_it_aga
     // It is not let in again as long as the certificate has expired.
     assert!(planner.frame_within(Duration::from_secs(3)).is_none());
     assert!(edge.is_running() && link.is_running());
+    says(&link, "ends: the other link's certificate has expired");
+    says(&edge, "refuses this link's certificate: it has expired");
     assert!(certificates(folder.path(), 30, &["edge"]));
     planner.fresh_sample();
     edge.end();

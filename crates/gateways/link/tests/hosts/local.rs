@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use joulebus_testkit::{Child, Ended, eventually};
+use joulebus_testkit::{Child, Ended, MemoryGroup, as_in_docker, eventually};
 use serde_json::Value;
 
 use crate::host::{
@@ -351,6 +351,54 @@ fn a_host_has_a_worker_or_a_link_in_its_place_and_the_second_is_refused() {
     let second = Child::spawn("link", here.link_command(&of_other("x", &address, FOLLOW))).wait();
     assert_eq!(second.code(), Some(1), "{second:?}");
     assert!(second.errors().contains("already has a worker"), "{second:?}");
+}
+
+#[test]
+fn links_need_nothing_that_docker_forbids() {
+    let (here, there) = (Host::new(), Host::new());
+    let address = free_address();
+    let _worker = here.worker();
+    let commands = [
+        here.link_command(&of_worker(&address, &["edge"])),
+        there.link_command(&of_other("edge", &address, &format!("{SAMPLES}{FOLLOW}"))),
+    ];
+    let Some(links) = commands.iter().map(as_in_docker).collect::<Option<Vec<_>>>() else {
+        return;
+    };
+    let links: Vec<_> = links.into_iter().map(|it| Child::spawn("link", it)).collect();
+    let _robots = there.robots(&["--robots", "2"]);
+    let mut planner = there.planner();
+    planner.fresh_sample();
+    planner.leave();
+    for link in links {
+        assert_eq!(ended(link).json()["fleet"], "lab");
+    }
+}
+
+#[test]
+fn the_next_link_works_when_the_kernel_has_killed_one_for_memory() {
+    let Some(group) = MemoryGroup::new(160 << 20) else { return };
+    let (here, there) = (Host::new(), Host::new());
+    let address = free_address();
+    let _worker = here.worker();
+    let _robots = here.robots(&["--robots", "2"]);
+    let mut desk = there.link(&of_other("desk", &address, FOLLOW));
+    let mut planner = there.planner();
+    for is_killed in [true, false] {
+        let command = group.first_to_die(&here.link_command(&of_worker(&address, &[])));
+        let mut base = Child::spawn("link", command);
+        planner.fresh_sample();
+        if is_killed {
+            group.exhaust();
+            assert_eq!(base.wait().signal(), Some(9));
+            assert_eq!(planner.gone(), "Unreachable");
+        } else {
+            // A busy host may lose a message.
+            assert!(matches!(base.end().exit_code(), 0 | 3));
+        }
+    }
+    planner.leave();
+    desk.end();
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::net::{TcpListener, TcpStream};
 use std::thread;
 use std::time::Duration;
 
-use joulebus_testkit::{Child, eventually};
+use joulebus_testkit::{Child, MemoryGroup, as_in_docker, eventually};
 use rumqttc::QoS;
 use serde_json::Value;
 
@@ -68,6 +68,44 @@ fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecas
         assert!(!ended.errors().contains("not connected"), "{ended:?}");
         worker.stop();
     }
+}
+
+#[test]
+fn a_bridge_needs_nothing_that_docker_forbids() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
+    let Some(command) = as_in_docker(&fleet.command(&file(&broker))) else { return };
+    let mut worker = fleet.worker();
+    let mut bridge = Child::spawn("bridge", command);
+    let listener = broker.client("listener", "jb/#");
+    let robots = Robots::start(broker.client("robots", "nothing").client);
+    listener.wait_for("jb/lab/r2/forecast", is_forecast);
+    drop(robots);
+    bridge.end().exits(0);
+    worker.stop();
+}
+
+#[test]
+fn the_next_bridge_works_when_the_kernel_has_killed_one_for_memory() {
+    let Some(program) = mosquitto() else { return };
+    let Some(group) = MemoryGroup::new(160 << 20) else { return };
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
+    let mut worker = fleet.worker();
+    let listener = broker.client("listener", "jb/#");
+    let _robots = Robots::start(broker.client("robots", "nothing").client);
+    for is_killed in [true, false] {
+        listener.forget();
+        let command = group.first_to_die(&fleet.command(&file(&broker)));
+        let mut bridge = Child::spawn("bridge", command);
+        listener.wait_for("jb/lab/r2/forecast", is_forecast);
+        if is_killed {
+            group.exhaust();
+            assert_eq!(bridge.wait().signal(), Some(9));
+        } else {
+            bridge.end().exits(0);
+        }
+    }
+    worker.stop();
 }
 
 #[test]

@@ -63,12 +63,22 @@ impl Fleet {
 
     /// Starts a server on a free port. Returns it with its address.
     pub(crate) fn serve(&self, more: &[&str]) -> (Child, String) {
+        self.serving(self.serve_command(more))
+    }
+
+    /// The command of a server on a free port, not started.
+    pub(crate) fn serve_command(&self, more: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
         if !more.contains(&"--http") {
             command.args(["--http", "127.0.0.1:0"]);
         }
         command.args(["--format", "json", "--config"]).arg(self.path());
         command.args(more).env_remove("JOULEBUS_LOG");
+        command
+    }
+
+    /// Starts a server, and returns it with its address.
+    pub(crate) fn serving(&self, command: Command) -> (Child, String) {
         let mut server = Child::spawn("serve", command);
         let line = server.wait_for_line("serving fleet http at http://");
         let address = line.rsplit('/').next().unwrap().to_owned();

@@ -16,7 +16,7 @@ use std::process::Command;
 use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_connect::findings::FindingsFile;
-use joulebus_testkit::{PATIENCE, end_signals, eventually, says};
+use joulebus_testkit::{MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, says};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -47,6 +47,42 @@ fn a_stopped_workers_values_equal_those_of_watch() {
     watch.end();
     source.end();
     server.stop();
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn the_page_needs_nothing_that_docker_forbids() {
+    let fleet = Fleet::new();
+    let Some(command) = as_in_docker(&fleet.serve_command(&[])) else { return };
+    let mut worker = fleet.worker();
+    let (mut server, address) = fleet.serving(command);
+    let mut source = fleet.joulebus("publish sim --robots 6");
+    eventually("six robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6);
+    assert_eq!(get(&address, "/healthz").status, 200);
+    source.end();
+    server.stop();
+    worker.stop();
+}
+
+#[test]
+fn the_next_page_works_when_the_kernel_has_killed_one_for_memory() {
+    let Some(group) = MemoryGroup::new(160 << 20) else { return };
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    let mut source = fleet.joulebus("publish sim --robots 6");
+    for is_killed in [true, false] {
+        let page = group.first_to_die(&fleet.serve_command(&[]));
+        let (mut server, address) = fleet.serving(page);
+        eventually("six robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6);
+        if is_killed {
+            group.exhaust();
+            assert_eq!(server.wait().signal(), Some(9));
+        } else {
+            server.stop();
+        }
+    }
+    source.end().exits(0);
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
