@@ -22,7 +22,7 @@ pub const ANSWER_RULES: u32 = 3;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do
 /// not.
-pub const TICK_RULES: u32 = 5;
+pub const TICK_RULES: u32 = 6;
 
 /// Maximum number of values of a question.
 pub const QUERY_VALUES: usize = 4_096;
