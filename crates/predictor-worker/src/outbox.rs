@@ -1,7 +1,7 @@
 //! Output of a tick, computed directly into loaned shared memory.
 
 use joulebus_bus::{Bus, Limits, Loan, OpenError, SendError, Waker, Writer, clock};
-use joulebus_fleet::{Accounts, Fleet, Outputs};
+use joulebus_fleet::{Accounts, Fleet};
 use joulebus_wire::{
     BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
     FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, SCHEMA_VERSION,
@@ -48,9 +48,7 @@ impl Outbox {
     /// frames that could not be sent. Nothing is sent after the worker's permit has ended, which
     /// may be in the middle of a tick.
     ///
-    /// Forecasts are sent first, and planners are woken for them. In a parallel tick all are
-    /// written in one pass, because a second pass over so many robots would cost more memory
-    /// bandwidth.
+    /// Forecasts are sent first, and planners are woken for them.
     pub(crate) fn tick(
         &mut self,
         (fleet, pool): (&mut Fleet, &TickPool),
@@ -75,16 +73,9 @@ impl Outbox {
             outlooks: payload(outlooks.as_mut()),
         };
         let mut shard = fleet.shard();
-        let unsent = if pool.shares(robots) {
-            let outputs = Outputs { forecasts: payload(Some(&mut forecasts)), accounts };
-            pool.run(shard, outputs);
-            send_forecasts(forecasts, &self.planners, header, current_permit)
-        } else {
-            pool.forecast(&mut shard, payload(Some(&mut forecasts)));
-            let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
-            pool.account(&mut shard, accounts);
-            unsent
-        };
+        pool.forecast(shard.reborrow(), payload(Some(&mut forecasts)));
+        let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
+        pool.account(shard, accounts);
         let sent = (clock::monotonic_ns(), clock::unix_ns());
         if !current_permit.holds(clock::boot_ns()) {
             return unsent;

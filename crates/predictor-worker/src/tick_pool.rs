@@ -25,6 +25,9 @@ pub struct TickPool {
     from: usize,
 }
 
+/// A pass over the robots of a shard. Outputs that it does not write are empty.
+type Pass = fn(&mut Shard<'_>, &mut Batch, Outputs<'_>, &mut dyn FnMut(Stage));
+
 /// Scratch memory of one thread: a model's batch, and times.
 #[derive(Debug, Default)]
 struct ThreadScratch {
@@ -90,25 +93,34 @@ impl TickPool {
         self.scratch.len() > 1 && robots >= self.from
     }
 
-    /// Ticks all robots, on all threads if there are enough robots.
+    /// Ticks all robots in one pass, on all threads if there are enough robots.
     pub fn run(&self, shard: Shard<'_>, outputs: Outputs<'_>) {
+        self.pass(shard, outputs, |shard, batch, outputs, on| shard.run(batch, outputs, on));
+    }
+
+    /// The first of two passes of a tick.
+    pub fn forecast(&self, shard: Shard<'_>, forecasts: &mut [Forecast]) {
+        let outputs = Outputs { forecasts, ..Outputs::default() };
+        self.pass(shard, outputs, |shard, batch, outputs, on| {
+            shard.forecast(batch, outputs.forecasts, on);
+        });
+    }
+
+    /// The second pass.
+    pub fn account(&self, shard: Shard<'_>, accounts: Accounts<'_>) {
+        let outputs = Outputs { accounts, ..Outputs::default() };
+        self.pass(shard, outputs, |shard, batch, outputs, on| {
+            shard.account(batch, outputs.accounts, on);
+        });
+    }
+
+    fn pass(&self, shard: Shard<'_>, outputs: Outputs<'_>, work: Pass) {
         let robots = shard.len();
-        if self.shares(robots) {
-            let part = robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS);
-            self.divide(shard, outputs, part);
-        } else {
-            self.run_here(shard, outputs);
-        }
-    }
-
-    /// The first pass of a tick, on the calling thread.
-    pub(crate) fn forecast(&self, shard: &mut Shard<'_>, forecasts: &mut [Forecast]) {
-        self.with_scratch(|batch, on| shard.forecast(batch, forecasts, on));
-    }
-
-    /// The second pass of a tick, on the calling thread.
-    pub(crate) fn account(&self, shard: &mut Shard<'_>, accounts: Accounts<'_>) {
-        self.with_scratch(|batch, on| shard.account(batch, accounts, on));
+        let part = match self.shares(robots) {
+            true => robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS),
+            false => robots,
+        };
+        self.divide(shard, outputs, part, work);
     }
 
     /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.
@@ -129,19 +141,18 @@ impl TickPool {
         sum
     }
 
-    fn divide(&self, shard: Shard<'_>, outputs: Outputs<'_>, part: usize) {
+    fn divide(&self, mut shard: Shard<'_>, outputs: Outputs<'_>, part: usize, work: Pass) {
         let robots = shard.len();
         if robots <= part {
-            self.run_here(shard, outputs);
+            self.with_scratch(|batch, on| work(&mut shard, batch, outputs, on));
             return;
         }
         let (first, second) = shard.split_at(robots / 2);
         let (to_first, to_second) = outputs.split_at(first.len());
-        rayon::join(|| self.divide(first, to_first, part), || self.divide(second, to_second, part));
-    }
-
-    fn run_here(&self, mut shard: Shard<'_>, outputs: Outputs<'_>) {
-        self.with_scratch(|batch, on| shard.run(batch, outputs, on));
+        rayon::join(
+            || self.divide(first, to_first, part, work),
+            || self.divide(second, to_second, part, work),
+        );
     }
 
     /// Runs `work` with the scratch of the calling thread; its lock is never contended.

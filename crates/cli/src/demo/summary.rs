@@ -312,6 +312,7 @@ impl fmt::Display for Summary {
         writeln!(out, "\ndemo       {robots} robots, seed {seed}, {duration_s:.1} s")?;
         let Ticks { done, skipped, late } = self.ticks;
         writeln!(out, "ticks      {} done, {skipped} skipped, {late} late", count(done))?;
+        self.ahead_text(out)?;
         self.samples_text(out)?;
         match &self.planner {
             Some(planner) => write!(
@@ -323,7 +324,6 @@ impl fmt::Display for Summary {
             )?,
             None => writeln!(out, "latency    the planner did not run at the end")?,
         }
-        self.ahead_text(out)?;
         self.scores_text(out)?;
         self.robots_text(out)?;
         for death in &self.deaths {

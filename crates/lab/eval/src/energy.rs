@@ -48,6 +48,9 @@ pub struct HorizonErrors {
     pub errors: [f64; FORECASTS.len()],
     /// Share of measured energies inside the energy model's 90 % interval; NaN without intervals.
     pub coverage: f64,
+    /// Share of verdicts "yes" that are right, if each plan is asked with a spare energy just above
+    /// the interval: measured energies below its upper end. NaN without intervals.
+    pub right_yes: f64,
     /// Mean width of the interval through the mean energy; NaN without intervals.
     pub width: f64,
     /// Width of the narrowest interval that adds the same two numbers to every forecast and, in
@@ -172,23 +175,27 @@ fn observe(
 /// How intervals fit the measured energies: means over the forecasts that have one, NaN without.
 struct Intervals {
     coverage: f64,
+    /// Share below the upper end.
+    below: f64,
     width_j: f64,
     score_j: f64,
 }
 
 impl Intervals {
     fn of(scored: &[Scored], interval_j: impl Fn(&Scored) -> Option<[f64; 2]>) -> Self {
-        let (mut count, mut inside, mut width_j, mut missed_j) = (0.0, 0.0, 0.0, 0.0);
+        let (mut count, mut inside, mut below) = (0.0, 0.0, 0.0);
+        let (mut width_j, mut missed_j) = (0.0, 0.0);
         for one in scored {
             let Some([lo_j, hi_j]) = interval_j(one) else { continue };
             count += 1.0;
             inside += if (lo_j..=hi_j).contains(&one.energy_j) { 1.0 } else { 0.0 };
+            below += if one.energy_j <= hi_j { 1.0 } else { 0.0 };
             width_j += hi_j - lo_j;
             missed_j += (lo_j - one.energy_j).max(one.energy_j - hi_j).max(0.0);
         }
         let misses = f64::from(1.0 - COVERAGE);
         let score_j = (width_j + 2.0 / misses * missed_j) / count;
-        Self { coverage: inside / count, width_j: width_j / count, score_j }
+        Self { coverage: inside / count, below: below / count, width_j: width_j / count, score_j }
     }
 }
 
@@ -211,6 +218,7 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
             scored.iter().map(error).sum::<f64>() / energy_j
         }),
         coverage: plans.coverage,
+        right_yes: plans.below,
         width: plans.width_j / mean_j,
         narrowest: widths.fold(f64::INFINITY, f64::min) / mean_j,
         score: plans.score_j / mean_j,
@@ -396,9 +404,9 @@ impl fmt::Display for EnergyErrors {
         }
         writeln!(
             out,
-            " coverage % | width | narrowest | score | outlook's coverage % | its score |"
+            " coverage % | right yes % | width | narrowest | score | outlook's coverage % | its score |"
         )?;
-        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 8))?;
+        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 9))?;
         for row in &self.horizons {
             write!(out, "| {:>9} | {:>9} |", row.horizon_s, row.origins)?;
             for (name, error) in FORECASTS.iter().zip(row.errors) {
@@ -408,8 +416,9 @@ impl fmt::Display for EnergyErrors {
                 [row.width, row.narrowest, row.score].map(|value| share(value, 2));
             writeln!(
                 out,
-                " {:>10} | {width:>5} | {narrowest:>9} | {score:>5} | {:>20} | {:>9} |",
+                " {:>10} | {:>11} | {width:>5} | {narrowest:>9} | {score:>5} | {:>20} | {:>9} |",
                 share(100.0 * row.coverage, 1),
+                share(100.0 * row.right_yes, 1),
                 share(100.0 * row.outlook_coverage, 1),
                 share(row.outlook_interval_score, 2)
             )?;

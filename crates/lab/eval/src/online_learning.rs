@@ -21,6 +21,8 @@ pub const FEWEST_READINGS: u64 = 200;
 const DUE: usize = FEATURES + 1;
 /// Readings of a trial that are judged separately, as its first ones.
 pub const FIRST: usize = 100;
+/// The very first of them.
+pub const START: usize = 30;
 /// Allowed deviation of a trial's coverage from the nominal one.
 pub const TOLERANCE: f64 = 0.02;
 
@@ -33,9 +35,10 @@ pub struct Judged {
     pub persistence: Tally,
     /// The model file's linear baseline, if it has one.
     pub linear: Option<Tally>,
-    /// Over the first [`FIRST`] readings of all trials: persistence's squared error plus, for each
-    /// reading, that of half the monitor's resolution, W².
-    pub first_allowed: f64,
+    /// Persistence over the first [`START`] readings of all trials.
+    pub start: Tally,
+    /// Persistence's squared error plus, for each reading, that of half the monitor's resolution.
+    pub allowed: Parts,
     /// In the order of [`VARIANTS`].
     pub variants: [Variant; VARIANTS.len()],
 }
@@ -45,14 +48,49 @@ pub struct Judged {
 pub struct Variant {
     /// Its forecasts.
     pub forecasts: Tally,
-    /// Squared error over the first [`FIRST`] readings of all trials, W².
-    pub first: f64,
+    /// Its forecasts of the first [`START`] readings of all trials.
+    pub start: Tally,
+    /// Its squared error.
+    pub squares: Parts,
     /// Its intervals, of all trials.
     pub intervals: CoverageTally,
     /// The intervals of readings for which a new measurement was due.
     pub due: CoverageTally,
     /// Share of readings inside their interval, per trial of at least [`FEWEST_READINGS`] readings.
     pub coverage: Vec<f64>,
+}
+
+/// Sums of squares over parts of the trials, W².
+#[derive(Debug, Clone, Default)]
+pub struct Parts {
+    /// The first [`START`] readings of each trial.
+    pub starts: Vec<f64>,
+    /// The first [`FIRST`] readings of all trials.
+    pub first: f64,
+    /// All later readings.
+    pub later: f64,
+}
+
+impl Parts {
+    fn add(&mut self, at: usize, square: f64) {
+        if at == 0 {
+            self.starts.push(0.0);
+        }
+        // Without a forecast there is no error.
+        if !square.is_finite() {
+            return;
+        }
+        if let (true, Some(start)) = (at < START, self.starts.last_mut()) {
+            *start += square;
+        }
+        *(if at < FIRST { &mut self.first } else { &mut self.later }) += square;
+    }
+
+    /// The largest ratio of a trial's start to the same start of `others`.
+    pub fn worst_start(&self, others: &Self) -> f64 {
+        let ratios = self.starts.iter().zip(&others.starts).map(|(square, other)| square / other);
+        ratios.fold(f64::NAN, f64::max)
+    }
 }
 
 impl Variant {
@@ -86,16 +124,34 @@ pub fn judge(
     settings: &FleetSettings,
     trials: &[&Trial],
 ) -> Result<Judged, EvaluateError> {
+    let from_start: Vec<_> = trials.iter().map(|trial| (*trial, 0)).collect();
+    judge_from(network, platform, settings, &from_start)
+}
+
+/// As [`judge`], of forecasts from a row of each trial on: the rows before it only teach.
+///
+/// # Errors
+/// As [`judge`].
+pub fn judge_from(
+    network: &Network,
+    platform: &Platform,
+    settings: &FleetSettings,
+    trials: &[(&Trial, usize)],
+) -> Result<Judged, EvaluateError> {
     let model = Model::Network(network.clone());
     let mut judged = Judged {
         trials: trials.len(),
         persistence: Tally::default(),
         linear: model.linear().map(|_| Tally::default()),
-        first_allowed: 0.0,
+        start: Tally::default(),
+        allowed: Parts::default(),
         variants: std::array::from_fn(|_| Variant::default()),
     };
-    for trial in trials {
-        let rows = sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns());
+    for (trial, from) in trials {
+        let mut rows = sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns());
+        let before = rows.sample_seq.partition_point(|seq| (*seq as usize) < *from);
+        rows.rows.drain(..before);
+        rows.sample_seq.drain(..before);
         judged.baselines(&rows, model.linear(), platform.power_resolution_w);
         for ((_, online), variant) in VARIANTS.iter().zip(&mut judged.variants) {
             let settings = FleetSettings {
@@ -126,10 +182,11 @@ impl Judged {
             let reading_w = f64::from(row.target_w);
             let last_w = row.features[FeatureSet::PowerOnly.first()];
             self.persistence.add(reading_w, last_w.into(), 0.0);
-            if at < FIRST {
-                let error_w = reading_w - f64::from(last_w);
-                self.first_allowed += error_w.powi(2) + (f64::from(resolution_w) / 2.0).powi(2);
+            if at < START {
+                self.start.add(reading_w, last_w.into(), 0.0);
             }
+            let error_w = reading_w - f64::from(last_w);
+            self.allowed.add(at, error_w.powi(2) + (f64::from(resolution_w) / 2.0).powi(2));
             if let (Some(tally), Some(linear)) = (&mut self.linear, linear) {
                 tally.add(reading_w, linear.predict(&row.features).into(), 0.0);
             }
@@ -148,9 +205,10 @@ impl Variant {
             let reading_w = f64::from(row.target_w);
             let known = |watts: Option<f32>| watts.map_or(f64::NAN, f64::from);
             self.forecasts.add(reading_w, known(step.power_w), 0.0);
-            if at < FIRST {
-                self.first += (reading_w - known(step.power_w)).powi(2);
+            if at < START {
+                self.start.add(reading_w, known(step.power_w), 0.0);
             }
+            self.squares.add(at, (reading_w - known(step.power_w)).powi(2));
             intervals.add(reading_w, known(step.lo_w), known(step.hi_w));
             // NaN means unknown, and then a reading is due.
             if row.features[DUE] != 0.0 {

@@ -26,9 +26,9 @@
 //! part, the stacks as one by their weights for due readings.
 //!
 //! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot
-//! and another power is corrected as well. The sceptical stack starts a little behind the confident
-//! one, and more so if the network reads no commands: what a network knows of power alone carries
-//! over to other robots and floors, what it knows of commands depends on their mass and friction.
+//! and another power is corrected as well. The sceptical stack starts level with the confident one,
+//! and behind it if the network reads no commands: what a network knows of power alone carries over
+//! to other robots and floors, what it knows of commands depends on their mass and friction.
 //! Where the first readings are unlike the training's in level or spread, or the mean power lies
 //! outside the training range or is small beside the model's own error, the network cannot be
 //! nearly right: such a robot starts from its last reading, and network and stacks must earn their
@@ -83,7 +83,7 @@ const TRUST: f32 = 8.0;
 const LOSS_LAST: f32 = 100.0;
 const LOSS_NETWORK: f32 = 1.0;
 /// The sceptical stack's, beside a network that reads commands and beside one that does not.
-const LOSS_SCEPTIC: f32 = 1.0;
+const LOSS_SCEPTIC: f32 = 0.0;
 const LOSS_SCEPTIC_POWER_ONLY: f32 = 6.0;
 /// Initial losses of the network and the stack for a mean power unlike any in the training, with
 /// and without a new measurement due, in r². The last reading's is then 0.

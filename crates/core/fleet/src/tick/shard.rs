@@ -127,6 +127,11 @@ impl<'a> Shard<'a> {
         self.columns.words.iter().all(|word| *word == 0)
     }
 
+    /// The same robots, for a pass of their own.
+    pub fn reborrow(&mut self) -> Shard<'_> {
+        Shard { tick: self.tick, columns: self.columns.reborrow(), oldest_ns: self.oldest_ns }
+    }
+
     /// Two shards: the first has at least `robots` robots, if there are as many, and at most 63
     /// more; the second has all others. Places continue from the first to the second.
     pub fn split_at(self, robots: usize) -> (Self, Self) {
@@ -217,8 +222,7 @@ impl<'a> Shard<'a> {
 
     /// Calls `work` for each tile that has robots.
     fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Shard<'_>)) {
-        let mut rest =
-            Shard { tick: self.tick, columns: self.columns.reborrow(), oldest_ns: self.oldest_ns };
+        let mut rest = self.reborrow();
         while !rest.columns.words.is_empty() {
             let (mut tile, behind) = rest.split_words(words);
             if !tile.is_empty() {

@@ -174,7 +174,7 @@ impl Knowledge {
         let mut known = Self {
             confident: Stack::new([0.1, 0.95, 0.1, 0.0], [0.09, 0.04, 0.04, 0.25]),
             sceptic: Stack::new([0.1, 0.5, 0.1, 0.0], [0.09, 0.04, 0.16, 0.25]),
-            sceptic_loss: if reads_commands { 1.0 } else { 6.0 },
+            sceptic_loss: if reads_commands { 0.0 } else { 6.0 },
             mean_w: 0.0,
             change_w: error_w,
             seen: 0,
