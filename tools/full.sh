@@ -95,7 +95,7 @@ lacks() {
 
 tested() { # a command, with everything that tests compare with
     JOULEBUS_PYTHON=$(tools/python.sh) JOULEBUS_MOSQUITTO=$(tools/mosquitto.sh) JOULEBUS_CYCLONEDDS=$(tools/cyclonedds.sh) \
-        JOULEBUS_ETCD=$(tools/etcd.sh) "$@"
+        JOULEBUS_ETCD=$(tools/etcd.sh) JOULEBUS_ROS2=$(tools/ros2.sh) "$@"
 }
 export -f tested
 
