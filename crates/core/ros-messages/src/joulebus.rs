@@ -26,8 +26,8 @@ macro_rules! messages {
             }
         })*
 
-        /// The messages: the part of a file that defines each one, and its fields, `type name` each.
-        /// Parts are `package/msg/Name`, and `_Request` or `_Response` of a service.
+        /// The messages: the part of a file that defines each one, and its fields, `type name`
+        /// each. Parts are `package/msg/Name`, and `_Request` or `_Response` of a service.
         #[must_use]
         pub fn definitions() -> Vec<(&'static str, Vec<String>)> {
             vec![$((

@@ -300,7 +300,7 @@ impl Bridge {
         (mqtt, connection): (&MqttSettings, &Mqtt),
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        if mqtt.writes.is_empty() {
+        if mqtt.writes.is_empty() && !settings.passes_on() {
             return Ok(());
         }
         let (changes, changed) = sync_channel(MAX_WAITING);

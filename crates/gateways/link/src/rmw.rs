@@ -5,8 +5,9 @@
 //! to stdin ([`Asked`]) and then frames: the index of a written topic and the length of the
 //! message, u32 in little endian each, and the message in CDR. Frames of read topics come back on
 //! stdout. The indices of services follow those of topics. Their messages begin with the number of
-//! the request, u64 in little endian, in both directions. Frames with the index [`NOTICE`] name a publisher's topic and type in two lines; an
-//! empty one says that the session is open. The end of stdin ends the program.
+//! the request, u64 in little endian, in both directions. Frames with the index [`NOTICE`] name a
+//! publisher's topic and type in two lines; an empty one says that the session is open. The end of
+//! stdin ends the program.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::{self, BufRead as _, ErrorKind, Read as _, Write as _};

@@ -27,7 +27,8 @@ use crate::ros2::writer::{Client, Writer, ZenohWriter};
 
 /// Index of frames that are no message.
 const NOTICE: u32 = u32::MAX;
-/// Maximum size of a frame of the child: the number of a request, and a message. It shortens what is longer than a message may be.
+/// Maximum size of a frame of the child: the number of a request, and a message. It shortens what
+/// is longer than a message may be.
 const MAX_FRAME_BYTES: usize = 8 + MAX_BYTES + 1;
 /// The variable by which every ROS 2 program chooses its middleware.
 const VARIABLE: &str = "RMW_IMPLEMENTATION";

@@ -6,7 +6,8 @@
 
 /// The prefix of all tokens.
 const SPACE: &str = "@ros2_lv";
-/// The default quality of service of publishers and services but for its depth: reliable, volatile, keep last.
+/// The default quality of service of publishers and services but for its depth: reliable, volatile,
+/// keep last.
 const RELIABLE: &str = "::,10:,:,:,,";
 /// ROS 2's profile of sensor data: best effort, volatile, keep the last 5.
 const SENSOR_DATA: &str = "2::,5:,:,:,,";
