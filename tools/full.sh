@@ -101,7 +101,8 @@ lacks() {
 
 tested() { # a command, with everything that tests compare with
     JOULEBUS_PYTHON=$(tools/python.sh) JOULEBUS_MOSQUITTO=$(tools/mosquitto.sh) JOULEBUS_CYCLONEDDS=$(tools/cyclonedds.sh) \
-        JOULEBUS_ETCD=$(tools/etcd.sh) JOULEBUS_ALERTMANAGER=$(tools/alertmanager.sh) "$@"
+        JOULEBUS_ETCD=$(tools/etcd.sh) JOULEBUS_ALERTMANAGER=$(tools/alertmanager.sh) \
+        JOULEBUS_ROS2=$(tools/ros2.sh) "$@"
 }
 export -f tested
 

@@ -23,7 +23,7 @@ export CARGO_TARGET_DIR=$target
 names=(programs tarball deb dev image wheel wheel-aarch64 sdist sbom sums)
 declare -A makes=(
     [programs]='all programs and libjoulebus_c.a, in target/'
-    [tarball]='joulebus-VERSION-ARCH-linux.tar.gz: programs, manual pages, completions, configs'
+    [tarball]='joulebus-VERSION-ARCH-linux.tar.gz: programs, manual pages, completions, configs, joulebus_msgs'
     [deb]='joulebus_VERSION-1_ARCH.deb: programs and services'
     [dev]='libjoulebus-dev_VERSION-1_ARCH.deb: library, headers, pkg-config, CMake'
     [image]='joulebus-VERSION-ARCH.oci.tar: an OCI image'
@@ -89,6 +89,7 @@ make_tarball() {
     cp README.md CHANGELOG.md LICENSE-* "$staged/$name"
     mkdir "$staged/$name/configs"
     cp -r configs/fleet.toml configs/platforms configs/bridges configs/webhooks "$staged/$name/configs"
+    cp -r ros2 "$staged/$name"
     mapfile -t programs < <(tools/programs.sh)
     tools/licences.py "${programs[@]}" | gzip -9n >"$staged/$name/licences.txt.gz"
     tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$SOURCE_DATE_EPOCH" -C "$staged" -c "$name" | gzip -9n >"$dist/$name.tar.gz"

@@ -6,11 +6,18 @@
 //! instead of misread.
 #![forbid(unsafe_code)]
 
+mod hashes;
+mod joulebus;
 mod told;
 
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
 
+pub use hashes::type_hash;
+pub use joulebus::{
+    AcknowledgeRequest, AcknowledgeResponse, Answer, Outlook, VERDICTS, WhatIfRequest,
+    WhatIfResponse, definitions,
+};
 pub use told::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
 
 /// Time since 1970.
@@ -388,8 +395,11 @@ fn last_part(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// Four bytes of encapsulation header, then the fields.
-fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
+/// Decodes a message: four bytes of encapsulation header, then the fields.
+///
+/// # Errors
+/// [`RosError`].
+pub fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
     let Some((head, body)) = data.split_at_checked(4) else {
         let found = data.to_vec();
         return Err(RosError::Encapsulation { found });

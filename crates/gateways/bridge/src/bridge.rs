@@ -23,10 +23,11 @@ use crate::mapping::account::UnmappedRecord;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
+use crate::mapping::ros::services::Service;
 use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
-use crate::ros2::{Counts, Reading, Ros2, RosSink, Zenoh, is_zenoh};
+use crate::ros2::{Answering, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh};
 use crate::shared::Shared;
 use crate::usual;
 
@@ -92,6 +93,7 @@ struct RosCheckReport {
     networks: Vec<String>,
     reads: Vec<String>,
     writes: Vec<String>,
+    services: Vec<String>,
 }
 
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
@@ -137,12 +139,14 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
 fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
     let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
+    let serve = |(it, name): &(Service, String)| format!("{name} ({})", it.type_name());
     RosCheckReport {
         domain_id: ros2.domain_id,
         zenoh: is_zenoh(),
         networks: ros2.networks.iter().map(ToString::to_string).collect(),
         reads: ros2.routes.iter().map(read).collect(),
         writes: ros2.writes.iter().map(write).collect(),
+        services: ros2.services.iter().map(serve).collect(),
     }
 }
 
@@ -231,24 +235,45 @@ impl Bridge {
             counts: Arc::clone(&self.ros2),
             shared: Arc::clone(&self.shared),
         };
+        let (requests, asked) = sync_channel(MAX_REQUESTS);
         let reading = Reading {
             routes: ros2.routes.clone(),
             robots: settings.robots.clone(),
             shared: Arc::clone(&self.shared),
+            requests,
         };
+        let services = ros2.services.clone();
         let ros2 = ros2.clone();
-        let (thread, sink) = Background::run("joulebus-ros2", move |thread| {
+        let (thread, (sink, writers)) = Background::run("joulebus-ros2", move |thread| {
             yield_to_the_worker(NICE);
             if is_zenoh() {
-                let connection = Zenoh::open(&ros2, reading, &mut sink)?;
-                thread.joined(sink);
+                let (connection, writers) = Zenoh::open(&ros2, reading, &mut sink)?;
+                thread.joined((sink, writers));
                 return connection.run().map_err(anyhow::Error::from);
             }
-            let connection = Ros2::open(&ros2, reading, &mut sink)?;
-            thread.joined(sink);
+            let (connection, writers) = Ros2::open(&ros2, reading, &mut sink)?;
+            thread.joined((sink, writers));
             connection.run().map_err(anyhow::Error::from)
         })?;
         self.connections.push(thread);
+        if !services.is_empty() {
+            let answering = Answering {
+                config: config.clone(),
+                name: settings.name.clone(),
+                robots: settings.robots.clone(),
+                services,
+                writers,
+                counts: Arc::clone(&self.ros2),
+                shared: Arc::clone(&self.shared),
+            };
+            let (thread, ()) = Background::run("joulebus-answer", move |thread| {
+                yield_to_the_worker(NICE);
+                thread.joined(());
+                answering.run(&asked);
+                Ok(())
+            })?;
+            self.others.push(thread);
+        }
         if sink.has_topics() {
             sides.push(Box::new(sink));
         }
@@ -275,7 +300,7 @@ impl Bridge {
         (mqtt, connection): (&MqttSettings, &Mqtt),
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        if mqtt.writes.is_empty() {
+        if mqtt.writes.is_empty() && !settings.passes_on() {
             return Ok(());
         }
         let (changes, changed) = sync_channel(MAX_WAITING);
@@ -418,15 +443,13 @@ impl fmt::Display for CheckReport {
         let Some(ros2) = ros2 else {
             return Ok(());
         };
-        let RosCheckReport { domain_id, zenoh, networks, reads, writes } = ros2;
+        let RosCheckReport { domain_id, zenoh, networks, reads, writes, services } = ros2;
         let networks =
             if networks.is_empty() { "all networks".to_owned() } else { networks.join(", ") };
         let networks = if *zenoh { "zenoh (RMW_IMPLEMENTATION)".to_owned() } else { networks };
         writeln!(out, "ROS domain {domain_id} on {networks}")?;
-        let mut lines = reads
-            .iter()
-            .map(|topic| ("reads", topic))
-            .chain(writes.iter().map(|topic| ("writes", topic)));
+        let lists = [("reads", reads), ("writes", writes), ("serves", services)];
+        let mut lines = lists.iter().flat_map(|(verb, all)| all.iter().map(move |it| (verb, it)));
         lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
     }
 }

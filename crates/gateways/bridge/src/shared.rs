@@ -1,5 +1,6 @@
 //! State shared by the threads of a bridge.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -7,12 +8,17 @@ use joulebus_program::output::say;
 
 use crate::mapping::account::Account;
 use crate::mapping::intake::Intake;
+use crate::mapping::route::State;
+
+/// Maximum number of states that wait to be passed on.
+const MAX_STATES: usize = 1_000;
 
 /// The newest observations, the account of unmapped messages, and the stop flags.
 #[derive(Debug)]
 pub(crate) struct Shared {
     intake: Mutex<Intake>,
     account: Mutex<Account>,
+    states: Mutex<VecDeque<State>>,
     stop: AtomicBool,
     close: AtomicBool,
     messages: AtomicU64,
@@ -23,6 +29,7 @@ impl Shared {
         Self {
             intake: Mutex::new(intake),
             account: Mutex::default(),
+            states: Mutex::default(),
             stop: AtomicBool::new(false),
             close: AtomicBool::new(false),
             messages: AtomicU64::new(0),
@@ -47,6 +54,19 @@ impl Shared {
         for line in news {
             say(&format!("implausible: {line}"));
         }
+    }
+
+    /// Adds states to pass on. Beyond the maximum the oldest are dropped: later ones replace them.
+    pub(crate) fn add_states(&self, new: Vec<State>) {
+        let mut states = lock(&self.states);
+        states.extend(new);
+        let excess = states.len().saturating_sub(MAX_STATES);
+        states.drain(..excess);
+    }
+
+    /// The states to pass on since the last call.
+    pub(crate) fn take_states(&self) -> VecDeque<State> {
+        std::mem::take(&mut lock(&self.states))
     }
 
     /// Counts a received message.

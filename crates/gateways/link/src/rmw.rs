@@ -4,22 +4,26 @@
 //! The bridge starts this program, so that it need not have zenoh itself. It writes a line of JSON
 //! to stdin ([`Asked`]) and then frames: the index of a written topic and the length of the
 //! message, u32 in little endian each, and the message in CDR. Frames of read topics come back on
-//! stdout. Frames with the index [`NOTICE`] name a publisher's topic and type in two lines; an
-//! empty one says that the session is open. The end of stdin ends the program.
+//! stdout. The indices of services follow those of topics. Their messages begin with the number of
+//! the request, u64 in little endian, in both directions. Frames with the index [`NOTICE`] name a
+//! publisher's topic and type in two lines; an empty one says that the session is open. The end of
+//! stdin ends the program.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::io::{self, BufRead as _, ErrorKind, Read as _, Write as _};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_bus::clock;
 use joulebus_program::exit::Outcome;
 use serde::Deserialize;
+use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Config, Session, Wait as _};
 
+use crate::protocol;
 use crate::protocol::rmw::{Endpoint, Node, Topic, announced, attachment};
 
 /// Index of frames that are no message.
@@ -31,6 +35,8 @@ const MAX_BYTES: usize = 65_536;
 const MAX_ASKED_BYTES: u64 = 8 << 20;
 /// Maximum number of remembered publishers. Each is announced once.
 const MAX_ANNOUNCED: usize = 100_000;
+/// Maximum number of requests that wait. The oldest one then ends without a response.
+const MAX_WAITING: usize = 1_024;
 /// Without another session for so long a warning names the router.
 const ALONE: Duration = Duration::from_secs(5);
 /// The variables by which `rmw_zenoh_cpp` is configured: a file, and keys in place of the file's.
@@ -53,13 +59,22 @@ struct Asked {
     node: Node,
     read: Vec<Topic>,
     write: Vec<Topic>,
+    serve: Vec<Topic>,
+}
+
+/// Requests that wait for their response, by number.
+#[derive(Debug, Default)]
+struct Requests {
+    waiting: BTreeMap<u64, Query>,
+    /// Number of the newest request.
+    newest: u64,
 }
 
 pub(crate) fn run() -> anyhow::Result<Outcome> {
     let mut input = io::stdin().lock();
     let mut line = String::new();
     input.by_ref().take(MAX_ASKED_BYTES).read_line(&mut line)?;
-    let Asked { mut node, read, write } =
+    let Asked { mut node, read, write, serve } =
         serde_json::from_str(&line).context("`joulebus bridge` starts this program")?;
     let session = zenoh::open(config()?).wait().map_err(|error| anyhow!(error))?;
     node.session = session.zid().to_string();
@@ -95,9 +110,23 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         publishers.push((publisher, xxhash_rust::xxh3::xxh3_128(token.as_bytes()), 0_i64));
         tokens.push(declare(token)?);
     }
+    let requests = Arc::<Mutex<Requests>>::default();
+    let mut services = Vec::new();
+    for (index, topic) in (read.len() as u32..).zip(&serve) {
+        let requests = Arc::clone(&requests);
+        // Clients ask complete services alone. Their key has the hash of their definition.
+        let service = session.declare_queryable(topic.keys(domain_id)).complete(true);
+        let service = service.callback(move |query| take(&requests, index, query));
+        services.push(service.wait().map_err(|error| anyhow!(error))?);
+        tokens.push(declare(node.endpoint(tokens.len(), Endpoint::Service, topic))?);
+    }
     pass_on(NOTICE, b"");
     let mut message = Vec::new();
     while let Some(index) = next(&mut input, &mut message)? {
+        if index as usize >= publishers.len() {
+            respond(&requests, &message)?;
+            continue;
+        }
         let named = publishers.get_mut(index as usize).context("a topic that was not named")?;
         let (publisher, id, number) = named;
         *number += 1;
@@ -107,6 +136,39 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         put.wait().map_err(|error| anyhow!(error))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Passes a request on with a number of its own.
+fn take(requests: &Mutex<Requests>, index: u32, query: Query) {
+    let mut requests = requests.lock().unwrap_or_else(PoisonError::into_inner);
+    requests.newest += 1;
+    let mut frame = requests.newest.to_le_bytes().to_vec();
+    let request = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
+    frame.extend_from_slice(&request[..request.len().min(MAX_BYTES + 1)]);
+    let number = requests.newest;
+    requests.waiting.insert(number, query);
+    if requests.waiting.len() > MAX_WAITING {
+        requests.waiting.pop_first();
+    }
+    pass_on(index, &frame);
+}
+
+/// Sends the response to a request that still waits.
+fn respond(requests: &Mutex<Requests>, message: &[u8]) -> anyhow::Result<()> {
+    let (number, response) = message.split_first_chunk().context("a response without a number")?;
+    let mut requests = requests.lock().unwrap_or_else(PoisonError::into_inner);
+    let query = requests.waiting.remove(&u64::from_le_bytes(*number));
+    drop(requests);
+    let Some(query) = query else { return Ok(()) };
+    let request = query.attachment().map(|attached| attached.to_bytes()).unwrap_or_default();
+    let Some(attached) = protocol::rmw::response(&request, clock::unix_ns() as i64) else {
+        tracing::warn!(key = %query.key_expr(), "a request without the attachment of rmw_zenoh");
+        return Ok(());
+    };
+    let reply = query.reply(query.key_expr(), response).attachment(attached.as_slice());
+    // A client may have gone.
+    let _ = reply.wait().inspect_err(|error| tracing::debug!(%error, "a response is not sent"));
+    Ok(())
 }
 
 /// The configuration as for any node of ROS 2.
@@ -148,7 +210,7 @@ fn announce(token: &Sample, seen: &mut HashSet<String>) {
     let key = token.key_expr().as_str();
     if token.kind() == SampleKind::Delete {
         seen.remove(key);
-    } else if let Some(Topic { topic, kind }) = announced(key)
+    } else if let Some(Topic { topic, kind, .. }) = announced(key)
         && seen.len() < MAX_ANNOUNCED
         && seen.insert(key.to_owned())
     {

@@ -71,7 +71,7 @@ impl Check<'_> {
             _ => VERSIONS[1],
         });
         let tls = section.section("tls").and_then(|tls| self.tls(&tls));
-        let mut routes = Vec::new();
+        let (mut routes, mut passed) = (Vec::new(), Vec::new());
         for read in section.list("read") {
             let mut fields = self.fields(&read.or_defaults("fields"));
             fields.robot = read.text("robot_at").map(|at| Place::at(&at));
@@ -79,7 +79,12 @@ impl Check<'_> {
         }
         for vda in section.list("vda5050") {
             let negate = vda.text("current").is_some_and(|word| &*word == "discharge_negative");
-            routes.extend(self.route(vda.text("topic"), Fields::vda5050(negate)));
+            let route = self.route(vda.text("topic"), Fields::vda5050(negate));
+            let to = vda.text("pass_on");
+            let pass_on =
+                to.as_ref().and_then(|to| self.checked(to, Template::parse(to, self.fleet, true)));
+            passed.extend(to.zip(pass_on.clone()));
+            routes.extend(route.map(|route| Route { pass_on, ..route }));
         }
         let vizier = section.section("vizier").map(|section| {
             let fields = section.section("fields").map(|fields| self.fields(&fields));
@@ -89,6 +94,9 @@ impl Check<'_> {
                 fields: fields.unwrap_or_else(vizier::status_fields),
             }
         });
+        for (text, topic) in &passed {
+            self.apart_from_routes(text, topic, robots, &routes);
+        }
         let mut writes = Vec::new();
         for write in section.list("write") {
             let Some(topic) = write.text("topic") else { continue };
@@ -135,7 +143,7 @@ impl Check<'_> {
         let named =
             is_named.then_some(()).ok_or("needs {robot}, or else `robot_at`: one of the two");
         self.checked(&topic, named)?;
-        Some(Route { name: topic.to_string(), pattern, fields })
+        Some(Route { name: topic.to_string(), pattern, fields, pass_on: None })
     }
 
     fn fields(&mut self, section: &Section<'_>) -> Fields {
@@ -201,15 +209,7 @@ impl Check<'_> {
         let what: What = section.word("what")?;
         let template = Template::parse(topic, self.fleet, what.is_of_robot());
         let template = self.checked(topic, template)?;
-        // A topic without a robot is the same for all robots.
-        let mut written = robots.iter().map(|(_, robot)| template.of(robot));
-        let reads = written.find_map(|written| {
-            let mut routes = routes.iter();
-            routes.find(|route| route.pattern.matches(&written).is_some())
-        });
-        let apart = reads
-            .map_or(Ok(()), |route| Err(format!("is written, and {} reads it too", route.name)));
-        self.checked(topic, apart)?;
+        self.apart_from_routes(topic, &template, robots, routes)?;
         let usual_s = if what == What::Budget { 5.0 } else { 1.0 };
         let every = Self::every(section, "every_s", usual_s);
         let fields = if section.has("fields") {
@@ -224,6 +224,25 @@ impl Check<'_> {
             retain: section.flag("retain").unwrap_or(what.is_kept()),
             fields,
         })
+    }
+
+    /// Refuses to write a topic that is read.
+    fn apart_from_routes(
+        &mut self,
+        text: &Text,
+        topic: &Template,
+        robots: &Robots,
+        routes: &[Route],
+    ) -> Option<()> {
+        // A topic without a robot is the same for all robots.
+        let mut written = robots.iter().map(|(_, robot)| topic.of(robot));
+        let reads = written.find_map(|written| {
+            let mut routes = routes.iter();
+            routes.find(|route| route.pattern.matches(&written).is_some())
+        });
+        let apart = reads
+            .map_or(Ok(()), |route| Err(format!("is written, and {} reads it too", route.name)));
+        self.checked(text, apart)
     }
 
     /// Refuses topics of a vizier's nodes: those receive only this bridge's requests, and nobody

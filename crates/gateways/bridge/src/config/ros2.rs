@@ -12,6 +12,7 @@ use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{BatteryFields, RosRoute};
 use crate::mapping::ros::names::{check_topic, read_type};
 use crate::mapping::ros::outgoing::RosWhat;
+use crate::mapping::ros::services::Service;
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Quantity;
 
@@ -30,6 +31,8 @@ pub(crate) struct Ros2Settings {
     pub(crate) networks: Vec<Ipv4Addr>,
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) writes: Vec<RosWrite>,
+    /// Services and their names.
+    pub(crate) services: Vec<(Service, String)>,
 }
 
 /// Topics to write, one for each robot or one for the fleet.
@@ -62,11 +65,23 @@ impl Check<'_> {
             let remedy = format!("Allowed: {MAX_TOPICS}. Run several bridges");
             self.add(section.problem("", what, &remedy));
         }
-        if routes.is_empty() && writes.is_empty() && self.problems.len() == before {
-            let what = "neither reads nor writes".to_owned();
+        let services: Vec<(Service, String)> = Service::ALL
+            .into_iter()
+            .filter_map(|it| Some((it, self.service(section, it)?)))
+            .collect();
+        let is_idle = routes.is_empty() && writes.is_empty() && services.is_empty();
+        if is_idle && self.problems.len() == before {
+            let what = "neither reads nor writes, and has no service".to_owned();
             self.add(section.problem("", what, "Add [[ros2.read]] or [[ros2.write]]"));
         }
-        Some(Ros2Settings { domain_id, networks, routes, writes })
+        Some(Ros2Settings { domain_id, networks, routes, writes, services })
+    }
+
+    /// The name of a service, if the file has it.
+    fn service(&mut self, section: &Section<'_>, service: Service) -> Option<String> {
+        let name = section.text(service.key())?;
+        self.checked(&name, check_topic(&name))?;
+        Some(name.to_string())
     }
 
     /// The domain of the file, else of the variable as in every ROS 2 program, else 0.
@@ -145,6 +160,7 @@ impl Check<'_> {
         let usual = || match (what, &value) {
             (RosWhat::Diagnostics, _) => "/diagnostics".to_owned(),
             (RosWhat::Budget, _) => "/{robot}/joulebus/budget".to_owned(),
+            (RosWhat::Outlook, _) => "/{robot}/joulebus/outlook".to_owned(),
             (RosWhat::Value, Some(field)) => format!("/{{robot}}/joulebus/{}", field.value),
             _ => "/{robot}/joulebus/forecast".to_owned(),
         };

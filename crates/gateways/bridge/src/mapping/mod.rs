@@ -13,4 +13,5 @@ pub(crate) mod ros;
 pub(crate) mod route;
 pub(crate) mod topic;
 pub(crate) mod units;
+pub(crate) mod vda5050;
 pub(crate) mod vizier;

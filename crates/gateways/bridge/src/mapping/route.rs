@@ -8,7 +8,7 @@ use crate::mapping::account::{Account, Reason};
 use crate::mapping::fields::Fields;
 use crate::mapping::observation::Observation;
 use crate::mapping::robots::Robots;
-use crate::mapping::topic::Pattern;
+use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::vizier;
 
 /// Number of rounds after which a request counts as unanswered.
@@ -27,6 +27,16 @@ pub(crate) struct Route {
     pub(crate) name: String,
     pub(crate) pattern: Pattern,
     pub(crate) fields: Fields,
+    /// The topic on which a state of VDA 5050 is passed on.
+    pub(crate) pass_on: Option<Template>,
+}
+
+/// A state of VDA 5050 that is to be passed on.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct State {
+    pub(crate) robot: u32,
+    pub(crate) topic: String,
+    pub(crate) document: Value,
 }
 
 /// A received message.
@@ -45,6 +55,8 @@ pub(crate) struct Reader {
     robots: Robots,
     max_bytes: usize,
     vizier: Option<Vizier>,
+    /// States to pass on, in the order in which they came.
+    states: Vec<State>,
 }
 
 /// The pending requests to a vizier's nodes.
@@ -63,7 +75,7 @@ struct Vizier {
 impl Reader {
     /// Creates a reader of payloads up to `max_bytes`.
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
-        Self { routes, robots, max_bytes, vizier: None }
+        Self { routes, robots, max_bytes, vizier: None, states: Vec::new() }
     }
 
     /// Adds the answers of a vizier to `client`.
@@ -102,7 +114,9 @@ impl Reader {
         });
         for (route, robot) in matching {
             let reading = Reading { route: &route.name, message, account };
-            if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.max_bytes) {
+            let max_bytes = self.max_bytes;
+            let seen = reading.seen(route, robot, &self.robots, max_bytes, &mut self.states);
+            if let Some((robot, seen)) = seen {
                 take(robot, &seen);
             }
         }
@@ -116,6 +130,11 @@ impl Reader {
                 take(robot, &seen);
             }
         }
+    }
+
+    /// The states that came since the last call.
+    pub(crate) fn take_states(&mut self) -> Vec<State> {
+        std::mem::take(&mut self.states)
     }
 
     /// Counts a message that was not read, by each route that its topic fits.
@@ -236,6 +255,7 @@ impl Reading<'_> {
         robot: Option<&str>,
         robots: &Robots,
         max_bytes: usize,
+        states: &mut Vec<State>,
     ) -> Option<(u32, Observation)> {
         // Look up a name in the topic first, so that messages about other robots are not parsed.
         let id = robot.map(|name| self.id(name, robots));
@@ -254,6 +274,10 @@ impl Reading<'_> {
                 (name, id)
             }
         };
+        if let Some(topic) = &route.pass_on {
+            let (topic, document) = (topic.of(&robot), document.clone());
+            states.push(State { robot: id, topic, document });
+        }
         if let Some(standard) = route.fields.standard
             && let Some(version) = standard.unknown_version(&document)
         {
@@ -332,6 +356,7 @@ mod tests {
                 robot,
                 ..Fields::default()
             },
+            pass_on: None,
         }
     }
 

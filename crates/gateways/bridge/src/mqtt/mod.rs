@@ -275,6 +275,7 @@ impl Mqtt {
                 self.reader.read(message, &mut account, |robot, seen| {
                     shared.intake().take(robot, seen, at_ns);
                 });
+                shared.add_states(self.reader.take_states());
             }
             Incoming::TooLong { topic } => self.skip(Reason::TooLong, &topic),
             Incoming::Malformed { topic } => self.skip(Reason::WrongEncoding, &topic),

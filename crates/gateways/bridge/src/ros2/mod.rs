@@ -3,6 +3,7 @@
 //! One thread takes messages. DDS has two threads of its own, and finds participants again that
 //! have left.
 
+mod answering;
 mod raw;
 mod reading;
 mod rmw;
@@ -19,7 +20,7 @@ use futures_util::stream::SelectAll;
 use joulebus_program::output::say;
 use joulebus_ros_messages::encode;
 use rustdds::dds::{CreateError, ReadError};
-use rustdds::no_key::DataReader;
+use rustdds::no_key::{DataReader, DataSample};
 use rustdds::policy::{Durability, History, ResourceLimits};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, GUID, Publisher,
@@ -33,14 +34,17 @@ use crate::config::{Ros2Settings, RosWrite};
 use crate::mapping::account::Reason;
 use crate::mapping::ros::discovery::{GRAPH, ParticipantEntities, announced};
 use crate::mapping::ros::incoming::Received;
-use crate::mapping::ros::names::{dds_topic, dds_type};
+use crate::mapping::ros::names::{dds_topic, dds_type, ros_type};
 use crate::mapping::ros::outgoing::RosWhat;
+use crate::mapping::ros::services::Service;
+use crate::ros2::answering::Asked;
 use crate::ros2::raw::Raw;
 use crate::ros2::reading::{POLL_INTERVAL, Ros2Error};
 use crate::ros2::sink::Topic;
-use crate::ros2::writer::{DdsWriter, Writer};
+use crate::ros2::writer::{Client, DdsWriter, Writer};
 use crate::shared::Shared;
 
+pub(crate) use answering::{Answering, MAX_REQUESTS};
 pub(crate) use reading::Reading;
 pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
@@ -66,11 +70,18 @@ struct Incoming {
     reader: DataReader<Received, Raw>,
 }
 
+/// Services keep this many requests and responses, as in their profile of ROS 2.
+const SERVICE_DEPTH: i32 = 10;
+/// The first bytes of ids of Cyclone DDS: its number as a vendor.
+const CYCLONE: [u8; 2] = [1, 0x10];
+
 /// The open participant and its readers.
 pub(crate) struct Ros2 {
     participant: DomainParticipant,
     reading: Reading,
     incoming: Vec<Incoming>,
+    /// Readers of requests, and the services' names.
+    services: Vec<(DataReader<Received, Raw>, String)>,
     /// The topic of each of our endpoints, for error messages.
     endpoints: HashMap<GUID, String>,
     /// Announces the node to participants that come later.
@@ -78,8 +89,8 @@ pub(crate) struct Ros2 {
 }
 
 impl Ros2 {
-    /// Joins the domain and opens all topics. The threads of DDS inherit the priority of the
-    /// calling thread.
+    /// Joins the domain and opens all topics and services, whose writers of responses it returns.
+    /// The threads of DDS inherit the priority of the calling thread.
     ///
     /// # Errors
     /// [`Ros2Error`].
@@ -87,7 +98,7 @@ impl Ros2 {
         settings: &Ros2Settings,
         reading: Reading,
         sink: &mut RosSink,
-    ) -> Result<Self, Ros2Error> {
+    ) -> Result<(Self, Vec<Writer>), Ros2Error> {
         allow_descriptors();
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if !settings.networks.is_empty() {
@@ -102,22 +113,27 @@ impl Ros2 {
             participant,
             reading,
             incoming: Vec::new(),
+            services: Vec::new(),
             endpoints: HashMap::new(),
             graph: None,
         };
         ros.open_readers(&subscriber)?;
         let topics = settings.writes.iter().map(|write| ros.open_writers(&publisher, write));
         let topics = topics.collect::<Result<Vec<Topic>, Ros2Error>>()?;
+        let services = settings.services.iter();
+        let services = services.map(|it| ros.open_service(it, &subscriber, &publisher));
+        let repliers = services.collect::<Result<Vec<Writer>, Ros2Error>>()?;
         let written: usize = topics.iter().map(|topic| topic.writers.len()).sum();
         say(&format!(
-            "in ROS domain {} as participant {}: {} topics read, {written} written",
+            "in ROS domain {} as participant {}: {} topics read, {written} written, {} services",
             settings.domain_id,
             ros.participant.participant_id(),
             ros.incoming.len(),
+            repliers.len(),
         ));
-        ros.announce_node(&publisher, &sink.name, &topics)?;
+        ros.announce_node(&publisher, &sink.name)?;
         sink.topics = topics;
-        Ok(ros)
+        Ok((ros, repliers))
     }
 
     fn open_readers(&mut self, subscriber: &Subscriber) -> Result<(), Ros2Error> {
@@ -131,9 +147,9 @@ impl Ros2 {
         for (place, route) in self.reading.routes.iter().enumerate() {
             for (robot, name) in self.reading.robots.iter() {
                 let name = route.topic.of(name);
-                let kind = dds_type(route.kind);
+                let kind = dds_type(ros_type(route.kind));
                 let opened = self
-                    .topic(&name, &kind, &qos)
+                    .topic(dds_topic(&name), kind, &qos)
                     .and_then(|topic| subscriber.create_datareader_no_key(&topic, None));
                 let reader: DataReader<Received, Raw> = opened.map_err(|source| {
                     let topic = name.clone();
@@ -160,7 +176,7 @@ impl Ros2 {
             .reliable(rustdds::Duration::ZERO)
             .durability(match write.what {
                 RosWhat::Budget | RosWhat::Diagnostics => Durability::TransientLocal,
-                RosWhat::Forecast | RosWhat::Value => Durability::Volatile,
+                RosWhat::Forecast | RosWhat::Outlook | RosWhat::Value => Durability::Volatile,
             })
             .history(History::KeepLast { depth: 1 })
             .resource_limits(ResourceLimits {
@@ -178,7 +194,7 @@ impl Ros2 {
         let mut writers = BTreeMap::new();
         for (robot, name) in robots {
             let opened = self
-                .topic(&name, write.what.dds_type(), &qos)
+                .topic(dds_topic(&name), dds_type(write.what.type_name()), &qos)
                 .and_then(|topic| publisher.create_datawriter_no_key(&topic, None));
             let writer: DdsWriter = opened.map_err(|source| {
                 let topic = name.clone();
@@ -191,30 +207,51 @@ impl Ros2 {
         Ok(Topic { write: write.clone(), writers, due_ns: 0 })
     }
 
-    /// Announces the node with its endpoints in the graph of ROS 2.
-    fn announce_node(
+    /// Opens a service, and returns the writer of its responses.
+    fn open_service(
         &mut self,
+        (service, name): &(Service, String),
+        subscriber: &Subscriber,
         publisher: &Publisher,
-        bridge: &str,
-        topics: &[Topic],
-    ) -> Result<(), Ros2Error> {
+    ) -> Result<Writer, Ros2Error> {
+        let qos = QosPolicyBuilder::new()
+            .reliable(rustdds::Duration::ZERO)
+            .durability(Durability::Volatile)
+            .history(History::KeepLast { depth: SERVICE_DEPTH })
+            .build();
+        let [(asks, request), (replies, response)] = service.topics(name);
+        let opened = self.topic(asks, request, &qos).and_then(|asks| {
+            let replies = self.topic(replies, response, &qos)?;
+            let reader = subscriber.create_datareader_no_key(&asks, None)?;
+            Ok((reader, publisher.create_datawriter_no_key(&replies, None)?))
+        });
+        let topic = name.clone();
+        let (reader, writer): (DataReader<Received, Raw>, DdsWriter) =
+            opened.map_err(|source| Ros2Error::Topic { topic, source })?;
+        self.endpoints.extend([(reader.guid(), name.clone()), (writer.guid(), name.clone())]);
+        self.services.push((reader, name.clone()));
+        Ok(Writer::Dds(Box::new(writer)))
+    }
+
+    /// Announces the node with its endpoints in the graph of ROS 2.
+    fn announce_node(&mut self, publisher: &Publisher, bridge: &str) -> Result<(), Ros2Error> {
         let (name, kind) = GRAPH;
         let qos = QosPolicyBuilder::new()
             .reliable(rustdds::Duration::ZERO)
             .durability(Durability::TransientLocal)
             .history(History::KeepLast { depth: 1 })
             .build();
-        let (name, kind) = (name.to_owned(), kind.to_owned());
+        let name = name.to_owned();
         let opened = self
-            .participant
-            .create_topic(name.clone(), kind, &qos, TopicKind::NoKey)
+            .topic(name.clone(), kind.to_owned(), &qos)
             .and_then(|topic| publisher.create_datawriter_no_key(&topic, None));
         let graph: DdsWriter = opened.map_err(|source| Ros2Error::Topic { topic: name, source })?;
-        let readers = self.incoming.iter().map(|it| it.reader.guid().to_bytes()).collect();
-        let writers = topics.iter().flat_map(|topic| topic.writers.values());
-        let writers = writers.filter_map(Writer::guid).map(|guid| guid.to_bytes()).collect();
+        let (readers, writers): (Vec<GUID>, Vec<GUID>) =
+            self.endpoints.keys().partition(|guid| guid.entity_id.kind().is_reader());
+        let bytes = |guids: Vec<GUID>| guids.into_iter().map(|guid| guid.to_bytes()).collect();
         let participant = self.participant.guid().to_bytes();
-        let entities = ParticipantEntities::new(participant, bridge, (readers, writers));
+        let entities =
+            ParticipantEntities::new(participant, bridge, (bytes(readers), bytes(writers)));
         let is_sent = encode(&entities).is_ok_and(|message| graph.write(message, None).is_ok());
         if !is_sent {
             tracing::warn!("the node of ROS 2's graph is not announced");
@@ -223,8 +260,12 @@ impl Ros2 {
         Ok(())
     }
 
-    fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<DdsTopic, CreateError> {
-        let (name, kind) = (dds_topic(name), kind.to_owned());
+    fn topic(
+        &self,
+        name: String,
+        kind: String,
+        qos: &QosPolicies,
+    ) -> Result<DdsTopic, CreateError> {
         self.participant.create_topic(name, kind, qos, TopicKind::NoKey)
     }
 
@@ -244,6 +285,11 @@ impl Ros2 {
             let stream = incoming.reader.async_sample_stream();
             messages.push(stream.map(move |read| (of, read)));
         }
+        let (mut requests, mut names) = (SelectAll::new(), Vec::new());
+        for (place, (reader, name)) in std::mem::take(&mut self.services).into_iter().enumerate() {
+            requests.push(reader.async_sample_stream().map(move |read| (place, read)));
+            names.push(name);
+        }
         let listener = self.participant.status_listener();
         let mut events = pin!(listener.as_async_status_stream());
         let mut seen = HashSet::new();
@@ -257,10 +303,38 @@ impl Ros2 {
                     Err(ReadError::UnknownKey { .. }) => {}
                     Err(error) => return Err(Ros2Error::Ended(error)),
                 },
+                Some((place, read)) = requests.next() => match read {
+                    Ok(sample) => self.ask((place, &names[place]), sample),
+                    Err(ReadError::Deserialization { .. } | ReadError::UnknownKey { .. }) => {}
+                    Err(error) => return Err(Ros2Error::Ended(error)),
+                },
                 Some(event) = events.next() => self.heed(event, &mut seen),
                 () = closed(&self.reading.shared) => return Ok(()),
             }
         }
+    }
+
+    /// Takes a request. Responses name it as its client's vendor does.
+    fn ask(&self, (service, name): (usize, &str), sample: DataSample<Received>) {
+        let about = sample.sample_info();
+        let (mut identity, related) = (about.sample_identity(), about.related_sample_identity());
+        let is_cyclone = identity.writer_guid.to_bytes()[..2] == CYCLONE;
+        // Fast DDS names the client's reader beside the request.
+        let reader = related.map(|related| related.writer_guid);
+        if let Some(reader) = reader.filter(|reader| *reader != GUID::GUID_UNKNOWN) {
+            identity.writer_guid = reader;
+        }
+        let mut request = sample.into_value();
+        let client = if is_cyclone {
+            let Some(header) = request.split_header() else {
+                let mut account = self.reading.shared.account();
+                return account.count(name, Reason::NotCdr, "a request");
+            };
+            Client::Header(header)
+        } else {
+            Client::Sample(identity)
+        };
+        self.reading.ask(Asked { service, client, request }, name);
     }
 
     /// Handles an event of discovery.
@@ -271,7 +345,7 @@ impl Ros2 {
                 let is_new = seen.len() < MAX_ANNOUNCED && seen.insert(writer.guid);
                 if is_new {
                     let topic = (writer.topic_name.as_str(), writer.type_name.as_str());
-                    let Reading { routes, robots, shared } = &self.reading;
+                    let Reading { routes, robots, shared, .. } = &self.reading;
                     announced(routes, robots, topic, &mut shared.account());
                 }
             }

@@ -14,7 +14,7 @@ const ENCODINGS: &[RepresentationIdentifier] =
 
 /// Serialises bytes as they are.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Raw;
+pub(crate) struct Raw;
 
 impl DeserializerAdapter<Received> for Raw {
     type Error = Infallible;

@@ -1,6 +1,7 @@
 //! What both middlewares share: the account of messages, and errors.
 
 use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use joulebus_bus::clock;
@@ -9,6 +10,7 @@ use rustdds::dds::{CreateError, ReadError};
 use crate::mapping::account::Reason;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{Received, RosRoute};
+use crate::ros2::answering::Asked;
 use crate::shared::Shared;
 
 /// Delay until a stop is noticed.
@@ -40,9 +42,20 @@ pub(crate) struct Reading {
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) robots: Robots,
     pub(crate) shared: Arc<Shared>,
+    /// Where requests of services go.
+    pub(crate) requests: SyncSender<Asked>,
 }
 
 impl Reading {
+    /// Takes a request of the service `name`. Counts it if too many wait.
+    pub(super) fn ask(&self, asked: Asked, name: &str) {
+        self.shared.count_message();
+        if self.requests.try_send(asked).is_err() {
+            self.shared.account().count(name, Reason::NoAnswer, "a request");
+            self.shared.log_news();
+        }
+    }
+
     /// Takes a message. `None` for one that has no encoding, which is counted.
     pub(super) fn take(
         &self,

@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex};
 
 use joulebus_program::installed::find_program;
 use joulebus_program::output::say;
+use joulebus_ros_messages::type_hash;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
@@ -18,15 +19,17 @@ use crate::config::Ros2Settings;
 use crate::mapping::account::Reason;
 use crate::mapping::ros::discovery::announced;
 use crate::mapping::ros::incoming::{MAX_BYTES, Received};
-use crate::mapping::ros::names::{dds_topic, dds_type, node_name};
+use crate::mapping::ros::names::{dds_topic, dds_type, node_name, ros_type};
+use crate::ros2::answering::Asked;
 use crate::ros2::reading::{POLL_INTERVAL, Reading, Ros2Error};
 use crate::ros2::sink::{RosSink, Topic};
-use crate::ros2::writer::{Writer, ZenohWriter};
+use crate::ros2::writer::{Client, Writer, ZenohWriter};
 
 /// Index of frames that are no message.
 const NOTICE: u32 = u32::MAX;
-/// Maximum size of a frame of the child. It shortens what is longer than a message may be.
-const MAX_FRAME_BYTES: usize = MAX_BYTES + 1;
+/// Maximum size of a frame of the child: the number of a request, and a message. It shortens what
+/// is longer than a message may be.
+const MAX_FRAME_BYTES: usize = 8 + MAX_BYTES + 1;
 /// The variable by which every ROS 2 program chooses its middleware.
 const VARIABLE: &str = "RMW_IMPLEMENTATION";
 
@@ -45,11 +48,13 @@ pub(crate) struct Zenoh {
     buffer: Vec<u8>,
     /// Route and robot of each read topic.
     incoming: Vec<(usize, u32)>,
+    /// Names of services. Their indices follow those of the read topics.
+    services: Vec<String>,
     reading: Reading,
 }
 
 impl Zenoh {
-    /// Starts the child and opens all topics.
+    /// Starts the child and opens all topics and services, whose writers of responses it returns.
     ///
     /// # Errors
     /// There is no such program, or it has ended.
@@ -57,12 +62,12 @@ impl Zenoh {
         settings: &Ros2Settings,
         reading: Reading,
         sink: &mut RosSink,
-    ) -> Result<Self, Ros2Error> {
+    ) -> Result<(Self, Vec<Writer>), Ros2Error> {
         let (mut incoming, mut read, mut write) = (Vec::new(), Vec::new(), Vec::new());
         for (place, route) in reading.routes.iter().enumerate() {
             for (robot, name) in reading.robots.iter() {
                 incoming.push((place, robot));
-                read.push(json!({"topic": route.topic.of(name), "type": dds_type(route.kind)}));
+                read.push(topic(&route.topic.of(name), ros_type(route.kind)));
             }
         }
         let mut topics: Vec<Vec<(u32, u32)>> = Vec::new();
@@ -72,22 +77,23 @@ impl Zenoh {
             let mut places = Vec::new();
             for (robot, name) in of_robot.chain(of_fleet) {
                 places.push((robot, write.len() as u32));
-                write.push(json!({"topic": wanted.topic.of(name), "type": wanted.what.dds_type()}));
+                write.push(topic(&wanted.topic.of(name), wanted.what.type_name()));
             }
             topics.push(places);
         }
         let name = node_name(&sink.name);
         let node = json!({"domain_id": settings.domain_id, "name": name});
-        let asked = json!({"node": node, "read": read, "write": write});
+        let served = settings.services.iter();
+        let serve: Vec<Value> = served.map(|(it, name)| topic(name, it.type_name())).collect();
+        let asked = json!({"node": node, "read": read, "write": write, "serve": serve});
         let (child, input, output) = start(&asked).map_err(Ros2Error::Zenoh)?;
         let input = Arc::new(Mutex::new(input));
+        let writer = |place| Writer::Zenoh(ZenohWriter { input: Arc::clone(&input), topic: place });
         sink.topics = settings
             .writes
             .iter()
             .zip(topics)
             .map(|(wanted, places)| {
-                let writer =
-                    |topic| Writer::Zenoh(ZenohWriter { input: Arc::clone(&input), topic });
                 let writers = places.into_iter().map(|(robot, topic)| (robot, writer(topic)));
                 Topic {
                     write: wanted.clone(),
@@ -96,18 +102,28 @@ impl Zenoh {
                 }
             })
             .collect();
-        let mut zenoh =
-            Self { child, _input: input, output, buffer: Vec::new(), incoming, reading };
+        let repliers = (0..serve.len()).map(|place| writer((write.len() + place) as u32)).collect();
+        let services = settings.services.iter().map(|(_, name)| name.clone()).collect();
+        let mut zenoh = Self {
+            child,
+            _input: Arc::clone(&input),
+            output,
+            buffer: Vec::new(),
+            incoming,
+            services,
+            reading,
+        };
         while zenoh.frame().is_none() {
             zenoh.receive()?;
         }
         say(&format!(
-            "in ROS domain {} over zenoh as node /{name}: {} topics read, {} written",
+            "in ROS domain {} over zenoh as node /{name}: {} topics read, {} written, {} services",
             settings.domain_id,
             read.len(),
-            write.len()
+            write.len(),
+            serve.len()
         ));
-        Ok(zenoh)
+        Ok((zenoh, repliers))
     }
 
     /// Takes messages until the bridge stops.
@@ -161,17 +177,22 @@ impl Zenoh {
             let mut lines = std::str::from_utf8(message).unwrap_or_default().lines();
             if let (Some(topic), Some(kind)) = (lines.next(), lines.next()) {
                 let topic = dds_topic(topic);
-                let Reading { routes, robots, shared } = &self.reading;
+                let Reading { routes, robots, shared, .. } = &self.reading;
                 announced(routes, robots, (&topic, kind), &mut shared.account());
                 shared.log_news();
             }
             return;
         }
-        let of = self.incoming.get(index as usize).copied();
-        let received = message.split_first_chunk::<4>();
-        let received = received.map(|([one, two, ..], body)| Received::new([*one, *two], body));
-        if let Some(of) = of {
-            self.reading.take(of, received.as_ref(), Reason::NotCdr);
+        let index = index as usize;
+        if let Some(of) = self.incoming.get(index).copied() {
+            return self.reading.take(of, received(message).as_ref(), Reason::NotCdr);
+        }
+        let service = index - self.incoming.len();
+        let request = message.split_first_chunk();
+        let request = request.and_then(|(number, message)| Some((number, received(message)?)));
+        if let (Some(name), Some((number, request))) = (self.services.get(service), request) {
+            let client = Client::Query(u64::from_le_bytes(*number));
+            self.reading.ask(Asked { service, client, request }, name);
         }
     }
 }
@@ -181,6 +202,17 @@ impl Drop for Zenoh {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// A topic or service as the child is told of it.
+fn topic(name: &str, kind: &str) -> Value {
+    json!({"topic": name, "type": dds_type(kind), "hash": type_hash(kind)})
+}
+
+/// A message with its encapsulation header.
+fn received(message: &[u8]) -> Option<Received> {
+    let ([one, two, ..], body) = message.split_first_chunk::<4>()?;
+    Some(Received::new([*one, *two], body))
 }
 
 fn start(asked: &Value) -> anyhow::Result<(Child, ChildStdin, ChildStdout)> {

@@ -11,8 +11,8 @@ use crate::config::RosWrite;
 use crate::mapping::outgoing::values;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::{
-    RosWhat, add_implausible, budget, diagnostics, forecast, robot_status, unknown_status, value,
-    worker_status,
+    RosWhat, add_implausible, budget, diagnostics, forecast, outlook as outlook_message,
+    robot_status, unknown_status, value, worker_status,
 };
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::ros2::writer::Writer;
@@ -45,7 +45,10 @@ impl Counts {
     }
 
     fn write(&self, writer: &Writer, message: Result<Vec<u8>, RosError>) {
-        let is_sent = message.is_ok_and(|message| writer.write(message));
+        self.count(message.is_ok_and(|message| writer.write(message)));
+    }
+
+    pub(super) fn count(&self, is_sent: bool) {
         let count = if is_sent { &self.sent } else { &self.lost };
         count.fetch_add(1, Ordering::Relaxed);
     }
@@ -101,6 +104,7 @@ impl RosSink {
             let values = values((*robot, name), &row.newest(), outlook, unix_ns);
             let voltage_v = self.shared.intake().voltage_v(*robot, times.now_ns);
             let message = match (topic.write.what, &topic.write.value) {
+                (RosWhat::Outlook, _) => encode(&outlook_message(name, &values)),
                 (RosWhat::Budget, _) => encode(&budget(name, &values, voltage_v)),
                 (RosWhat::Value, Some(field)) => encode(&value(field, &values)),
                 _ => encode(&forecast(name, &values, voltage_v)),

@@ -5,11 +5,11 @@ use std::process::ChildStdin;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rustdds::no_key::DataWriter;
-use rustdds::{GUID, RTPSEntity as _};
+use rustdds::{SampleIdentity, WriteOptionsBuilder};
 
 use crate::ros2::raw::Raw;
 
-pub(super) type DdsWriter = DataWriter<Vec<u8>, Raw>;
+pub(crate) type DdsWriter = DataWriter<Vec<u8>, Raw>;
 
 /// A writer of encoded messages.
 pub(crate) enum Writer {
@@ -17,38 +17,57 @@ pub(crate) enum Writer {
     Zenoh(ZenohWriter),
 }
 
-impl Writer {
-    /// Its id in DDS.
-    pub(super) fn guid(&self) -> Option<GUID> {
-        match self {
-            Self::Dds(writer) => Some(writer.guid()),
-            Self::Zenoh(_) => None,
-        }
-    }
+/// The client of a service whose request is answered.
+pub(crate) enum Client {
+    /// Fast DDS and others: the response names the request beside its bytes.
+    Sample(SampleIdentity),
+    /// Cyclone DDS: the response begins with the header of the request, in little endian.
+    Header([u8; 16]),
+    /// The number of the child's query.
+    Query(u64),
+}
 
+impl Writer {
     /// Whether the message is on its way.
     pub(super) fn write(&self, message: Vec<u8>) -> bool {
         match self {
             Self::Dds(writer) => writer.write(message, None).is_ok(),
-            Self::Zenoh(writer) => writer.write(&message).is_ok(),
+            Self::Zenoh(writer) => writer.write(&[], &message).is_ok(),
+        }
+    }
+
+    /// Writes a response. Returns whether it is on its way.
+    pub(super) fn reply(&self, client: &Client, message: Vec<u8>) -> bool {
+        match (self, client) {
+            (Self::Dds(writer), Client::Sample(request)) => {
+                let options = WriteOptionsBuilder::new().related_sample_identity(*request).build();
+                writer.write_with_options(message, options).is_ok()
+            }
+            (_, Client::Header(header)) => self.write([header.as_slice(), &message].concat()),
+            (Self::Zenoh(writer), Client::Query(number)) => {
+                writer.write(&number.to_le_bytes(), &message).is_ok()
+            }
+            _ => false,
         }
     }
 }
 
-/// The input of the child, and the topic that is written.
-pub(super) struct ZenohWriter {
+/// The input of the child, and the topic or service that is written.
+pub(crate) struct ZenohWriter {
     pub(super) input: Arc<Mutex<ChildStdin>>,
     pub(super) topic: u32,
 }
 
 impl ZenohWriter {
-    fn write(&self, message: &[u8]) -> io::Result<()> {
+    /// Writes a frame: the number of a query, if it is a response, and the message.
+    fn write(&self, number: &[u8], message: &[u8]) -> io::Result<()> {
         let mut input = self.input.lock().unwrap_or_else(PoisonError::into_inner);
         // The encapsulation says that the message is CDR in little endian. DDS adds it by itself.
-        let mut head = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0];
-        head[..4].copy_from_slice(&self.topic.to_le_bytes());
-        head[4..8].copy_from_slice(&(4 + message.len() as u32).to_le_bytes());
-        input.write_all(&head)?;
+        let encapsulation = [0, 1, 0, 0];
+        let length = number.len() + encapsulation.len() + message.len();
+        input.write_all(&self.topic.to_le_bytes())?;
+        input.write_all(&(length as u32).to_le_bytes())?;
+        input.write_all(&[number, &encapsulation].concat())?;
         input.write_all(message)
     }
 }

@@ -6,48 +6,21 @@
 
 /// The prefix of all tokens.
 const SPACE: &str = "@ros2_lv";
-/// A publisher's default quality of service but for its depth: reliable, volatile, keep last.
+/// The default quality of service of publishers and services but for its depth: reliable, volatile,
+/// keep last.
 const RELIABLE: &str = "::,10:,:,:,,";
 /// ROS 2's profile of sensor data: best effort, volatile, keep the last 5.
 const SENSOR_DATA: &str = "2::,5:,:,:,,";
-/// Types that are read or written, and the hashes of their definitions (RIHS01, ROS 2 Iron and
-/// later).
-const HASHES: [(&str, &str); 6] = [
-    (
-        "sensor_msgs::msg::dds_::BatteryState_",
-        "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741",
-    ),
-    (
-        "geometry_msgs::msg::dds_::Twist_",
-        "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
-    ),
-    (
-        "geometry_msgs::msg::dds_::TwistStamped_",
-        "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
-    ),
-    (
-        "nav_msgs::msg::dds_::Odometry_",
-        "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
-    ),
-    (
-        "std_msgs::msg::dds_::Float64_",
-        "705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
-    ),
-    (
-        "diagnostic_msgs::msg::dds_::DiagnosticArray_",
-        "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
-    ),
-];
-
 /// Bytes of an attachment.
 pub(crate) const ATTACHMENT_BYTES: usize = 33;
 
-/// A topic and its type, by its name in DDS.
+/// A topic or a service, its type by the name in DDS, and the hash of the type's definition.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize)]
 pub(crate) struct Topic {
     pub(crate) topic: String,
     #[serde(rename = "type")]
     pub(crate) kind: String,
+    pub(crate) hash: String,
 }
 
 /// What an endpoint does.
@@ -55,12 +28,13 @@ pub(crate) struct Topic {
 pub(crate) enum Endpoint {
     Publisher,
     Subscription,
+    Service,
 }
 
 impl Topic {
     /// The key of its messages.
     pub(crate) fn key(&self, domain_id: u16) -> String {
-        format!("{domain_id}/{}/{}/{}", self.topic.trim_matches('/'), self.kind, hash(&self.kind))
+        format!("{domain_id}/{}/{}/{}", self.topic.trim_matches('/'), self.kind, self.hash)
     }
 
     /// The keys of its messages with any type and any hash: releases differ in them.
@@ -72,11 +46,6 @@ impl Topic {
     pub(crate) fn is_type_of(&self, key: &str) -> bool {
         key.rsplit('/').nth(1) == Some(&self.kind)
     }
-}
-
-fn hash(kind: &str) -> String {
-    let found = HASHES.iter().find(|(name, _)| *name == kind);
-    found.map_or_else(|| "TypeHashNotSupported".to_owned(), |(_, hash)| format!("RIHS01_{hash}"))
 }
 
 /// A node of the ROS graph.
@@ -106,9 +75,10 @@ impl Node {
         let (kind, quality) = match endpoint {
             Endpoint::Publisher => ("MP", RELIABLE),
             Endpoint::Subscription => ("MS", SENSOR_DATA),
+            Endpoint::Service => ("SS", RELIABLE),
         };
-        let Topic { topic, kind: name } = topic;
-        let (topic, hash) = (topic.replace('/', "%"), hash(name));
+        let Topic { topic, kind: name, hash } = topic;
+        let topic = topic.replace('/', "%");
         format!("{}/{topic}/{name}/{hash}/{quality}", self.token_of(number, kind))
     }
 
@@ -121,8 +91,8 @@ impl Node {
 /// The topic that the token of a publisher announces.
 pub(crate) fn announced(token: &str) -> Option<Topic> {
     let mut parts = token.split('/').skip(9);
-    let (topic, kind) = (parts.next()?, parts.next()?);
-    Some(Topic { topic: topic.replace('%', "/"), kind: kind.to_owned() })
+    let (topic, kind, hash) = (parts.next()?, parts.next()?, parts.next()?);
+    Some(Topic { topic: topic.replace('%', "/"), kind: kind.to_owned(), hash: hash.to_owned() })
 }
 
 /// What each message carries: its number, the time at which it was sent, and the publisher's id,
@@ -136,18 +106,28 @@ pub(crate) fn attachment(number: i64, unix_ns: i64, publisher: u128) -> [u8; ATT
     bytes
 }
 
+/// What a response carries: the number and the id of its request, and the time at which it is sent.
+/// `None` if the request carries anything else.
+pub(crate) fn response(request: &[u8], unix_ns: i64) -> Option<[u8; ATTACHMENT_BYTES]> {
+    let mut bytes: [u8; ATTACHMENT_BYTES] = request.try_into().ok()?;
+    bytes[8..16].copy_from_slice(&unix_ns.to_le_bytes());
+    Some(bytes)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const HASH: &str = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
+
     fn twist() -> Topic {
         let kind = "geometry_msgs::msg::dds_::Twist_".to_owned();
-        Topic { topic: "/robot1/cmd_vel".to_owned(), kind }
+        Topic { topic: "/robot1/cmd_vel".to_owned(), kind, hash: HASH.to_owned() }
     }
 
     #[test]
     fn keys_and_tokens_are_those_of_rmw_zenoh() {
-        let hash = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
+        let hash = HASH;
         let key = twist().key(7);
         assert_eq!(key, format!("7/robot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/{hash}"));
         assert!(twist().is_type_of(&key));
@@ -171,6 +151,16 @@ mod tests {
         assert_eq!(announced(&node.token()), None);
         let subscription = node.endpoint(4, Endpoint::Subscription, &twist());
         assert!(subscription.ends_with("/2::,5:,:,:,,"), "{subscription}");
+        // The example of the design of rmw_zenoh.
+        let (topic, kind) = ("/add_two_ints", "example_interfaces::srv::dds_::AddTwoInts_");
+        let [topic, kind, hash] = [topic, kind, "RIHS01_e118"].map(str::to_owned);
+        let node = Node { domain_id: 2, name: "server".to_owned(), session: "aac3".to_owned() };
+        let service = node.endpoint(10, Endpoint::Service, &Topic { topic, kind, hash });
+        assert_eq!(
+            service,
+            "@ros2_lv/2/aac3/0/10/SS/%/%/server/%add_two_ints/\
+             example_interfaces::srv::dds_::AddTwoInts_/RIHS01_e118/::,10:,:,:,,"
+        );
     }
 
     #[test]
@@ -180,5 +170,8 @@ mod tests {
         (expected[0], expected[8], expected[9]) = (1, 2, 1);
         (expected[16], expected[17]) = (16, 0xa0);
         assert_eq!(bytes, expected);
+        (expected[8], expected[9]) = (3, 0);
+        assert_eq!(response(&bytes, 3), Some(expected));
+        assert_eq!(response(&bytes[1..], 3), None);
     }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::mapping::account::{Account, Reason};
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::RosRoute;
-use crate::mapping::ros::names::{dds_type, node_name, ros_topic};
+use crate::mapping::ros::names::{dds_type, node_name, ros_topic, ros_type};
 
 /// The DDS topic of the graph, and its type.
 pub(crate) const GRAPH: (&str, &str) =
@@ -56,7 +56,7 @@ pub(crate) fn announced(
         };
         if robots.id(robot).is_none() {
             account.count(&route.name, Reason::UnknownRobot, robot);
-        } else if kind != dds_type(route.kind) {
+        } else if kind != dds_type(ros_type(route.kind)) {
             let name = format!("{kind} of {robot}");
             account.count(&route.name, Reason::WrongType, &name);
         }

@@ -64,6 +64,18 @@ impl Received {
         }
         Self { length, bytes }
     }
+
+    /// Takes the header off with which Cyclone DDS begins a request, and returns it in little
+    /// endian: the client's id and the request's number.
+    pub(crate) fn split_header(&mut self) -> Option<[u8; 16]> {
+        let mut header: [u8; 16] = self.bytes.get(4..20)?.try_into().ok()?;
+        if self.bytes[1] == 0 {
+            header[..8].reverse();
+            header[8..].reverse();
+        }
+        self.bytes.drain(4..20);
+        Some(header)
+    }
 }
 
 impl RosRoute {

@@ -4,3 +4,4 @@ pub(crate) mod discovery;
 pub(crate) mod incoming;
 pub(crate) mod names;
 pub(crate) mod outgoing;
+pub(crate) mod services;

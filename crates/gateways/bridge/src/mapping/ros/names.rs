@@ -41,9 +41,11 @@ pub(crate) fn ros_type(kind: RosType) -> &'static str {
     found.map_or("", |(_, name)| name)
 }
 
-/// The name of a type in DDS.
-pub(crate) fn dds_type(kind: RosType) -> String {
-    format!("{}_", ros_type(kind).replace("/msg/", "::msg::dds_::"))
+/// The name in DDS of a type of ROS 2.
+pub(crate) fn dds_type(name: &str) -> String {
+    let mut parts = name.rsplitn(2, '/');
+    let (last, package) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+    format!("{}::dds_::{last}_", package.replace('/', "::"))
 }
 
 /// The name of a topic in DDS.
@@ -104,7 +106,7 @@ mod tests {
         for (name, dds) in
             [("sensor_msgs/msg/BatteryState", battery), ("geometry_msgs/TwistStamped", twist)]
         {
-            assert_eq!(dds_type(read_type(name).unwrap()), dds);
+            assert_eq!(dds_type(ros_type(read_type(name).unwrap())), dds);
         }
         let refused = read_type("std_msgs/msg/Float64").unwrap_err().to_string();
         assert!(refused.contains("nav_msgs/msg/Odometry"), "{refused}");

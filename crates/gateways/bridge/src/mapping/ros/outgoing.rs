@@ -4,10 +4,11 @@
 //! and NaN means unknown. It has no fields for powers. These are published as `std_msgs/Float64`
 //! and among the diagnostics, with their unit in the key.
 
+use joulebus_consumer::wire::OUTLOOK_S;
 use joulebus_publisher::Implausible;
 use joulebus_ros_messages::{
-    BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, RosError, Time,
-    encode,
+    BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Outlook, RosError,
+    Time, encode,
 };
 use serde_json::Value;
 
@@ -45,6 +46,8 @@ pub(crate) enum RosWhat {
     Forecast,
     /// The state of charge of a robot's battery.
     Budget,
+    /// The energy that a robot will draw if it goes on as it does.
+    Outlook,
     /// One value of a robot.
     Value,
     /// Levels, alarms, forecasts and budgets of all robots, and the worker.
@@ -61,17 +64,9 @@ impl RosWhat {
     pub(crate) const fn type_name(self) -> &'static str {
         match self {
             Self::Forecast | Self::Budget => "sensor_msgs/msg/BatteryState",
+            Self::Outlook => "joulebus_msgs/msg/Outlook",
             Self::Value => "std_msgs/msg/Float64",
             Self::Diagnostics => "diagnostic_msgs/msg/DiagnosticArray",
-        }
-    }
-
-    /// Its type in DDS.
-    pub(crate) const fn dds_type(self) -> &'static str {
-        match self {
-            Self::Forecast | Self::Budget => "sensor_msgs::msg::dds_::BatteryState_",
-            Self::Value => "std_msgs::msg::dds_::Float64_",
-            Self::Diagnostics => "diagnostic_msgs::msg::dds_::DiagnosticArray_",
         }
     }
 }
@@ -94,6 +89,24 @@ pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> Bat
         percentage: number(values, "soc") as f32,
         charge: usable_ah as f32,
         ..battery(name, "stamp_unix_ns", values, voltage_v)
+    }
+}
+
+/// The energy that a robot will draw over each horizon.
+pub(crate) fn outlook(name: &str, values: &Object) -> Outlook {
+    let stamp_ns = values.get("stamp_unix_ns").and_then(Value::as_u64);
+    let f32_of = |value: &str| number(values, value) as f32;
+    let energy = |end| OUTLOOK_S.map(|horizon_s| f32_of(&format!("energy_{horizon_s}s_{end}")));
+    Outlook {
+        header: header(stamp_ns.unwrap_or(0), name),
+        horizon_s: OUTLOOK_S,
+        energy_j: energy("j"),
+        energy_lo_j: energy("lo_j"),
+        energy_hi_j: energy("hi_j"),
+        usable_j: f32_of("usable_j"),
+        time_to_empty_s: f32_of("time_to_empty_s"),
+        time_to_empty_lo_s: f32_of("time_to_empty_lo_s"),
+        time_to_empty_hi_s: f32_of("time_to_empty_hi_s"),
     }
 }
 
@@ -281,6 +294,18 @@ mod tests {
             panic!("another type");
         };
         assert_eq!((again.percentage, again.header), (0.5, message.header));
+    }
+
+    #[test]
+    fn an_outlook_has_four_horizons_and_the_time_to_empty() {
+        let mut values = values();
+        values.insert("energy_10s_hi_j".to_owned(), json!(480.5));
+        values.insert("time_to_empty_s".to_owned(), json!(1_800));
+        let message = outlook("r1", &values);
+        assert_eq!(message.horizon_s, [1.0, 10.0, 60.0, 300.0]);
+        assert_eq!((message.energy_hi_j[1], message.time_to_empty_s), (480.5, 1_800.0));
+        assert!(message.energy_hi_j[0].is_nan() && message.energy_j[1].is_nan());
+        assert_eq!((message.usable_j, message.header.frame_id.as_str()), (86_400.0, "r1"));
     }
 
     #[test]

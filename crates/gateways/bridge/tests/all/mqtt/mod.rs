@@ -4,6 +4,7 @@
 pub(crate) mod broker;
 mod kinds;
 mod secure;
+mod vda5050;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -3,6 +3,7 @@
 
 pub(crate) mod peer;
 mod rmw;
+mod services;
 
 use std::net::UdpSocket;
 use std::path::PathBuf;
@@ -61,7 +62,9 @@ fn file(domain: &RosDomain) -> String {
 
 /// A battery of 4 V that is discharged with 4.4 W.
 fn discharging() -> Value {
-    json!({"voltage": 4.0, "current": -1.1, "percentage": 0.8, "power_supply_status": 2})
+    json!({
+        "voltage": 4.0, "current": -1.1, "percentage": 0.8, "power_supply_status": 2, "present": true,
+    })
 }
 
 fn twist() -> Value {

@@ -3,6 +3,7 @@
 Of zenoh it speaks as rmw_zenoh_cpp does in ROS domain 7, and also prints the tokens of the graph.
 
     peer.py DOMAIN|tcp/HOST:PORT < {"say": topic, "type": name, "fields": {...}, "hz": 30} | {"hush": topic} | {"hear": topic, "type": name}
+        | {"call": service, "type": name, "fields": {...}}: twice a second, until "hush"
 """
 
 import dataclasses
@@ -13,10 +14,11 @@ import sys
 import threading
 import time
 
+import zenoh
 from cyclonedds.core import Qos, Policy
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import array, float32, float64, int32, int64, sequence, uint8, uint32, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -157,6 +159,81 @@ class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::P
     node_entities_info_seq: sequence[NodeEntitiesInfo_] = dataclasses.field(default_factory=list)
 
 
+@dataclass
+class Outlook_(IdlStruct, typename="joulebus_msgs::msg::dds_::Outlook_"):
+    header: Header_ = dataclasses.field(default_factory=Header_)
+    horizon_s: array[float32, 4] = dataclasses.field(default_factory=lambda: [0.0] * 4)
+    energy_j: array[float32, 4] = dataclasses.field(default_factory=lambda: [0.0] * 4)
+    energy_lo_j: array[float32, 4] = dataclasses.field(default_factory=lambda: [0.0] * 4)
+    energy_hi_j: array[float32, 4] = dataclasses.field(default_factory=lambda: [0.0] * 4)
+    usable_j: float32 = 0.0
+    time_to_empty_s: float32 = 0.0
+    time_to_empty_lo_s: float32 = 0.0
+    time_to_empty_hi_s: float32 = 0.0
+
+
+@dataclass
+class Answer_(IdlStruct, typename="joulebus_msgs::msg::dds_::Answer_"):
+    robot: str = ""
+    verdict: uint8 = 0
+    reason: str = ""
+    duration_s: float32 = 0.0
+    energy_j: float32 = 0.0
+    energy_lo_j: float32 = 0.0
+    energy_hi_j: float32 = 0.0
+    left_j: float32 = 0.0
+    left_lo_j: float32 = 0.0
+    probability: float32 = 0.0
+    margin_j: float32 = 0.0
+    limiting_leg: int32 = 0
+    turn_back_s: float32 = 0.0
+    caveats: str = ""
+
+
+# Requests and responses begin with the header that rmw_cyclonedds_cpp adds.
+@dataclass
+class WhatIf_Request_(IdlStruct, typename="joulebus_msgs::srv::dds_::WhatIf_Request_"):
+    guid: uint64 = 0
+    number: int64 = 0
+    robots: sequence[str] = dataclasses.field(default_factory=list)
+    coverage: float32 = 0.9
+    path: sequence[Vector3_] = dataclasses.field(default_factory=list)
+    speed_mps: sequence[float64] = dataclasses.field(default_factory=list)
+    return_to_start: bool = False
+    idle_s: float32 = 0.0
+    candidates: uint32 = 1
+    period_s: float32 = 0.0
+    v_mps: sequence[float32] = dataclasses.field(default_factory=list)
+    omega_radps: sequence[float32] = dataclasses.field(default_factory=list)
+
+
+@dataclass
+class WhatIf_Response_(IdlStruct, typename="joulebus_msgs::srv::dds_::WhatIf_Response_"):
+    guid: uint64 = 0
+    number: int64 = 0
+    refused: str = ""
+    tick: uint64 = 0
+    age_s: float32 = 0.0
+    answers: sequence[Answer_] = dataclasses.field(default_factory=list)
+
+
+@dataclass
+class Acknowledge_Request_(IdlStruct, typename="joulebus_msgs::srv::dds_::Acknowledge_Request_"):
+    guid: uint64 = 0
+    number: int64 = 0
+    robot: str = ""
+    alarm: str = ""
+    by: str = ""
+
+
+@dataclass
+class Acknowledge_Response_(IdlStruct, typename="joulebus_msgs::srv::dds_::Acknowledge_Response_"):
+    guid: uint64 = 0
+    number: int64 = 0
+    success: bool = False
+    message: str = ""
+
+
 # What is no battery's state, though its name says so: it ends too early, and it has a text of 4 GB.
 @dataclass
 class Truncated_(IdlStruct, typename="sensor_msgs::msg::dds_::BatteryState_"):
@@ -185,6 +262,8 @@ def made(kind, fields):
     def value(name, found):
         if isinstance(found, dict):
             return made(inner[name], found)
+        if isinstance(found, list) and found and isinstance(found[0], dict):
+            return [made(Vector3_, point) for point in found]
         return float(found) if found in ("nan", "inf", "-inf") else found
 
     return kind(**{name: value(name, found) for name, found in fields.items()})
@@ -233,13 +312,27 @@ class Dds:
     def reader(self, name, kind, order):
         return DataReader(self.participant, self.topic(name, kind, order), qos=qos(order))
 
+    def caller(self, name, request, response, _):
+        """Calls the service, and prints responses to these calls."""
+        writer = self.writer(f"rq{name}Request", request, {})
+        reader = self.reader(f"rr{name}Reply", response, {})
+        ours, asked = id(writer), 0
+
+        def call(message):
+            nonlocal asked
+            for heard in reader.take(100):
+                if dataclasses.is_dataclass(heard) and heard.guid == ours and 0 < heard.number <= asked:
+                    tell({"topic": name, "message": plain(heard)})
+            asked += 1
+            writer.write(dataclasses.replace(message, guid=ours, number=asked))
+
+        return call
+
 
 class Zenoh:
     """Keys, tokens and attachments as rmw_zenoh_cpp's design and sources have them."""
 
     def __init__(self, address):
-        import zenoh
-
         config = zenoh.Config()
         config.insert_json5("listen/endpoints", json.dumps([address]))
         config.insert_json5("scouting/multicast/enabled", "false")
@@ -284,10 +377,38 @@ class Zenoh:
         self.kept.append(self.session.declare_subscriber(self.key(name, kind, order), hear))
 
 
+    def caller(self, name, request, response, order):
+        key = f"7/{name.strip('/')}/{request.__idl_typename__.replace('.', '::').replace('_Request', '')}"
+        asked = 0
+
+        def call(message):
+            nonlocal asked
+            asked += 1
+            number, gid = asked, b"caller".ljust(16)
+
+            def hear(reply):
+                heard, sent_ns, _, to = struct.unpack("<qqB16s", reply.ok.attachment.to_bytes())
+                if (heard, to) == (number, gid) and abs(time.time_ns() - sent_ns) < 60e9:
+                    payload = reply.ok.payload.to_bytes()
+                    tell({"topic": name, "message": plain(response.deserialize(payload[:4] + bytes(16) + payload[4:]))})
+
+            payload = message.serialize()
+            self.session.get(
+                f"{key}/{order['hash']}",
+                hear,
+                payload=payload[:4] + payload[20:],
+                attachment=struct.pack("<qqB16s", number, time.time_ns(), 16, gid),
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+
+        return call
+
+
 def main():
     place = sys.argv[1]
     middleware = Zenoh(place) if place.startswith("tcp/") else Dds(place)
-    lock, says, hears = threading.Lock(), {}, []
+    lock, says, hears, calls = threading.Lock(), {}, [], {}
 
     def speak():
         turn = 0
@@ -295,7 +416,7 @@ def main():
             with lock:
                 for writer, message, every in says.values():
                     if turn % every == 0:
-                        writer.write(message)
+                        writer(message)
             turn += 1
             time.sleep(0.01)
 
@@ -318,14 +439,21 @@ def main():
             with lock:
                 says.pop(order["hush"], None)
             continue
-        name = order.get("say") or order["hear"]
+        name = order.get("say") or order.get("hear") or order["call"]
+        if "call" in order:
+            request, response = (TYPES[order["type"] + part] for part in ("_Request", "_Response"))
+            message = made(request, order["fields"])
+            calls[name] = calls.get(name) or middleware.caller(name, request, response, order)
+            with lock:
+                says[name] = (calls[name], message, 50)
+            continue
         kind = TYPES[order["type"]]
         if "say" in order:
             message = made(kind, order.get("fields", {}))
             every = max(1, round(100 / order.get("hz", 30)))
             with lock:
                 before = says.get(name)
-                writer = before[0] if before else middleware.writer(name, kind, order)
+                writer = before[0] if before else middleware.writer(name, kind, order).write
                 says[name] = (writer, message, every)
         else:
             reader = middleware.reader(name, kind, order)

@@ -28,6 +28,16 @@ pub(crate) fn cyclonedds() -> Option<PathBuf> {
     is_there.then_some(program)
 }
 
+/// The Python with ROS 2 that `tools/ros2.sh` prints. `None` if it is missing, which is logged.
+pub(crate) fn ros2() -> Option<PathBuf> {
+    let named = std::env::var_os("JOULEBUS_ROS2").filter(|named| !named.is_empty());
+    if named.is_none() {
+        eprintln!("skipped: there is no ROS 2 (JOULEBUS_ROS2=$(tools/ros2.sh))");
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "ROS 2 is missing");
+    }
+    named.map(PathBuf::from)
+}
+
 /// A ROS 2 domain that no other test on this host uses. The test holds one of its ports, which DDS
 /// does not use for so few participants.
 pub(crate) struct RosDomain {
@@ -63,9 +73,18 @@ impl Peer {
 
     /// Starts a participant: in a domain of DDS, or of zenoh at `tcp/host:port`.
     pub(crate) fn within(python: &Path, place: &str) -> Self {
+        Self::run(python, "peer.py", place)
+    }
+
+    /// Starts a node of ROS 2 in the domain.
+    pub(crate) fn node(ros2: &Path, domain: &RosDomain) -> Self {
+        Self::run(ros2, "node.py", &domain.id.to_string())
+    }
+
+    fn run(python: &Path, file: &str, place: &str) -> Self {
         let mut command = Command::new(python);
         command
-            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/ros2/peer.py"))
+            .arg(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/ros2")).join(file))
             .arg(place)
             .env("CYCLONEDDS_URI", CYCLONE)
             .env("PYTHONDONTWRITEBYTECODE", "1");

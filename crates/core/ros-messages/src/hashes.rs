@@ -1,0 +1,39 @@
+//! Hashes of definitions (REP 2011, `RIHS01`), as ROS 2 has them since Iron.
+
+/// Types, and the hashes of their definitions.
+const HASHES: [(&str, &str); 9] = [
+    (
+        "sensor_msgs/msg/BatteryState",
+        "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741",
+    ),
+    ("geometry_msgs/msg/Twist", "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
+    (
+        "geometry_msgs/msg/TwistStamped",
+        "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+    ),
+    ("nav_msgs/msg/Odometry", "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+    ("std_msgs/msg/Float64", "705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"),
+    (
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
+    ),
+    (
+        "joulebus_msgs/msg/Outlook",
+        "ac0f11522bfb85b70ef4c0b71bfb1e204f1adffc146c57cd10c9f1eafbbfb29e",
+    ),
+    (
+        "joulebus_msgs/srv/WhatIf",
+        "f12090b8e3ea2e62e0b1e4917c0b534abdae7cb4ac59d79cd3d70d49b99a5287",
+    ),
+    (
+        "joulebus_msgs/srv/Acknowledge",
+        "2a26f7dd41d060ed87ec033354c998e87175cadbf0c14a4adc32bc7b640456fc",
+    ),
+];
+
+/// The hash of a type's definition, with its version.
+#[must_use]
+pub fn type_hash(name: &str) -> String {
+    let found = HASHES.iter().find(|(known, _)| *known == name);
+    found.map_or_else(|| "TypeHashNotSupported".to_owned(), |(_, hash)| format!("RIHS01_{hash}"))
+}

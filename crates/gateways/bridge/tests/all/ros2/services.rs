@@ -1,0 +1,166 @@
+//! Outlooks, questions about plans and acknowledgements of alarms over ROS 2, with each peer.
+
+use std::path::PathBuf;
+
+use joulebus_testkit::{free_port, link_beside};
+use serde_json::{Value, json};
+
+use super::peer::{Peer, RosDomain, cyclonedds, ros2};
+use super::{discharging, file_of, twist};
+use crate::fleet::Fleet;
+
+const TOPICS: &str = r#"
+    what_if = "/joulebus/what_if"
+    acknowledge = "/joulebus/acknowledge"
+    [[ros2.read]]
+    topic = "/fleet/{robot}/battery_state"
+    type = "sensor_msgs/msg/BatteryState"
+    [[ros2.read]]
+    topic = "/fleet/{robot}/cmd_vel"
+    type = "geometry_msgs/msg/Twist"
+    [[ros2.write]]
+    what = "outlook"
+    every_s = 0.1
+    "#;
+/// Hashes of definitions, as rosidl of ROS 2 Kilted computes them.
+const HASHES: [(&str, &str); 5] = [
+    ("BatteryState", "RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741"),
+    ("Twist", "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
+    ("Outlook", "RIHS01_ac0f11522bfb85b70ef4c0b71bfb1e204f1adffc146c57cd10c9f1eafbbfb29e"),
+    ("WhatIf", "RIHS01_f12090b8e3ea2e62e0b1e4917c0b534abdae7cb4ac59d79cd3d70d49b99a5287"),
+    ("Acknowledge", "RIHS01_2a26f7dd41d060ed87ec033354c998e87175cadbf0c14a4adc32bc7b640456fc"),
+];
+
+/// Sends an order about a topic or a service, with the hash of its type.
+fn order(peer: &mut Peer, what: &str, name: &str, kind: &str, fields: &Value) {
+    let hash = HASHES.iter().find(|(known, _)| *known == kind).unwrap().1;
+    peer.order(&json!({what: name, "type": kind, "fields": fields, "hash": hash}));
+}
+
+/// Calls a service until a response is as expected.
+fn call(
+    peer: &mut Peer,
+    (name, kind): (&str, &str),
+    request: &Value,
+    is_it: impl FnMut(&Value) -> bool,
+) -> Value {
+    let from = peer.received();
+    order(peer, "call", name, kind, request);
+    let response = peer.wait_for(name, from, is_it);
+    peer.order(&json!({"hush": name}));
+    response
+}
+
+/// Robot r1 is published, its outlook heard, its plan's cost asked for, and its alarm acknowledged.
+fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
+    let ask = ("/joulebus/what_if", "WhatIf");
+    let (battery, commands) = ("/fleet/r1/battery_state", "/fleet/r1/cmd_vel");
+    order(peer, "say", battery, "BatteryState", &discharging());
+    order(peer, "say", commands, "Twist", &twist());
+    order(peer, "hear", "/r1/joulebus/outlook", "Outlook", &json!({}));
+    let outlook = peer.wait_for("/r1/joulebus/outlook", 0, |it| it["energy_j"][3].is_number());
+    assert_eq!(outlook["horizon_s"], json!([1.0, 10.0, 60.0, 300.0]), "{outlook}");
+    assert_eq!(outlook["header"]["frame_id"], "r1", "{outlook}");
+    let energy_j = outlook["energy_j"].as_array().unwrap().iter();
+    let energy_j: Vec<f64> = energy_j.map(|it| it.as_f64().unwrap()).collect();
+    assert!(energy_j.is_sorted() && energy_j[0] > 0.0, "{outlook}");
+    assert!(outlook["usable_j"].as_f64().unwrap() > 0.0, "{outlook}");
+
+    let idle = json!({"robots": ["r1"], "idle_s": 60.0});
+    let response = call(peer, ask, &idle, |it| it["answers"][0]["energy_j"].is_number());
+    let answer = &response["answers"][0];
+    assert_eq!((&response["refused"], &answer["robot"]), (&json!(""), &json!("r1")));
+    assert!(response["tick"].as_u64().unwrap() > 0, "{response}");
+    assert!((answer["duration_s"].as_f64().unwrap() - 60.0).abs() < 1.0, "{response}");
+    let point = |x: f64| json!({"x": x, "y": 0.0, "z": 0.0});
+    let path = json!({
+        "robots": ["r1"], "path": [point(0.0), point(1.0)], "return_to_start": true, "coverage": 0.8,
+    });
+    // Responses to earlier calls may come late.
+    let is_other = |it: &Value| it["answers"][0]["duration_s"].as_f64().is_some_and(|s| s < 50.0);
+    let response = call(peer, ask, &path, is_other);
+    let answer = &response["answers"][0];
+    assert!(answer["energy_hi_j"].as_f64() > answer["energy_lo_j"].as_f64(), "{response}");
+    let commands_of = json!({
+        "robots": ["r1"], "candidates": 2, "period_s": 1.0, "v_mps": [0.0, 0.1], "omega_radps": [0.0, 0.0],
+    });
+    let response = call(peer, ask, &commands_of, |it| it["answers"][1]["energy_j"].is_number());
+    assert_eq!(response["answers"].as_array().map(Vec::len), Some(2), "{response}");
+    for (request, expected) in [
+        (json!({"robots": ["r9"], "idle_s": 1.0}), "there is no robot \"r9\""),
+        (json!({"robots": ["r1"]}), "give one of path, idle_s"),
+        (json!({"robots": ["r1"], "idle_s": 1.0, "coverage": 2.0}), "coverage"),
+    ] {
+        let is_it = |it: &Value| it["refused"].as_str().unwrap().contains(expected);
+        let refused = call(peer, ask, &request, is_it);
+        assert_eq!(refused["answers"], json!([]), "{refused}");
+    }
+
+    let acknowledge = ("/joulebus/acknowledge", "Acknowledge");
+    let request = json!({"robot": "r1", "alarm": "NoData", "by": "Ada"});
+    let refused = call(peer, acknowledge, &request, |it| it["success"] == false);
+    assert!(refused["message"].as_str().unwrap().contains("is not raised"), "{refused}");
+    for topic in [battery, commands] {
+        peer.order(&json!({"hush": topic}));
+    }
+    let taken = call(peer, acknowledge, &request, |it| it["success"] == true);
+    assert_eq!(taken["message"], "", "{taken}");
+}
+
+#[test]
+fn outlooks_questions_and_acknowledgements_are_exchanged_with_cyclone_dds() {
+    let Some(python) = cyclonedds() else { return };
+    let (fleet, domain) = (Fleet::new(), RosDomain::take());
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file_of(&domain, TOPICS), "2 services");
+    let mut peer = Peer::start(&python, &domain);
+    outlook_questions_and_acknowledgement(&mut peer);
+    let report = bridge.stop().json();
+    assert_eq!(report["not_written"], 0, "{report}");
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}
+
+#[test]
+#[ignore = "needs ROS 2, which tools/ros2.sh makes in minutes"]
+fn outlooks_questions_and_acknowledgements_are_exchanged_with_nodes_of_ros_2() {
+    let Some(ros2) = ros2() else { return };
+    let (fleet, domain) = (Fleet::new(), RosDomain::take());
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file_of(&domain, TOPICS), "2 services");
+    let mut peer = Peer::node(&ros2, &domain);
+    outlook_questions_and_acknowledgement(&mut peer);
+    peer.order(&json!({"graph": "joulebus_bridge"}));
+    let of = peer.wait_for("graph", 0, |it| it["writes"]["/r3/joulebus/outlook"].is_array());
+    let kinds = &of["services"]["/joulebus/what_if"];
+    assert_eq!(*kinds, json!(["joulebus_msgs/srv/WhatIf"]), "{of}");
+    let report = bridge.stop().json();
+    assert_eq!(report["not_written"], 0, "{report}");
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn outlooks_questions_and_acknowledgements_are_exchanged_over_zenoh() {
+    let Some(python) = cyclonedds() else { return };
+    let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
+    let mut worker = fleet.worker();
+    let mut peer = Peer::within(&python, &address);
+    link_beside(env!("CARGO_BIN_EXE_joulebus-bridge"));
+    let text = format!("[robots]\n\"r{{id}}\" = \"1-3\"\n[ros2]\ndomain_id = 7\n{TOPICS}");
+    let mut command = fleet.command(&text);
+    let connect = format!("connect/endpoints=[\"{address}\"]");
+    command.env("RMW_IMPLEMENTATION", "rmw_zenoh_cpp").env("ZENOH_CONFIG_OVERRIDE", connect);
+    let mut bridge = joulebus_testkit::Child::spawn("bridge", command);
+    bridge.wait_for_line("2 services");
+    outlook_questions_and_acknowledgement(&mut peer);
+    let token = format!(
+        "/SS/%/%/joulebus_bridge/%joulebus%what_if/joulebus_msgs::srv::dds_::WhatIf_/{}/::,10:,:,:,,",
+        HASHES[3].1
+    );
+    peer.wait_for("@", 0, |it| it["token"].as_str().unwrap().ends_with(&token));
+    let report = bridge.stop().json();
+    assert_eq!(report["not_written"], 0, "{report}");
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}
