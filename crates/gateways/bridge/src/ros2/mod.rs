@@ -99,7 +99,7 @@ impl Ros2 {
         reading: Reading,
         sink: &mut RosSink,
     ) -> Result<(Self, Vec<Writer>), Ros2Error> {
-        allow_descriptors();
+        limit_resources();
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if !settings.networks.is_empty() {
             builder = builder.with_only_networks(settings.networks.iter().copied());
@@ -373,11 +373,17 @@ async fn closed(shared: &Shared) {
 }
 
 /// Raises the limit of descriptors to the maximum of this process, because DDS needs several for
-/// each topic.
-fn allow_descriptors() {
+/// each topic. Limits its memory: a stranger's false number can make DDS allocate without end. Then
+/// this process ends, and all others keep theirs.
+fn limit_resources() {
     let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
     let all = Rlimit { current: maximum, maximum };
     if let Err(error) = setrlimit(Resource::Nofile, all) {
         tracing::warn!(%error, "the limit of file descriptors stays");
+    }
+    let Rlimit { current, maximum } = getrlimit(Resource::Data);
+    let less = Some(current.unwrap_or(u64::MAX).min(MAX_DATA_BYTES));
+    if let Err(error) = setrlimit(Resource::Data, Rlimit { current: less, maximum }) {
+        tracing::warn!(%error, "memory is not limited");
     }
 }
