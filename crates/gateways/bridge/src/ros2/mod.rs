@@ -62,6 +62,8 @@ const LEASE_NS: u64 = 30_000_000_000;
 const ANNOUNCE_PAUSE: Duration = Duration::from_millis(1);
 /// Maximum number of remembered writers. They are remembered so that each is counted once.
 const MAX_ANNOUNCED: usize = 100_000;
+/// Maximum memory of this process, bytes. A thousand robots take a tenth of it.
+const MAX_DATA_BYTES: u64 = 1 << 30;
 
 /// The reader of a robot's topic.
 struct Incoming {

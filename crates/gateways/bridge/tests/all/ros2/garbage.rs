@@ -207,6 +207,9 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
         // Of its own there are the peer's announcements.
         stranger.count(ACKNACK) > 0 && stranger.count(DATA) > 2 * stranger.announced.len() + 4
     });
+    let limits = std::fs::read_to_string(format!("/proc/{}/limits", bridge.pid())).unwrap();
+    let memory = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+    assert!(memory.contains("1073741824"), "{memory}");
     let (mut dice, mut sent) = (Dice(seed), 0_u64);
     let begin = Instant::now();
     while begin.elapsed() < Duration::from_secs(seconds) {
