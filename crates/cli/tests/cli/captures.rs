@@ -1,6 +1,7 @@
 //! `joulebus import`, `cat`, `info`, `doctor FILE` and `recover` on captures and foreign
 //! recordings.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -339,4 +340,63 @@ fn a_recorder_says_at_once_that_the_worker_runs_with_other_files_than_it_attache
     assert!(json(&ended)["messages"].as_u64().unwrap() > 0, "what there is, is recorded");
     source.end(Signal::TERM).exits(0);
     worker.end(Signal::TERM).exits(0);
+}
+
+/// Topics that the shipped layouts name.
+fn layout_topics() -> BTreeSet<String> {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    let mut topics = BTreeSet::new();
+    for (file, opening, closing) in [
+        ("foxglove/joulebus.json", "\\\"", "\\\""),
+        ("plotjuggler/joulebus.xml", "curve name=\"", "\""),
+    ] {
+        let layout = fs::read_to_string(configs.join(file)).unwrap();
+        let names = layout.split(opening).filter_map(|rest| Some(rest.split_once(closing)?.0));
+        let before = topics.len();
+        for name in names.filter(|name| name.starts_with("joulebus/")) {
+            // A curve is a topic and a field.
+            let topic =
+                if file.ends_with(".xml") { name.rsplit_once('/').unwrap().0 } else { name };
+            let (_, of_fleet) = topic["joulebus/".len()..].split_once('/').unwrap();
+            topics.insert(format!("joulebus/cli/{of_fleet}"));
+        }
+        assert!(topics.len() > before + 2, "{file}: {topics:?}");
+    }
+    topics
+}
+
+#[test]
+fn a_capture_with_topics_of_single_robots_has_those_of_the_layouts_verifies_and_plays() {
+    let fleet = Fleet::new();
+    let file = fleet.path("robots.mcap");
+    let worker = fleet.worker();
+    let mut record = fleet.joulebus("record --per-robot --format json");
+    record.arg("-o").arg(&file);
+    let mut recorder = Program::start(record);
+    recorder.wait_for_stderr("recording cli into");
+    fleet.output("publish sim --robots 2 --duration 2").exits(0);
+    let recorded = recorder.end(Signal::TERM);
+    // On a busy host messages may be lost, which it says.
+    assert!(matches!(code(&recorded), 0 | 3), "{}", stderr(&recorded));
+    worker.end(Signal::TERM).exits(0);
+    let file = text(&file);
+    run(format!("doctor {file}")).exits(0);
+    let info = json(&run(format!("info {file} --format json")).exits(0));
+    let channels = info["files"][0]["channels"].as_array().unwrap();
+    let topics: BTreeSet<&str> =
+        channels.iter().map(|channel| channel["topic"].as_str().unwrap()).collect();
+    for topic in layout_topics() {
+        assert!(topics.contains(&*topic), "{topic}: {topics:?}");
+    }
+    let verified = run(format!("replay {file} --verify --format json"));
+    assert!(matches!(code(&verified), 0 | 3), "{}", stderr(&verified));
+    let verified = json(&verified);
+    assert_eq!(verified["differences"], 0, "{verified}");
+    assert!(verified["ticks_verified"].as_u64() > Some(0), "{verified}");
+    // A robot's own message is no second sample.
+    let samples = channels.iter().find(|channel| channel["topic"] == "joulebus/cli/robot/0/sample");
+    let samples = samples.unwrap()["messages"].as_u64().unwrap();
+    let played = fleet.output(&format!("replay {file} --rate max --no-wait --format json"));
+    assert!(matches!(code(&played), 0 | 3), "{}", stderr(&played));
+    assert_eq!(json(&played)["samples"], 2 * samples, "{}", stdout(&played));
 }

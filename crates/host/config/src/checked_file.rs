@@ -1,4 +1,5 @@
-//! The files of bridges, links, shards and webhooks: sections whose keys have passed the table of keys.
+//! The files of bridges, links, shards and webhooks: sections whose keys have passed the table of
+//! keys.
 
 use std::ops::{Deref, RangeInclusive};
 use std::path::{Path, PathBuf};

@@ -8,8 +8,8 @@ mod declared;
 mod earlier;
 #[path = "../fields/mod.rs"]
 mod fields;
-mod foxglove_layout;
 mod import;
+mod layouts;
 mod limits;
 mod real;
 mod schemas;

@@ -8,7 +8,6 @@ use joulebus_board::AlarmRecord;
 use joulebus_wire::AlarmCard;
 use serde_json::{Value, json};
 
-use super::MAX_CHANGES;
 use super::body::{link, of, rfc3339};
 
 /// A raised alert ends at Alertmanager after so many times the interval of repeats, unless it is
@@ -61,10 +60,10 @@ impl Alerts {
         alert.due = now;
     }
 
-    /// Alerts to send now: as many as a request may have.
-    pub(super) fn due(&self, now: Instant) -> Vec<AlertKey> {
+    /// Alerts to send now, at most as many.
+    pub(super) fn due(&self, now: Instant, most: usize) -> Vec<AlertKey> {
         let due = self.alerts.iter().filter(|(_, alert)| alert.due <= now);
-        due.map(|(key, _)| *key).take(MAX_CHANGES).collect()
+        due.map(|(key, _)| *key).take(most).collect()
     }
 
     /// The body of a request with these alerts, as they are at `now_ns`, Unix time.
@@ -152,7 +151,7 @@ mod tests {
     fn an_alert_has_labels_that_stay_and_annotations_from_the_card() {
         let (mut alerts, now) = (alerts(), Instant::now());
         alerts.take(&raised("StuckSensor"), START_NS, now);
-        let keys = alerts.due(now);
+        let keys = alerts.due(now, 9);
         let raise = alerts.body(&keys, START_NS)[0].clone();
         assert_eq!(raise["endsAt"], "2025-11-24T16:04:00.000Z", "four repeats later");
         alerts.take(&cleared(), START_NS, now);
@@ -175,27 +174,27 @@ mod tests {
     fn a_raised_alert_is_repeated_and_an_end_is_sent_once() {
         let (mut alerts, now) = (alerts(), Instant::now());
         alerts.take(&raised("StuckSensor"), START_NS, now);
-        let keys = alerts.due(now);
+        let keys = alerts.due(now, 9);
         alerts.body(&keys, START_NS);
         assert_eq!(alerts.settle(&keys, now), 1);
-        assert_eq!(alerts.due(now + REPEAT / 2), []);
-        assert_eq!(alerts.due(now + REPEAT), keys);
+        assert_eq!(alerts.due(now + REPEAT / 2, 9), []);
+        assert_eq!(alerts.due(now + REPEAT, 9), keys);
         alerts.body(&keys, START_NS);
         assert_eq!(alerts.settle(&keys, now), 0, "a repeat is no change");
         alerts.take(&cleared(), START_NS, now);
-        alerts.body(&alerts.due(now), START_NS);
+        alerts.body(&alerts.due(now, 9), START_NS);
         assert_eq!(alerts.settle(&keys, now), 1);
-        assert_eq!(alerts.due(now + REPEAT * 9), []);
+        assert_eq!(alerts.due(now + REPEAT * 9, 9), []);
     }
 
     #[test]
     fn a_change_during_a_request_is_sent_with_the_next() {
         let (mut alerts, now) = (alerts(), Instant::now());
         alerts.take(&raised("StuckSensor"), START_NS, now);
-        let keys = alerts.due(now);
+        let keys = alerts.due(now, 9);
         alerts.body(&keys, START_NS);
         alerts.take(&cleared(), START_NS, now);
         assert_eq!(alerts.settle(&keys, now), 1);
-        assert_eq!(alerts.due(now), keys);
+        assert_eq!(alerts.due(now, 9), keys);
     }
 }

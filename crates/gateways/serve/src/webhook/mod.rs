@@ -300,7 +300,7 @@ impl Sending {
     fn run_state(self, alerts: &Mutex<Alerts>) {
         loop {
             let has_read = self.shared.has_read.load(Ordering::Relaxed);
-            let due = locked(alerts).due(Instant::now());
+            let due = locked(alerts).due(Instant::now(), MAX_CHANGES);
             if due.is_empty() {
                 if has_read {
                     return;

@@ -1,4 +1,4 @@
-//! The shipped Foxglove layout refers only to existing topics and fields.
+//! The shipped layouts of Foxglove and PlotJuggler name only topics and fields of the schemas.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,13 +8,16 @@ use joulebus_capture_format::MessageKind;
 use prost_reflect::{DescriptorPool, FieldDescriptor, MessageDescriptor};
 use serde_json::Value;
 
-/// The fleet in the layout, that of the demo.
+/// The fleet in Foxglove's layout, that of the demo.
 const FLEET: &str = "demo";
 
+fn shipped(name: &str) -> String {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs");
+    fs::read_to_string(configs.join(name)).unwrap()
+}
+
 fn layout() -> Value {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/foxglove/joulebus.json");
-    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+    serde_json::from_str(&shipped("foxglove/joulebus.json")).unwrap()
 }
 
 /// All texts under keys that hold message paths.
@@ -106,4 +109,29 @@ fn every_panel_is_placed_once() {
     let panels: BTreeSet<String> =
         layout["configById"].as_object().unwrap().keys().cloned().collect();
     assert_eq!(found, panels);
+}
+
+#[test]
+fn every_curve_of_plotjuggler_is_a_number_of_a_message_of_one_robot() {
+    let text = shipped("plotjuggler/joulebus.xml");
+    let layout = roxmltree::Document::parse(&text).unwrap();
+    // PlotJuggler asks before it opens a layout of another version.
+    assert_eq!(layout.root_element().attribute("version"), Some("2.3.8"));
+    for splitter in layout.descendants().filter(|node| node.has_tag_name("DockSplitter")) {
+        let areas = splitter.children().filter(|node| node.has_tag_name("DockArea")).count();
+        assert_eq!(splitter.attribute("count"), Some(&*areas.to_string()));
+        assert_eq!(splitter.attribute("sizes").unwrap().split(';').count(), areas);
+    }
+    let curves = layout.descendants().filter(|node| node.has_tag_name("curve"));
+    let names: BTreeSet<&str> = curves.map(|curve| curve.attribute("name").unwrap()).collect();
+    assert!(names.len() > 12, "{names:?}");
+    for name in names {
+        // It names a series by its topic and the path of its field.
+        let (topic, path) = name.rsplit_once('/').unwrap();
+        let kind = MessageKind::ALL.iter().find(|kind| kind.topic("lab", 0) == topic);
+        let kind = kind.unwrap_or_else(|| panic!("{name}: no topic {topic:?}"));
+        let field = field(&message(*kind), path, name).kind();
+        // Names of an enum are texts there, without a line.
+        assert!(field.as_enum().is_none() && field.as_message().is_none(), "{name}");
+    }
 }
