@@ -1,5 +1,6 @@
-// Answers Open-RMF's question what a trajectory costs a battery by what joulebus has learned of the very robot, instead
-// of by mass, friction and inertia of its type. The interface is a stub (motion_power_sink.hpp).
+// Answers Open-RMF's questions what a trajectory and a time at rest cost a battery by what joulebus has learned of the
+// very robot, instead of by mass, friction and inertia of its type. Says what the battery has, and when tasks must be
+// planned again because a charge was cancelled. The interface is a stub (motion_power_sink.hpp).
 //
 //     ./rmf_adapter fleet.toml ROBOT
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include <iostream>
 #include <joulebus.hpp>
 #include <limits>
+#include <optional>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -17,13 +19,13 @@
 
 namespace {
 
-/// The charge that one robot loses, by what_if. As of the newest frame, so a planner of tasks sees today's load.
+/// The charge that one robot loses, moving or at rest. As of the newest frame, so a planner of tasks sees today's load.
 /// Belongs to the thread that made it.
-class JoulebusMotionPowerSink : public rmf_battery::MotionPowerSink {
+class JoulebusPowerSink : public rmf_battery::MotionPowerSink, public rmf_battery::DevicePowerSink {
 public:
     /// `coverage`: the answer is the upper end of the interval; a planner that must not strand asks for 0.99.
-    JoulebusMotionPowerSink(joulebus::Questions questions, std::uint32_t robot, const joulebus_platform &platform,
-                            float coverage)
+    JoulebusPowerSink(joulebus::Questions questions, std::uint32_t robot, const joulebus_platform &platform,
+                      float coverage)
         : questions_(std::move(questions)), robot_(robot), platform_(platform), coverage_(coverage) {}
 
     /// The share of the battery that the trajectory takes at most; NaN where that is unknown, which no planner takes for
@@ -59,7 +61,35 @@ public:
         return most_j ? *most_j / platform_.capacity_j : std::numeric_limits<double>::quiet_NaN();
     }
 
+    /// The share that a time at rest takes at most, by the power that is measured at rest.
+    double compute_change_in_charge(double run_time_s) const override {
+        const auto answer = at_rest(run_time_s);
+        return share(answer ? answer->energy_hi_j() : std::nullopt);
+    }
+
+    /// The share that the battery has at least: for the adapter's `update_battery_soc`. Measured, also while a charge
+    /// goes on or was cancelled.
+    double state_of_charge() const {
+        const auto answer = at_rest(platform_.period_s);
+        const bool is_known = answer && (answer->flags & JOULEBUS_ANSWER_LEFT) != 0;
+        return share(is_known ? std::optional<float>(answer->left_lo_j) : std::nullopt);
+    }
+
 private:
+    double share(std::optional<float> energy_j) const {
+        return energy_j && platform_.capacity_j > 0.0 ? *energy_j / platform_.capacity_j
+                                                      : std::numeric_limits<double>::quiet_NaN();
+    }
+
+    std::optional<joulebus::Answer> at_rest(double duration_s) const {
+        auto question = joulebus::Question::idle({robot_}, static_cast<float>(duration_s));
+        auto done = questions_.ask(question.coverage(coverage_));
+        if (!done || done->rows.empty()) {
+            return std::nullopt;
+        }
+        return done->rows.front();
+    }
+
     /// The command of a differential drive at a time between two waypoints: the velocity along the heading.
     std::pair<float, float> command(const rmf_traffic::Trajectory::Waypoint &from,
                                     const rmf_traffic::Trajectory::Waypoint &to, double time_s) const {
@@ -81,6 +111,30 @@ private:
     std::uint32_t robot_;
     joulebus_platform platform_;
     float coverage_;
+};
+
+/// Open-RMF plans the tasks after a charge with the charge that it expects, and keeps them if the charge is cancelled.
+/// This says when they must be planned again.
+class ChargePlan {
+public:
+    /// Tasks are planned for a robot that leaves the charger with this share.
+    void expect(double share) { expected_ = share; }
+
+    /// Whether the robot has left the charger with less, as of its share and whether it charges. Says so once.
+    bool must_replan(double share, bool charges) {
+        const bool has_left = charged_ && !charges;
+        charged_ = charges;
+        if (!has_left) {
+            return false;
+        }
+        const auto expected = std::exchange(expected_, std::nullopt);
+        // An unknown share is none to count on.
+        return expected && !(share >= *expected);
+    }
+
+private:
+    std::optional<double> expected_;
+    bool charged_ = false;
 };
 
 /// Along the x axis for a time, at rest before and after.
@@ -112,10 +166,19 @@ int main(int count, char **arguments) {
         std::cerr << age.error().message << '\n';
         return EXIT_FAILURE;
     }
-    const JoulebusMotionPowerSink sink(std::move(*questions), robot, *platform, 0.9f);
+    const JoulebusPowerSink sink(std::move(*questions), robot, *platform, 0.9f);
     const rmf_battery::MotionPowerSink &motion = sink;
     for (double duration_s : {5.0, 10.0, 20.0}) {
         std::cout << "10 cm/s for " << duration_s << " s: "
                   << 100.0 * motion.compute_change_in_charge(straight(0.1, duration_s)) << " % of the battery\n";
     }
+    const rmf_battery::DevicePowerSink &devices = sink;
+    std::cout << "at rest for 60 s: " << 100.0 * devices.compute_change_in_charge(60.0) << " % of the battery\n";
+    const double share = sink.state_of_charge();
+    std::cout << "left: " << 100.0 * share << " % of the battery\n";
+    ChargePlan plan;
+    plan.expect(std::min(1.0, share + 0.2));
+    plan.must_replan(share, true);
+    std::cout << "a charge that is cancelled at once: " << (plan.must_replan(share, false) ? "plan again" : "go on")
+              << '\n';
 }

@@ -290,7 +290,8 @@ fn the_examples_run_and_a_killed_worker_is_told() {
     }
 }
 
-/// A longer trajectory takes more of the battery.
+/// A longer trajectory takes more of the battery. A time at rest and what is left are known too, and
+/// a cancelled charge is noticed.
 #[test]
 fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
     let Some(installed) = Installed::new() else {
@@ -304,7 +305,13 @@ fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
         let said = fleet.run(&adapter, &["7"]).stdout;
         let share = |line: &String| line.split(": ").nth(1)?.split(' ').next()?.parse().ok();
         let shares: Vec<f64> = said.iter().filter_map(share).collect();
-        shares.len() == 3 && shares.windows(2).all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
+        // Three trajectories, a time at rest, and what is left.
+        let [driven @ .., at_rest, left] = shares.as_slice() else { return false };
+        driven.len() == 3
+            && driven.windows(2).all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
+            && *at_rest > 0.0
+            && (0.0..=100.0).contains(left)
+            && said.iter().any(|line| line.ends_with(": plan again"))
     });
     controller.stop();
     finished(&mut worker);
