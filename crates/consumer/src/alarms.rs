@@ -16,6 +16,8 @@ use crate::newest::{ReadError, check_schema};
 use crate::subscriber::look_every;
 
 /// A change of an alarm.
+///
+/// [`AlarmHistory`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
     /// It is raised.
@@ -42,6 +44,8 @@ impl Change {
 }
 
 /// A change of an alarm of a robot.
+///
+/// [`AlarmHistory`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct AlarmChange {
@@ -60,6 +64,20 @@ pub struct AlarmChange {
 }
 
 /// The alarms that are raised, and since when.
+///
+/// ```
+/// use joulebus_consumer::wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader};
+/// use joulebus_consumer::{AlarmHistory, Change};
+///
+/// let alarms = AlarmSet::default().with(Alarm::StuckSensor).0;
+/// let stuck = Diagnostic { robot: 7, alarms, ..Diagnostic::default() };
+/// let header = DiagnosticHeader { tick: 1, ..DiagnosticHeader::default() };
+/// let mut history = AlarmHistory::default();
+/// let mut changes = Vec::new();
+/// history.take(&header, &[stuck], 1_000, |change| changes.push(change));
+/// assert_eq!((changes[0].robot, changes[0].change), (7, Change::Raised));
+/// assert_eq!(history.raised().next(), Some((7, Alarm::StuckSensor, 1_000)));
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct AlarmHistory {
     robots: HashMap<u32, Raised>,
@@ -288,6 +306,20 @@ fn tell(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: Alarm
 }
 
 /// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the connecting thread.
+///
+/// ```no_run
+/// use joulebus_consumer::{AlarmFeed, Config};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut feed = AlarmFeed::with_config(&Config::load("configs/fleet.toml")?, "pager")?;
+/// loop {
+///     feed.changes(|change| {
+///         println!("{} of robot {}: {}", change.alarm.name(), change.robot, change.change.name());
+///     })?;
+///     std::thread::sleep(feed.look_every());
+/// }
+/// # }
+/// ```
 pub struct AlarmFeed {
     reader: Reader<Diagnostics>,
     acknowledgements: Reader<Acknowledgements>,

@@ -14,6 +14,20 @@ use crate::{Arrival, Frame};
 /// Frames that the worker sends in addition to its forecasts: rows of robots, or for
 /// [`joulebus_wire::Queries`] counts and words of 8 bytes ([`joulebus_wire::records`]). Belongs to
 /// the thread of its planner, and may outlive it.
+///
+/// ```no_run
+/// # use joulebus_consumer::Subscriber;
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let subscriber = Subscriber::connect("configs/fleet.toml")?;
+/// let mut budgets = subscriber.budgets()?;
+/// if let Some(frame) = budgets.latest()? {
+///     for budget in &frame {
+///         println!("robot {} can spend {:.0} J", budget.robot, budget.usable_j);
+///     }
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Feed<C: Channel> {
     reader: Reader<C>,
     place: Option<Place>,

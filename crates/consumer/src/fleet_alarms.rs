@@ -13,6 +13,8 @@ use crate::{
 };
 
 /// A raise or an end of an alarm, of a robot or of the worker.
+///
+/// [`FleetAlarms`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
@@ -73,6 +75,20 @@ impl From<SourceChange> for FleetAlarm {
 type OfWorker = (AlarmCard, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
+///
+/// ```no_run
+/// use joulebus_consumer::{Config, FleetAlarms};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut alarms = FleetAlarms::with_config(&Config::load("configs/fleet.toml")?, "pager")?;
+/// loop {
+///     alarms.wait(|alarm| match alarm.robot {
+///         Some(robot) => println!("{} of robot {robot}: {}", alarm.alarm, alarm.change.name()),
+///         None => println!("{} of the worker: {}", alarm.alarm, alarm.change.name()),
+///     })?;
+/// }
+/// # }
+/// ```
 pub struct FleetAlarms {
     subscriber: Subscriber,
     feed: AlarmFeed,

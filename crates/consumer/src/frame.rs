@@ -10,6 +10,20 @@ use crate::Arrival;
 use crate::index::RobotIndex;
 
 /// A frame in shared memory, borrowed from its reader.
+///
+/// ```no_run
+/// # use joulebus_consumer::Subscriber;
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut subscriber = Subscriber::connect("configs/fleet.toml")?;
+/// if let Some(frame) = subscriber.latest()? {
+///     let missed = frame.arrival().ticks_missed;
+///     println!("tick {}, {} ns old, {missed} missed", frame.header().tick, frame.age_ns());
+///     let expected_w = frame.robot(7).and_then(|robot| robot.expected_w());
+///     println!("robot 7 will draw {expected_w:?} W");
+/// }
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a, C: Channel> {
     header: &'a C::Header,
@@ -62,6 +76,14 @@ impl<'a, C: Channel> Frame<'a, C> {
 
 /// A frame of forecasts that is kept beyond the next call ([`crate::Subscriber::take_current`]).
 /// Belongs to the planner's thread, and may outlive the planner.
+///
+/// ```no_run
+/// # fn example(subscriber: &mut joulebus_consumer::Subscriber) {
+/// if let Some(kept) = subscriber.take_current() {
+///     println!("{} robots at tick {}", kept.robots().len(), kept.header().tick);
+/// }
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct KeptForecasts(pub(crate) KeptFrame<Forecasts>);
 

@@ -32,12 +32,24 @@ pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(),
 }
 
 /// Errors of reading.
+///
+/// ```no_run
+/// # use joulebus_consumer::{ReadError, Subscriber};
+/// # fn example(subscriber: &mut Subscriber) {
+/// match subscriber.latest() {
+///     Err(ReadError::Schema { found }) => eprintln!("the worker has schema {found}"),
+///     // It names the remedy. The next call may succeed.
+///     Err(error) => eprintln!("{error}"),
+///     Ok(_) => {}
+/// }
+/// # }
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
     /// The worker has another schema version.
     #[error(
-        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use the same release of \
+        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}. Use the same release of \
          joulebus for the worker and its planners"
     )]
     Schema {

@@ -12,6 +12,8 @@ use crate::alarms::Change;
 const LOOK_EVERY_NS: u64 = 1_000_000_000;
 
 /// A raise or an end of the alarm of a robot.
+///
+/// [`SourceAlarms`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SourceChange {
     /// The robot.
@@ -25,6 +27,14 @@ pub struct SourceChange {
 }
 
 /// The robots with the alarm [`joulebus_wire::AlarmCard::IMPLAUSIBLE`], from one look to the next.
+///
+/// ```no_run
+/// # use joulebus_consumer::{Config, SourceAlarms};
+/// # fn example(config: &Config) {
+/// let mut alarms = SourceAlarms::new(config);
+/// alarms.changes(|change| println!("robot {}: {}", change.robot, change.change.name()));
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct SourceAlarms {
     config: Config,

@@ -95,6 +95,8 @@ impl Waiting {
 }
 
 /// Result of [`Subscriber::wait_next`].
+///
+/// The [crate](crate)'s page has an example.
 #[derive(Debug, Clone, Copy)]
 #[must_use]
 #[non_exhaustive]

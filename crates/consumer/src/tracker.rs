@@ -3,6 +3,17 @@
 use joulebus_wire::ForecastHeader;
 
 /// State of the worker.
+///
+/// ```no_run
+/// # use joulebus_consumer::{End, Subscriber, WorkerState};
+/// # fn example(subscriber: &Subscriber) {
+/// match subscriber.worker() {
+///     WorkerState::Alive => println!("the forecasts are fresh"),
+///     WorkerState::Gone(End::Unreachable) => println!("the other host is not reachable"),
+///     other => println!("do not rely on forecasts: {other:?}"),
+/// }
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum WorkerState {
@@ -20,6 +31,8 @@ pub enum WorkerState {
 }
 
 /// How the end of a worker was detected.
+///
+/// [`WorkerState`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum End {
@@ -34,6 +47,8 @@ pub enum End {
 }
 
 /// Gap before a frame of forecasts.
+///
+/// [`Frame`](crate::Frame) has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Arrival {
@@ -45,6 +60,13 @@ pub struct Arrival {
 }
 
 /// Numbers of frames returned so far.
+///
+/// ```no_run
+/// # fn example(subscriber: &joulebus_consumer::Subscriber) {
+/// let counts = subscriber.counts();
+/// println!("{} frames, {} ticks missed", counts.frames, counts.ticks_missed);
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Counts {

@@ -15,6 +15,8 @@ const WINDOW: u64 = 20_000;
 const ENDS_AFTER: u64 = 1_024;
 
 /// Something implausible about a robot.
+///
+/// [`Judgement`] has an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Implausible {
     /// The robot.
@@ -30,6 +32,20 @@ pub struct Implausible {
 ///
 /// Give it each state that is published. It alters nothing and publishes nothing: a program logs
 /// [`Judgement::take_news`]. It keeps some 11 kB of each robot.
+///
+/// ```
+/// use joulebus_publisher::plausibility::Source;
+/// use joulebus_publisher::{Judgement, RobotState};
+///
+/// let mut judgement = Judgement::new(Source::Program, Vec::new());
+/// for step in 0..200 {
+///     // The battery's monitor counts to 100, not to 1.
+///     let state = RobotState::new(7).reading(40.0 + (step as f32 * 0.7).sin());
+///     judgement.take(&state, Some(96.0), step * 100_000_000);
+/// }
+/// assert!(judgement.take_news()[0].starts_with("robot 7: "));
+/// assert!(!judgement.records()[0].remedy.is_empty());
+/// ```
 #[derive(Debug, Clone)]
 pub struct Judgement {
     source: Source,

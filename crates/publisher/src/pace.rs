@@ -5,6 +5,8 @@ use std::time::Duration;
 use joulebus_bus::clock;
 
 /// A time on the grid.
+///
+/// [`Grid`] and [`Pace`] have examples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Slot {
@@ -16,6 +18,17 @@ pub struct Slot {
 }
 
 /// A fixed time grid, without a clock. It never drifts: a delay does not shift later times.
+///
+/// ```
+/// use joulebus_publisher::Grid;
+///
+/// let mut grid = Grid::new(1_000, 100);
+/// assert_eq!(grid.take(999), None);
+/// let slot = grid.take(1_350).ok_or("it is due")?;
+/// assert_eq!((slot.intended_ns, slot.skipped), (1_000, 3));
+/// assert_eq!(grid.due_ns(), 1_400);
+/// # Ok::<(), &str>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grid {
     due_ns: u64,

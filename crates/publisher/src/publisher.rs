@@ -16,6 +16,22 @@ use crate::watch::Watch;
 /// A source of samples: a fleet controller, a bridge, a simulation, a recording.
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
+///
+/// ```no_run
+/// use joulebus_publisher::{Publisher, RobotState};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
+/// let sent = publisher.publish([RobotState::new(7).command(0.2, 0.0).reading(4.6)])?;
+/// if sent.readers == 0 {
+///     println!("no worker runs yet");
+/// }
+/// if let Some(refused) = &sent.first_refused {
+///     println!("{} samples are refused: {refused}", sent.refused);
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Publisher {
     writer: SampleWriter,
     registry: Registry,
@@ -33,6 +49,8 @@ pub struct Publisher {
 }
 
 /// A frame that was sent.
+///
+/// [`Publisher`] has an example.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Sent {
@@ -246,12 +264,24 @@ impl fmt::Debug for Publisher {
 }
 
 /// Errors of publishing a frame.
+///
+/// ```no_run
+/// # use joulebus_publisher::{PublishError, Publisher, RobotState};
+/// # fn example(publisher: &mut Publisher, fleet: &[RobotState]) {
+/// match publisher.publish(fleet.iter().copied()) {
+///     Ok(_) => {}
+///     Err(PublishError::DuplicateRobot { robot }) => panic!("{robot} is in the fleet twice"),
+///     // It names the remedy. The publisher remains usable.
+///     Err(error) => eprintln!("{error}"),
+/// }
+/// # }
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PublishError {
     /// More samples than the capacity of the fleet.
     #[error(
-        "a frame of {found} samples, allowed are {allowed}; raise `fleet.capacity` in the config \
+        "a frame of {found} samples, allowed are {allowed}. Raise `fleet.capacity` in the config \
          of all processes of the fleet"
     )]
     TooMany {
@@ -261,7 +291,7 @@ pub enum PublishError {
         allowed: usize,
     },
     /// A robot occurs twice in a frame.
-    #[error("robot {robot} is in the frame twice; give each robot its own id, once per frame")]
+    #[error("robot {robot} is in the frame twice. Give each robot its own id, once per frame")]
     DuplicateRobot {
         /// The robot.
         robot: u32,

@@ -48,6 +48,8 @@ pub struct RobotState {
 }
 
 /// A robot's charger.
+///
+/// [`RobotState`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Charger {

@@ -3,12 +3,22 @@
 //! No clock, file, thread or shared memory: time is an argument, so that a live run, a replay and a
 //! simulation execute the same code.
 //!
-//! A [`Fleet`] [takes](Fleet::take) frames of samples, then [ticks](Fleet::tick), and then writes
-//! [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget),
-//! robot by robot, into the caller's memory: the worker passes loaned shared memory. [`Schedule`]
-//! determines when a tick is due. [`OnlineForecasts`] are the forecasts and intervals alone.
+//! **Three types to know.** A [`Fleet`] [takes](Fleet::take) frames of samples, then
+//! [ticks](Fleet::tick). Then it writes [forecasts](Fleet::forecast),
+//! [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget), robot by robot, into the caller's
+//! memory: the worker passes loaned shared memory. [`Schedule`] determines when a tick is due.
+//! [`OnlineForecasts`] are the forecasts and intervals alone.
 //!
 //! After [`Fleet::new`] no fleet allocates.
+//!
+//! **Units** are those of `joulebus-wire`: SI, and ns for times.
+//!
+//! **In the book**: [forecasts that learn online][1], [the same bits, live and offline][2], [tiles
+//! of 512 robots][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/online-forecasts.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/determinism.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/tiles.md
 #![forbid(unsafe_code)]
 
 mod alarms;

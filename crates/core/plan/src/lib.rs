@@ -1,12 +1,17 @@
 //! Energy of plans: the cost of a plan, whether the robot completes it, which robot does it at the
-//! least cost, and when it must turn back. Pure: a [`Fleet`] with models and settings, and a
-//! [`Robot`] made from rows of any origin. `joulebus-planner` reads the rows of a running fleet.
+//! least cost, and when it must turn back.
+//!
+//! Pure: a [`Fleet`] with models and settings, and a [`Robot`] made from rows of any origin.
+//! `joulebus-planner` reads the rows of a running fleet.
+//!
+//! **Three types to know.** A [`Plan`] is what a robot would do. A [`Robot`] answers questions
+//! about plans. An [`Answer`] has the energy, the verdict and what weakens it.
 //!
 //! **Computed in the planner's process**, from the rows that the worker writes into shared memory
 //! for each robot and tick ([`joulebus_wire::PlanState`]), with the models that the fleet's config
-//! names: no request, no queue, no load on the worker beyond writing. A [`Robot`] is a checked
-//! copy. It is `Send` and `Sync`, so that a planner can ask in any number of threads. The same
-//! frame and the same question give the same bits in every thread and process.
+//! names. There is no request, no queue, and no load on the worker beyond writing. A [`Robot`] is a
+//! checked copy. It is `Send` and `Sync`, so that a planner can ask in any number of threads. The
+//! same frame and the same question give the same bits in every thread and process.
 //!
 //! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper bound at the requested
 //! coverage fits into the lower bound of the spare energy, at the end of every leg, and nothing
@@ -19,6 +24,11 @@
 //!
 //! A process that cannot compute asks a thread of the worker instead. A [`Question`] is the same
 //! value for both.
+//!
+//! **In the book**: [ask before you move][1], [verdicts][2].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/ask.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/verdicts.md
 #![forbid(unsafe_code)]
 
 mod answer;

@@ -8,6 +8,14 @@ use crate::linear::Linear;
 use crate::seen_power::SeenPower;
 
 /// Residuals of a model on held-out data.
+///
+/// ```
+/// use joulebus_predictor::ResidualStats;
+///
+/// let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
+/// assert!(residual.check().is_ok());
+/// assert!(ResidualStats { std_w: f32::NAN, ..residual }.check().is_err());
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ResidualStats {
     /// Standard deviation of reading minus forecast, W, not negative.
@@ -38,6 +46,16 @@ impl ResidualStats {
 }
 
 /// Minimum and maximum of each feature in the training data, in SI units.
+///
+/// ```
+/// use joulebus_predictor::{FeatureSet, INPUTS, TrainingRange};
+///
+/// let rows = [[1.0; INPUTS], [3.0; INPUTS]];
+/// let range = TrainingRange::of(FeatureSet::PowerOnly, rows.iter());
+/// assert_eq!(range.outside(&[2.0; INPUTS], 0.0), None);
+/// assert!(range.outside(&[4.0; INPUTS], 0.1).is_some());
+/// assert_eq!(range.fed_back_w(9.0), 3.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingRange {
     /// The features that the model reads; the entries of the others are meaningless.
@@ -96,6 +114,8 @@ impl TrainingRange {
 }
 
 /// Scores on held-out data, of the network and of persistence.
+///
+/// A [`ModelCard`] has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Number of forecasts scored.
@@ -117,6 +137,8 @@ const ROBOTARIUM_STEP_S: f32 = 0.033;
 
 /// Identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
 /// computed and compared by `joulebus_dataset::trained_rows`.
+///
+/// A [`ModelCard`] has it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrainedRows {
     /// Rows that weights were fitted to or that chose among them, in early stopping.
@@ -126,6 +148,8 @@ pub struct TrainedRows {
 }
 
 /// Hashes of blocks of the same number of rows.
+///
+/// [`TrainedRows`] has them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TrainedBlocks {
     /// Rows of each, at least 1.
@@ -135,6 +159,8 @@ pub struct TrainedBlocks {
 }
 
 /// Origin and scores of a network.
+///
+/// [`Network`](crate::Network) has an example.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelCard {
     /// Display name.

@@ -6,12 +6,19 @@ use thiserror::Error;
 
 /// Why bytes or parameters are not a model that this build can execute. The caller adds the file
 /// name.
+///
+/// ```
+/// use joulebus_predictor::{ModelError, Network};
+///
+/// let refused = Network::from_safetensors(b"no model");
+/// assert!(matches!(refused, Err(ModelError::Container(_))));
+/// ```
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ModelError {
     /// Larger than any model of this kind.
     #[error(
-        "the file has {found} bytes, a model has at most {allowed}; check that it is a model file"
+        "the file has {found} bytes, a model has at most {allowed}. Check that it is a model file"
     )]
     TooLarge {
         /// Bytes found.
@@ -20,10 +27,10 @@ pub enum ModelError {
         allowed: usize,
     },
     /// The container is corrupt or of another format.
-    #[error("not a complete safetensors file ({0}); copy or train the model again")]
+    #[error("not a complete safetensors file ({0}). Copy or train the model again")]
     Container(#[from] SafeTensorError),
     /// A metadata entry is absent.
-    #[error("metadata has no `{field}`; this is not a joulebus model")]
+    #[error("metadata has no `{field}`. This is not a joulebus model")]
     MissingField {
         /// Name of the entry.
         field: &'static str,
@@ -45,7 +52,7 @@ pub enum ModelError {
         tensor: String,
     },
     /// A tensor that belongs to no layer.
-    #[error("tensor `{tensor}` belongs to no layer; a model has exactly {allowed} tensors")]
+    #[error("tensor `{tensor}` belongs to no layer. A model has exactly {allowed} tensors")]
     UnexpectedTensor {
         /// Name of the tensor.
         tensor: String,
@@ -74,7 +81,7 @@ pub enum ModelError {
     },
     /// The contents differ from the digest.
     #[error(
-        "contents have SHA-256 {found}, metadata says {stated}; the file was modified or corrupted"
+        "contents have SHA-256 {found}, metadata says {stated}. The file was modified or corrupted"
     )]
     Checksum {
         /// Digest of the contents, hexadecimal.
@@ -98,6 +105,8 @@ impl ModelError {
 }
 
 /// Errors of rollouts.
+///
+/// [`Rollouts`](crate::Rollouts) has an example of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RolloutError {
@@ -125,6 +134,8 @@ pub enum RolloutError {
 }
 
 /// A slice has another length than the others require.
+///
+/// [`Model::predict_columns`](crate::Model::predict_columns) returns it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{column} has {found} values, allowed: {allowed}")]
 pub struct LengthError {

@@ -72,6 +72,14 @@ pub fn features(
 }
 
 /// The subset of features that a network reads.
+///
+/// ```
+/// use joulebus_predictor::FeatureSet;
+///
+/// assert_eq!(FeatureSet::Full.inputs(), 11);
+/// assert!(!FeatureSet::PowerOnly.needs_command());
+/// assert_eq!(FeatureSet::from_name(FeatureSet::Freshness.name()), Some(FeatureSet::Freshness));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureSet {
     /// The paper's eleven.

@@ -10,6 +10,12 @@
 //! and documents them.
 
 /// The activation of the hidden layers.
+///
+/// ```
+/// use joulebus_predictor::Activation;
+///
+/// assert_eq!(Activation::from_name(Activation::Relu.name()), Some(Activation::Relu));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
     /// x·Φ(x) with Φ by the error function: GELU in PyTorch and JAX.

@@ -7,6 +7,15 @@ use crate::nan::canonical;
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
 /// and, in older model files, the velocities. The trainer fits the autoregression by least squares
 /// on the network's training rows; the model file includes it for forecasts that learn online.
+///
+/// ```
+/// use joulebus_predictor::{FeatureSet, INPUTS, Linear};
+///
+/// let weights = [0.0; INPUTS];
+/// let linear = Linear { feature_set: FeatureSet::PowerOnly, bias_w: 3.5, weights, r2: 0.0 };
+/// assert!(linear.check().is_ok());
+/// assert_eq!(linear.predict(&[1.0; INPUTS]), 3.5);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linear {
     /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of the

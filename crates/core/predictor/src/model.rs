@@ -15,6 +15,20 @@ use crate::persistence::Persistence;
 use crate::rollout::Rollouts;
 
 /// The forecaster of one platform.
+///
+/// ```
+/// use joulebus_predictor::{LAGS, Model, Persistence, ResidualStats, features};
+///
+/// let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
+/// let model = Model::Persistence(Persistence::new(residual)?);
+/// // The newest reading comes first.
+/// let row = features(0.2, 0.0, None, &[4.2, 4.0, 4.0, 4.0, 4.0]);
+/// let mut forecast_w = [0.0];
+/// model.predict(&[row], &mut forecast_w);
+/// assert_eq!(forecast_w, [4.2]);
+/// assert_eq!(LAGS, 5);
+/// # Ok::<(), joulebus_predictor::ModelError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub enum Model {
     /// A trained network.

@@ -11,6 +11,19 @@ use crate::parameters::{Layer, Normalisation, Parameters};
 use crate::rollout::Rollouts;
 
 /// A network that passed every check.
+///
+/// ```no_run
+/// use joulebus_predictor::{Model, Network};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let network = Network::from_safetensors(&std::fs::read("my.safetensors")?)?;
+/// let card = network.card();
+/// println!("{} of {}: R² {:.2}", card.name, card.source, card.scores.network_r2);
+/// println!("{} inputs, kernel {:?}", network.feature_set().inputs(), network.kernel());
+/// let model = Model::Network(network);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Network {
     parameters: Box<Parameters>,

@@ -7,6 +7,8 @@ use crate::gelu::Activation;
 pub const HIDDEN: [usize; 3] = [64, 64, 32];
 
 /// A dense layer.
+///
+/// [`Parameters`] has an example.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Weights, row-major, one row of inputs per output.
@@ -16,6 +18,8 @@ pub struct Layer {
 }
 
 /// Training statistics that scale features and power to zero mean and unit deviation.
+///
+/// [`Parameters`] has an example.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Normalisation {
     /// Mean of each feature, in its unit.
@@ -29,6 +33,14 @@ pub struct Normalisation {
 }
 
 /// Everything that determines a forecast.
+///
+/// ```no_run
+/// # fn example(network: &joulebus_predictor::Network) {
+/// let parameters = network.parameters();
+/// println!("power: {} W on average", parameters.normalisation.power_mean_w);
+/// println!("first layer: {} weights", parameters.layers[0].weights.len());
+/// # }
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// The features read; entries of the others in the normalisation are meaningless.

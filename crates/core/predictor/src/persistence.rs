@@ -7,6 +7,8 @@ use crate::error::ModelError;
 use crate::file::leading_u64;
 
 /// The baseline that repeats the last reading.
+///
+/// [`Model`](crate::Model) has an example.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Persistence {
     pub(crate) residual: ResidualStats,

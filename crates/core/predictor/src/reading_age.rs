@@ -16,6 +16,17 @@ use crate::features::{FEATURES, Features};
 /// [`ReadingAge::pass`]ed, by the schedule that the robot has kept so far. The *interval* between
 /// two measurements is estimated: a shorter one is adopted at once, a longer one by one sample at a
 /// time, because a new measurement equal to the previous one is mistaken for a held reading.
+///
+/// ```
+/// use joulebus_predictor::ReadingAge;
+///
+/// let mut age = ReadingAge::UNKNOWN;
+/// for is_new in [true, false, true, false] {
+///     age.read(is_new);
+/// }
+/// assert_eq!((age.age_steps(), age.interval_steps()), (Some(1), Some(2)));
+/// assert_eq!(age.is_due(), Some(true));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReadingAge {
     /// Samples since the last measurement, or [`NEVER`].

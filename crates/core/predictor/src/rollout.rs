@@ -7,6 +7,8 @@ use crate::features::LAGS;
 use crate::reading_age::ReadingAge;
 
 /// State of a robot before the first step of its candidates.
+///
+/// [`Rollouts`] has an example.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutStart {
     /// The command before the first step: linear velocity in m/s and angular velocity in rad/s.
@@ -24,6 +26,33 @@ pub struct RolloutStart {
 /// A *lane* is one candidate of one robot: lane `robot * candidates + candidate`. Commands are
 /// stored step by step: the command of lane `l` at step `t` is at `t * lanes + l`, so that a step
 /// of many lanes is contiguous in memory.
+///
+/// ```
+/// use joulebus_predictor::{
+///     LAGS, Model, Persistence, ReadingAge, ResidualStats, RolloutStart, Rollouts,
+/// };
+///
+/// let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
+/// let model = Model::Persistence(Persistence::new(residual)?);
+/// let start = RolloutStart {
+///     command: None,
+///     lag_w: [4.0; LAGS],
+///     reading_age: ReadingAge::UNKNOWN,
+/// };
+/// // One robot, two candidates of ten steps.
+/// let rollouts = Rollouts {
+///     starts: &[start],
+///     candidates: 2,
+///     steps: 10,
+///     step_s: 0.5,
+///     v_mps: &[0.2; 20],
+///     omega_radps: &[0.0; 20],
+/// };
+/// let mut energy_j = [0.0; 2];
+/// model.rollout(&rollouts, 0..2, &mut energy_j, None)?;
+/// assert_eq!(energy_j, [20.0; 2]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Rollouts<'a> {
     /// Initial state of each robot.

@@ -10,6 +10,15 @@ const SPREADS: usize = 16;
 /// The bins of (mean, spread) of five successive readings that the training data visited, with
 /// their neighbours. A robot whose first readings lie elsewhere is of another kind, or measured
 /// otherwise: nothing is known of the network's errors there.
+///
+/// ```
+/// use joulebus_predictor::{FeatureSet, INPUTS, LAGS, TrainingRange};
+///
+/// let rows = [[3.0; INPUTS]];
+/// let seen = TrainingRange::of(FeatureSet::PowerOnly, rows.iter()).seen.ok_or("power above 0")?;
+/// assert!(seen.has(&[3.0; LAGS]) && !seen.has(&[0.1; LAGS]));
+/// # Ok::<(), &str>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SeenPower {
     /// The newest reading's maximum in training, W, above 0; scales both axes.

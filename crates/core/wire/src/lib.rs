@@ -1,16 +1,29 @@
 //! Layout of shared memory: fixed-size payloads, codes, flags and service names.
 //!
-//! Everything here is read by other processes and other languages: `#[repr(C)]`, no implicit
-//! padding and no Rust enums or bools, of which another process could write an invalid one (checked
-//! at compile time: each is a [`Payload`]), SI units, `u64` nanoseconds for time. An unknown value
-//! is NaN *and* has its flag cleared; it is never 0 or −1. Codes are decoded with
-//! [`Quality::decode`] and the other `decode` functions, which accept every bit pattern.
-//!
 //! ```
 //! use joulebus_wire::{Sample, sample_flag};
 //! let sample = Sample::new(7, 0, 1_000_000).command(0.1, 0.0).reading(3.65, 1_000_000);
 //! assert!(sample.flags & sample_flag::POWER != 0);
 //! ```
+//!
+//! Other processes and other languages read everything here. So each payload is `#[repr(C)]`
+//! without implicit padding, and without Rust enums or bools, of which another process could write
+//! an invalid one. This is checked at compile time: each is a [`Payload`].
+//!
+//! **Three types to know.** A [`Sample`] is what a source says of a robot. A [`Forecast`] is what
+//! the worker says of it. A [`Channel`] is a service of shared memory: its header and its rows.
+//!
+//! **Units** are SI. Times are `u64` nanoseconds. An unknown value is NaN *and* has its flag
+//! cleared. It is never 0 or −1.
+//!
+//! **Errors.** There are none: codes are decoded with [`Quality::decode`] and the other `decode`
+//! functions, which accept every bit pattern.
+//!
+//! **In the book**: [layout of shared memory][1], [a channel is a type][2], [alarms][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/layout.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/channel.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/alarms.md
 #![forbid(unsafe_code)]
 
 mod acknowledgement;

@@ -1,11 +1,5 @@
 //! One file configures every process of a fleet.
 //!
-//! [`Config::load`] reads the fleet's file and the platform files that it names, checks every key
-//! against one table ([`KEYS`]), and refuses unknown keys and values that are out of range or
-//! contradictory: all at once, each with file, line and remedy. The result is plain values:
-//! [`Config::settings`] for the tick, [`Config::root`], [`Config::prefix`] and [`Config::fleet`]
-//! for shared memory.
-//!
 //! ```
 //! let text = r#"
 //! [fleet]
@@ -22,6 +16,23 @@
 //! assert!(refused.to_string().contains("`fleet.name`"));
 //! # Ok::<(), joulebus_config::ConfigError>(())
 //! ```
+//!
+//! [`Config::load`] reads the fleet's file and the platform files that it names. It checks every
+//! key against one table ([`KEYS`]). It refuses unknown keys, and values that are out of range or
+//! contradictory: all at once, each with file, line and remedy.
+//!
+//! **Three types to know.** A [`Config`] is plain values: [`Config::settings`] for the tick, and
+//! [`Config::root`], [`Config::prefix`] and [`Config::fleet`] for shared memory. A [`Key`]
+//! describes a key: unit, range, default and meaning. A [`ConfigError`] has all problems of a file.
+//!
+//! **Units** stand in the names of the keys: `_w`, `_s`, `_hz`, `_mps`.
+//!
+//! **In the book**: [config: every key][1], [check configs in an editor][2], [one file for all
+//! processes][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/editors.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/config.md
 #![forbid(unsafe_code)]
 
 mod builtin;

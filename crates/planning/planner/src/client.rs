@@ -13,6 +13,24 @@ use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, fnv1a};
 
 /// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
 /// and needs no more memory than a question and an answer. Belongs to one thread.
+///
+/// ```no_run
+/// use std::time::Duration;
+///
+/// use joulebus_plan::Question;
+/// use joulebus_planner::{ClientError, PlanClient};
+///
+/// # fn example(question: &Question) -> Result<(), Box<dyn std::error::Error>> {
+/// let mut client = PlanClient::connect("configs/fleet.toml")?;
+/// match client.ask(question, Duration::from_secs(1)) {
+///     Ok(answered) => println!("{:?}, of tick {}", answered.reply, answered.tick),
+///     Err(ClientError::Refused(why)) => println!("the worker refuses it: {why}"),
+///     Err(ClientError::Unanswered(why)) => println!("no answer: {why}"),
+///     Err(other) => return Err(other.into()),
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct PlanClient {
     client: QueryClient,
     fleet: u64,
@@ -23,6 +41,8 @@ pub struct PlanClient {
 }
 
 /// Reason that a question has no answer.
+///
+/// [`PlanClient`] has an example.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ClientError {
@@ -35,6 +55,8 @@ pub enum ClientError {
 }
 
 /// A reply, and the frames that it was computed from.
+///
+/// [`PlanClient`] has an example.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Answered {

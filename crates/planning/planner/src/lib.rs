@@ -1,5 +1,5 @@
 //! SDK of a planner that asks before it moves: what a plan costs, whether the robot makes it, which
-//! robot does it for the least, when it must turn back (`joulebus-plan`).
+//! robot does it for the least, when it must turn back. `joulebus-plan` has questions and answers.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -21,9 +21,24 @@
 //! }
 //! ```
 //!
-//! [`Planner`] computes in this process, from what the worker writes into shared memory, without a
-//! request, a queue, or load on the worker beyond writing. A process that cannot compute asks a
-//! thread of the worker instead: [`PlanClient`]. A question is the same value for both.
+//! **Three types to know.** A [`Planner`] computes in this process, from what the worker writes
+//! into shared memory. It needs no request and no queue, and puts no load on the worker beyond
+//! writing. A [`View`] is the fleet at one tick, whose robots answer questions. A [`PlanClient`]
+//! asks a thread of the worker instead, for a process that cannot compute. A question is the same
+//! value for both.
+//!
+//! **Units** are W, J, s, ns, m and rad.
+//!
+//! **Errors** state the remedy: [`ConnectError`] at the start, [`ViewError`] and [`ClientError`]
+//! later. After the latter two, the next call may succeed.
+//!
+//! **In the book**: [ask before you move][1], [questions that the worker answers][2],
+//! [verdicts][3], [energy over a horizon][4].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/ask.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/ask-the-worker.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/verdicts.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/energy.md
 #![forbid(unsafe_code)]
 
 mod client;

@@ -13,6 +13,8 @@ use joulebus_wire::AnswerHeader;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
 /// reader of shared memory; the [`Robot`]s that it gives do not.
+///
+/// The [crate](crate)'s page has an example.
 pub struct Planner {
     subscriber: Subscriber,
     states: Feed<PlanStates>,
@@ -21,6 +23,17 @@ pub struct Planner {
 }
 
 /// Errors of reading the fleet's state.
+///
+/// ```no_run
+/// # use joulebus_planner::{Planner, ViewError};
+/// # fn example(planner: &mut Planner) {
+/// match planner.wait(std::time::Duration::from_secs(1)) {
+///     Ok(view) => println!("{} robots", view.ids().count()),
+///     Err(ViewError::Nothing { waited_s, .. }) => println!("nothing within {waited_s} s"),
+///     Err(error) => println!("{error}"),
+/// }
+/// # }
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ViewError {
@@ -140,6 +153,17 @@ impl fmt::Debug for Planner {
 }
 
 /// The fleet as of one tick, read in shared memory.
+///
+/// ```no_run
+/// # use joulebus_planner::{Planner, ViewError};
+/// # fn example(planner: &mut Planner) -> Result<(), ViewError> {
+/// if let Some(view) = planner.view()? {
+///     println!("tick {}, {} ns old", view.tick(), view.age_ns());
+///     println!("robot 7 is there: {}", view.robot(7).is_some());
+/// }
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
     states: Frame<'a, PlanStates>,

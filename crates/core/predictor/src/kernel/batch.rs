@@ -11,6 +11,8 @@ use super::packed::{Packed, Read};
 use crate::features::{Features, INPUTS};
 
 /// Tiling of a batch; it does not change the bits.
+///
+/// [`Network::with_tiling`](crate::Network::with_tiling) takes one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {

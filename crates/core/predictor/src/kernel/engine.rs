@@ -16,6 +16,12 @@ use crate::features::{Features, INPUTS};
 use crate::rollout::Rollouts;
 
 /// Implementation of the kernel; all give the same bits.
+///
+/// ```
+/// use joulebus_predictor::Kernel;
+///
+/// assert!(Kernel::Scalar.is_available() && Kernel::best().is_available());
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Kernel {

@@ -61,6 +61,8 @@ pub(crate) trait Job<L: Lanes> {
 }
 
 /// A loop over columns that profits from being compiled for the CPU it runs on.
+///
+/// [`SimdLevel`](crate::simd::SimdLevel) has an example.
 pub trait SimdTask {
     /// Implementations and everything they call are `#[inline(always)]`: a function that is not
     /// inlined would be compiled for the baseline CPU.

@@ -4,6 +4,23 @@ use super::engine::Engine;
 use super::lanes::{Lanes, SimdTask};
 
 /// The instruction set of this processor, detected once.
+///
+/// ```
+/// use joulebus_predictor::simd::{SimdLevel, SimdTask};
+///
+/// struct Double<'a>(&'a mut [f32]);
+///
+/// impl SimdTask for Double<'_> {
+///     #[inline(always)]
+///     fn run(self) {
+///         self.0.iter_mut().for_each(|value| *value *= 2.0);
+///     }
+/// }
+///
+/// let mut values = [1.0, 2.0];
+/// SimdLevel::best().run(Double(&mut values));
+/// assert_eq!(values, [2.0, 4.0]);
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct SimdLevel(pub(crate) Engine);
 

@@ -27,7 +27,7 @@ use joulebus_program::platform::platform;
     long, truncated files. --accept makes one of them a note. Held readings, \
     and columns that are missing, unknown or constant are reported, but are not faults.\n\
     Exit codes: 0 without faults, 3 with faults.\n\n\
-    Names of columns in a CSV, upper or lower case; --map names others. Time and power are required, or \
+    Names of columns in a CSV, upper or lower case. --map names others. Time and power are required, or \
     voltage and current instead of power:\n{}", joulebus_dataset::trial::column_names()))]
 pub(super) struct Args {
     #[command(flatten)]
