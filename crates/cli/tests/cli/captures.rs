@@ -351,7 +351,7 @@ fn layout_topics() -> BTreeSet<String> {
         ("plotjuggler/joulebus.xml", "curve name=\"", "\""),
     ] {
         let layout = fs::read_to_string(configs.join(file)).unwrap();
-        let names = layout.split(opening).filter_map(|rest| Some(rest.split_once(closing)?.0));
+        let names = layout.split(opening).filter_map(|rest| rest.split(closing).next());
         let before = topics.len();
         for name in names.filter(|name| name.starts_with("joulebus/")) {
             // A curve is a topic and a field.
