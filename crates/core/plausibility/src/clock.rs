@@ -4,8 +4,9 @@ use crate::sizes::Sizes;
 
 /// Rows before their times count.
 pub(crate) const MIN_ROWS: u64 = 20;
-/// Rows a second that a robot may report.
-pub(crate) const RATE_HZ: (f64, f64) = (0.05, 2_000.0);
+/// Rows a second that a robot may report: of times whose unit nothing states, and of others.
+pub(crate) const RATE_HZ: (f64, f64) = (0.05, 1_100.0);
+pub(crate) const STATED_RATE_HZ: (f64, f64) = (2.5e-4, 20_000.0);
 /// Share of rows whose time repeats or goes back, beyond which too few are left.
 const MAX_LOST: f64 = 0.2;
 /// Stamps kept from each end of a topic.
@@ -17,7 +18,7 @@ const MAX_OFFSET_S: f64 = 0.1;
 #[derive(Debug, Clone)]
 pub(crate) struct Times {
     pub(crate) rows: u64,
-    latest_s: f64,
+    pub(crate) latest_s: f64,
     pub(crate) steps: Sizes,
     pub(crate) repeated: u64,
     pub(crate) backward: u64,

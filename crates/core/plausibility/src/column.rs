@@ -41,6 +41,15 @@ pub(crate) struct Column {
     pub(crate) outside: u64,
     pub(crate) least: f64,
     pub(crate) greatest: f64,
+    /// The values next to them.
+    pub(crate) above_least: f64,
+    pub(crate) below_greatest: f64,
+    /// Values that are equal to the one before.
+    pub(crate) repeats: u64,
+    /// Steps to a hundredth or to a hundredfold.
+    pub(crate) jumps: u64,
+    /// Digits after the point that write all values, at most [`Column::CONTINUUM`].
+    pub(crate) decimals: u8,
     pub(crate) first: f64,
     pub(crate) last: f64,
     pub(crate) varies: bool,
@@ -61,6 +70,8 @@ pub(crate) struct Column {
 pub(crate) struct End {
     /// Values at the end.
     pub(crate) count: u64,
+    /// Runs of them.
+    pub(crate) runs: u64,
     /// Values at the end since the last one that was not.
     run: u64,
     /// The longest run.
@@ -68,14 +79,20 @@ pub(crate) struct End {
 }
 
 impl End {
+    const NONE: Self = Self { count: 0, runs: 0, run: 0, longest: 0 };
+
     fn take(&mut self, is_at_end: bool) {
         self.run = if is_at_end { self.run + 1 } else { 0 };
+        self.runs += u64::from(self.run == 1);
         self.count += u64::from(is_at_end);
         self.longest = self.longest.max(self.run);
     }
 }
 
 impl Column {
+    /// As many digits as no file has: the values are a continuum.
+    pub(crate) const CONTINUUM: u8 = 9;
+
     pub(crate) const fn new() -> Self {
         Self {
             count: 0,
@@ -84,13 +101,18 @@ impl Column {
             outside: 0,
             least: f64::INFINITY,
             greatest: f64::NEG_INFINITY,
+            above_least: f64::INFINITY,
+            below_greatest: f64::NEG_INFINITY,
+            repeats: 0,
+            jumps: 0,
+            decimals: 0,
             first: f64::NAN,
             last: f64::NAN,
             varies: false,
             sizes: Sizes::new(),
             steps: Sizes::new(),
-            at_greatest: End { count: 0, run: 0, longest: 0 },
-            at_least: End { count: 0, run: 0, longest: 0 },
+            at_greatest: End::NONE,
+            at_least: End::NONE,
             largest_steps: Largest::NONE,
             largest_dips: Largest::NONE,
             step: 0.0,
@@ -106,7 +128,14 @@ impl Column {
             self.first = value;
         } else {
             self.varies |= value != self.first;
-            self.step(value - self.last);
+            // NaN before the first value of a recording.
+            if self.last.is_finite() {
+                self.repeats += u64::from(value == self.last);
+                let ratio = (value / self.last).abs();
+                let is_jump = ratio.is_finite() && ratio > 0.0 && !(1e-2..=1e2).contains(&ratio);
+                self.jumps += u64::from(is_jump);
+                self.step(value - self.last);
+            }
         }
         self.count += 1;
         self.zero += u64::from(value == 0.0);
@@ -116,15 +145,26 @@ impl Column {
         self.outside += u64::from(is_outside);
         self.sizes.add(value);
         if value > self.greatest {
+            self.below_greatest = self.greatest;
             self.greatest = value;
             self.at_greatest = End::default();
         }
         self.at_greatest.take(value == self.greatest);
+        if value < self.greatest {
+            self.below_greatest = self.below_greatest.max(value);
+        }
         if value < self.least {
+            self.above_least = self.least;
             self.least = value;
             self.at_least = End::default();
         }
         self.at_least.take(value == self.least);
+        if value > self.least {
+            self.above_least = self.above_least.min(value);
+        }
+        while self.decimals < Self::CONTINUUM && !is_whole(value, self.decimals) {
+            self.decimals += 1;
+        }
         self.last = value;
     }
 
@@ -138,7 +178,19 @@ impl Column {
         self.step = step;
     }
 
+    /// Begins another recording: its first value follows none.
+    pub(crate) fn begin(&mut self) {
+        (self.last, self.step) = (f64::NAN, 0.0);
+        (self.at_greatest.run, self.at_least.run) = (0, 0);
+    }
+
     pub(crate) fn is_zero(&self) -> bool {
         self.count > 0 && self.zero == self.count
     }
+}
+
+/// Whether a value has no more digits after the point.
+fn is_whole(value: f64, decimals: u8) -> bool {
+    let scaled = value * 10f64.powi(decimals.into());
+    (scaled - scaled.round()).abs() <= 1e-4 + 1e-9 * scaled.abs()
 }

@@ -28,11 +28,15 @@ pub enum Kind {
     Saturation,
     /// A value that never changes.
     Constant,
+    /// A number that says that there is no reading.
+    Sentinel,
+    /// Power differs from voltage times current.
+    Mismatch,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Sign,
         Self::Unit,
         Self::Clock,
@@ -41,6 +45,8 @@ impl Kind {
         Self::Range,
         Self::Saturation,
         Self::Constant,
+        Self::Sentinel,
+        Self::Mismatch,
     ];
 
     /// The name.
@@ -55,6 +61,8 @@ impl Kind {
             Self::Range => "range",
             Self::Saturation => "saturation",
             Self::Constant => "constant",
+            Self::Sentinel => "sentinel",
+            Self::Mismatch => "mismatch",
         }
     }
 }
@@ -94,6 +102,8 @@ pub enum Source {
     Recording,
     /// A recording whose current is turned already.
     TurnedRecording,
+    /// An array, whose columns and units are fixed.
+    Array,
     /// A bag, read by `joulebus import`.
     Bag,
     /// A bridge's file.
@@ -103,7 +113,7 @@ pub enum Source {
 }
 
 /// What to do about a finding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Remedy {
     /// Turn the sign of power and current.
     Turn,
@@ -121,6 +131,12 @@ pub(crate) enum Remedy {
     Sensor,
     /// Correct the values, or their limits.
     Limits,
+    /// Say which number stands for no reading, as its file has it.
+    Missing(f64),
+    /// Divide the recording.
+    Split,
+    /// Name columns that belong together.
+    Agree,
 }
 
 /// A finding about one robot.
@@ -151,7 +167,7 @@ impl Finding {
         let column = column.unwrap_or("COLUMN");
         let accept = self.kind;
         let remedy = match (self.remedy, source) {
-            (Remedy::Turn, Source::Recording) => {
+            (Remedy::Turn, Source::Recording | Source::Array) => {
                 "turn the sign with --current discharge-negative".to_owned()
             }
             (Remedy::Turn, Source::TurnedRecording) => {
@@ -162,11 +178,14 @@ impl Finding {
                     .to_owned()
             }
             (Remedy::Turn, Source::Bridge) => format!(
-                "turn the sign: negate = true in the field `{quantity}`, or current = \"discharge-positive\" of the battery"
+                "turn the sign: negate = true in the field `{quantity}`, or current = \"discharge_positive\" of the battery"
             ),
             (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
+            (Remedy::State(_), Source::Array) => format!(
+                "convert its {quantity}: an array has s, m/s, rad/s, mV, mA and mW; or give a CSV with --map"
+            ),
             (Remedy::State(unit), Source::Recording | Source::TurnedRecording) => {
-                format!("state the unit, --map {quantity}_{unit}={column}, or correct the file")
+                state(quantity, unit, column)
             }
             (Remedy::State(_), Source::Bag) => {
                 format!("state the unit in a mapping file, such as {quantity}_unit = 0.001")
@@ -175,14 +194,22 @@ impl Finding {
                 // The units of a bridge's file.
                 let unit = match unit {
                     "percent" => "%",
+                    "cmps" => "cm/s",
                     "mmps" => "mm/s",
                     "degps" => "deg/s",
                     other => other,
                 };
-                format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}")
+                let ros = match quantity {
+                    "soc" => "; of ROS 2, percentage_unit = \"%\"",
+                    _ => "; a BatteryState of ROS 2 has V and A: correct its driver",
+                };
+                format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}{ros}")
             }
             (Remedy::State(unit), Source::Program) => {
                 format!("{quantity} is expected in SI units, not in {unit}")
+            }
+            (Remedy::Seconds(unit), Source::Array) => {
+                format!("convert its time, which seems to be in {unit}: an array has seconds")
             }
             (Remedy::Seconds(unit), _) => {
                 format!("state the unit of the time, such as --map time_{unit}={column}")
@@ -194,7 +221,7 @@ impl Finding {
             (Remedy::Expire, _) => {
                 "record what the robot executes, 0 where it stopped by itself".to_owned()
             }
-            (Remedy::Name, Source::Recording | Source::TurnedRecording) => {
+            (Remedy::Name, Source::Recording | Source::TurnedRecording | Source::Array) => {
                 format!("name its column with --map {quantity}=COLUMN")
             }
             (Remedy::Name, Source::Bag) => "name its topic in a mapping file".to_owned(),
@@ -202,14 +229,30 @@ impl Finding {
                 "correct its topic or `at` in the bridge's file".to_owned()
             }
             (Remedy::Name, Source::Program) => format!("publish {quantity}"),
-            (Remedy::Limits, Source::Recording | Source::TurnedRecording | Source::Bag) => {
+            (
+                Remedy::Limits,
+                Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag,
+            ) => {
                 "correct the values, or state another platform's limits".to_owned()
             }
             (Remedy::Limits, _) => "correct the values or the platform's limits".to_owned(),
+            // Zero is a speed and a current as well.
+            (Remedy::Missing(0.0), _) => "leave the fields empty where there is no reading".to_owned(),
+            (Remedy::Missing(number), Source::Recording | Source::TurnedRecording | Source::Array) => {
+                format!("say that it is no reading: --map missing:={number}")
+            }
+            (Remedy::Missing(_), _) => format!("leave {quantity} out where there is no reading"),
+            (Remedy::Split, _) => "divide the recording where it changes".to_owned(),
+            (Remedy::Agree, Source::Recording | Source::TurnedRecording) => {
+                "name the columns that belong together, --map power_W=…,voltage_V=…,current_A=…, or \
+                 remove those of another circuit"
+                    .to_owned()
+            }
+            (Remedy::Agree, _) => "name power, voltage and current of one circuit".to_owned(),
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {
-            Source::Recording | Source::TurnedRecording | Source::Bag => {
+            Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag => {
                 format!("{remedy}. If it is right, --accept {accept}")
             }
             Source::Bridge => format!("{remedy}. If it is right, accept = [\"{accept}\"]"),
@@ -221,6 +264,31 @@ impl Finding {
     #[must_use]
     pub fn is_error(&self) -> bool {
         self.severity == Severity::Error
+    }
+}
+
+/// The mapping that states a unit; another one if the name of the column states this one already,
+/// by which the values were read.
+fn state(quantity: &str, unit: &str, column: &str) -> String {
+    let states = |unit: &str| {
+        let parts: Vec<&str> = column.split(|letter: char| !letter.is_alphanumeric()).collect();
+        parts.len() > 1 && parts.iter().any(|part| part.eq_ignore_ascii_case(unit))
+    };
+    let other = match unit {
+        _ if !states(unit) => Some(unit),
+        "W" => Some("kW"),
+        "mW" => Some("uW"),
+        "mV" => Some("uV"),
+        "mA" => Some("uA"),
+        _ => None,
+    };
+    match other {
+        Some(unit) => {
+            format!("state the unit, --map {quantity}_{unit}={column}, or correct the file")
+        }
+        None => {
+            format!("{column} states {unit}, which it is not in: correct its values, or its name")
+        }
     }
 }
 

@@ -1,12 +1,13 @@
 //! The judgement of one robot, sample by sample.
 
-use crate::clock::{RATE_HZ, Times};
+use crate::clock::{RATE_HZ, STATED_RATE_HZ, Times};
 use crate::column::Column;
 use crate::finding::{Finding, Kind, Remedy, Severity};
 use crate::hold::Hold;
 use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
+use crate::sentinel::{dropped, sentinel};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
@@ -19,6 +20,14 @@ const MIN_ROWS: u64 = 20;
 const MIN_MISSING: u64 = 50;
 /// Share of values outside their range that makes the whole column wrong.
 const MOSTLY: f64 = 0.5;
+/// Values before they count in a recording of which nothing more will come.
+const FEW_ROWS: u64 = 3;
+/// Difference of power from voltage times current, as a share and in W, that a row may have, and
+/// the share of rows that may have more.
+const MISMATCH: (f64, f64) = (0.1, 0.03);
+const MAX_MISMATCHES: f64 = 0.5;
+/// Time between two recordings that are judged together, s.
+const APART_S: f64 = 1.0;
 /// Speed at which a robot drives, m/s.
 const DRIVES_MPS: f64 = 0.1;
 
@@ -28,6 +37,20 @@ pub struct Known {
     ranges: [Option<(f64, f64)>; 6],
     unstated: [bool; 6],
     expected: [bool; 6],
+    whole: bool,
+    time: TimeUnit,
+}
+
+/// What states the unit of times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TimeUnit {
+    /// A clock: they are texts, or those of this host.
+    #[default]
+    Certain,
+    /// A name, which may be wrong.
+    Named,
+    /// Nothing.
+    Unstated,
 }
 
 impl Known {
@@ -43,6 +66,24 @@ impl Known {
     pub const fn unstated(mut self, quantity: Quantity) -> Self {
         self.unstated[quantity as usize] = true;
         self
+    }
+
+    /// What states the unit of the times.
+    #[must_use]
+    pub const fn timed(mut self, time: TimeUnit) -> Self {
+        self.time = time;
+        self
+    }
+
+    /// Nothing more will come after what is taken, so that a few values have to do.
+    #[must_use]
+    pub const fn whole(mut self) -> Self {
+        self.whole = true;
+        self
+    }
+
+    const fn least(&self, rows: u64) -> u64 {
+        if self.whole { FEW_ROWS } else { rows }
     }
 
     /// The source names a quantity, so that it should come.
@@ -65,6 +106,11 @@ pub struct Judge {
     driving: Sizes,
     sign: Sign,
     hold: Hold,
+    /// Rows with power, voltage and current, and those where they differ.
+    products: u64,
+    mismatches: u64,
+    /// Added to the times of the recording, s; none at its beginning.
+    shift_s: Option<f64>,
 }
 
 impl Judge {
@@ -80,17 +126,28 @@ impl Judge {
             driving: Sizes::new(),
             sign: Sign::default(),
             hold: Hold::default(),
+            products: 0,
+            mismatches: 0,
+            shift_s: Some(0.0),
         }
     }
 
     /// Takes the next observation, in the order in which they came.
     pub fn take(&mut self, seen: &Observation) {
+        let latest_s = self.times.latest_s;
+        let shift_s = *self.shift_s.get_or_insert(latest_s + APART_S - seen.time_s);
+        let seen = &Observation { time_s: seen.time_s + shift_s, ..*seen };
         self.times.take(seen.time_s);
         for quantity in Quantity::ALL {
             let place = quantity as usize;
             self.columns[place].take(seen.value(quantity), self.known.ranges[place]);
         }
-        self.ratios.add(seen.power_w / (seen.voltage_v * seen.current_a));
+        let product_w = seen.voltage_v * seen.current_a;
+        let away_w = (seen.power_w.abs() - product_w.abs()).abs();
+        self.products += u64::from(away_w.is_finite());
+        let (share, least_w) = MISMATCH;
+        self.mismatches += u64::from(away_w > least_w.max(share * product_w.abs()));
+        self.ratios.add(seen.power_w / product_w);
         if seen.voltage_v.is_nan() {
             self.implied.add(seen.power_w / seen.current_a);
         }
@@ -99,6 +156,13 @@ impl Judge {
         }
         self.sign.take(seen);
         self.hold.take(seen);
+    }
+
+    /// Begins another recording of the same robot, or of one like it.
+    pub fn begin(&mut self) {
+        self.shift_s = (self.times.rows == 0).then_some(0.0);
+        self.columns.iter_mut().for_each(Column::begin);
+        self.sign.begin();
     }
 
     /// Observations taken.
@@ -117,19 +181,25 @@ impl Judge {
             implied: &self.implied,
             driving: &self.driving,
             unstated: &self.known.unstated,
+            enough: self.known.least(MIN_ROWS),
         };
         found.extend(magnitudes.judge());
+        found.extend(self.mismatch(&found));
         found.extend(self.clock());
         found.extend(self.holds());
         for quantity in Quantity::ALL {
             let column = &self.columns[quantity as usize];
             found.extend(self.missing(quantity, column));
             // Values in another unit or with the other sign are out of range as well.
+            let sentinel = sentinels(quantity, column);
+            let is_read = sentinel.is_none();
+            found.extend(sentinel);
             let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
             if !is_explained {
                 found.extend(self.range(quantity, column));
             }
-            found.extend(saturation(quantity, column));
+            // Steps to such a number and back are no wraps.
+            found.extend(saturation(quantity, column).filter(|_| is_read));
             found.extend(self.constant(quantity, column));
         }
         found.sort_by_key(|finding| (finding.severity, finding.kind, finding.quantity));
@@ -138,7 +208,7 @@ impl Judge {
 
     fn signs(&self) -> Vec<Finding> {
         let mut found = Vec::new();
-        if let Some(wrong) = self.sign.power() {
+        if let Some(wrong) = self.sign.power(self.known.whole) {
             let (readings, of, why) = (wrong.readings, wrong.of, wrong.why);
             found.push(Finding {
                 kind: Kind::Sign,
@@ -162,6 +232,21 @@ impl Judge {
                 remedy: Remedy::Turn,
             });
         }
+        if found.is_empty()
+            && let Some(readings) = self.sign.changes()
+        {
+            found.push(Finding {
+                kind: Kind::Sign,
+                quantity: Some(Quantity::Power),
+                severity: Severity::Error,
+                readings,
+                found: format!(
+                    "the sign of power changes: in {readings} negative readings the voltage falls while it grows"
+                ),
+                allowed: "power is positive while the battery discharges".to_owned(),
+                remedy: Remedy::Split,
+            });
+        }
         if let Some(readings) = negative_voltage(&self.columns[Quantity::Voltage as usize]) {
             found.push(Finding {
                 kind: Kind::Sign,
@@ -176,6 +261,32 @@ impl Judge {
         found
     }
 
+    /// Power that is not voltage times current, where no unit and no sign explains it.
+    fn mismatch(&self, found: &[Finding]) -> Option<Finding> {
+        let of = |quantity: Quantity| &self.columns[quantity as usize];
+        let is_explained = found.iter().any(|one| one.kind == Kind::Unit)
+            || [Quantity::Power, Quantity::Voltage, Quantity::Current]
+                .into_iter()
+                .any(|one| of(one).is_zero());
+        let share = self.mismatches as f64 / self.products as f64;
+        if is_explained || self.products < self.known.least(MIN_ROWS) || share <= MAX_MISMATCHES {
+            return None;
+        }
+        let ratio = number(self.ratios.usual().unwrap_or(f64::INFINITY));
+        Some(Finding {
+            kind: Kind::Mismatch,
+            quantity: Some(Quantity::Power),
+            severity: Severity::Error,
+            readings: self.mismatches,
+            found: format!(
+                "power is not voltage times current in {} of {} readings: usually {ratio} times it",
+                self.mismatches, self.products
+            ),
+            allowed: "they agree within 10 %".to_owned(),
+            remedy: Remedy::Agree,
+        })
+    }
+
     fn clock(&self) -> Vec<Finding> {
         let times = &self.times;
         let finding = |kind, severity, readings, found, allowed: String, remedy| Finding {
@@ -188,13 +299,21 @@ impl Judge {
             remedy,
         };
         let mut found = Vec::new();
-        let (least_hz, greatest_hz) = RATE_HZ;
-        let rate_hz = times.rate_hz().filter(|_| times.rows >= MIN_ROWS);
+        // A robot that reports once a minute has a name for its unit, or texts.
+        let (least_hz, greatest_hz) = match self.known.time {
+            TimeUnit::Certain => STATED_RATE_HZ,
+            TimeUnit::Named => (RATE_HZ.0, STATED_RATE_HZ.1),
+            TimeUnit::Unstated => RATE_HZ,
+        };
+        let rate_hz = times.rate_hz().filter(|_| times.rows >= self.known.least(MIN_ROWS));
         if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(least_hz..=greatest_hz).contains(rate_hz))
         {
             let what = format!("{} rows a second: is the time in seconds?", number(rate_hz));
             let allowed = format!("allowed are {least_hz} to {greatest_hz}");
-            let (kind, severity) = (Kind::Unit, Severity::Error);
+            let may_be =
+                self.known.time == TimeUnit::Named && (STATED_RATE_HZ.0..1.0).contains(&rate_hz);
+            let severity = if may_be { Severity::Warning } else { Severity::Error };
+            let kind = Kind::Unit;
             found.push(finding(
                 kind,
                 severity,
@@ -204,7 +323,10 @@ impl Judge {
                 Remedy::Seconds(match rate_hz {
                     ..1e-7 => "ns",
                     ..1e-4 => "us",
-                    _ => "ms",
+                    ..1.0 => "ms",
+                    ..2e4 => "min",
+                    ..5e5 => "h",
+                    _ => "d",
                 }),
             ));
         }
@@ -267,7 +389,7 @@ impl Judge {
             return None;
         }
         let share = column.outside as f64 / column.count as f64;
-        let is_wrong = share > MOSTLY && column.count >= MIN_ROWS;
+        let is_wrong = share > MOSTLY && column.count >= self.known.least(MIN_ROWS);
         Some(Finding {
             kind: Kind::Range,
             quantity: Some(quantity),
@@ -332,13 +454,50 @@ fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
     if !is_measured {
         return None;
     }
-    if let Some((readings, value)) = saturated(column) {
+    if let Some((readings, value, is_full)) = saturated(column) {
         let (name, value) = (quantity.name(), quantity.shown(value));
-        let what = format!("{name} is {value}, a full register of 16 bits, in {readings} readings");
+        let what = match is_full {
+            true => {
+                format!("{name} is {value}, a full register of 16 bits, in {readings} readings")
+            }
+            false => {
+                format!("{name} ends at exactly {value}, and stays there in {readings} readings")
+            }
+        };
         return Some(finding(readings, what));
     }
     let (dips, size) = wraps(column)?;
     let (name, size) = (quantity.name(), quantity.shown(size));
-    let what = format!("{name} dips {dips} times by {size}, 2^16 steps of its monitor");
-    Some(finding(dips, what))
+    let what =
+        format!("{name} wraps: it steps {dips} times or more by {size}, a register of its monitor");
+    // Readings beyond it are wrong by the whole register.
+    Some(Finding { severity: Severity::Error, ..finding(dips, what) })
+}
+
+/// Numbers that say that there is no reading.
+fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
+    let finding = |severity, readings, found, written| Finding {
+        kind: Kind::Sentinel,
+        quantity: Some(quantity),
+        severity,
+        readings,
+        found,
+        allowed: "a missing reading is empty or NaN".to_owned(),
+        remedy: Remedy::Missing(written),
+    };
+    if matches!(quantity, Quantity::V | Quantity::Omega) {
+        return None;
+    }
+    let (name, of) = (quantity.name(), column.count);
+    if let Some(found) = sentinel(column) {
+        let value = quantity.shown(found.value);
+        let count = found.count;
+        let what =
+            format!("{name} is exactly {value} in {count} of {of} readings, far from all others");
+        return Some(finding(Severity::Error, count, what, found.written));
+    }
+    let (count, single) = dropped(column).filter(|_| quantity == Quantity::Voltage)?;
+    let severity = if single { Severity::Error } else { Severity::Warning };
+    let what = format!("{name} is exactly 0 V in {count} of {of} readings: no battery has that");
+    Some(finding(severity, count, what, 0.0))
 }

@@ -53,7 +53,14 @@ fn grid(values: &[f64], step: f64) -> Option<f64> {
         let steps = (value - start) / exact;
         (steps - steps.round()).abs() <= NEAR_GRID
     };
-    values.iter().all(is_on).then_some(exact)
+    if !values.iter().all(is_on) {
+        return None;
+    }
+    // A step as large as the distance between a few groups says nothing of the values in them.
+    let mut steps: Vec<i64> =
+        values.iter().map(|value| ((value - start) / exact).round() as i64).collect();
+    steps.dedup();
+    (steps.len() > FEW_VALUES).then_some(exact)
 }
 
 #[cfg(test)]
@@ -80,6 +87,19 @@ mod tests {
         let mut smooth: Vec<f64> = (0..200).map(|at| f64::from(at).sqrt()).collect();
         smooth.sort_unstable_by(f64::total_cmp);
         assert_eq!(resolution(&smooth), None);
+    }
+
+    /// Numbers that stand for "no reading".
+    #[test]
+    fn a_step_as_large_as_the_span_is_none() {
+        for outlier in [-999.0, -9_999.0, 65_535.0] {
+            let mut values: Vec<f64> = (0..200)
+                .map(|at| 24.0 + f64::from(at % 97).sqrt() + 1e-4 * f64::from(at))
+                .collect();
+            values.push(outlier);
+            values.sort_unstable_by(f64::total_cmp);
+            assert_eq!(resolution(&values), None, "{outlier}");
+        }
     }
 
     /// A zero, a robot that boots, and plain noise, to the recorded decimals.

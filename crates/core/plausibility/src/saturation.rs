@@ -1,17 +1,31 @@
 //! Sensors at the end of their range, and registers that wrap.
 
-use crate::column::{Column, LARGEST};
+use crate::column::{Column, End, LARGEST};
 
 /// Readings at the end of the range before it counts.
 const MIN_AT_END: u64 = 5;
 /// Consecutive ones among them.
 const MIN_RUN: u64 = 3;
+/// Equal readings at any end of the range before they count, and consecutive ones among them.
+const MIN_PILE: u64 = 20;
+const MIN_PILE_RUN: u64 = 5;
+/// Runs of them: a charger holds its voltage, and its current, once.
+const MIN_PILE_RUNS: u64 = 3;
+/// Share of the readings at the end that equal the one before, and of all others.
+const STAYS: f64 = 0.3;
+const STAYS_ELSEWHERE: f64 = 0.02;
 /// Relative difference from a full register that rounding leaves.
 const EXACT: f64 = 2e-6;
 /// Full registers: signed and unsigned, of 16 bits.
 const FULL: [f64; 2] = [32_767.0, 65_535.0];
 /// Steps of usual monitors, as mantissas.
 const ROUND: [f64; 7] = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0];
+/// Bits of registers that wrap.
+const BITS: [i32; 3] = [16, 15, 12];
+/// Share of a register that its values leave at either end.
+const LEFT_AT_ENDS: f64 = 5e-3;
+/// Share of a register that a wrap passes.
+const PASSED: f64 = 0.9;
 /// Dips before they count.
 const MIN_WRAPS: usize = 3;
 /// A wrap is larger than so many usual steps.
@@ -49,24 +63,50 @@ fn is_round(step: f64, near: f64) -> bool {
     ROUND.iter().any(|round| near_to(*round) || near_to(round * 10.0))
 }
 
-/// Readings at a full register: their number, and the value.
-pub(crate) fn saturated(column: &Column) -> Option<(u64, f64)> {
+/// Readings at the end of a monitor's range: their number, the value, and whether it is a full
+/// register.
+pub(crate) fn saturated(column: &Column) -> Option<(u64, f64, bool)> {
     if !column.varies {
         return None;
     }
     let ends = [(column.at_greatest, column.greatest), (column.at_least, column.least)];
-    let found = ends.into_iter().find(|(end, value)| {
+    let full = ends.into_iter().find(|(end, value)| {
         end.count >= MIN_AT_END && end.longest >= MIN_RUN && full(*value).is_some()
     });
-    found.map(|(end, value)| (end.count, value))
+    let found = full.map(|(end, value)| (end.count, value, true));
+    found.or_else(|| {
+        // A robot at rest may draw nothing but the least.
+        let found = ends.into_iter().find(|(end, value)| {
+            *value > 0.0 && *value == column.greatest && is_pile(column, *end)
+        });
+        found.map(|(end, value)| (end.count, value, false))
+    })
 }
 
-/// Dips by 2^16 of a monitor's steps: how many were seen, and their size.
+/// Whether values stay at an end as they stay nowhere else: those of a coarse or a slow monitor
+/// repeat everywhere.
+fn is_pile(column: &Column, end: End) -> bool {
+    let others = column.count - end.count;
+    let stays = (end.count - end.runs) as f64 / end.count.max(1) as f64;
+    let repeats = (column.repeats + end.runs).saturating_sub(end.count);
+    let elsewhere = repeats as f64 / others.max(1) as f64;
+    end.count >= MIN_PILE
+        && end.runs >= MIN_PILE_RUNS
+        && end.longest >= MIN_PILE_RUN
+        && others >= MIN_PILE
+        && stays >= STAYS
+        && elsewhere <= STAYS_ELSEWHERE
+}
+
+/// Wraps by the register of a monitor: how many were seen, and their size.
 ///
 /// A load that is switched has equal steps as well, and a robot that brakes feeds energy back. So
 /// the dips have to end below 0, and only they; or the values fill a signed register from end to
 /// end.
 pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
+    if let Some(found) = filled(column) {
+        return Some(found);
+    }
     if !(column.least < 0.0 && column.greatest > 0.0) {
         return None;
     }
@@ -99,4 +139,35 @@ fn wrap(column: &Column, steps: &[f64]) -> Option<(u64, f64)> {
     let is_alike = |step: &f64| (step.abs() - mean).abs() <= 8.0 * usual + 1e-3 * mean;
     (wraps.iter().all(is_alike) && is_round(mean / 65_536.0, WRAP_EXACT))
         .then_some((count as u64, mean))
+}
+
+/// Steps across a register that the values fill from end to end, signed or unsigned, however often
+/// it wraps.
+fn filled(column: &Column) -> Option<(u64, f64)> {
+    let span = column.greatest - column.least;
+    if column.decimals >= Column::CONTINUUM || !(span > 0.0 && span.is_finite()) {
+        return None;
+    }
+    let size = BITS.into_iter().find_map(|bits| {
+        let counts = f64::from(bits).exp2();
+        let step = round_above(span / counts)?;
+        let size = step * counts;
+        let least = if column.least < 0.0 { -0.5 * size } else { 0.0 };
+        let left = [column.least - least, least + size - column.greatest];
+        let near = -1e-9 * size..=LEFT_AT_ENDS * size;
+        // The values are whole steps.
+        let per_step = step * 10f64.powi(column.decimals.into());
+        let is_grid = per_step > 0.99 && (per_step - per_step.round()).abs() < 1e-3;
+        (is_grid && left.iter().all(|left| near.contains(left))).then_some(size)
+    })?;
+    let steps = column.largest_steps.numbers();
+    let wraps = steps.iter().filter(|step| step.abs() >= PASSED * size).count();
+    (wraps >= MIN_WRAPS).then_some((wraps as u64, size))
+}
+
+/// The usual step that is larger by so little that a register of it may have this range.
+fn round_above(step: f64) -> Option<f64> {
+    let decade = 10f64.powf(step.log10().floor());
+    let mut rounds = ROUND.iter().map(|round| round * decade).chain([10.0 * decade]);
+    rounds.find(|round| *round >= step && step >= round * (1.0 - 2.0 * LEFT_AT_ENDS))
 }

@@ -26,6 +26,8 @@ const SOC_CHANGE: f64 = 0.005;
 const RESISTANCE: f64 = 0.3;
 /// Pairs of changes before the correlation counts.
 const MIN_PAIRS: u64 = 50;
+/// Changes of the sign by a driver or a firmware: a robot that feeds energy back has more.
+const MAX_FLIPS: u64 = 4;
 /// Rise of the voltage while charging, in standard deviations around its trend, and as a share.
 const RISE_STD: f64 = 2.0;
 const RISE_SHARE: f64 = 1e-3;
@@ -105,6 +107,10 @@ pub(crate) struct Sign {
     currents: u64,
     /// Changes of voltage over changes of current.
     resistance: Line,
+    /// The same where current is positive, and where it is negative.
+    resistances: [Line; 2],
+    /// How often the sign changes.
+    flips: u64,
     /// Voltage over time.
     trend: Line,
     began: bool,
@@ -148,6 +154,11 @@ impl Sign {
             && load != before
         {
             self.resistance.take(load - before, seen.voltage_v - voltage_v);
+            self.flips += u64::from(load * before < 0.0);
+            if load * before > 0.0 {
+                let of = &mut self.resistances[usize::from(load < 0.0)];
+                of.take(load - before, seen.voltage_v - voltage_v);
+            }
         }
         self.before =
             (seen.voltage_v.is_finite() && load.is_finite()).then_some((seen.voltage_v, load));
@@ -165,11 +176,24 @@ impl Sign {
         self.current_against_power += u64::from(product < 0.0);
     }
 
-    /// Of power.
-    pub(crate) fn power(&self) -> Option<WrongSign> {
+    /// Of power; `whole`: nothing more will come, so that a few readings count.
+    pub(crate) fn power(&self, whole: bool) -> Option<WrongSign> {
         let wrong = |severity, signs: Signs, why| {
             Some(WrongSign { severity, readings: signs.negative, of: signs.count(), why })
         };
+        let all = [self.moving, self.still, self.unknown];
+        let positive: u64 = all.iter().map(|signs| signs.positive).sum();
+        let is_short = self.last_s - self.first_s < MIN_DRIVE_S
+            || all.iter().map(|signs| signs.count()).sum::<u64>() < MIN_READINGS;
+        let driven = if self.moving.negative > 0 { self.moving } else { self.unknown };
+        if whole
+            && is_short
+            && positive == 0
+            && driven.negative >= FEW_READINGS
+            && self.charges() != Some(true)
+        {
+            return wrong(Severity::Error, driven, "of a short recording");
+        }
         if self.moving.count() >= MIN_READINGS {
             // Electronics never feed back: a robot that consumes at rest is one that drives
             // downhill.
@@ -208,6 +232,24 @@ impl Sign {
         let share = self.current_against_power as f64 / self.currents.max(1) as f64;
         let is_turned = self.currents >= MIN_READINGS && share >= NEGATIVE;
         is_turned.then_some((self.current_against_power, self.currents))
+    }
+
+    /// Begins another recording, which may be of another battery.
+    pub(crate) fn begin(&mut self) {
+        (self.before, self.soc, self.trend) = (None, None, Line::default());
+    }
+
+    /// Whether the sign changes within the recording: delivering more lowers the voltage with one
+    /// sign, and raises it with the other. How many readings are negative.
+    pub(crate) fn changes(&self) -> Option<u64> {
+        let clear = self.resistances.map(|line| {
+            let correlation = line.correlation();
+            let is_clear = line.count >= MIN_PAIRS && correlation.abs() >= RESISTANCE;
+            is_clear.then_some(correlation < 0.0)
+        });
+        let negative = self.moving.negative + self.still.negative + self.unknown.negative;
+        let is_rare = self.flips <= MAX_FLIPS;
+        (is_rare && clear == [Some(true), Some(false)]).then_some(negative)
     }
 
     /// Whether negative readings are of a battery that takes energy: by its charge, or by its

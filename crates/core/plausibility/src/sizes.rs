@@ -31,6 +31,22 @@ impl Sizes {
         self.count += 1;
     }
 
+    /// Two groups of magnitudes with tens between them, if there are no others: the number of
+    /// each, and its mean.
+    pub(crate) fn groups(&self) -> Option<[(u64, f64); 2]> {
+        const BETWEEN: usize = 3;
+        let kept: Vec<usize> = (0..BUCKETS).filter(|at| self.counts[*at] > 0).collect();
+        let mut apart = kept.windows(2).filter(|pair| pair[1] - pair[0] > BETWEEN);
+        let (Some(pair), None) = (apart.next(), apart.next()) else {
+            return None;
+        };
+        let group = |from: usize, to: usize| {
+            let count = self.counts[from..to].iter().map(|count| u64::from(*count)).sum();
+            (count, self.sums[from..to].iter().sum::<f64>() / count as f64)
+        };
+        Some([group(0, pair[1]), group(pair[1], BUCKETS)])
+    }
+
     /// Values that were counted.
     pub(crate) const fn count(&self) -> u64 {
         self.count

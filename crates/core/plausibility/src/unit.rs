@@ -3,13 +3,17 @@
 //! Wheeled robots have batteries of 1 to 900 V and draw 5 mA to 300 A and 0.02 W to 20 kW, so that
 //! a factor of a thousand is seen. Power beside voltage and current is compared with their product.
 
+use std::f64::consts::PI;
+
 use crate::column::Column;
 use crate::finding::{Finding, Kind, Remedy, Severity};
 use crate::quantity::{Quantity, number};
 use crate::sizes::Sizes;
 
-/// Values of a quantity before their size counts.
-const MIN_VALUES: u64 = 20;
+/// Changes between two units, as a share of the values.
+const MAX_SWITCHES: u64 = 100;
+/// Values in each of two units.
+const MIN_SWITCHED: u64 = 20;
 /// Usual sizes of wheeled robots in SI units.
 const VOLTAGE_V: (f64, f64) = (0.5, 1_000.0);
 const CURRENT_A: (f64, f64) = (0.005, 300.0);
@@ -35,12 +39,14 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) driving: &'a Sizes,
     /// Quantities whose unit the source does not state.
     pub(crate) unstated: &'a [bool; 6],
+    /// Values of a quantity before their size counts.
+    pub(crate) enough: u64,
 }
 
 impl Magnitudes<'_> {
     fn usual(&self, quantity: Quantity) -> Option<f64> {
         let sizes = &self.columns[quantity as usize].sizes;
-        sizes.usual().filter(|_| sizes.count() >= MIN_VALUES)
+        sizes.usual().filter(|_| sizes.count() >= self.enough)
     }
 
     fn finding(
@@ -68,8 +74,9 @@ impl Magnitudes<'_> {
             found.extend(self.product());
             found.extend(self.implied());
         }
-        found.extend(self.speed(Quantity::V, SPEED_MPS, "mmps"));
-        found.extend(self.speed(Quantity::Omega, TURN_RADPS, "degps"));
+        found.extend(self.switches());
+        found.extend(self.speed(Quantity::V, SPEED_MPS, &[("cmps", 1e-2), ("mmps", 1e-3)]));
+        found.extend(self.speed(Quantity::Omega, TURN_RADPS, &[("degps", PI / 180.0)]));
         found.extend(self.share());
         found
     }
@@ -177,7 +184,7 @@ impl Magnitudes<'_> {
             let unit = if usual < least { quantity.unit() } else { smaller };
             found.push(self.finding(quantity, what, allowed, unit));
         }
-        let driving = self.driving.usual().filter(|_| self.driving.count() >= MIN_VALUES);
+        let driving = self.driving.usual().filter(|_| self.driving.count() >= self.enough);
         if found.is_empty()
             && let Some(driving_w) = driving.filter(|driving_w| *driving_w < DRIVING_W)
         {
@@ -195,7 +202,7 @@ impl Magnitudes<'_> {
 
     /// Power that differs from voltage times current by thousands.
     fn product(&self) -> Option<Finding> {
-        let ratio = self.ratios.usual().filter(|_| self.ratios.count() >= MIN_VALUES)?;
+        let ratio = self.ratios.usual().filter(|_| self.ratios.count() >= self.enough)?;
         let thousands = (ratio.log10() / 3.0).round();
         if thousands == 0.0 || !thousands.is_finite() {
             return None;
@@ -209,7 +216,7 @@ impl Magnitudes<'_> {
     /// Power and current without a voltage imply one.
     fn implied(&self) -> Option<Finding> {
         let (least, greatest) = VOLTAGE_V;
-        let enough = self.implied.count() >= MIN_VALUES && self.ratios.count() == 0;
+        let enough = self.implied.count() >= self.enough && self.ratios.count() == 0;
         let implied_v = self.implied.usual().filter(|_| enough)?;
         if (least..=greatest).contains(&implied_v) {
             return None;
@@ -221,11 +228,57 @@ impl Magnitudes<'_> {
         Some(self.finding(Quantity::Power, what, allowed, unit))
     }
 
-    fn speed(&self, quantity: Quantity, most: f64, unit: &'static str) -> Option<Finding> {
+    /// Another unit in a part of the recording.
+    fn switches(&self) -> Vec<Finding> {
+        let mut found = Vec::new();
+        for quantity in [Quantity::Power, Quantity::Voltage, Quantity::Current] {
+            let column = &self.columns[quantity as usize];
+            let Some([(few, small), (many, large)]) = column.sizes.groups() else {
+                continue;
+            };
+            let is_switch = few.min(many) >= MIN_SWITCHED
+                && (0.5..=2.0).contains(&(large / small / THOUSAND))
+                && (1..=(column.count / MAX_SWITCHES).max(4)).contains(&column.jumps);
+            if is_switch {
+                let (small, large) = (quantity.shown(small), quantity.shown(large));
+                let name = quantity.name();
+                let what = format!(
+                    "{name} is about {small} in {few} readings and {large} in {many}: its unit changes"
+                );
+                let allowed = "one unit for all readings".to_owned();
+                found.push(Finding {
+                    remedy: Remedy::Split,
+                    ..self.finding(quantity, what, allowed, "")
+                });
+            }
+        }
+        found
+    }
+
+    /// Speeds that no robot has: in the largest unit that makes them usual, and in smaller ones.
+    fn speed(
+        &self,
+        quantity: Quantity,
+        most: f64,
+        units: &[(&'static str, f64)],
+    ) -> Option<Finding> {
         let usual = self.usual(quantity).filter(|usual| *usual > most)?;
-        let what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
-        let allowed = format!("usual is up to {}", quantity.shown(most));
-        Some(self.finding(quantity, what, allowed, unit))
+        let fitting = units.iter().filter(|(_, factor)| usual * factor <= most);
+        let read: Vec<String> = fitting
+            .clone()
+            .map(|(unit, factor)| format!("{} in {unit}", quantity.shown(usual * factor)))
+            .collect();
+        let mut what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
+        if !read.is_empty() {
+            what += &format!(": {}", read.join(", or "));
+        }
+        let volts = match quantity {
+            Quantity::V => "; or it is a voltage",
+            _ => "",
+        };
+        let allowed = format!("usual is up to {}{volts}", quantity.shown(most));
+        let unit = fitting.map(|(unit, _)| *unit).next();
+        Some(self.finding(quantity, what, allowed, unit.unwrap_or(units[0].0)))
     }
 
     /// One unit of the charge for all values.
@@ -246,7 +299,7 @@ impl Magnitudes<'_> {
         let is_hundredth = column.varies
             && column.greatest <= FULL / 100.0
             && column.greatest > 0.0
-            && self.driving.count() >= MIN_VALUES;
+            && self.driving.count() >= self.enough;
         is_hundredth.then(|| {
             let what = format!(
                 "soc is at most {}: either the battery is nearly empty, or a share of {} was divided by 100",

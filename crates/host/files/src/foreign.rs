@@ -46,13 +46,16 @@ const PICKLE: &str = "reading it runs its code. Only if you trust it, in Python 
     `pandas.read_pickle('FILE').to_csv('log.csv')`, \
                       or `torch.load` and `safetensors.torch.save_file`";
 const UTF8: &str = "save it as UTF-8: `iconv -f UTF-16 -t UTF-8 FILE > log.csv`";
+const UTF8_OF_16LE: &str = "save it as UTF-8: `iconv -f UTF-16LE -t UTF-8 FILE > log.csv`";
+const UTF8_OF_16BE: &str = "save it as UTF-8: `iconv -f UTF-16BE -t UTF-8 FILE > log.csv`";
+const UTF8_OF_32: &str = "save it as UTF-8: `iconv -f UTF-32 -t UTF-8 FILE > log.csv`";
 const LFS: &str = "the file itself was not downloaded: `git lfs pull`";
 const WEB: &str = "a page was downloaded instead of the file: use its raw or download link";
 const UNPACK: &str = "unpack it first";
 const TABLE: &str =
     "in Python `pandas.read_excel('FILE').to_csv('log.csv', index=False)`, or save it as CSV";
 
-const KINDS: [Kind; 46] = [
+const KINDS: [Kind; 50] = [
     (0, b"MATLAB 7.3 MAT-file", "a MATLAB file (v7.3, HDF5)", MAT),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file (v5 to v7)", MAT),
     (
@@ -132,7 +135,12 @@ const KINDS: [Kind; 46] = [
     (0, b"\x80\x04", "a pickle of Python", PICKLE),
     (0, b"\x80\x05", "a pickle of Python", PICKLE),
     (0, b"version https://git-lfs", "a pointer of Git LFS", LFS),
+    (0, b"\xff\xfe\0\0", "text in UTF-32", UTF8_OF_32),
+    (0, b"\0\0\xfe\xff", "text in UTF-32", UTF8_OF_32),
     (0, b"\xff\xfe", "text in UTF-16", UTF8),
+    // Without a mark in front, the first letters of a column for the time.
+    (0, b"t\0i\0m\0", "text in UTF-16", UTF8_OF_16LE),
+    (0, b"\0t\0i\0m", "text in UTF-16", UTF8_OF_16BE),
     (0, b"\xfe\xff", "text in UTF-16", UTF8),
     (0, b"%PDF-", "a PDF file", "save the table itself as CSV"),
     (0, b"\x7fELF", "a program", "name the recording instead"),
@@ -179,7 +187,7 @@ mod tests {
     fn every_kind_is_told_from_its_first_bytes_and_no_table_of_text_is_one() {
         for (at, magic, what, remedy) in KINDS {
             // A kind further down may share the beginning of one above, never the other way.
-            let head = [vec![b' '; at], magic.to_vec(), vec![0; 8]].concat();
+            let head = [vec![b' '; at], magic.to_vec(), vec![1; 8]].concat();
             let found = recognise(&head).expect(what);
             assert_eq!((found.what, found.remedy), (what, remedy));
         }

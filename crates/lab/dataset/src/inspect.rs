@@ -16,7 +16,7 @@ pub use describe::{ColumnReport, Steps, TrialReport, describe};
 pub use find::{FindError, Found, find, is_recording};
 pub use finding::{Finding, FindingKind, Place};
 pub use hold::{Holds, holds};
-pub use judge::{Implausible, judge, judge_from};
+pub use judge::{Implausible, is_short, judge, judge_from, judge_together};
 pub use limits::{Limits, Range};
 pub use profile::{Profile, Profiler};
 pub use units::{PowerCheck, power_check};

@@ -52,6 +52,7 @@ pub struct Trial {
     columns: Columns,
     sources: Vec<SourceColumn>,
     time_name: Option<String>,
+    states_time_unit: bool,
     is_turned: bool,
     is_part: bool,
     notes: TrialNotes,
@@ -89,6 +90,7 @@ impl Trial {
             left_out,
             understood,
             time_name,
+            states_time_unit,
             is_turned,
             is_part,
         } = table;
@@ -111,6 +113,7 @@ impl Trial {
             columns,
             sources,
             time_name,
+            states_time_unit,
             is_turned,
             is_part,
             notes: TrialNotes::default(),
@@ -182,6 +185,11 @@ impl Trial {
     /// The name of a CSV's column with the time as a number.
     pub(crate) fn time_name(&self) -> Option<&str> {
         self.time_name.as_deref()
+    }
+
+    /// Whether that name, or the caller, states its unit.
+    pub(crate) const fn states_time_unit(&self) -> bool {
+        self.states_time_unit
     }
 
     /// Whether the sign of the current was turned when it was read.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use joulebus_config::{Assignment, Config, fleet_file, platform_file};
-use joulebus_dataset::inspect::{Profile, Profiler};
+use joulebus_dataset::inspect::{Profile, Profiler, is_short};
 use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
 use joulebus_eval::score::{Design, Options, Role, ScoreError, Subject, score_reported};
@@ -151,18 +151,19 @@ impl fmt::Display for HeldOut {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let map = args.columns.map();
     let files = find_recordings(&args.from)?;
-    let (mut profiler, mut found) = (Profiler::default(), Vec::new());
+    let (mut profiler, mut found, mut short) = (Profiler::default(), Vec::new(), Vec::new());
     let mut recorded_robots = RecordedRobots::default();
     for file in &files {
         Trial::each(file, &map, |trial| {
             profiler.take(&trial);
             found.push(args.accept.look_at(Source::Recording, &trial));
             recorded_robots.take(&trial);
+            short.extend(Some(trial).filter(is_short));
             Ok::<_, TrialError>(())
         })?;
     }
     let count = recorded_robots.trials as usize;
-    let implausible = args.accept.settle(found.into_iter())?;
+    let implausible = args.accept.settle(found, &short)?;
     let Some(recorded) = profiler.finish() else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
         return Err(UsageError(format!("{what}. Give recordings of a working robot")).into());
@@ -215,8 +216,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    // The config states how its recordings are read.
-    next.push(format!("joulebus publish trial {from} --config {file}"));
+    next.push(format!("joulebus publish trial {from} --config {file}{reading}"));
     let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 
 use anyhow::bail;
 use joulebus_config::{Assignment, Config};
-use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from};
+use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from, judge_together};
 use joulebus_dataset::trial::{LeftOut, Trial};
 use joulebus_eval::score::Recording;
 pub(crate) use joulebus_plausibility::Source;
@@ -21,7 +21,7 @@ use crate::recordings::GIVEN;
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct AcceptArguments {
     /// Findings to let through, because you know better: sign, unit, clock, hold, never-came,
-    /// range, saturation, constant
+    /// range, saturation, constant, sentinel, mismatch
     #[arg(long, value_name = "FINDING,…", value_delimiter = ',')]
     pub(crate) accept: Vec<Kind>,
     /// The recordings were judged before.
@@ -123,12 +123,18 @@ impl AcceptArguments {
         &self,
         trials: impl Iterator<Item = (Source, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
-        self.settle(trials.map(|(source, trial)| self.look_at(source, trial)))
+        let (mut found, mut all) = (Vec::new(), Vec::new());
+        for (source, trial) in trials {
+            found.push(self.look_at(source, trial));
+            all.push(trial);
+        }
+        self.settle(found, all)
     }
 
     /// What is implausible in a trial, for [`AcceptArguments::settle`].
     pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
-        self.say_left_out(&trial.path().display(), &trial.notes().left_out);
+        let notes = trial.notes();
+        self.say_of_lines(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
         judge_from(source, trial, &Limits::default())
     }
 
@@ -140,8 +146,11 @@ impl AcceptArguments {
         &self,
         trials: impl Iterator<Item = (Limits, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
+        let mut all = Vec::new();
         let found = trials.map(|(limits, trial)| {
-            self.say_left_out(&trial.path().display(), &trial.notes().left_out);
+            all.push(trial);
+            let notes = trial.notes();
+            self.say_of_lines(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
             let mut found = judge(trial, &limits);
             // The worker refuses such samples and counts them.
             let ranges = found.iter_mut().map(|one| &mut one.finding);
@@ -150,7 +159,8 @@ impl AcceptArguments {
             }
             found
         });
-        self.settle(found)
+        let found = found.collect();
+        self.settle(found, all)
     }
 
     /// The same of recordings, which were judged when they were opened.
@@ -161,31 +171,41 @@ impl AcceptArguments {
         &self,
         recordings: impl IntoIterator<Item = &'a Recording>,
     ) -> anyhow::Result<Vec<Judged>> {
-        let found = recordings.into_iter();
-        self.settle(found.map(|recording| {
-            self.say_left_out(&recording.name, recording.left_out());
+        let mut short = Vec::new();
+        let found = recordings.into_iter().map(|recording| {
+            self.say_of_lines(&recording.name, recording.left_out(), recording.may_be_cut());
+            short.extend(recording.short());
             recording.implausible().to_vec()
-        }))
+        });
+        let found = found.collect();
+        self.settle(found, short)
     }
 
-    fn say_left_out(&self, file: &dyn fmt::Display, left_out: &LeftOut) {
+    fn say_of_lines(&self, file: &dyn fmt::Display, left_out: &LeftOut, may_be_cut: bool) {
+        if may_be_cut && !self.settled {
+            let what = "its last line has no newline, so that its last number may be cut";
+            say(&format!("warning: {file}: {what}; --whole-rows leaves such a line out"));
+        }
         if left_out.lines > 0 && !self.settled {
             say(&format!("warning: {file}: {left_out}"));
         }
     }
 
-    /// Shows what is implausible in each of some trials, and refuses errors.
+    /// Shows what is implausible in each of some trials, and in the short ones of a folder
+    /// together; refuses errors.
     ///
     /// # Errors
     /// As [`AcceptArguments::judge`].
-    pub(crate) fn settle(
+    pub(crate) fn settle<'a>(
         &self,
-        found: impl Iterator<Item = Vec<Implausible>>,
+        mut found: Vec<Vec<Implausible>>,
+        trials: impl IntoIterator<Item = &'a Trial>,
     ) -> anyhow::Result<Vec<Judged>> {
         if self.settled {
             return Ok(Vec::new());
         }
-        let judged = self.gather(found);
+        found.push(together(&found, trials));
+        let judged = self.gather(found.into_iter());
         let (errors, others): (Vec<_>, Vec<_>) = judged.into_iter().partition(Judged::is_error);
         for finding in &others {
             let word = if finding.accepted { "accepted" } else { "warning" };
@@ -213,8 +233,23 @@ impl AcceptArguments {
     }
 }
 
+/// What the short ones of some trials show together, where none shows it by itself.
+fn together<'a>(
+    found: &[Vec<Implausible>],
+    trials: impl IntoIterator<Item = &'a Trial>,
+) -> Vec<Implausible> {
+    let of = |one: &Implausible| (one.finding.kind, one.finding.quantity);
+    let mut together = judge_together(trials);
+    together.retain(|one| !found.iter().flatten().any(|other| of(other) == of(one)));
+    together
+}
+
 /// Shows what is implausible in trials that are kept as they are.
-pub(crate) fn warned(found: Vec<Vec<Implausible>>) -> Vec<Judged> {
+pub(crate) fn warned<'a>(
+    mut found: Vec<Vec<Implausible>>,
+    trials: impl IntoIterator<Item = &'a Trial>,
+) -> Vec<Judged> {
+    found.push(together(&found, trials));
     let judged = AcceptArguments::default().gather(found.into_iter());
     for finding in &judged {
         say(&format!("warning: {}", finding.line()));

@@ -1,5 +1,6 @@
 //! Tests of the judgement.
 
+mod faults;
 mod grid;
 mod robot;
 mod stamps;

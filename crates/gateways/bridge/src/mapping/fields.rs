@@ -190,6 +190,7 @@ impl Fields {
             })
         };
         seen.charging = flag(&self.charging, "charging");
+        seen.reports_charging = self.charging.is_some();
         seen.full = flag(&self.full, "full");
         if is_odd {
             refused(Reason::OutOfRange, "soc");

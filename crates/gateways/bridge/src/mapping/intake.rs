@@ -12,7 +12,8 @@
 //!   the robot stops by itself.
 //! - The charging state holds until it changes. If messages report it, it is unknown until the
 //!   first of them, and so is the meaning of the battery's power. If none do, the robot never
-//!   charges. A battery's power from before a change is dropped.
+//!   charges, and neither does one from which such a message has not come within
+//!   `silent_after_s` of its first other one. A battery's power from before a change is dropped.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
@@ -64,6 +65,9 @@ struct Robot {
     percent: bool,
     /// `None` if messages report it and none has come yet.
     charging: Option<bool>,
+    /// Whether a message has come that reports it, and when the first of any kind came.
+    is_told: bool,
+    first_ns: u64,
     full: bool,
 }
 
@@ -97,6 +101,8 @@ impl Intake {
                 soc: None,
                 percent: false,
                 charging: (!reports_charging).then_some(false),
+                is_told: !reports_charging,
+                first_ns: u64::MAX,
                 full: false,
             };
             (id, robot)
@@ -128,6 +134,8 @@ impl Intake {
         };
         self.observations += 1;
         known.any_ns = Some(at_ns);
+        known.first_ns = known.first_ns.min(at_ns);
+        known.is_told |= seen.reports_charging;
         for (value, place) in [
             (seen.v_mps, &mut known.v_mps),
             (seen.omega_radps, &mut known.omega_radps),
@@ -160,6 +168,8 @@ impl Intake {
         if now_ns.saturating_sub(any_ns) > holds.silent_ns {
             return None;
         }
+        let is_untold = !known.is_told && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
+        let charging = known.charging.or(is_untold.then_some(false));
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
@@ -182,7 +192,7 @@ impl Intake {
         if let Some(timed) = known.power
             && let Some(reading) = timed.within(holds.reading_ns, now_ns)
         {
-            state.power_w = known.power_w(reading, known.charging);
+            state.power_w = known.power_w(reading, charging);
             state.measured_ns = state.power_w.map(|_| timed.at_ns);
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
@@ -203,6 +213,14 @@ impl Intake {
     pub(crate) fn silent(&self) -> impl Iterator<Item = u32> {
         let silent = self.robots.iter().filter(|(_, known)| known.any_ns.is_none());
         silent.map(|(id, _)| *id)
+    }
+
+    /// Robots heard of without a message that reports whether they charge, though others have such
+    /// messages.
+    pub(crate) fn untold(&self) -> impl Iterator<Item = u32> {
+        let untold =
+            self.robots.iter().filter(|(_, known)| known.any_ns.is_some() && !known.is_told);
+        untold.map(|(id, _)| *id)
     }
 
     /// Number of observations taken.
@@ -346,6 +364,27 @@ mod tests {
             let state = intake.sample(7, 40).unwrap();
             assert_eq!((state.power_w, state.charger), (Some(12.0), Charger::Disconnected));
         }
+    }
+
+    #[test]
+    fn a_robot_whose_messages_never_report_charging_has_a_power() {
+        // Messages of another route report it of other robots.
+        let mut intake = Intake::new(HOLDS, true, [(7, ChargeReading::Load)]);
+        let mut last = None;
+        for at_ns in (10..HOLDS.silent_ns + 100).step_by(10) {
+            intake.take(7, &power(12.0, PowerOf::Battery), at_ns);
+            last = intake.sample(7, at_ns).unwrap().power_w;
+            assert_eq!(last.is_some(), at_ns - 10 > HOLDS.silent_ns, "{at_ns}");
+        }
+        assert_eq!((last, intake.untold().collect::<Vec<_>>()), (Some(12.0), vec![7]));
+        // A field that such a message names, and does not have, is no report.
+        let mut intake = Intake::new(HOLDS, true, [(7, ChargeReading::Load)]);
+        let seen = Observation { reports_charging: true, ..power(12.0, PowerOf::Battery) };
+        for at_ns in (10..HOLDS.silent_ns + 100).step_by(10) {
+            intake.take(7, &seen, at_ns);
+            assert_eq!(intake.sample(7, at_ns).unwrap().power_w, None, "{at_ns}");
+        }
+        assert_eq!(intake.untold().count(), 0);
     }
 
     #[test]

@@ -40,6 +40,8 @@ pub(crate) struct Observation {
     pub(crate) charging: Option<bool>,
     /// Whether the charger reports a full battery.
     pub(crate) full: Option<bool>,
+    /// Messages of its kind report whether the robot charges.
+    pub(crate) reports_charging: bool,
     /// The message is known to repeat the previous measurement.
     pub(crate) repeats: bool,
 }
@@ -56,6 +58,7 @@ impl Observation {
             soc,
             charging,
             full,
+            reports_charging: _,
             repeats: _,
         } = self;
         let numbers = [v_mps, omega_radps, voltage_v, current_a, soc];

@@ -11,7 +11,7 @@ use sha2::{Digest as _, Sha256};
 use super::constant::only_value;
 use super::finding::{Finding, FindingKind, Place};
 use super::hold::runs;
-use super::judge::judge;
+use super::judge::{is_short, judge, judge_together};
 use super::limits::Limits;
 use super::units::power_check;
 use crate::trial::{Column, ColumnMap, Trial, TrialError};
@@ -77,6 +77,15 @@ pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: 
             }
         }
     }
+    // What no short recording shows by itself.
+    for together in judge_together(looked.iter().flat_map(|looked| &looked.short)) {
+        let kind = FindingKind::judged(together.finding.kind);
+        if let Some(kind) = kind.filter(|kind| !all.kinds.contains_key(kind)) {
+            let mut finding = single(kind, &together.place.file, String::new());
+            finding.places = vec![together.place];
+            all.merge(&finding);
+        }
+    }
     let names = looked.iter().flat_map(|looked| &looked.robots);
     let findings = all.finish();
     Check {
@@ -96,6 +105,7 @@ struct Looked {
     digests: Vec<[u8; 32]>,
     robots: Vec<String>,
     rows: usize,
+    short: Vec<Trial>,
 }
 
 fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked {
@@ -139,6 +149,7 @@ fn check_robots(
         looked.digests.push(digest(&trial));
         looked.robots.extend(trial.robot_name().map(str::to_owned));
         looked.rows += trial.rows();
+        looked.short.extend(Some(trial).filter(is_short));
         Ok::<_, TrialError>(())
     })?;
     looked.findings = in_one_file(all.finish());

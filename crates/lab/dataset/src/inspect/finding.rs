@@ -43,6 +43,8 @@ pub enum FindingKind {
     Saturation,
     /// Readings that never change.
     Constant,
+    /// A number that stands for no reading.
+    Sentinel,
     /// A reading that is held far longer than usual.
     Stuck,
     /// No final newline: the file may be truncated.
@@ -64,7 +66,8 @@ pub enum FindingKind {
 }
 
 impl FindingKind {
-    /// The finding of a judgement. Values out of range have places of their own.
+    /// The finding of a judgement. Values out of range, and power that is not voltage times current,
+    /// have places of their own.
     pub(super) const fn judged(kind: Kind) -> Option<Self> {
         match kind {
             Kind::Sign => Some(Self::Sign),
@@ -74,14 +77,18 @@ impl FindingKind {
             Kind::NeverCame => Some(Self::NeverCame),
             Kind::Saturation => Some(Self::Saturation),
             Kind::Constant => Some(Self::Constant),
+            Kind::Sentinel => Some(Self::Sentinel),
             _ => None,
         }
     }
 
     /// Whether `--accept` with this kind lets it through.
     pub(super) fn is_of(self, kind: Kind) -> bool {
-        let is_range = kind == Kind::Range && self == Self::OutOfRange;
-        is_range || Self::judged(kind) == Some(self)
+        let has_places = matches!(
+            (kind, self),
+            (Kind::Range, Self::OutOfRange) | (Kind::Mismatch, Self::PowerMismatch)
+        );
+        has_places || Self::judged(kind) == Some(self)
     }
 
     /// Whether it is a fault, to be resolved before the recording is used. Other findings are
@@ -116,6 +123,7 @@ impl fmt::Display for FindingKind {
             Self::NeverCame => "mapped columns without any value",
             Self::Saturation => "monitors at the end of their range",
             Self::Constant => "readings that never change",
+            Self::Sentinel => "numbers that stand for no reading",
             Self::Unit => "columns that seem to be in another unit",
             Self::Stuck => "readings held too long",
             Self::CutOff => "files that may be truncated",

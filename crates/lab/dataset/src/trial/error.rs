@@ -244,6 +244,20 @@ pub enum TrialError {
         /// Name of the second.
         second: String,
     },
+    /// A column that can be a speed or a voltage.
+    #[error(
+        "{path}: column {column} beside {beside} can be a speed or a voltage; name it with --map v_mps={column}, or \
+         with --map voltage_V={column}",
+        path = path.display()
+    )]
+    SpeedOrVoltage {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        column: String,
+        /// The column with the current.
+        beside: String,
+    },
     /// A row has more or fewer fields than the header.
     #[error(
         "{path}: row {row}: found {found} fields, the header has {expected}. {LEAVE_OUT}",

@@ -17,6 +17,8 @@ pub enum Quantity {
     Time,
     /// One of the columns of a trial.
     Column(Column),
+    /// A number that stands for no value, in any column.
+    Missing,
 }
 
 /// A quantity with its spellings.
@@ -73,6 +75,9 @@ const SPELLINGS: [Spelling; 14] = [
             ("ms", 1e-3),
             ("us", 1e-6),
             ("ns", 1e-9),
+            ("min", 60.0),
+            ("h", 3_600.0),
+            ("d", 86_400.0),
             ("", 1.0),
         ],
     },
@@ -326,6 +331,20 @@ impl FromStr for MappedColumn {
             _ => (name, 1.0),
         };
         let wanted = plain(quantity);
+        if wanted == "missing" {
+            let is_number = name.parse::<f64>().is_ok_and(f64::is_finite);
+            return match is_constant && is_number {
+                true => Ok(Self {
+                    text: text.to_owned(),
+                    quantity: Quantity::Missing,
+                    name: name.to_owned(),
+                    is_constant,
+                    factor: sign,
+                    states_unit: true,
+                }),
+                false => Err(form()),
+            };
+        }
         for spelling in &SPELLINGS {
             let (factor, states_unit) = if wanted == spelling.name {
                 spelling.mapped_factor(name)
@@ -339,7 +358,7 @@ impl FromStr for MappedColumn {
             };
             let is_value = match spelling.quantity {
                 Quantity::Robot => true,
-                Quantity::Time => false,
+                Quantity::Time | Quantity::Missing => false,
                 Quantity::Column(_) => name.parse::<f64>().is_ok_and(f64::is_finite),
             };
             if is_constant && !is_value {
@@ -356,7 +375,7 @@ impl FromStr for MappedColumn {
         }
         Err(MapError::Quantity {
             found: quantity.to_owned(),
-            allowed: SPELLINGS.map(|spelling| spelling.name).join(", "),
+            allowed: SPELLINGS.map(|spelling| spelling.name).join(", ") + ", missing",
         })
     }
 }
@@ -492,6 +511,14 @@ impl ColumnMap {
         let found =
             self.columns.iter().find(|column| column.is_constant && column.quantity == quantity);
         found.map(|column| (column.name.as_str(), column.factor))
+    }
+
+    /// Numbers that stand for no value.
+    pub(super) fn missing(&self) -> Vec<f64> {
+        let columns = self.columns.iter().filter(|column| column.quantity == Quantity::Missing);
+        let numbers =
+            columns.filter_map(|column| Some(column.factor * column.name.parse::<f64>().ok()?));
+        numbers.collect()
     }
 
     /// The two columns of a time in seconds and nanoseconds, and what is in front of their names.
@@ -667,7 +694,10 @@ pub fn column_names() -> String {
 
 impl fmt::Display for Quantity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(spelling(*self).name)
+        out.write_str(match self {
+            Self::Missing => "missing",
+            quantity => spelling(*quantity).name,
+        })
     }
 }
 

@@ -56,6 +56,7 @@ pub(super) fn read(
             expected_bytes,
         });
     }
+    let missing = map.missing();
     let mut tables = Tables::default();
     let mut robot = (f64::NAN, String::new());
     let mut from = 0;
@@ -79,7 +80,11 @@ pub(super) fn read(
                 true => block[column * count + row],
             };
             let row = from + row + 1;
-            take_row(Cell { path, row }, at, &mut robot, &mut tables)?;
+            let known = |column: usize| match at(column) {
+                value if column > TIME && missing.contains(&value) => f64::NAN,
+                value => value,
+            };
+            take_row(Cell { path, row }, known, &mut robot, &mut tables)?;
             if let Some(mut parts) = tables.complete(path, in_memory)? {
                 map.turn_as_configured(&mut parts);
                 if parts.into_iter().try_for_each(&mut *take).is_break() {

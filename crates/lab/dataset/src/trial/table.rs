@@ -145,6 +145,8 @@ pub struct Table {
     pub(crate) understood: Vec<String>,
     /// Name of the column with the time as a number, in a CSV.
     pub(crate) time_name: Option<String>,
+    /// Whether that name, or the caller, states its unit.
+    pub(crate) states_time_unit: bool,
     /// Whether the sign of its current was turned.
     pub(crate) is_turned: bool,
     /// Whether its file has more rows of the robot, which are in other tables.

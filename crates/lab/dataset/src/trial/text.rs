@@ -55,7 +55,7 @@ pub(super) fn read(
         Ok(header) => header.clone(),
         Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
     };
-    let mut numbers = Numbers { separator, decimal_comma };
+    let mut numbers = Numbers { decimal_comma, has_point: false };
     let mut times = Times::default();
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
@@ -70,7 +70,7 @@ pub(super) fn read(
                 let meter = reader.get_ref();
                 let cut = meter.ended && !meter.ends_in_line_break();
                 let cut = cut && (map.leaves_out() || record.len() < header.len());
-                match no_row(&record, &header, layout.robot, cell.row, cut) {
+                match no_row(&record, &header, layout.robot, (cell.row, separator), cut) {
                     Some(what) => {
                         Err(TrialError::Line { path: path.to_owned(), row: cell.row, what })
                     }
@@ -142,7 +142,7 @@ fn no_row(
     record: &ByteRecord,
     header: &ByteRecord,
     robot: Option<usize>,
-    row: usize,
+    (row, separator): (usize, u8),
     cut: bool,
 ) -> Option<String> {
     let nul_bytes = record.as_slice().iter().filter(|byte| **byte == 0).count();
@@ -155,7 +155,16 @@ fn no_row(
         let text = String::from_utf8_lossy(field);
         is_missing(field) || !text.contains(|letter: char| letter.is_ascii_digit())
     };
-    if nul_bytes > 0 {
+    // A quote that is not closed ends with the next one, or with the file.
+    let is_row = |line: &&[u8]| {
+        line.split(|byte| *byte == separator).count() >= header.len().max(2)
+            && line.iter().any(u8::is_ascii_digit)
+    };
+    let lines = record.iter().flat_map(|field| field.split(|byte| *byte == b'\n').skip(1));
+    let swallowed = lines.filter(is_row).count();
+    if swallowed > 0 {
+        Some(format!("a quote that is not closed: {swallowed} rows are in its text"))
+    } else if nul_bytes > 0 {
         Some(format!("{nul_bytes} NUL bytes, as a loss of power leaves them"))
     } else if record == header {
         Some("the header again: a second recording was appended".to_owned())
@@ -240,35 +249,44 @@ impl Start {
     /// Reads the header at the beginning of the text.
     fn at_header(path: &Path, meter: &Meter, map: &ColumnMap) -> Result<Self, TrialError> {
         let mut best: Option<(usize, TrialError)> = None;
-        for separator in [b',', b';', b'\t', b'|'] {
+        for separator in [b',', b';', b'\t', b'|', b' '] {
             let (header, sample) = sampled(&meter.head, separator);
+            // Words of a sentence are no columns.
+            let is_table = !sample.is_empty() && sample.iter().all(|row| row.len() == header.len());
+            if separator == b' ' && !is_table {
+                continue;
+            }
             let layout = Layout::find(path, &header, &sample, map);
             let (layout, sources, ignored_columns) = match layout {
                 Ok(found) => found,
                 Err(error) => {
-                    if best.as_ref().is_none_or(|(fields, _)| header.len() > *fields) {
+                    let is_more = best.as_ref().is_none_or(|(fields, _)| header.len() > *fields);
+                    if is_more && separator != b' ' {
                         best = Some((header.len(), error));
                     }
                     continue;
                 }
             };
-            let mut numbers = Numbers { separator, decimal_comma: None };
+            let mut numbers = Numbers { decimal_comma: None, has_point: false };
             let is_plain = separator == b',';
             let understood = (!is_plain)
                 .then(|| format!("its fields are separated by {:?}", char::from(separator)));
             for field in sample.iter().flat_map(ByteRecord::iter) {
                 let _ = numbers.parse(field);
             }
+            // Between commas it is in quotes, and of all numbers or of none.
+            let is_mixed = separator == b',' && numbers.has_point;
+            let decimal_comma = if is_mixed { Some(false) } else { numbers.decimal_comma };
             return Ok(Self {
                 separator,
                 layout,
                 sources,
                 ignored_columns,
-                decimal_comma: numbers.decimal_comma,
+                decimal_comma,
                 understood: understood.into_iter().collect(),
             });
         }
-        // There are four separators, and each has an error.
+        // There are five separators, and each but the last has an error.
         Err(best.map_or_else(|| TrialError::Empty { path: path.to_owned() }, |(_, error)| error))
     }
 }
@@ -295,9 +313,10 @@ const HEAD_BYTES: u64 = 64 << 10;
 
 /// How the numbers of a text are written.
 struct Numbers {
-    separator: u8,
     /// Whether a comma is in front of the fraction; unknown until a number tells.
     decimal_comma: Option<bool>,
+    /// Whether a number had a point.
+    has_point: bool,
 }
 
 impl Numbers {
@@ -309,9 +328,13 @@ impl Numbers {
         }
         let text = std::str::from_utf8(field).map_err(|_| ALLOWED)?;
         if let Ok(number) = text.parse() {
+            self.has_point |= text.contains('.');
+            if self.decimal_comma == Some(true) && is_thousands(text) {
+                return Err("a number with a decimal comma; a point could separate thousands here");
+            }
             return Ok(number);
         }
-        let comma = text.split_once(',').filter(|_| self.separator != b',');
+        let comma = text.split_once(',').filter(|_| self.decimal_comma != Some(false));
         let (whole, fraction) = comma.ok_or(ALLOWED)?;
         let digits = whole.trim_start_matches(['-', '+']);
         // Thousands have one to three digits in front of them, and no zero first.
@@ -324,6 +347,14 @@ impl Numbers {
         self.decimal_comma = Some(true);
         Ok(number)
     }
+}
+
+/// Whether a point in a number could separate thousands: one to three digits in front, three behind.
+fn is_thousands(text: &str) -> bool {
+    let digits = text.trim_start_matches(['-', '+']);
+    digits.split_once('.').is_some_and(|(whole, rest)| {
+        (1..=3).contains(&whole.len()) && !whole.starts_with('0') && rest.len() == 3
+    })
 }
 
 /// The number in front of the unit of its column: `12.1 V`.
@@ -576,15 +607,19 @@ impl Meter {
             };
             let line = &rest[..end];
             if line.starts_with(b"#") {
-                header = Some(self.taken + 1);
+                let spaces = line[1..].iter().take_while(|byte| **byte == b' ').count();
+                header = Some(self.taken + 1 + spaces);
             } else if !line.starts_with(b"sep=") {
                 let is_number = |field: &&[u8]| {
                     let text = String::from_utf8_lossy(field);
                     text.trim().parse::<f64>().is_ok()
                 };
-                let fields: Vec<&[u8]> = line.split(|byte| b",;\t|".contains(byte)).collect();
-                let numbers = fields.iter().filter(|field| is_number(field)).count();
-                if let Some(header) = header.filter(|_| 2 * numbers >= fields.len()) {
+                let is_row = |separators: &[u8]| {
+                    let fields: Vec<&[u8]> = line.split(|byte| separators.contains(byte)).collect();
+                    2 * fields.iter().filter(|field| is_number(field)).count() >= fields.len()
+                };
+                let is_row = is_row(b",;\t|") || is_row(b" ");
+                if let Some(header) = header.filter(|_| is_row) {
                     self.taken = header;
                 }
                 break;
@@ -682,6 +717,8 @@ struct Layout {
     columns: Vec<(Column, Source, f64, String)>,
     /// Whether power is voltage times current.
     by_product: bool,
+    /// Numbers that stand for no value.
+    missing: Vec<f64>,
     /// The map as it applies to this file.
     map: ColumnMap,
 }
@@ -779,6 +816,27 @@ impl Layout {
             None => {}
         }
         let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
+        // `v` beside `i`, and nothing else that says that the robot moves, or what its voltage is.
+        let speed = sources.iter().find(|one| one.column == Column::V && !one.is_mapped);
+        if let Some(speed) = speed.filter(|one| one.name.eq_ignore_ascii_case("v"))
+            && !has(Column::Voltage)
+            && !has(Column::Omega)
+        {
+            let current = sources.iter().find(|one| one.column == Column::Current);
+            let current = current.map(|one| one.name.as_str());
+            let is_i = |name: &&String| {
+                let name = name.to_lowercase();
+                name == "i" || name.starts_with("i_") || name.starts_with("current")
+            };
+            let current = current.or(names.iter().find(is_i).map(String::as_str));
+            if let Some(beside) = current {
+                return Err(TrialError::SpeedOrVoltage {
+                    path: path.to_owned(),
+                    column: speed.name.clone(),
+                    beside: beside.to_owned(),
+                });
+            }
+        }
         let by_product = !has(Column::Power) && has(Column::Voltage) && has(Column::Current);
         let mut missing = Vec::new();
         if time.is_none() {
@@ -808,6 +866,7 @@ impl Layout {
             time_name,
             columns,
             by_product,
+            missing: map.missing(),
             map,
         };
         // An index that a program wrote in front of the table is no column that anybody misses.
@@ -833,6 +892,10 @@ impl Layout {
             table.sources = sources.to_vec();
             let is_number = times.form == Some(TimeForm::Number);
             table.time_name = is_number.then(|| self.time_name.clone());
+            table.states_time_unit = match &self.time {
+                TimeColumns::One(found) => found.states_unit || times.is_epoch,
+                TimeColumns::Pair(..) => true,
+            };
         }
         if let Some(first) = tables.first_mut() {
             first.left_out = std::mem::take(&mut notes.left_out);
@@ -877,11 +940,21 @@ impl Layout {
                         let bare = without_unit(field, *column, *factor).ok_or(allowed)?;
                         numbers.parse(bare)
                     });
+                    // `96%` is that, whatever the name of the column says.
+                    let percent = field.strip_suffix(b"%").filter(|_| *column == Column::Soc);
+                    let percent = percent.and_then(|bare| numbers.parse(bare.trim_ascii()).ok());
+                    if let Some(percent) = percent {
+                        values[*column as usize] = percent * 0.01;
+                        continue;
+                    }
                     let value = parsed.map_err(|allowed| {
                         let found = String::from_utf8_lossy(field);
                         cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)
                     })?;
-                    value * factor
+                    let is_unknown = self.missing.contains(&value)
+                        // ROS: the charge is not measured.
+                        || (*column == Column::Soc && value == -1.0);
+                    if is_unknown { f64::NAN } else { value * factor }
                 }
             };
             check_value(cell, name, *column, column.si(value))?;

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 
-use joulebus_dataset::inspect::{Implausible, Limits, judge};
+use joulebus_dataset::inspect::{Implausible, Limits, is_short, judge};
 use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, SourceInfo, SplitError, check_copies, digest, group_of};
 use joulebus_dataset::trial::{LeftOut, Stored, Trial, TrialError};
@@ -27,8 +27,12 @@ pub struct Recording {
     notes: String,
     /// What is implausible in it.
     implausible: Vec<Implausible>,
+    /// Itself, if it is judged with others as well.
+    short: Option<Arc<Trial>>,
     /// Lines of its file that were left out.
     left_out: LeftOut,
+    /// Whether its file has no newline at the end.
+    may_be_cut: bool,
     /// Rows of the trial.
     trial_rows: usize,
     /// Rows with a forecast and a reading that follows.
@@ -93,7 +97,9 @@ impl Recording {
             file: trial.path().display().to_string(),
             notes: trial.notes().to_string(),
             implausible: judge(trial, &Limits::default()),
+            short: is_short(trial).then(|| Arc::new(trial.clone())),
             left_out: trial.notes().left_out.clone(),
+            may_be_cut: trial.notes().no_final_line_break,
             trial_rows: trial.rows(),
             rows: rows.rows.len(),
             digest: digest(rows),
@@ -107,9 +113,19 @@ impl Recording {
         &self.implausible
     }
 
+    /// Itself, if it has so few rows that it is judged with the others of its folder as well.
+    pub fn short(&self) -> Option<&Trial> {
+        self.short.as_deref()
+    }
+
     /// Lines of its file that are no whole rows and were left out.
     pub fn left_out(&self) -> &LeftOut {
         &self.left_out
+    }
+
+    /// Whether its file, a CSV, has no newline at the end, so that its last number may be cut.
+    pub const fn may_be_cut(&self) -> bool {
+        self.may_be_cut
     }
 
     /// The same recording, read again from its source when its rows are needed.

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use joulebus_dataset::archive::is_listing;
-use joulebus_dataset::inspect::{Implausible, Limits, judge};
-use joulebus_dataset::trial::{ColumnMap, Table, TrialError, each_run, is_capture};
+use joulebus_dataset::inspect::{Implausible, Limits, is_short, judge};
+use joulebus_dataset::trial::{ColumnMap, Table, Trial, TrialError, each_run, is_capture};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use serde::Serialize;
@@ -82,7 +82,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         archive.undo();
         return Err(error);
     }
-    let mut found = Vec::new();
+    let mut found = Found::default();
     if report.recordings_before > 0 {
         let (before, folder) = (report.recordings_before, &report.folder);
         say(&format!("adding to the {before} recordings in {folder}"));
@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         }
         report.recordings += 1;
     }
-    judgement::report(output, &report, judgement::warned(found))?;
+    judgement::report(output, &report, judgement::warned(found.implausible, &found.short))?;
     Ok(Outcome::unless_lost(report.left_out_lines > 0))
 }
 
@@ -120,18 +120,28 @@ fn levels(file: &Path, map: &ColumnMap) -> Option<Levels> {
     first.filter(|_| matches!(read, Err(None)))
 }
 
+/// What was judged.
+#[derive(Default)]
+struct Found {
+    implausible: Vec<Vec<Implausible>>,
+    /// Short trials, which are judged together.
+    short: Vec<Trial>,
+}
+
 /// Adds the trials of a recording.
 fn one(
     file: &Path,
     map: &ColumnMap,
     adding: &mut Adding<'_>,
-    (report, found): (&mut ExportReport, &mut Vec<Vec<Implausible>>),
+    (report, found): (&mut ExportReport, &mut Found),
 ) -> anyhow::Result<()> {
     let mut left_out_lines = 0;
     // The archive has what was recorded, also where it is implausible.
     let mut judge = |table: Table| {
-        let trial = table.into_trial();
-        found.extend(trial.map(|trial| judge(&trial, &Limits::default())));
+        if let Ok(trial) = table.into_trial() {
+            found.implausible.push(judge(&trial, &Limits::default()));
+            found.short.extend(Some(trial).filter(is_short));
+        }
     };
     let mut add = |(rows, bytes): (u64, u64)| {
         report.rows += rows;

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use joulebus_dataset::inspect::{Limits, check_files, judge};
+use joulebus_dataset::inspect::{Limits, check_files, judge, judge_together};
 use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
 use joulebus_plausibility::{Kind, Severity};
 use joulebus_testkit::recordings::trials;
@@ -158,4 +158,49 @@ fn the_remedy_of_a_time_in_another_unit_names_its_column() {
     let unit = found.iter().find(|one| one.finding.quantity.is_none());
     let remedy = &unit.unwrap().remedy;
     assert!(remedy.contains("--map time_ms=clock"), "{remedy}");
+}
+
+/// Forty runs of 18 rows: none of them is judged by itself where some readings have the other sign.
+#[test]
+fn short_recordings_of_a_folder_are_judged_as_one() {
+    let files = Files::new();
+    let paths: Vec<PathBuf> = (0..40)
+        .map(|file| {
+            let mut rows = discharging(18);
+            rows[file % 18][9] *= -1.0;
+            rows[file % 18][10] *= -1.0;
+            rows.iter_mut().for_each(|row| row[9] *= 1.0 + 1e-3 * file as f64);
+            rows.iter_mut().for_each(|row| row[10] *= 1.0 + 1e-3 * file as f64);
+            files.write(&format!("{file}.npy"), &npy_f8(&rows))
+        })
+        .collect();
+    let trials: Vec<Trial> = paths.iter().map(|path| Trial::read(path).unwrap()).collect();
+    for trial in &trials {
+        let found = judge(trial, &Limits::default());
+        assert!(found.is_empty(), "{found:?}");
+    }
+    let found = judge_together(&trials);
+    let kinds: Vec<Kind> = found.iter().map(|one| one.finding.kind).collect();
+    assert_eq!(kinds, [Kind::Sign], "{found:?}");
+    assert!(found[0].place.to_string().contains("40 short recordings as one"), "{found:?}");
+    assert!(judge_together(&trials[..1]).is_empty());
+    let check = check_files(&paths, &ColumnMap::default(), &Limits::default(), 3);
+    assert_eq!(check.faults, 1, "{check:?}");
+    // A lone one of which every reading is negative.
+    let path = files.write("all.npy", &npy_f8(&discharging(18)));
+    assert_eq!(errors(&path, &ColumnMap::default()), [Kind::Sign]);
+}
+
+/// Columns in the wrong order.
+#[test]
+fn power_that_is_not_voltage_times_current_is_an_error() {
+    let files = Files::new();
+    let mut rows = discharging(300);
+    rows.iter_mut().for_each(|row| (row[8], row[9], row[10]) = (-row[10], -row[9], row[8]));
+    let path = files.write("order.npy", &npy_f8(&rows));
+    assert_eq!(errors(&path, &ColumnMap::default()), [Kind::Mismatch]);
+    let mut check = check_files(&[path], &ColumnMap::default(), &Limits::default(), 3);
+    assert!(!check.is_sound());
+    check.accept(&[Kind::Mismatch]);
+    assert!(check.is_sound(), "{check:?}");
 }

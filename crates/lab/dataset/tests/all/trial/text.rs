@@ -53,6 +53,13 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         - | time,power_W\n0,4.5,\n1,4.6,\n | 0 | 1 | 4.6 | -
         - | time,power_W,\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
         voltage_V:=2 | time,Current(uA)\n0,2250000\n1,2300000\n | 0 | 1 | 4.6 | -
+        - | t_min,power_W\n0,4.5\n1,4.6\n | 0 | 60 | 4.6 | -
+        v_mps=v | t,v,current_A,power_W\n0,0.2,1,5\n1,0.2,1,4.6\n | 0 | 1 | 4.6 | -
+        voltage_V=v,current_A=i | t,v,i\n0,2,1\n1,2,2.3\n | 0 | 1 | 4.6 | -
+        - | # t power_W\n0.0e+00 4.5e+00\n5.0e-01 4.6e+00\n | 0 | 0.5 | 4.6 | separated by ' '
+        - | t power_W\n0 4.5\n1 4.6\n | 0 | 1 | 4.6 | separated by ' '
+        - | t,power_W\n"0,0","4,5"\n"0,5","4,6"\n | 0 | 0.5 | 4.6 | decimal comma
+        - | t,power_W,soc\n0,4.5,96%\n1,4.6,95 %\n | 0 | 1 | 4.6 | -
         - | Timestamp(ms),power_uW\n0,4500000\n500,4600000\n | 0 | 0.5 | 4.6 | -
         "#,
     ) {
@@ -88,6 +95,9 @@ fn texts_that_can_mean_two_things_are_refused_with_the_way_out() {
         - | time;power_W\n0;4,500\n1;4,600\n | "4,500" | could separate thousands
         - | time;power_W\n0;1.234,5\n1;4,6\n | "1.234,5" | could separate thousands
         - | a.sec,a.nanosec,b.sec,b.nanosec,power_W\n1,0,1,0,4\n2,0,2,0,4\n | a.sec and b.sec | --map
+        - | time;v;power_mW\n0;0,25;38.638\n1;0,25;38.024\n | "38.638" | could separate thousands
+        - | t,v,i,power_W\n0,5.1,1,5\n1,5.1,1,5\n | column v beside i | --map v_mps=v | --map voltage_V=v
+        - | t,v,current_A,power_W\n0,5.1,1,5\n1,5.1,1,5\n | v beside current_A | --map voltage_V=v
         voltage_V:=3 | time,voltage_V\n0,1\n1,1\n | no column for power
         - | t,power_W\n7,4.5\n17,4.6\n27,4.7\n | column t | 10 apart | --map time_s=t | --map time_ms=t
         time=at | at,power_W\n0,4.5\n2,4.6\n4,4.7\n | column at | 2 apart | --map time_s=at
@@ -126,6 +136,53 @@ fn words_for_missing_values_are_no_values_and_a_whole_number_with_a_fraction_is_
     }
     let trial = read(&files, "time,power_W\n0,1\n1,1\n", "robot:=r1").unwrap();
     assert_eq!(trial.robot_name(), Some("r1"));
+}
+
+/// Numbers that stand for no value, and ROS's charge that is not measured.
+#[test]
+fn numbers_that_stand_for_no_value_are_none_on_request() {
+    let files = Files::new();
+    let text = "time,power_W,soc\n0,4.5,-1\n1,-999,-1.0\n2,4.6,0.5\n3,-9999.0,0.4\n";
+    let trial = read(&files, text, "missing:=-999,missing:=-9999").unwrap();
+    let nan = |values: &[f64]| values.iter().map(|value| value.is_nan()).collect::<Vec<_>>();
+    assert_eq!(nan(trial.column(Column::Power).unwrap()), [false, true, false, true]);
+    assert_eq!(nan(trial.column(Column::Soc).unwrap()), [true, true, false, false]);
+    let mut rows = [[1.0; 11]; 4];
+    for (at, row) in rows.iter_mut().enumerate() {
+        (row[1], row[10]) = (at as f64, if at == 2 { -999.0 } else { 4.5 });
+    }
+    let path = files.write("a.npy", &npy_f8(&rows));
+    let trial = Table::only_of(path, &mapped("missing:=-999")).unwrap().into_trial().unwrap();
+    assert_eq!(nan(trial.column(Column::Power).unwrap()), [false, false, true, false]);
+    for wrong in ["missing=power", "missing:=no", "missing:="] {
+        assert!(wrong.parse::<MappedColumn>().is_err(), "{wrong}");
+    }
+}
+
+/// A quote that opens and does not close takes the rows behind it into its text: until the next
+/// quote, or to the end.
+#[test]
+fn a_quote_that_is_not_closed_is_a_fault_with_its_row() {
+    let files = Files::new();
+    for (name, quotes, swallowed) in [("end", vec![30], 29), ("pair", vec![30, 50], 20)] {
+        for separator in [",", ";"] {
+            let mut text = ["time", "power_W", "note\n"].join(separator);
+            for row in 0..60 {
+                let note = if quotes.contains(&row) { "\"5 inch" } else { "x" };
+                text += &[&row.to_string(), "4.5", note].join(separator);
+                text.push('\n');
+            }
+            let path = files.write("quote.csv", text.as_bytes());
+            let error = Trial::read(&path).unwrap_err().to_string();
+            says(&error, ["row 31", "a quote that is not closed", &swallowed.to_string()]);
+            let found = check_files(&[path], &ColumnMap::default(), &Limits::default(), 3);
+            let finding = found.finding(FindingKind::NoRow);
+            assert!(finding.is_some_and(|one| one.fault), "{name}: {found:?}");
+        }
+    }
+    // Text in several lines.
+    let text = "time,power_W,note\n0,4.5,\"a\nb\"\n1,4.6,\"a, 1\nb\"\n";
+    assert_eq!(read(&files, text, "-").unwrap().rows(), 2);
 }
 
 /// Four rows, of which two are before `broken`.

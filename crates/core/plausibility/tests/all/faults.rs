@@ -1,0 +1,242 @@
+//! Faults of registers, of missing readings and of parts of a recording, planted in simulated
+//! recordings; those of the grid have none of them.
+
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Source};
+
+use super::robot::{Numbers, Recording, judged};
+
+/// Robots of three sizes, at three rates.
+fn robots() -> impl Iterator<Item = Recording> {
+    let sizes = [(3.6, 4.0), (20.0, 24.0), (300.0, 48.0)];
+    let rates = [1.0, 10.0, 50.0];
+    let all =
+        sizes.into_iter().flat_map(move |size| rates.into_iter().map(move |rate| (size, rate)));
+    all.zip(1..).map(|(((idle_w, voltage_v), rate_hz), seed)| Recording {
+        idle_w,
+        voltage_v,
+        rate_hz,
+        rows: 1_200,
+        seed,
+        ..Recording::USUAL
+    })
+}
+
+fn is_found(found: &[Finding], kind: Kind, quantity: Quantity) -> bool {
+    found.iter().any(|one| one.kind == kind && one.quantity == Some(quantity))
+}
+
+/// Power of voltage and current, to the digits of a file.
+fn rounded(mut rows: Vec<Observation>) -> Vec<Observation> {
+    for seen in &mut rows {
+        seen.current_a = (seen.current_a * 1e4).round() / 1e4;
+        seen.voltage_v = (seen.voltage_v * 1e3).round() / 1e3;
+        seen.power_w = seen.voltage_v * seen.current_a;
+    }
+    rows
+}
+
+/// The usual step of which `value` is fewer than `counts`, but nearly as many.
+fn step_of(value: f64, counts: f64) -> f64 {
+    let decade = 10f64.powf((value / counts).log10().floor());
+    let steps = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0].map(|step| step * decade);
+    *steps.iter().rfind(|step| **step * counts <= value).unwrap()
+}
+
+/// Registers that end within what the robot draws, and wrap there in many rows or in few.
+#[test]
+fn registers_that_wrap_are_found_however_often() {
+    for one in robots() {
+        for share in [0.98, 0.7, 0.3] {
+            for (bits, signed) in [(16, true), (16, false), (15, false), (12, false)] {
+                let mut rows = rounded(one.rows());
+                let mut sorted: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
+                sorted.sort_unstable_by(f64::total_cmp);
+                let end_a = sorted[(sorted.len() as f64 * share) as usize];
+                let counts = f64::from(bits).exp2();
+                let above = if signed { 0.5 * counts } else { counts };
+                let step_a = step_of(end_a, above);
+                for seen in &mut rows {
+                    let counted = (seen.current_a / step_a).round();
+                    let counted = match signed {
+                        true => (counted + above).rem_euclid(counts) - above,
+                        false => counted.rem_euclid(counts),
+                    };
+                    seen.current_a = counted * step_a;
+                }
+                let least_a = if signed { -above * step_a } else { 0.0 };
+                // Where neighbours pass the end often enough to be seen.
+                let near = |value: f64, end: f64| (value - end).abs() <= 2e-3 * counts * step_a;
+                let passes = rows.windows(2).filter(|pair| {
+                    let step_a = (pair[0].current_a - pair[1].current_a).abs();
+                    step_a >= 0.92 * counts * step_a.signum() * step_of(end_a, above)
+                });
+                let fills = [least_a, least_a + counts * step_a]
+                    .iter()
+                    .all(|end| rows.iter().any(|seen| near(seen.current_a, *end)));
+                let must = passes.count() >= 3 && fills;
+                let found = judged(Known::default(), &rows);
+                let found = found.iter().find(|one| one.kind == Kind::Saturation);
+                assert!(
+                    !must || found.is_some_and(Finding::is_error),
+                    "{one:?} {share} {bits} {signed}: {found:?}"
+                );
+            }
+        }
+    }
+}
+
+/// A monitor that ends anywhere, and one that is coarse or slow and does not.
+#[test]
+fn readings_that_stay_at_the_greatest_are_found() {
+    for one in robots() {
+        for share in [0.7, 0.85] {
+            let mut rows = rounded(one.rows());
+            let mut sorted: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
+            sorted.sort_unstable_by(f64::total_cmp);
+            let end_a = sorted[(sorted.len() as f64 * share) as usize] * 1.003;
+            rows.iter_mut().for_each(|seen| seen.current_a = seen.current_a.min(end_a));
+            rows.iter_mut().for_each(|seen| seen.power_w = seen.voltage_v * seen.current_a);
+            let in_a_row =
+                rows.windows(5).any(|all| all.iter().all(|seen| seen.current_a == end_a));
+            let found = judged(Known::default(), &rows);
+            // A robot that drives at any speed passes the end again and again.
+            let at_end = |seen: &Observation| seen.current_a == end_a;
+            let begins = rows.windows(2).filter(|two| !at_end(&two[0]) && at_end(&two[1]));
+            let must = in_a_row && one.rate_hz >= 10.0 && begins.count() >= 3;
+            assert!(
+                !must || is_found(&found, Kind::Saturation, Quantity::Current),
+                "{one:?} {share}: {found:?}"
+            );
+        }
+        let step_w = one.idle_w / 3.0;
+        let mut coarse = one.rows();
+        coarse.iter_mut().for_each(|seen| seen.power_w = (seen.power_w / step_w).round() * step_w);
+        let mut slow = one.rows();
+        for at in 0..slow.len() {
+            let read = slow[at - at % 10];
+            (slow[at].power_w, slow[at].voltage_v) = (read.power_w, read.voltage_v);
+            slow[at].current_a = read.current_a;
+        }
+        // A simulation: constant power at each speed.
+        let mut exact = one.rows();
+        let power = |v_mps: f64| one.idle_w * (1.0 + 3.0 * (v_mps * 4.0).round() / 4.0);
+        exact.iter_mut().for_each(|seen| seen.power_w = power(seen.v_mps));
+        for (what, mut rows) in [("coarse", coarse), ("slow", slow), ("exact", exact)] {
+            rows.iter_mut().for_each(|seen| seen.current_a = seen.power_w / seen.voltage_v);
+            let found = judged(Known::default(), &rows);
+            assert!(found.is_empty(), "{what} {one:?}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn numbers_that_stand_for_no_reading_are_found() {
+    for one in robots() {
+        for number in [-1.0, -999.0, -9_999.0, 65_535.0, 1e30] {
+            for every in [7, 100] {
+                let mut rows = one.rows();
+                for at in (every..rows.len()).step_by(every) {
+                    rows[at].power_w = number;
+                    (rows[at].voltage_v, rows[at].current_a) = (f64::NAN, f64::NAN);
+                }
+                let found = judged(Known::default(), &rows);
+                let sentinel = found.iter().find(|one| one.kind == Kind::Sentinel);
+                let sentinel = sentinel.unwrap_or_else(|| panic!("{number} {one:?}: {found:?}"));
+                let remedy = sentinel.remedy(Source::Recording, None);
+                assert!(
+                    sentinel.is_error() && remedy.contains(&format!("missing:={number}")),
+                    "{remedy}"
+                );
+            }
+        }
+        // 0 V and 0 A for a reading that failed.
+        let mut rows = one.rows();
+        for at in (3..rows.len()).step_by(7) {
+            (rows[at].voltage_v, rows[at].current_a, rows[at].power_w) = (0.0, 0.0, 0.0);
+        }
+        let found = judged(Known::default(), &rows);
+        assert!(is_found(&found, Kind::Sentinel, Quantity::Voltage), "{one:?}: {found:?}");
+    }
+}
+
+#[test]
+fn a_unit_or_a_sign_that_changes_is_found() {
+    for one in robots() {
+        for half in [true, false] {
+            let mut rows = one.rows();
+            let middle = rows.len() / 2;
+            let part = if half { &mut rows[middle..] } else { &mut rows[..middle] };
+            for seen in part {
+                seen.power_w *= 1e3;
+                (seen.voltage_v, seen.current_a) = (f64::NAN, f64::NAN);
+            }
+            let found = judged(Known::default(), &rows);
+            assert!(is_found(&found, Kind::Unit, Quantity::Power), "{one:?}: {found:?}");
+            let mut rows = one.rows();
+            let part = if half { &mut rows[middle..] } else { &mut rows[..middle] };
+            for seen in part {
+                (seen.power_w, seen.current_a) = (-seen.power_w, -seen.current_a);
+            }
+            let found = judged(Known::default(), &rows);
+            assert!(is_found(&found, Kind::Sign, Quantity::Power), "{one:?}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn power_that_is_not_voltage_times_current_is_found() {
+    for one in robots() {
+        for factor in [0.5, 1.3, 2.0, 12.0] {
+            let mut rows = one.rows();
+            rows.iter_mut().for_each(|seen| seen.power_w *= factor);
+            let found = judged(Known::default(), &rows);
+            let [found] = found.as_slice() else {
+                panic!("{one:?} {factor}: {found:?}");
+            };
+            assert!(found.kind == Kind::Mismatch && found.is_error(), "{found:?}");
+        }
+    }
+}
+
+/// A few rows are judged where nothing more will come, and several short recordings as one.
+#[test]
+fn short_recordings_are_judged() {
+    let whole = Known::default().whole();
+    for one in robots() {
+        for rows in [4, 18] {
+            let sound = Recording { rows, idle: 0.0, ..one }.rows();
+            let found = judged(whole, &sound);
+            assert!(found.is_empty(), "{one:?}: {found:?}");
+            let mut turned = sound.clone();
+            turned.iter_mut().for_each(|seen| {
+                (seen.power_w, seen.current_a) = (-seen.power_w, -seen.current_a);
+            });
+            let found = judged(whole, &turned);
+            assert!(found.iter().any(|one| one.kind == Kind::Sign && one.is_error()), "{found:?}");
+            // More may come.
+            assert!(judged(Known::default(), &turned).is_empty());
+            let mut milli = sound;
+            milli.iter_mut().for_each(|seen| {
+                (seen.voltage_v, seen.current_a) = (seen.voltage_v / 1e3, seen.current_a / 1e3);
+                seen.power_w = seen.voltage_v * seen.current_a;
+            });
+            let unstated = whole.unstated(Quantity::Voltage).unstated(Quantity::Current);
+            assert!(is_found(&judged(unstated, &milli), Kind::Unit, Quantity::Voltage), "{one:?}");
+        }
+        // None of them is wholly negative.
+        let mut judge = Judge::new(whole);
+        let mut numbers = Numbers::new(one.seed);
+        for seed in 0..40 {
+            judge.begin();
+            let mut rows = Recording { rows: 18, idle: 0.2, seed, ..one }.rows();
+            let wrong = (numbers.uniform() * 18.0) as usize;
+            for (at, seen) in rows.iter_mut().enumerate() {
+                let sign = if at == wrong { 1.0 } else { -1.0 };
+                (seen.power_w, seen.current_a) = (sign * seen.power_w, sign * seen.current_a);
+                judge.take(seen);
+            }
+        }
+        let found = judge.findings();
+        assert!(is_found(&found, Kind::Sign, Quantity::Power), "{one:?}: {found:?}");
+    }
+}
