@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 
 use bytemuck::cast_slice;
 use joulebus_capture_format::{Frame, Message, MessageKind, ReadError, Reader};
+use joulebus_dataset::inspect::{Implausible, Limits, judge, judge_together};
 use joulebus_dataset::rows::trial_rows as rows_of;
-use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
+use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
+use joulebus_publisher::plausibility::Kind;
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Samples,
 };
@@ -227,13 +229,86 @@ const fn name(column: Column) -> &'static str {
     }
 }
 
+/// How recordings are read: columns of CSV files as `quantity=column`, the sign of the current, and
+/// findings that are accepted.
+pub(crate) type Given = (Vec<String>, Option<String>, Vec<String>);
+
+/// The same, understood.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Reading {
+    pub(crate) map: ColumnMap,
+    accepted: Vec<Kind>,
+}
+
+impl Reading {
+    pub(crate) fn of((columns, current, accepted): Given) -> PyResult<Self> {
+        let refused = |error: String| PyValueError::new_err(error);
+        let columns = columns.iter().map(|column| column.parse::<MappedColumn>());
+        let columns = columns.collect::<Result<Vec<_>, _>>();
+        let map = columns.map(ColumnMap::from).map_err(|error| refused(error.to_string()))?;
+        let turned = match current.as_deref() {
+            None | Some("discharge-positive") => false,
+            Some("discharge-negative") => true,
+            Some(found) => {
+                let allowed = "discharge-positive, discharge-negative";
+                return Err(refused(format!("current is {found:?}, allowed are {allowed}")));
+            }
+        };
+        let accepted = accepted.iter().map(|kind| kind.parse());
+        let accepted = accepted.collect::<Result<_, String>>().map_err(refused)?;
+        Ok(Self { map: map.discharge_negative(turned), accepted })
+    }
+
+    /// Lines about what may be implausible.
+    ///
+    /// # Errors
+    /// Readings that make results wrong, and are not accepted.
+    pub(crate) fn judge<'a>(
+        &self,
+        found: impl IntoIterator<Item = &'a Implausible>,
+        short: impl IntoIterator<Item = &'a Trial>,
+    ) -> PyResult<Vec<String>> {
+        let together = judge_together(short);
+        let found: Vec<&Implausible> = found.into_iter().collect();
+        let (mut errors, mut others) = (Vec::new(), Vec::new());
+        let mut told = BTreeSet::new();
+        for one in found.into_iter().chain(&together) {
+            let finding = &one.finding;
+            if told.insert((finding.severity, finding.kind, finding.quantity)) {
+                let is_error = finding.is_error() && !self.accepted.contains(&finding.kind);
+                let lines = if is_error { &mut errors } else { &mut others };
+                lines.push(format!("implausible {}: {}", finding.kind, one.place));
+            }
+        }
+        if errors.is_empty() {
+            return Ok(others);
+        }
+        Err(RecordingError::new_err(format!(
+            "{}\nIn Python: columns={{\"quantity_UNIT\": \"column\"}}, current=\"discharge-negative\", or \
+             accept=[\"finding\"] if it is right",
+            errors.join("\n")
+        )))
+    }
+
+    /// The same of trials in memory; what may be implausible is not said.
+    fn judge_trials(&self, trials: &[Trial]) -> PyResult<()> {
+        let found: Vec<Implausible> =
+            trials.iter().flat_map(|trial| judge(trial, &Limits::default())).collect();
+        self.judge(&found, trials).map(|_| ())
+    }
+}
+
 /// The trials of a file in SI units: name of the robot, and its columns.
 #[pyfunction]
 pub(crate) fn read_trials<'py>(
     py: Python<'py>,
     path: PathBuf,
+    reading: Given,
 ) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
-    let trials = py.detach(|| Trial::read_robots(&path)).map_err(|error| refused_trial(&error))?;
+    let reading = Reading::of(reading)?;
+    let trials = py.detach(|| Trial::read_mapped(&path, &reading.map));
+    let trials = trials.map_err(|error| refused_trial(&error))?;
+    py.detach(|| reading.judge_trials(&trials))?;
     let named = |trial: &Trial| Ok((trial.robot_name().map(str::to_owned), columns(py, trial)?));
     trials.iter().map(named).collect()
 }
@@ -257,8 +332,10 @@ pub(crate) fn write_trial(
     path: PathBuf,
     robot: &str,
     columns: &Bound<'_, PyDict>,
+    accepted: Vec<String>,
 ) -> PyResult<()> {
     let trial = trial(&path, robot, columns)?;
+    Reading::of((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
     py.detach(|| trial.to_table().write(&path))
         .map_err(|error| RecordingError::new_err(error.to_string()))
 }
@@ -268,8 +345,10 @@ pub(crate) fn write_trial(
 pub(crate) fn trial_rows<'py>(
     py: Python<'py>,
     columns: &Bound<'py, PyDict>,
+    accepted: Vec<String>,
 ) -> PyResult<(Floats<'py>, Floats<'py>)> {
     let trial = trial(Path::new("the trial"), "", columns)?;
+    Reading::of((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
     let found = py.detach(|| rows_of(&trial)).rows;
     let features: Vec<f32> = found.iter().flat_map(|row| row.features).collect();
     let targets_w: Vec<f32> = found.iter().map(|row| row.target_w).collect();

@@ -214,3 +214,26 @@ def test_wrong_trials_are_refused_with_what_is_allowed(tmp_path):
     (tmp_path / "b.csv").write_text("nothing\n")
     with pytest.raises(joulebus.RecordingError, match="b.csv"):
         joulebus.read_trials(tmp_path / "b.csv")
+
+
+def test_implausible_trials_raise_unless_they_are_accepted_or_turned(tmp_path):
+    turned = joulebus.Trial(COLUMNS | {"power_w": -COLUMNS["power_w"]}, "7")
+    for refused in [lambda: turned.write(tmp_path / "a.csv"), turned.rows]:
+        with pytest.raises(joulebus.RecordingError, match="sign.*negative"):
+            refused()
+    turned.write(tmp_path / "a.csv", accept="sign")
+    assert len(turned.rows(accept=["sign"])[1]) > 100
+    with pytest.raises(joulebus.RecordingError, match="accept="):
+        joulebus.read_trials(tmp_path / "a.csv")
+    [kept] = joulebus.read_trials(tmp_path / "a.csv", accept=["sign"])
+    assert (kept.columns["power_w"] < 0.0).all()
+    [found] = joulebus.read_trials(tmp_path / "a.csv", current="discharge-negative")
+    assert np.allclose(found.columns["power_w"], COLUMNS["power_w"])
+    [found] = joulebus.read_trials(tmp_path / "a.csv", columns={"power_mW": "-power_mW"})
+    assert np.allclose(found.columns["power_w"], COLUMNS["power_w"])
+    for arguments in [dict(accept=["sing"]), dict(current="negative"), dict(columns={"power_hp": "p"})]:
+        with pytest.raises(ValueError):
+            joulebus.read_trials(tmp_path / "a.csv", **arguments)
+    for computed in [joulebus.train, joulebus.analyze]:
+        with pytest.raises(joulebus.RecordingError, match="sign"):
+            computed(turned)

@@ -122,9 +122,13 @@ class QuestionPorts:
     def close(self) -> None: ...
 
 def read_capture(path: _Path, kind: str, fleet: str | None = None, robots: ArrayLike | None = None) -> dict[str, Any]: ...
-def read_trials(path: _Path) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...
-def write_trial(path: _Path, robot: str, columns: dict[str, NDArray[np.float64]]) -> None: ...
-def trial_rows(columns: dict[str, NDArray[np.float64]]) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+_Reading = tuple[list[str], str | None, list[str]]
+
+def read_trials(path: _Path, reading: _Reading) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...
+def write_trial(path: _Path, robot: str, columns: dict[str, NDArray[np.float64]], accepted: list[str]) -> None: ...
+def trial_rows(
+    columns: dict[str, NDArray[np.float64]], accepted: list[str]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 
 _Made = tuple[str, str | None, dict[str, NDArray[np.float64]]]
 _Epochs = list[tuple[int, float, float, bool]]
@@ -133,7 +137,7 @@ def simulate(seed: int, steps: int, progress: Callable[..., Any]) -> tuple[list[
 def train_recordings(
     recordings: list[Any],
     parts: tuple[list[Any], list[Any]],
-    columns: list[str],
+    reading: _Reading,
     asked: str,
     file: str | None,
     remark: Callable[[str], Any],
@@ -145,14 +149,14 @@ def train_simulated(
 def evaluate(
     recordings: list[Any],
     fit: list[Any],
-    columns: list[str],
+    reading: _Reading,
     given_models: list[Any],
     asked: str,
     remark: Callable[[str], Any],
     progress: Callable[..., Any],
 ) -> tuple[str, str, list[dict[str, Any]]]: ...
 def analyze(
-    recordings: list[Any], columns: list[str], asked: str, given_models: list[Any], remark: Callable[[str], Any]
+    recordings: list[Any], reading: _Reading, asked: str, given_models: list[Any], remark: Callable[[str], Any]
 ) -> str: ...
 
 class Report:
@@ -166,7 +170,7 @@ class Report:
 def report_recorded(
     recordings: list[Any],
     fit: list[Any],
-    columns: list[str],
+    reading: _Reading,
     given_models: list[Any],
     asked: str,
     remark: Callable[[str], Any],

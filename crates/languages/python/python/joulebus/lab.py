@@ -19,7 +19,7 @@ from . import _native
 from ._optional import Progress, axes, lab, needed
 from .figures import Figure
 from .predictor import Predictor, _restored
-from .recordings import Trial
+from .recordings import Trial, _reading
 
 _Path = Union[str, "os.PathLike[str]"]
 Recordings = Union[_Path, Trial, Iterable[Union[_Path, Trial]]]
@@ -125,6 +125,8 @@ def train(
     max_epochs: int | None = None,
     patience: int | None = None,
     columns: dict[str, str] | None = None,
+    current: str | None = None,
+    accept: Sequence[str] = (),
     simulated: bool = False,
     threads: int = 0,
     progress: bool | Callable[..., Any] = True,
@@ -137,7 +139,10 @@ def train(
     recipe:      a TOML file (`configs/recipes/paper.toml` explains it); the paper's recipe by default. The next five
                  replace its settings
     feature_set: ``full`` (the paper's), ``power_only``, ``freshness``, ``power_freshness``
-    columns:     names of columns of CSV files where they are not found by themselves: ``{"power": "load_W"}``
+    columns:     names of columns of CSV files where they are not found by themselves: ``{"power": "load_W"}``; ``missing:``
+                 is a number that stands for no value: ``{"missing:": "-999"}``
+    current:     sign of the current in files: ``discharge-positive`` (default) or ``discharge-negative``
+    accept:      findings to let through, because you know better: ``sign``, ``unit``, ``clock``, … (`joulebus data check`)
     out:         the model file to write; `Training.save` writes it later
     progress:    a bar by tqdm, or a function that is called after each epoch with its number, both losses and whether it
                  is the best
@@ -176,7 +181,8 @@ def train(
             made = native.train_simulated(asked, file, _warn, told)
         else:
             parts = (_inputs(validate), _inputs(hold_out))
-            made = native.train_recordings(_inputs(recordings), parts, _mapped(columns), asked, file, _warn, told)
+            reading = _reading(columns, current, accept)
+            made = native.train_recordings(_inputs(recordings), parts, reading, asked, file, _warn, told)
     trained = Training(*made)
     if out is not None:
         trained.save(out)
@@ -283,6 +289,8 @@ def evaluate(
     confidence: float = 0.95,
     block_rows: int = 50,
     columns: dict[str, str] | None = None,
+    current: str | None = None,
+    accept: Sequence[str] = (),
     progress: bool = True,
 ) -> Evaluation:
     """Evaluates models on recordings by the live code, as `joulebus eval --model` does.
@@ -294,6 +302,7 @@ def evaluate(
     horizons:  ticks of the open loop, ascending, 1 to 300; none disables it
     energy:    also scores the energy of the next 1 to 300 s
     resamples, confidence, block_rows: of the confidence intervals; 0 resamples disable them
+    columns, current, accept: how recordings are read, as of `train`
 
     Period and limits are those of each recording. Rows that a model was trained on, as its file states, are scored apart.
     """
@@ -311,7 +320,7 @@ def evaluate(
     native = lab("evaluations")
     with Progress(progress, "evaluating", "recording") as bar:
         found = native.evaluate(
-            _inputs(recordings), _inputs(fit), _mapped(columns), _models(model), asked, _warn, bar.reach
+            _inputs(recordings), _inputs(fit), _reading(columns, current, accept), _models(model), asked, _warn, bar.reach
         )
     result = Evaluation(*found)
     for text in result.report["warnings"]:
@@ -377,6 +386,8 @@ def analyze(
     seed: int = 0,
     model: Models = (),
     columns: dict[str, str] | None = None,
+    current: str | None = None,
+    accept: Sequence[str] = (),
 ) -> Analysis:
     """Analyses a dataset before training, as `joulebus analyze` does: autocorrelation, the gain of each input, and the
     share of a score that comes from held readings.
@@ -387,6 +398,7 @@ def analyze(
     rate_hz:  rows per second of the grids
     split, held_out, leave_out, seed: which rows are held out: `split` names what stays together
     model:    models to score as well
+    columns, current, accept: how recordings are read, as of `train`
     """
     asked = json.dumps(
         {
@@ -397,7 +409,8 @@ def analyze(
             "leave_out": list(leave_out),
         }
     )
-    return Analysis(lab("analyses").analyze(_inputs(recordings), _mapped(columns), asked, _models(model), _warn))
+    reading = _reading(columns, current, accept)
+    return Analysis(lab("analyses").analyze(_inputs(recordings), reading, asked, _models(model), _warn))
 
 
 class Report(_Result):
@@ -464,11 +477,13 @@ def report(
     samples: int = 8000,
     max_epochs: int = 100,
     columns: dict[str, str] | None = None,
+    current: str | None = None,
+    accept: Sequence[str] = (),
     progress: bool = True,
 ) -> Report:
     """Reports the accuracy of models in figures and tables, as `joulebus report` does.
 
-    recordings, model, fit, split, held_out, leave_out, columns: as of `evaluate`; the first model is in every figure
+    recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`; the first model is in every figure
     published: the recordings are the paper's: its numbers are shown
     simulated: runs the paper's experiments on simulated robots instead, without recordings: `draws` times, with `samples`
                of each trial and at most `max_epochs` of training; `seed` is that of the first draw (1)
@@ -487,7 +502,7 @@ def report(
     choice = _choice(split, held_out, leave_out, seed or 0)
     asked = json.dumps({"choice": choice, "published": published})
     found = native.report_recorded(
-        _inputs(recordings), _inputs(fit), _mapped(columns), _models(model), asked, _warn
+        _inputs(recordings), _inputs(fit), _reading(columns, current, accept), _models(model), asked, _warn
     )
     return Report(found)
 
@@ -510,10 +525,6 @@ def _inputs(recordings: Any) -> list[Any]:
 def _models(model: Any) -> list[Any]:
     single = isinstance(model, (str, os.PathLike, _native.Predictor, Training))
     return [one.predictor if isinstance(one, Training) else one for one in ([model] if single else model)]
-
-
-def _mapped(columns: dict[str, str] | None) -> list[str]:
-    return [f"{quantity}={column}" for quantity, column in (columns or {}).items()]
 
 
 def _choice(split: str | None, held_out: float, leave_out: Sequence[str], seed: int) -> dict[str, Any]:

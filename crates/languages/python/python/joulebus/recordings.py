@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -66,17 +67,21 @@ class Trial:
     robot: str | None = field(default=None)
     name: str | None = field(default=None)
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW)."""
-        lab("trials").write_trial(path, self.robot or "", self.columns)
+    def write(self, path: str | os.PathLike[str], *, accept: Sequence[str] = ()) -> None:
+        """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW).
 
-    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        A trial with another sign or unit, or other implausible readings, raises `RecordingError`; `accept` names findings
+        to let through.
+        """
+        lab("trials").write_trial(path, self.robot or "", self.columns, _names(accept))
+
+    def rows(self, *, accept: Sequence[str] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Features ``(rows, 13)`` and the readings that followed, W: what `Predictor.fit`, `predict` and `score` take.
 
         One row for each reading with five gapless readings before it; the features are those that the worker would have
-        computed, to the bit.
+        computed, to the bit. `accept` as of `write`.
         """
-        return lab("trials").trial_rows(self.columns)
+        return lab("trials").trial_rows(self.columns, _names(accept))
 
     def to_pandas(self) -> Any:
         """A copy as a DataFrame. Needs pandas."""
@@ -89,8 +94,31 @@ class Trial:
         return f"Trial(robot={self.robot!r}, rows={len(self)}, columns=[{', '.join(self.columns)}])"
 
 
-def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
-    """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot."""
-    found, name = lab("trials").read_trials(path), os.fspath(path)
+def read_trials(
+    path: str | os.PathLike[str],
+    *,
+    columns: dict[str, str] | None = None,
+    current: str | None = None,
+    accept: Sequence[str] = (),
+) -> list[Trial]:
+    """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot.
+
+    columns: names of columns of a CSV where they are not found by themselves: ``{"power": "load_W"}``
+    current: sign of the current: ``discharge-positive`` (default) or ``discharge-negative``
+    accept:  findings to let through, because you know better: ``sign``, ``unit``, … Others that make numbers wrong raise
+             `RecordingError`
+    """
+    found, name = lab("trials").read_trials(path, _reading(columns, current, accept)), os.fspath(path)
     several = len(found) > 1
     return [Trial(columns, robot, f"{name} {robot}" if several else name) for robot, columns in found]
+
+
+def _names(accept: Sequence[str]) -> list[str]:
+    return [accept] if isinstance(accept, str) else list(accept)
+
+
+def _reading(
+    columns: dict[str, str] | None, current: str | None, accept: Sequence[str]
+) -> tuple[list[str], str | None, list[str]]:
+    mapped = [f"{quantity}={column}" for quantity, column in (columns or {}).items()]
+    return mapped, current, _names(accept)

@@ -6,20 +6,21 @@ use joulebus_predictor::Model;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::recordings::{Inputs, column_map};
+use super::recordings::Inputs;
 use super::{job, json, models, settings};
+use crate::recordings::{Given, Reading};
 
 /// The analysis of recordings as JSON. `remark` is called with what was left out of directories.
 #[pyfunction]
 pub(crate) fn analyze(
     py: Python<'_>,
     recordings: &Bound<'_, PyAny>,
-    columns: Vec<String>,
+    reading: Given,
     asked: &str,
     given_models: &Bound<'_, PyAny>,
     remark: &Bound<'_, PyAny>,
 ) -> PyResult<String> {
-    let (inputs, map) = (Inputs::of(recordings)?, column_map(&columns)?);
+    let (inputs, reading) = (Inputs::of(recordings)?, Reading::of(reading)?);
     let asked: AnalysisSettings = settings(asked)?;
     let named = |model: Model| (format!("network {}", model.name()), model);
     let models: Vec<(String, Model)> = models(given_models)?.into_iter().map(named).collect();
@@ -27,7 +28,7 @@ pub(crate) fn analyze(
         let remark = |remark| {
             let _ = teller.tell(remark);
         };
-        let recordings = inputs.open(&map, |id| id, ROWS_IN_MEMORY, remark)?;
+        let recordings = inputs.open(&reading, |id| id, ROWS_IN_MEMORY, remark)?;
         let analysis = analyze_recordings(&recordings, &asked, &models);
         let analysis = analysis.map_err(|error| PyValueError::new_err(error.to_string()))?;
         json(&analysis)

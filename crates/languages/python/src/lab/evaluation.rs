@@ -10,10 +10,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde::Deserialize;
 
-use super::recordings::{Inputs, column_map};
+use super::recordings::Inputs;
 use super::{Choice, job, json, models, refused, settings};
 use crate::array::array;
 use crate::error::ConnectError;
+use crate::recordings::{Given, Reading};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -66,13 +67,13 @@ pub(crate) fn evaluate<'py>(
     py: Python<'py>,
     recordings: &Bound<'py, PyAny>,
     fit: &Bound<'py, PyAny>,
-    columns: Vec<String>,
+    reading: Given,
     given_models: &Bound<'py, PyAny>,
     asked: &str,
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<(String, String, Vec<Bound<'py, PyDict>>)> {
-    let (inputs, fit, map) = (Inputs::of(recordings)?, Inputs::of(fit)?, column_map(&columns)?);
+    let (inputs, fit, reading) = (Inputs::of(recordings)?, Inputs::of(fit)?, Reading::of(reading)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
@@ -80,8 +81,8 @@ pub(crate) fn evaluate<'py>(
         let remark = |text| {
             let _ = teller.tell(Told::Remark(text));
         };
-        let recordings = inputs.recordings(&map, |id| id, remark)?;
-        let fit = fit.recordings(&map, |id| id, remark)?;
+        let recordings = inputs.recordings(&reading, |id| id, remark)?;
+        let fit = fit.recordings(&reading, |id| id, remark)?;
         let options = asked.options();
         let design = asked.choice.design(&recordings, fit, &models)?;
         let subject = Subject {

@@ -1,17 +1,16 @@
 //! Recordings that a computation takes: files, and trials in memory.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use joulebus_dataset::inspect::{Implausible, find};
-use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
+use joulebus_dataset::inspect::find;
+use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::{Recording, open_recordings};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::error::of_file;
-use crate::recordings::{refused_trial, trial};
+use crate::recordings::{Reading, refused_trial, trial};
 
 /// Files, directories and patterns, then trials of Python.
 #[derive(Debug, Default)]
@@ -51,20 +50,20 @@ impl Inputs {
         Ok(found.files)
     }
 
-    /// Every trial, with all its rows in memory. `id` gives the robot's id for the live path.
+    /// Every trial, with all its rows in memory; refuses implausible ones. `id` gives the robot's id for the live path.
     pub(super) fn recordings(
         self,
-        map: &ColumnMap,
+        reading: &Reading,
         id: fn(u32) -> u32,
         remark: impl FnMut(String),
     ) -> PyResult<Vec<Recording>> {
-        self.open(map, id, u64::MAX, remark)
+        self.open(reading, id, u64::MAX, remark)
     }
 
     /// Every trial; of files, only so many rows are in memory.
     pub(super) fn open(
         self,
-        map: &ColumnMap,
+        reading: &Reading,
         id: fn(u32) -> u32,
         rows_in_memory: u64,
         mut remark: impl FnMut(String),
@@ -72,33 +71,13 @@ impl Inputs {
         let files = self.files(&mut remark)?;
         let files: Vec<_> = (0..).map(id).zip(files).collect();
         let count = files.len() as u32;
-        let read = open_recordings(&files, map, rows_in_memory);
+        let read = open_recordings(&files, &reading.map, rows_in_memory);
         let mut recordings = read.map_err(|error| refused_trial(&error))?;
         let given = (count..).map(id).zip(self.trials);
         recordings.extend(given.map(|(id, trial)| Recording::new(id, trial)));
-        implausible(&recordings).into_iter().for_each(remark);
+        let found = recordings.iter().flat_map(Recording::implausible);
+        let short = recordings.iter().filter_map(Recording::short);
+        reading.judge(found, short)?.into_iter().for_each(remark);
         Ok(recordings)
     }
-}
-
-/// Implausible findings in the recordings: a line for each kind, with the first of them.
-fn implausible(recordings: &[Recording]) -> Vec<String> {
-    let mut kinds = BTreeMap::new();
-    for found in recordings.iter().flat_map(Recording::implausible) {
-        let first =
-            kinds.entry((found.finding.severity, found.finding.kind, found.finding.quantity));
-        first.or_insert((found, 0_usize)).1 += 1;
-    }
-    let line = |(found, count): &(&Implausible, usize)| {
-        let (file, finding) = (found.place.file.display(), &found.finding);
-        format!("implausible in {count} recordings, the first {file}: {finding}")
-    };
-    kinds.values().map(line).collect()
-}
-
-/// The columns of CSV files: `quantity=column`.
-pub(super) fn column_map(columns: &[String]) -> PyResult<ColumnMap> {
-    let columns = columns.iter().map(|column| column.parse::<MappedColumn>());
-    let columns = columns.collect::<Result<Vec<_>, _>>();
-    columns.map(ColumnMap::from).map_err(|error| PyValueError::new_err(error.to_string()))
 }

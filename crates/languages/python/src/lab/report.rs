@@ -11,8 +11,9 @@ use pyo3::types::PyBytes;
 use serde::Deserialize;
 
 use super::evaluation::config;
-use super::recordings::{Inputs, column_map};
+use super::recordings::Inputs;
 use super::{Choice, job, json, models, settings};
+use crate::recordings::{Given, Reading};
 
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
@@ -77,12 +78,12 @@ pub(crate) fn report_recorded(
     py: Python<'_>,
     recordings: &Bound<'_, PyAny>,
     fit: &Bound<'_, PyAny>,
-    columns: Vec<String>,
+    reading: Given,
     given_models: &Bound<'_, PyAny>,
     asked: &str,
     remark: &Bound<'_, PyAny>,
 ) -> PyResult<Report> {
-    let (inputs, fit, map) = (Inputs::of(recordings)?, Inputs::of(fit)?, column_map(&columns)?);
+    let (inputs, fit, reading) = (Inputs::of(recordings)?, Inputs::of(fit)?, Reading::of(reading)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
@@ -91,8 +92,8 @@ pub(crate) fn report_recorded(
             let _ = teller.tell(text);
         };
         // Each is run alone: all have the same id.
-        let recordings = inputs.recordings(&map, |_| 0, remark)?;
-        let fit = fit.recordings(&map, |_| 0, remark)?;
+        let recordings = inputs.recordings(&reading, |_| 0, remark)?;
+        let fit = fit.recordings(&reading, |_| 0, remark)?;
         let design = asked.choice.design(&recordings, fit, &models)?;
         let document = recorded(&Recorded {
             settings: config.settings(),

@@ -15,8 +15,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use serde::Deserialize;
 
-use super::recordings::{Inputs, column_map};
+use super::recordings::Inputs;
 use super::{job, json, settings};
+use crate::recordings::{Given, Reading};
 use crate::training::{EpochRow, epoch_row, refused};
 
 /// Arguments of `joulebus.train` beside a recipe; None: the recipe's.
@@ -93,14 +94,14 @@ pub(crate) fn train_recordings<'py>(
     py: Python<'py>,
     recordings: &Bound<'py, PyAny>,
     parts: (Bound<'py, PyAny>, Bound<'py, PyAny>),
-    columns: Vec<String>,
+    reading: Given,
     asked: &str,
     file: Option<String>,
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
     let asked: Asked = settings(asked)?;
-    let (recipe, threads, map) = (asked.recipe()?, asked.threads, column_map(&columns)?);
+    let (recipe, threads, reading) = (asked.recipe()?, asked.threads, Reading::of(reading)?);
     let inputs = Inputs::of(recordings)?;
     let parts = [Inputs::of(&parts.0)?, Inputs::of(&parts.1)?];
     let prepare = move |teller: &job::Teller<Told>| {
@@ -108,7 +109,7 @@ pub(crate) fn train_recordings<'py>(
             let remark = |text| {
                 let _ = teller.tell(Told::Remark(text));
             };
-            inputs.open(&map, |id| id, ROWS_IN_MEMORY, remark)
+            inputs.open(&reading, |id| id, ROWS_IN_MEMORY, remark)
         };
         let all = read(inputs)?;
         let [validation, held_out] = parts;
