@@ -269,10 +269,10 @@ impl Reading {
         short: impl IntoIterator<Item = &'a Trial>,
     ) -> PyResult<Vec<String>> {
         let together = judge_together(short);
-        let found: Vec<&Implausible> = found.into_iter().chain(&together).collect();
+        let found: Vec<&Implausible> = found.into_iter().collect();
         let (mut errors, mut others) = (Vec::new(), Vec::new());
         let mut told = BTreeSet::new();
-        for one in found {
+        for one in found.into_iter().chain(&together) {
             let finding = &one.finding;
             if told.insert((finding.severity, finding.kind, finding.quantity)) {
                 let is_error = finding.is_error() && !self.accepted.contains(&finding.kind);

@@ -39,7 +39,7 @@ fn rounded(mut rows: Vec<Observation>) -> Vec<Observation> {
 fn step_of(value: f64, counts: f64) -> f64 {
     let decade = 10f64.powf((value / counts).log10().floor());
     let steps = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0].map(|step| step * decade);
-    *steps.iter().rfind(|step| **step * counts <= value).unwrap()
+    steps.into_iter().rfind(|step| step * counts <= value).unwrap_or(decade)
 }
 
 /// Registers that end within what the robot draws, and wrap there in many rows or in few.
