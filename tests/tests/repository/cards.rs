@@ -139,7 +139,7 @@ const LIMITS: [(&str, &str, &[&str]); 19] = [
     ("", "crates/gateways/serve/src/http/questions.rs", &["MAX_QUESTIONS"]),
     ("", "crates/gateways/serve/src/http/alarms.rs", &["MAX_CHANGES"]),
     ("", "crates/core/wire/src/acknowledgement.rs", &["MAX_ACKNOWLEDGED", "MAX_NAME_BYTES"]),
-    ("", "crates/gateways/serve/src/webhook.rs", &["MAX_WAITING", "MAX_CHANGES"]),
+    ("", "crates/gateways/serve/src/webhook/mod.rs", &["MAX_WAITING", "MAX_CHANGES"]),
     (
         "Recordings",
         "crates/lab/dataset/src/trial/limits.rs",

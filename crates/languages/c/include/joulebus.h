@@ -86,10 +86,7 @@
 /** The forecast learns online: the fields from network_w to level_w are known. Otherwise they are NaN. */
 #define JOULEBUS_DIAGNOSTIC_LEARNED 0x4u
 
-/**
- * The platform's config describes a battery: energy left, usable and state of charge are known, with their
- * bounds.
- */
+/** The platform's config describes a battery. */
 #define JOULEBUS_BUDGET_BATTERY 0x1u
 /** Time to empty is known. */
 #define JOULEBUS_BUDGET_TIME_TO_EMPTY 0x2u
@@ -104,6 +101,11 @@
  * be another one, and the bounds need not hold.
  */
 #define JOULEBUS_BUDGET_CONTRADICTED 0x20u
+/**
+ * Energy left, usable and state of charge are known, with their bounds. Without it they are NaN: the battery
+ * may be full or empty.
+ */
+#define JOULEBUS_BUDGET_CHARGE 0x40u
 
 /** A sample has been accepted: stamp_ns is known. */
 #define JOULEBUS_OUTLOOK_SAMPLE 0x1u
