@@ -242,7 +242,7 @@ fn platforms_of_a_config_are_evaluated_separately() {
 #[test]
 fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
-    let data = recordings(folder.path(), 24, 60);
+    let data = recordings(folder.path(), 24, 150);
     let compare = |old: &str, new: &str, more: &[&str]| {
         let data = text(&data);
         let asked = ["model", "compare", old, new, data, "--resamples", "200"];

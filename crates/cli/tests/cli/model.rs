@@ -90,7 +90,7 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
         (format!("info {evil}"), 1, "os.system"),
         (format!("info {nothing}"), 1, "nothing.pt"),
         (format!("export {SHIPPED} --out {bin}"), 2, "--to"),
-        (format!("export {npy} --to npz --out {bin}"), 2, "import it"),
+        (format!("export {npy} --to npz --out {bin}"), 2, "Import it"),
         (format!("import {npy} --out {bin} --convention x"), 2, "is not a convention"),
         (format!("export {SHIPPED} --to npy --out {full}"), 2, "not empty"),
     ] {

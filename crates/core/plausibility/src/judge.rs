@@ -184,7 +184,6 @@ impl Judge {
             enough: self.known.least(MIN_ROWS),
         };
         found.extend(magnitudes.judge());
-        found.extend(self.mismatch(&found));
         found.extend(self.clock());
         found.extend(self.holds());
         for quantity in Quantity::ALL {
@@ -202,6 +201,7 @@ impl Judge {
             found.extend(saturation(quantity, column).filter(|_| is_read));
             found.extend(self.constant(quantity, column));
         }
+        found.extend(self.mismatch(&found));
         found.sort_by_key(|finding| (finding.severity, finding.kind, finding.quantity));
         found
     }
@@ -261,10 +261,16 @@ impl Judge {
         found
     }
 
-    /// Power that is not voltage times current, where no unit and no sign explains it.
+    /// Power that is not voltage times current, where no unit, and no full register or number for a
+    /// missing value in as many readings, explains it.
     fn mismatch(&self, found: &[Finding]) -> Option<Finding> {
         let of = |quantity: Quantity| &self.columns[quantity as usize];
-        let is_explained = found.iter().any(|one| one.kind == Kind::Unit)
+        let explains = |one: &Finding| match one.kind {
+            Kind::Unit => true,
+            Kind::Saturation | Kind::Sentinel => one.readings >= self.mismatches,
+            _ => false,
+        };
+        let is_explained = found.iter().any(explains)
             || [Quantity::Power, Quantity::Voltage, Quantity::Current]
                 .into_iter()
                 .any(|one| of(one).is_zero());

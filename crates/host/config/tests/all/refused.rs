@@ -178,7 +178,7 @@ fn assert_named(text: &str, key: &str, line: usize, expected: &[&str]) {
 fn wrong_kinds_and_units_are_refused() {
     let cases = r#"
         deadline_ms = 10.0 | deadline_ms = "10ms" | tick.deadline_ms | "10ms" | 10 ms | without quotes
-        stuck_after_s = 10.0 | stuck_after_s = "33ms" | platform.stuck_after_s | write 0.033 | the unit is always s
+        stuck_after_s = 10.0 | stuck_after_s = "33ms" | platform.stuck_after_s | write 0.033 | The unit is always s
         cpus = "1" | cpus = "1,1" | worker.cpus | each once
         max_jump_s = 60.0 | max_jump_s = "1 min" | intake.max_jump_s | write 60
         power_max_w = 20.0 | power_max_w = "20" | platform.power_max_w | Write 20 without

@@ -291,6 +291,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         unnamed_rows: head.unnamed_rows,
         sources: head.sources.clone(),
         time_name: head.time_name.clone(),
+        states_time_unit: head.states_time_unit,
         left_out: head.left_out.clone(),
         understood: head.understood.clone(),
         is_turned: false,

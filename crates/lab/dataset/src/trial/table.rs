@@ -322,6 +322,12 @@ impl Table {
         self.time_name.as_deref()
     }
 
+    /// Whether the recording states the unit of that time, by its name or by its size.
+    #[must_use]
+    pub const fn states_time_unit(&self) -> bool {
+        self.states_time_unit
+    }
+
     /// The columns of a CSV that were read.
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources

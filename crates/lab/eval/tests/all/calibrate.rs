@@ -106,7 +106,7 @@ fn what_recordings_cannot_show_is_refused_with_the_hours_needed() {
     assert!((needed_h - exactly_h).abs() < 1e-6, "{needed_h}");
     assert!(0.05 < hours && hours < 0.1, "{hours}");
     let text = refused.to_string();
-    assert!(text.contains("record 2875.9 robot-hours"), "{text}");
+    assert!(text.contains("Record 2875.9 robot-hours"), "{text}");
     let one = asked(&trials[..1], &WANTED).unwrap_err();
     assert_eq!(one, CalibrateError::Recordings { found: 1 });
 }

@@ -299,6 +299,7 @@ impl Adding<'_> {
             unnamed_rows: table.unnamed_rows(),
             sources: table.sources().to_vec(),
             time_name: table.time_name().map(str::to_owned),
+            states_time_unit: table.states_time_unit(),
             left_out: table.left_out().clone(),
             understood: table.understood().to_vec(),
         };

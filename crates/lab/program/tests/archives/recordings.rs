@@ -33,18 +33,16 @@ pub(crate) fn full(folder: &Path, name: &str, rows: u64, seed: u64) -> PathBuf {
         let gap_s = if row > rows / 2 { 3.25 } else { 0.0 };
         let time_s = row as f64 / 30.0 + gap_s;
         let v = 0.2 + 0.1 * noise(row / 9 + seed);
-        let power = match row % 97 {
-            13 => "NaN".to_owned(),
-            14 => power_mw(row - 2, seed).to_string(),
-            _ => power_mw(row, seed).to_string(),
-        };
+        let read_mw = power_mw(if row % 97 == 14 { row - 2 } else { row }, seed);
+        let power = if row % 97 == 13 { "NaN".to_owned() } else { read_mw.to_string() };
+        let voltage_mv = 7_400 - row / 100;
         let soc = if row % 30 == 0 { (1.0 - row as f64 / 1e5).to_string() } else { String::new() };
         text += &format!(
             "7,{time_s},{},{v},-0,{},,0.1,{},{},{power},{v},0,{soc},fine\n",
             row / 50,
             row as f64 * 0.01,
-            7_400 - row / 100,
-            1_000 + row % 7
+            voltage_mv,
+            read_mw / voltage_mv as f64 * 1e3
         );
     }
     write(folder, name, text.trim_end())
@@ -112,7 +110,7 @@ fn sample(robot: u32, frame: u64, stamp_ns: u64, broken_at: u64) -> Sample {
         sample.power_w = (power_mw(frame, u64::from(robot)) / 1000.0) as f32;
         sample.measured_ns = stamp_ns - 1_000_000;
         sample.voltage_v = 7.4;
-        sample.current_a = 1.5 + robot as f32 / 3.0;
+        sample.current_a = sample.power_w / sample.voltage_v;
         sample.flags |= sample_flag::POWER | sample_flag::VOLTAGE | sample_flag::CURRENT;
     }
     if robot == 2 {
