@@ -12,11 +12,12 @@ use crate::mapping::account::Reason;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{MAX_BYTES, Received};
 use crate::mapping::ros::services::{Request, Service, acknowledged, answered};
-use crate::ros2::reading::POLL_INTERVAL;
 use crate::ros2::sink::Counts;
 use crate::ros2::writer::{Client, Writer};
 use crate::shared::Shared;
 
+/// Interval of checking whether to end.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of requests that wait.
 pub(crate) const MAX_REQUESTS: usize = 64;
 /// Time within which the worker answers.

@@ -66,8 +66,8 @@ pub enum FindingKind {
 }
 
 impl FindingKind {
-    /// The finding of a judgement. Values out of range, and power that is not voltage times current,
-    /// have places of their own.
+    /// The finding of a judgement. Values out of range, and power that is not voltage times
+    /// current, have places of their own.
     pub(super) const fn judged(kind: Kind) -> Option<Self> {
         match kind {
             Kind::Sign => Some(Self::Sign),

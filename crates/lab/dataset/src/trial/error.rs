@@ -246,8 +246,8 @@ pub enum TrialError {
     },
     /// A column that can be a speed or a voltage.
     #[error(
-        "{path}: column {column} beside {beside} can be a speed or a voltage; name it with --map v_mps={column}, or \
-         with --map voltage_V={column}",
+        "{path}: column {column} beside {beside} can be a speed or a voltage. Name it: \
+         --map v_mps={column}, or --map voltage_V={column}",
         path = path.display()
     )]
     SpeedOrVoltage {

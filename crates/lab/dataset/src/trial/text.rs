@@ -349,7 +349,8 @@ impl Numbers {
     }
 }
 
-/// Whether a point in a number could separate thousands: one to three digits in front, three behind.
+/// Whether a point in a number could separate thousands: one to three digits in front, three
+/// behind.
 fn is_thousands(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);
     digits.split_once('.').is_some_and(|(whole, rest)| {

@@ -290,8 +290,8 @@ fn the_examples_run_and_a_killed_worker_is_told() {
     }
 }
 
-/// A longer trajectory takes more of the battery. A time at rest and what is left are known too, and
-/// a cancelled charge is noticed.
+/// A longer trajectory takes more of the battery. A time at rest and what is left are known too,
+/// and a cancelled charge is noticed.
 #[test]
 fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
     let Some(installed) = Installed::new() else {

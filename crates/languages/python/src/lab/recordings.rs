@@ -50,7 +50,8 @@ impl Inputs {
         Ok(found.files)
     }
 
-    /// Every trial, with all its rows in memory; refuses implausible ones. `id` gives the robot's id for the live path.
+    /// Every trial, with all its rows in memory; refuses implausible ones. `id` gives the robot's
+    /// id for the live path.
     pub(super) fn recordings(
         self,
         reading: &Reading,
