@@ -1,10 +1,12 @@
 //! Processes under the system calls that Docker leaves a container, and processes that the kernel
 //! kills because memory runs out.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
 use joulebus_bus::clock;
+use joulebus_testkit::eventually;
 use joulebus_tests::{
     Arena, Child, Ended, ForecastLine, MemoryGroup, Planner, ReaderLine, Setup, alone,
     as_in_docker, figure, without_loss,
@@ -44,6 +46,15 @@ fn has_frame(consumer: &mut Planner) {
 
 fn recorder(arena: &Arena, file: &Path) -> Command {
     arena.command(&["record", "--format", "json", "-o", file.to_str().unwrap()])
+}
+
+/// Waits until a recorder has written several times.
+fn has_grown(file: &Path) {
+    let mut sizes = BTreeSet::new();
+    eventually("a recorder writes", || {
+        sizes.insert(std::fs::metadata(file).map_or(0, |found| found.len()));
+        sizes.len() > 4
+    });
 }
 
 fn verified(file: &Path) {
@@ -126,7 +137,10 @@ fn others_go_on_and_the_next_works_when_the_kernel_kills_a_process_for_memory() 
         let works = |victim: &mut Child, planner: &mut Planner| {
             match name {
                 "worker" => drop(victim.wait_for_line("ready:")),
-                "recorder" => drop(victim.wait_for_line("recording t into")),
+                "recorder" => {
+                    victim.wait_for_line("recording t into");
+                    has_grown(&arena.files().join("killed.mcap"));
+                }
                 "planner" => assert!(!victim.lines(3, joulebus_tests::PATIENCE).is_empty()),
                 _ => {}
             }
