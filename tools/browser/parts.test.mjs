@@ -50,9 +50,14 @@ test("the fan has a point for each horizon and a band as far as there are bounds
   assert.deepEqual(fan(rows(unknown), 400, 100).line, []);
 });
 
-test("a robot lacks a battery only if its energy is counted and no battery is known", () => {
-  const cases = [[{}, false], [{ metered_s: 3, soc_measured: null }, true], [{ metered_s: 3, soc_measured: false }, false]];
-  for (const [robot, lacks] of cases) assert.equal(format.lacksBattery(robot), lacks);
+test("an unknown charge has a hint, once the robot's energy is counted", () => {
+  const cases = [
+    [{}, /^$/],
+    [{ metered_s: 3, soc: null, soc_measured: null }, /capacity_wh/],
+    [{ metered_s: 3, soc: null, soc_measured: false }, /^charge unknown: .*state_of_charge/],
+    [{ metered_s: 3, soc: 0.4, soc_measured: false }, /^$/],
+  ];
+  for (const [robot, hint] of cases) assert.match(format.chargeHint(robot), hint);
 });
 
 test("the address holds the whole state and forgives nonsense", () => {
