@@ -21,7 +21,6 @@ const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
 /// not make such a deviation smaller; only a measured, full or exchanged battery does.
 const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
-
 /// In place of an unknown charging power, W: it fills every battery at once.
 const ANY_W: f64 = 1e30;
 /// The charger or the battery reports that it is full; the battery was exchanged.
@@ -105,12 +104,6 @@ impl Estimate {
     #[inline(always)]
     pub(crate) fn hi(&self) -> f64 {
         (self.soc + self.above + SIGMAS * self.sd).min(1.0)
-    }
-
-    /// Whether it says anything: the battery is not empty for certain, or not full.
-    #[inline(always)]
-    pub(crate) fn is_known(&self) -> bool {
-        (self.lo() > 0.0) | (self.hi() < 1.0)
     }
 }
 

@@ -59,7 +59,8 @@ impl Remaining {
         let longest_s = if empty { hi_j / lo_w } else { seconds * longer };
         let longest_s = if (lo_w > 0.0) | (hi_j <= 0.0) { longest_s } else { f32::INFINITY };
         let longest_s = if hi_j > 0.0 { longest_s } else { 0.0 };
-        let charge = estimate.is_known();
+        // Between empty and full lies every battery.
+        let charge = (lo > 0.0) | (hi < 1.0);
         let known = |value: f32| if charge { value } else { f32::NAN };
         let lasting = |seconds: f32| if draws & charge { seconds } else { f32::NAN };
         Self {
