@@ -296,13 +296,17 @@ fn plan(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
     }
 }
 
-/// In one seed of four, frames with run and numbers of a source at random times.
-fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+/// In one seed of four, faults at random times that are `mean_s` apart on average.
+fn in_one_of_four(
+    noise: &mut Noise,
+    (duration_ns, mean_s): (u64, f64),
+    applies: bool,
+    mut draw: impl FnMut(&mut Noise) -> Option<Fault>,
+) -> Vec<Planned> {
     let duration_s = duration_ns as f64 * 1e-9;
-    let mean_s = f64::max(200.0 * setup.period_ns as f64 * 1e-9, duration_s / 100.0);
     let mut faults = Vec::new();
     let mut at_s = 0.0;
-    if noise.below(4) > 0 {
+    if noise.below(4) > 0 || !applies {
         return faults;
     }
     loop {
@@ -310,81 +314,57 @@ fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned>
         if at_s >= duration_s {
             return faults;
         }
-        if let Some(source) = source(noise, setup) {
-            let frames = 1 + noise.below(6) as u64;
-            faults.push(((at_s * 1e9) as u64, Fault::Forged(source, frames)));
-        }
+        faults.extend(draw(noise).map(|fault| ((at_s * 1e9) as u64, fault)));
     }
 }
 
-/// In one seed of four, kills and power failures in the middle of what is being written.
+/// The time between faults of a kind: a share of the run, and at least `least_ns`.
+fn apart(duration_ns: u64, shares: f64, least_ns: f64) -> (u64, f64) {
+    (duration_ns, f64::max(least_ns * 1e-9, duration_ns as f64 * 1e-9 / shares))
+}
+
+/// Frames with run and numbers of a source.
+fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let times = apart(duration_ns, 100.0, 200.0 * setup.period_ns as f64);
+    in_one_of_four(noise, times, true, |noise| {
+        let source = source(noise, setup)?;
+        Some(Fault::Forged(source, 1 + noise.below(6) as u64))
+    })
+}
+
+/// Kills and power failures in the middle of what is being written.
 fn faults_at_the_disk(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
-    let duration_s = duration_ns as f64 * 1e-9;
-    let mean_s = f64::max(3.0 * setup.save_every_ns as f64 * 1e-9, duration_s / 100.0);
-    let mut faults = Vec::new();
-    let mut at_s = 0.0;
-    if noise.below(4) > 0 || !setup.everything {
-        return faults;
-    }
-    loop {
-        at_s += noise.waiting_s(mean_s);
-        if at_s >= duration_s {
-            return faults;
-        }
+    let times = apart(duration_ns, 100.0, 3.0 * setup.save_every_ns as f64);
+    in_one_of_four(noise, times, setup.everything, |noise| {
         let is_recorder = setup.records && noise.below(4) == 0;
         let role = if is_recorder { Role::Recorder } else { Role::Worker };
         let accesses = 1 + noise.below(12) as u64;
-        let fault = match noise.below(3) {
+        Some(match noise.below(3) {
             0 => Fault::PowerLossAtDisk(role, accesses, (1 + noise.below(9)) as u64 * SECOND),
             // The next one reads before it writes.
             _ => Fault::KillAtDisk(role, accesses, 1 + noise.below(18) as u64),
-        };
-        faults.push(((at_s * 1e9) as u64, fault));
-    }
+        })
+    })
 }
 
-/// In one seed of four with a recorder, false frames that are the first that it reads.
+/// With a recorder, false frames that are the first that it reads.
 fn hostile_at_starts(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
-    let duration_s = duration_ns as f64 * 1e-9;
-    let mean_s = f64::max(100.0 * setup.period_ns as f64 * 1e-9, duration_s / 50.0);
-    let mut faults = Vec::new();
-    let mut at_s = 0.0;
-    if noise.below(4) > 0 || !setup.records {
-        return faults;
-    }
-    loop {
-        at_s += noise.waiting_s(mean_s);
-        if at_s >= duration_s {
-            return faults;
-        }
+    let times = apart(duration_ns, 50.0, 100.0 * setup.period_ns as f64);
+    in_one_of_four(noise, times, setup.records, |noise| {
         let frames = 1 + noise.below(20) as u64;
-        let fault = Fault::HostileAtStart(Role::Recorder, frames);
-        faults.push(((at_s * 1e9) as u64, fault));
-    }
+        Some(Fault::HostileAtStart(Role::Recorder, frames))
+    })
 }
 
-/// In one seed of four, the whole machine is suspended or stands still.
+/// The whole machine is suspended or stands still.
 fn standstills(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
-    let duration_s = duration_ns as f64 * 1e-9;
-    let mean_s = f64::max(200.0 * setup.period_ns as f64 * 1e-9, duration_s / 50.0);
-    let mut faults = Vec::new();
-    let mut at_s = 0.0;
-    if noise.below(4) > 0 {
-        return faults;
-    }
-    loop {
-        at_s += noise.waiting_s(mean_s);
-        if at_s >= duration_s {
-            return faults;
-        }
-        let fault = match noise.below(2) {
-            0 => Fault::Suspend([1, 600, 86_400, 8_640_000][noise.below(4)] * SECOND),
-            // Within what a robot bridges, beyond it, and until robots have left.
-            _ if setup.everything => Fault::Jump([2, 30, 300][noise.below(3)] * setup.period_ns),
-            _ => continue,
-        };
-        faults.push(((at_s * 1e9) as u64, fault));
-    }
+    let times = apart(duration_ns, 50.0, 200.0 * setup.period_ns as f64);
+    in_one_of_four(noise, times, true, |noise| match noise.below(2) {
+        0 => Some(Fault::Suspend([1, 600, 86_400, 8_640_000][noise.below(4)] * SECOND)),
+        // Within what a robot bridges, beyond it, and until robots have left.
+        _ if setup.everything => Some(Fault::Jump([2, 30, 300][noise.below(3)] * setup.period_ns)),
+        _ => None,
+    })
 }
 
 /// How often the first planner looks, in one seed of two; 0: it does not poll.
