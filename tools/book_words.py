@@ -70,7 +70,7 @@ def syllables(word):
 
 
 def eases(found):
-    """Flesch's reading ease of each page with more than a few words in sentences, the hardest first."""
+    """Reading ease of each page with enough sentences, the hardest first."""
     rated = []
     for path, text in found.items():
         spoken = [word for sentence in sentences(text) for word in sentence]
