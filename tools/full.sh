@@ -47,7 +47,7 @@ step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude j
 step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'
 step install - 'tools/install.sh target/installed; target/installed/bin/joulebus demo --duration 5; target/installed/bin/joulebus mission --help'
 # The commit alone: a shallow clone has no earlier ones.
-step house - 'python3 tools/house.py HEAD'
+step house - 'python3 tools/house.py HEAD; python3 tools/book_words.py HEAD'
 step shared-builds - 'python3 tools/shared_builds.py'
 step msrv rust-1.89 'cargo +1.89 check --workspace --all-targets --locked'
 step aarch64 - 'tools/aarch64.sh'
