@@ -192,7 +192,7 @@ impl fmt::Display for RunReport {
         if report.ledger_unsaved {
             writeln!(
                 out,
-                "the ledger could not be saved: what was metered since the save before is lost"
+                "the ledger could not be saved: the energy metered since the previous save is lost"
             )?;
         }
         Ok(())

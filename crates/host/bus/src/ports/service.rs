@@ -163,7 +163,7 @@ fn retry<S, E: Debug>(
             if !pids.is_empty() {
                 tracing::warn!(
                     ?pids,
-                    "these processes make or remove a service for long: are they stopped?"
+                    "these processes take long to make or remove a service. Are they stopped?"
                 );
             }
             return Err(error);
