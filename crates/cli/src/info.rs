@@ -17,7 +17,7 @@ use serde::Serialize;
     joulebus info run.mcap\n  \
     joulebus info run*.mcap --format json\n\n\
     Reads any MCAP file, corrupt ones as far as possible, in bounded memory for any \
-    length. `joulebus doctor FILE` reports all errors of one.\n\
+    length. `joulebus doctor FILE` reports all errors of a file.\n\
     Exit codes: 3 if a file is corrupt or inconsistent.")]
 pub(crate) struct Args {
     /// MCAP files

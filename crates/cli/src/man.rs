@@ -15,7 +15,7 @@ use crate::external;
     joulebus man /tmp/pages && man /tmp/pages/joulebus-run.1\n\n\
     The pages say what --help says.")]
 pub(crate) struct Args {
-    /// The folder, which is made if it is not there
+    /// The folder, which is created if it does not exist
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
 }

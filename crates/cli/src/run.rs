@@ -39,9 +39,9 @@ pub(crate) struct Args {
     /// Also record all topics into this file, in a separate process
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Serve only with a permit: of several hosts' workers for the same robots one at a time does.
-    /// Waits for it, goes on where the worker before has ended, and ends with exit code 1 when the
-    /// permit has run out
+    /// Serve only while the link of this host permits it. Several hosts can have a worker for the
+    /// same robots, and one serves at a time. Continues from the state of the worker before, and
+    /// ends with exit code 1 when its permit ends
     #[arg(long)]
     standby: bool,
 }
@@ -192,7 +192,7 @@ impl fmt::Display for RunReport {
         if report.ledger_unsaved {
             writeln!(
                 out,
-                "the ledger could not be saved: what was metered since the save before is lost"
+                "the ledger could not be saved: the energy metered since the previous save is lost"
             )?;
         }
         Ok(())

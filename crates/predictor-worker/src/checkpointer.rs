@@ -162,8 +162,8 @@ impl Checkpointer {
             tracing::warn!(
                 gone,
                 allowed,
-                "more robots than accounts: those of robots that left long ago are given up, and their \
-                 batteries are unknown until measured or full"
+                "more robots than accounts: the accounts of robots that left long ago are given \
+                 up. Their batteries are unknown until measured or full"
             );
         }
         if let Err(error) = read {
@@ -307,7 +307,8 @@ pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileErro
         Some(files) => {
             let read = files.read(config.fleet())?;
             if let Err(error) = files.secure() {
-                tracing::warn!(%error, "until the next save, a power failure may cost what was saved last");
+                tracing::warn!(%error, "until the next save, a power failure may undo the last \
+                    save");
             }
             read
         }

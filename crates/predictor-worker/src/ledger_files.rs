@@ -222,7 +222,7 @@ impl LedgerFiles {
         tracing::warn!(
             ?path,
             ?aside,
-            "what lay in the place of the ledger's temporary file is not the ledger's: it was set aside"
+            "a foreign file at the path of the ledger's temporary file was set aside"
         );
         Ok(())
     }

@@ -63,7 +63,7 @@ pub enum StartError {
     /// More channels than a file can have.
     #[error(
         "channels for single robots: fleet {fleet} has a capacity of {robots} robots, that is {needed} \
-         channels, and a file can have {allowed}. Record fewer topics, or without them"
+         channels, and a file can have {allowed}. Record fewer topics, or leave out --per-robot"
     )]
     TooManyChannels {
         /// The fleet.

@@ -52,7 +52,7 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
     found.ok_or_else(|| {
         if AlarmCard::named(name).is_some() {
             return UsageError(format!(
-                "{name} cannot be acknowledged: no worker is there that could take it"
+                "{name} cannot be acknowledged: no worker could take the acknowledgement"
             ));
         }
         let names = Alarm::ALL.map(Alarm::name).join(", ");

@@ -50,7 +50,7 @@ impl OnAlarm {
             self.untold += 1;
             if self.untold.is_power_of_two() {
                 let untold = self.untold;
-                say(&format!("--on-alarm is too slow: {untold} changes were not told so far"));
+                say(&format!("--on-alarm is too slow: it did not run for {untold} changes so far"));
             }
         }
     }

@@ -31,16 +31,17 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms --acknowledge 7 BiasHigh --by ann\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, each change is one line, or one object with --format json. WorkerGone and WorkerStale \
-    are alarms of the worker itself. Alarms that are raised already at the start are shown as \
-    raised then.\n\
-    An alarm is acknowledged until it ends: if it returns it is raised again. WorkerGone and WorkerStale cannot be \
-    acknowledged, since no worker is there that could take it.\n\
+    are alarms of the worker itself. Alarms that are already raised at the start are shown as \
+    raised at that time.\n\
+    An acknowledgement lasts until the alarm ends. If the alarm returns, it is raised again. \
+    WorkerGone and WorkerStale cannot be acknowledged, because no worker could take the \
+    acknowledgement.\n\
     --on-alarm runs its command with `sh -c` for each change, one after the other, each for at \
     most 10 s. The command gets the variables JOULEBUS_FLEET, JOULEBUS_ROBOT (empty for the \
     worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
     warn, error, stale), JOULEBUS_CHANGE (raised, acknowledged, cleared, left), JOULEBUS_STAMP_NS \
     (Unix time), JOULEBUS_LASTED_S (empty while raised), JOULEBUS_BY (who acknowledged it). At \
-    most 256 changes wait. Further ones are counted and not told.\n\
+    most 256 changes wait. The command is not run for further ones, and they are counted.\n\
     Exit code 1: nothing of a file can be read, or an acknowledgement was not taken. Exit code 3: \
     ticks were missed, a file is damaged, or a command was not run or failed.")]
 pub(crate) struct Args {
@@ -59,7 +60,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "ALARM", num_args = 0..=1, default_missing_value = explain::ALL,
           conflicts_with_all = ["config", "on_alarm", "duration"])]
     explain: Option<String>,
-    /// Acknowledge an alarm of a robot that is raised, until it ends
+    /// Acknowledge a raised alarm of a robot, until it ends
     #[arg(long, num_args = 2, value_names = ["ROBOT", "ALARM"],
           conflicts_with_all = ["on_alarm", "duration", "explain"])]
     acknowledge: Option<Vec<String>>,

@@ -21,35 +21,35 @@ use place::{Place, ReturnTo};
 /// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the
+/// Ask what energy a plan of a robot costs, whether its battery suffices, and which robot needs
 /// least
 #[derive(Debug, clap::Args)]
 #[command(
     group = ArgGroup::new("who").required(true).args(["robot", "rank"]),
     group = ArgGroup::new("plan").required(true).args(["path", "idle"]),
     after_help = "Examples:\n  \
-    joulebus ask --robot 7 --path p.csv                     energy, what is left, whether it makes it\n  \
+    joulebus ask --robot 7 --path p.csv                     energy, what is left, whether it suffices\n  \
     joulebus ask --robot 7 --path p.csv --return dock       and back to where the path begins\n  \
     joulebus ask --robot 7 --path p.csv --return 1.5,-0.2 --format json\n  \
     joulebus ask --rank 7,9,12 --path p.csv                 the cheapest first\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
-    A path file is CSV with the columns x_m,y_m and, if wanted, speed_mps towards each point. The \
-    robot is at the first point and looks at the second. Speeds above the platform's greatest are \
-    refused:\n\n    \
+    A path file is CSV with the columns x_m and y_m. A third column, speed_mps, can state the \
+    speed towards each point. The robot is at the first point and faces the second. Speeds above \
+    the platform's greatest are refused:\n\n    \
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
     Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
-    battery can spare above its reserve. tight: only the expected energy fits, or the robot's \
-    state is weak (it is listed). no: the expected energy does not fit. unknown: the answer has \
-    the reason. \
-    This process computes, from the worker's state in shared memory and the models of the config, \
-    which must be the worker's. So there is no queue, no load on the worker, and paths have any \
-    length. Robots that are not there are named, and the others answered. \
-    --through worker asks the worker, as programs in other languages do, and needs no models \
-    here. The answer is recorded and has the same bits. Paths take at most five minutes at 30 Hz.\n\
+    battery can spare above its reserve. tight: only the expected energy fits, or something \
+    weakens the answer (it is listed). no: the expected energy does not fit. unknown: the answer \
+    has the reason. This process computes the answer, from the worker's plan states in shared \
+    memory and from the models of the config. These must be the worker's models. So there is no \
+    queue and no load on the worker, and a path may have any length. Robots that are not in the \
+    fleet are named, and the others are answered. --through worker asks the worker, as programs in \
+    other languages do, and needs no models here. The answer has the same bits, and captures \
+    record it. Then a path may take at most five minutes at 30 Hz.\n\
     Exit code 0: answered, whatever the verdict. 1: no worker, no answer in time, no such robot, \
-    or another config or model than the worker's. 2: a wrong question, or one that is too large \
-    for the worker."
+    or another config or model than the worker's. 2: a wrong question, or a question that is too \
+    large for the worker."
 )]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -57,7 +57,7 @@ pub(crate) struct Args {
     /// The robot
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Several robots, the best first: by verdict, then by energy
+    /// Several robots. The answer lists the best first: by verdict, then by energy
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     rank: Vec<u32>,
     /// Follow this path (CSV)

@@ -47,8 +47,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
     joulebus demo --robots 200 --duration 60\n  \
     joulebus demo --format json > demo.json\n\n\
     Needs no set-up, and leaves nothing except a capture, which Foxglove can open. Two robots get a fault, which the alarms detect. \
-    Where the program joulebus-serve is there, the address of a live page is printed. \
-    Exit code 3 if a sample that was sent is not accounted for.")]
+    If the program joulebus-serve is installed, the demo prints the address of a live page. Exit \
+    code 3 if a sample that was sent is not accounted for.")]
 pub(crate) struct Args {
     /// Simulated GTernal robots
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]

@@ -190,10 +190,7 @@ impl Summary {
         let Some(ahead) = &self.ahead else {
             return Ok(());
         };
-        writeln!(
-            out,
-            "energy     ahead, if each robot goes on as it does: error of the energy, %"
-        )?;
+        writeln!(out, "energy     ahead, if each robot goes on as now: error of the energy, %")?;
         writeln!(
             out,
             "  {:<12}{:>9}{:>14}{:>14}{:>9}{:>16}",
@@ -216,7 +213,7 @@ impl Summary {
         }
         writeln!(
             out,
-            "  90 % of the energies shall lie inside. The interval score is relative, too"
+            "  90 % of the energies should lie inside. The interval score is relative too"
         )
     }
 

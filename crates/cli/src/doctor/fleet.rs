@@ -188,9 +188,9 @@ fn linked(config: &Config, pid: u32) -> Check {
     match heard {
         Ok(Ok(found)) => Check::ok(name, found),
         Ok(Err(found)) => {
-            let remedy = "nothing is told before a robot's first sample. Otherwise see the link's \
-                log, and \
-                          `joulebus link FILE --check` on both hosts. A link that only gives samples hears nothing";
+            let remedy = "before a robot's first sample no forecasts come. Otherwise see the link's \
+                log, and run `joulebus link FILE --check` on both hosts. A link that only sends \
+                samples hears nothing";
             Check::new(name, Status::Warn, found, remedy)
         }
         Err(error) => Check::new(name, Status::Warn, format!("{place}: {error}"), ""),

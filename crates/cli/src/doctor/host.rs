@@ -39,7 +39,7 @@ fn monotonic() -> Check {
     let source = source.map_or_else(|_| "unknown".to_owned(), |text| text.trim().to_owned());
     let found = format!("monotonic, resolution {resolution:?}, source {source}");
     if resolution > COARSE {
-        let remedy = "enable high-resolution timers. Latencies are not to be trusted";
+        let remedy = "enable high-resolution timers. Do not trust latencies";
         return Check::new(name, Status::Warn, found, remedy);
     }
     if matches!(source.as_str(), "hpet" | "acpi_pm" | "jiffies") {

@@ -117,7 +117,8 @@ impl Project {
         let version = format!("version = \"={VERSION}\"");
         manifest += &match sources {
             Some(sources) => format!(
-                "# Not on crates.io yet: the sources that lie there. Once it is, leave the path out.\n\
+                "# Not on crates.io yet, so `path` names the sources. Remove it once joulebus is \
+                    published.\n\
                  joulebus-{package} = {{ {version}, path = {:?} }}\n",
                 sources.join("crates").join(package)
             ),

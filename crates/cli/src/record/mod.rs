@@ -47,11 +47,11 @@ const STDOUT: &str = "-";
     joulebus record -o plots.mcap -e '/robot/(3|4)/' --per-robot --duration 60\n  \
     joulebus record -o alarm.mcap --snapshot 30\n  \
     joulebus record --config a.toml --config b.toml -o both.mcap\n\n\
-    Ends with SIGINT, SIGTERM or SIGHUP. Config, models and build are attached. A slow disk costs messages, \
-    which are counted, never a tick. Killed, it loses less than 100 ms of data (zstd_small: about \
-    1 s). `joulebus recover` makes such a file whole.\n\
-    Exit code 1: the file could not be written on (what was written can be recovered). Exit code \
-    3: messages were lost, or the capture cannot be verified, because the worker runs with other \
+    Ends with SIGINT, SIGTERM or SIGHUP. Config, models and build are attached. A slow disk costs \
+    messages, which are counted. It never costs a tick. A recorder that is killed loses less than \
+    100 ms of data (zstd_small: about 1 s). `joulebus recover` makes such a file whole.\n\
+    Exit code 1: the rest could not be written (what was written can be recovered). Exit code 3: \
+    messages were lost, or the capture cannot be verified, because the worker runs with other \
     settings or models than those attached.")]
 pub(crate) struct Args {
     /// The fleet's config. Repeat it to record several fleets into one file [default:
@@ -85,8 +85,8 @@ pub(crate) struct Args {
     /// of a file is kept in memory until its end, about 30 MB per hour
     #[arg(long, value_name = "SECONDS", default_value_t = 3_600.0, value_parser = seconds)]
     max_bag_duration: f64,
-    /// Keep the last seconds in memory, and save them when a robot raises an alarm or on SIGUSR1:
-    /// each time a separate file, with the data since the last one
+    /// Keep the last seconds in memory, and save them when a robot raises an alarm or on SIGUSR1.
+    /// Each time a new file gets the data since the last one
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     snapshot: Option<f64>,
     /// With --snapshot: save on SIGUSR1 only

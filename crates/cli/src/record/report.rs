@@ -142,7 +142,7 @@ impl fmt::Display for RecordReport {
                 out,
                 "snapshot: {files} files were asked for. The last {span_s:.1} s in memory, \
                     {messages} \
-                 messages, are in none"
+                 messages, are in none of them"
             )?;
         }
         if let Some(failure) = &self.failure {

@@ -29,10 +29,10 @@ use joulebus_wire::Samples;
     joulebus replay --verify run.mcap run_1.mcap\n  \
     joulebus replay --model new.safetensors run.mcap\n\n\
     Intervals between stamps stay as recorded at any rate, so a worker computes the same bits. \
-    Played forecasts, diagnostics, budgets and plan states come as from the recorded worker, and \
-    only while no other worker serves the fleet. Planners first get the last ones before the \
-    offset. On a terminal space pauses and continues, the right arrow or s plays a step, q quits. \
-    Elsewhere --step and --start-paused read a line of stdin for each step.\n\
+    Forecasts, diagnostics, budgets and plan states are played as if the recorded worker sent \
+    them, and only while no other worker serves the fleet. Planners first get the last frames \
+    before the offset. On a terminal space pauses and continues, the right arrow or s plays a \
+    step, q quits. Elsewhere --step and --start-paused read a line of stdin for each step.\n\
     --verify: exit 0 says that every tick was computed again with the same bits. Exit 3 says that \
     something differs, or could not be verified.")]
 pub(crate) struct Args {

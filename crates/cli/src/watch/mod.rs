@@ -51,9 +51,8 @@ pub(crate) struct Args {
     /// Lines also on a terminal
     #[arg(long)]
     plain: bool,
-    /// Also the energy that each robot will draw if it goes on as it does, which the worker
-    /// computes while somebody asks: over the next minute in the table, over 1, 10, 60 and 300 s
-    /// as JSON
+    /// Also the energy that each robot will draw if it goes on as now: over the next minute in the
+    /// table, over 1, 10, 60 and 300 s as JSON. The worker computes it only while somebody asks
     #[arg(long, conflicts_with = "summary")]
     outlook: bool,
     /// Only a summary of latencies and gaps at the end

@@ -182,12 +182,17 @@ impl fmt::Display for Caveats {
         let mut parts = Vec::new();
         if self.steps_outside_training > 0 {
             parts.push(format!(
-                "{} steps outside the model's training data, within what the platform can draw",
+                "{} steps are outside the model's training data: they count with the platform's \
+                    limits of power",
                 self.steps_outside_training
             ));
         }
         if self.beyond_horizon {
-            parts.push("longer than the model's errors are known for, from there within what the platform can draw".to_owned());
+            parts.push(
+                "the plan is longer than the model's errors are known for: beyond that it \
+                counts with the platform's limits of power"
+                    .to_owned(),
+            );
         }
         if self.no_reading {
             parts.push("no reading at present".to_owned());

@@ -174,7 +174,7 @@ impl Magnitudes<'_> {
                 false => usual / THOUSAND,
             };
             let what = format!(
-                "{} is usually {}. A thousandth or a thousandfold of it, {}, would be a robot's",
+                "{} is usually {}. A thousandth or a thousandfold of it, {}, would fit a robot",
                 quantity.name(),
                 quantity.shown(usual),
                 quantity.shown(other)

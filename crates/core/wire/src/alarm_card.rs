@@ -39,9 +39,10 @@ impl AlarmCard {
         name: "Implausible",
         level: Level::Warn,
         meaning: "The source of the readings finds them implausible: sign, unit, clock, range or a \
-            monitor that does not work. They are used as they are.",
-        check: "The source's log and status (of a bridge `implausible`) have what was found and the \
-            key that mends it. What is right is accepted there.",
+            monitor that does not work. The worker uses them as they are.",
+        check: "The source's log says what was found, and which key fixes it. A bridge's status \
+            has it as `implausible`. If the readings are right, accept the finding in the source's \
+            settings.",
         keys: &[],
         found_within: "64 readings",
     };
@@ -61,8 +62,8 @@ impl AlarmCard {
         name: "WorkerStale",
         level: Level::Stale,
         meaning: "A worker runs and has published nothing for `readers.worker_stale_after_s`.",
-        check: "Do sources publish? With no samples there are no ticks by frames. Is its process \
-            stopped, or the host overloaded? `joulebus doctor` looks at both.",
+        check: "Is the worker's process stopped, or the host overloaded? `joulebus doctor` looks \
+            at both. Sources are not the cause: the worker also ticks without samples.",
         keys: &["readers.worker_stale_after_s", "tick.policy", "tick.rate_hz"],
         found_within: "a second (planners hear of two missed ticks)",
     };
@@ -99,8 +100,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "NoData",
         level: Level::Stale,
-        meaning: "No sample of the robot has arrived for a while. Its forecasts are invalid, and its \
-             energy left falls at the platform's greatest power until samples arrive.",
+        meaning: "No sample of the robot has arrived for a while. Its forecasts are invalid. Until \
+             samples arrive, its energy left falls as if it drew the platform's greatest power.",
         check: "Is the robot on, in reach, and is its controller or bridge running? `joulebus watch` \
              shows which sources report.",
         keys: &["platform.stale_after_s"],
@@ -109,8 +110,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "OutOfRange",
         level: Level::Error,
-        meaning: "The robot's last samples were refused: a value lies outside the platform's limits, or \
-             is no number.",
+        meaning: "The robot's last samples were refused: a value lies outside the platform's \
+             limits, or is not a number.",
         check: "The unit and sign that the source sends, then the limits of the platform. The worker's \
              log names the field, the value and the allowed range.",
         keys: &[
@@ -127,8 +128,9 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         level: Level::Error,
         meaning: "New measurements arrive, and all of them show the same power for longer than the \
              monitor's resolution explains.",
-        check: "The power monitor and its bus. A source that makes up a constant power is found \
-            as well. One that repeats an old measurement must keep its time of measurement.",
+        check: "The power monitor and its bus. A source that sends a made-up constant power raises \
+            this alarm too. A source that repeats an old measurement must keep its time of \
+            measurement.",
         keys: &["platform.stuck_after_s", "platform.power_resolution_w", RAISE],
         found_within: "10 s and 20 samples",
     },
@@ -136,8 +138,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "HeldTooLong",
         level: Level::Warn,
         meaning: "Samples arrive, but they repeat one measurement that is too old.",
-        check: "How often the power monitor is polled: if that is its rate, the limit is too low for \
-             it. Otherwise the monitor or its driver stopped.",
+        check: "How often does the source read the power monitor? If it reads less often than \
+             `hold_max_s`, raise that limit. Otherwise the monitor or its driver has stopped.",
         keys: &["platform.hold_max_s", RAISE],
         found_within: "0.5 s and 20 samples",
     },
@@ -145,11 +147,12 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "BiasHigh",
         level: Level::Warn,
         meaning: "The robot draws persistently more than its commands and its model explain.",
-        check: "Load, slope and floor, a dragging wheel, a motor that wears, a device that was switched \
-             on. If the whole fleet has it, the model: train it on newer recordings.",
+        check: "Look for a load, a slope, another floor, a dragging wheel, a worn motor, a device \
+             that was switched on. If the whole fleet raises it, train the model on newer \
+             recordings.",
         keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second where the power doubles, minutes where it rises by a tenth (after \
-            the first 150 samples)",
+        found_within: "a second if the power doubles, minutes if it rises by a tenth (after the \
+            first 150 samples)",
     },
     AlarmCard {
         name: "BiasLow",
@@ -158,15 +161,15 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         check: "Does it drive at all? Look for stalled drivers, a wheel in the air, commands that \
             do not reach it. Was a load taken off? Is the gain of the power monitor right?",
         keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second where the power halves, minutes where it falls by a tenth (after \
-            the first 150 samples)",
+        found_within: "a second if the power halves, minutes if it falls by a tenth (after the \
+            first 150 samples)",
     },
     AlarmCard {
         name: "NoiseHigh",
         level: Level::Warn,
         meaning: "The readings scatter around their forecasts much more than in training.",
-        check: "The power monitor's wiring and averaging, a loose contact, a wheel that slips. If it \
-             comes with every drive, the model: train it on newer recordings.",
+        check: "The power monitor's wiring and averaging, a loose contact, a wheel that slips. If \
+             every drive raises it, train the model on newer recordings.",
         keys: &["alarms.noise_limit", "alarms.noise_weight", SETTLE, RAISE],
         found_within: "seconds (after the first 150 samples)",
     },
@@ -175,16 +178,16 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         level: Level::Warn,
         meaning: "The network's forecasts are clearly worse than repeating the last reading.",
         check: "Is it this robot's model, at this rate and in these units? `joulebus eval` compares \
-             models on a recording of the robot. Published forecasts weigh the network down \
-             meanwhile.",
+             models on a recording of the robot. Meanwhile published forecasts give the network \
+             little weight.",
         keys: &["alarms.mismatch_limit", SETTLE, RAISE],
         found_within: "a minute",
     },
     AlarmCard {
         name: "OutOfTraining",
         level: Level::Warn,
-        meaning: "A power, speed or their change lies outside what the model was trained on: the \
-             forecast is a guess there.",
+        meaning: "A power, a speed or a change of one lies outside what the model was trained on. \
+             There the forecast is a guess.",
         check: "Does the robot drive faster than in the recordings of the model? Train with \
             recordings that cover it. `joulebus model info` prints the range of each feature.",
         keys: &["alarms.training_margin", RAISE],
@@ -194,7 +197,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "OfflineCharging",
         level: Level::Ok,
         meaning: "The robot is on its charger. No fault.",
-        check: "Nothing. If it is not on its charger: the charger's state that the source sends.",
+        check: "Nothing. If the robot is not on its charger, check the charger's state that the \
+            source sends.",
         keys: &["platform.battery.charge_reading", RAISE],
         found_within: "20 samples, 0.7 s at 30 Hz",
     },
@@ -218,9 +222,9 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "CannotReturn",
         level: Level::Error,
-        meaning: "The energy that is certainly left is less than the robot needs to return.",
-        check: "Send it to its charger now, or fetch it. If that is wrong, what the planner states as \
-             the energy to return.",
+        meaning: "The lower bound of the energy left is less than the robot needs to return.",
+        check: "Send the robot to its charger now, or fetch it. If it can return, check the energy \
+             to return that the planner states.",
         keys: &["platform.battery.return_wh", "platform.battery.reserve"],
         found_within: "at once",
     },
@@ -228,8 +232,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "BatteryCritical",
         level: Level::Error,
         meaning: "The state of charge is below the critical level.",
-        check: "Send the robot to its charger. If that is wrong: capacity, initial charge, and the \
-             state of charge that the source sends.",
+        check: "Send the robot to its charger. If its battery is fuller, check the capacity, the \
+             initial charge, and the state of charge that the source sends.",
         keys: &["platform.battery.critical", "platform.battery.level_band"],
         found_within: "at once",
     },
@@ -237,16 +241,16 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "BatteryLow",
         level: Level::Warn,
         meaning: "The state of charge is below the low level.",
-        check: "Plan its way to the charger. If that is wrong: capacity, initial charge, and the state \
-             of charge that the source sends.",
+        check: "Plan its path to the charger. If its battery is fuller, check the capacity, the \
+             initial charge, and the state of charge that the source sends.",
         keys: &["platform.battery.low", "platform.battery.level_band"],
         found_within: "at once",
     },
     AlarmCard {
         name: "SocImplausible",
         level: Level::Warn,
-        meaning: "The measured state of charge contradicts the energy drawn: it does not change, or it \
-             jumps. It is not used. The energy is counted instead.",
+        meaning: "The measured state of charge contradicts the energy drawn: it does not change, \
+             or it jumps. The worker does not use it, and counts the energy instead.",
         check: "The robot's battery monitor, the unit of its charge (0 to 1, not percent), and the \
              platform's capacity.",
         keys: &["platform.battery.sensor_sd", "platform.battery.capacity_wh"],
@@ -255,23 +259,25 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "LevelHigh",
         level: Level::Warn,
-        meaning: "The robot draws more than it did before for the same commands. It stays until the \
-            power is back, or the worker restarts: nothing of it is learned.",
-        check: "What changed since: load, floor or slope, a dragging wheel, a device that was switched \
-            on. Acknowledge it if that is meant, as a payload is.",
+        meaning: "The robot draws more than it did before for the same commands. The alarm stays \
+            until the power is back or the worker restarts. Meanwhile the worker does not learn \
+            the new level.",
+        check: "What has changed: a load, the floor or slope, a dragging wheel, a device that was \
+            switched on? If the change is intended, such as a payload, acknowledge the alarm.",
         keys: &["alarms.level_limit"],
-        found_within: "seconds where the power doubles, ten where it rises by two fifths, a \
-            minute at 30 % a minute (after five seconds of known commands)",
+        found_within: "seconds if the power doubles, ten seconds if it rises by two fifths, a \
+            minute if it rises by 30 % a minute (after five seconds of known commands)",
     },
     AlarmCard {
         name: "LevelLow",
         level: Level::Warn,
-        meaning: "The robot draws less than it did before for the same commands. It stays until the \
-            power is back, or the worker restarts: nothing of it is learned.",
+        meaning: "The robot draws less than it did before for the same commands. The alarm stays \
+            until the power is back or the worker restarts. Meanwhile the worker does not learn \
+            the new level.",
         check: "Does it drive at all? Look for a wheel in the air, a stalled driver, commands \
             that do not reach it. Was a load taken off? Is the gain of the power monitor right?",
         keys: &["alarms.level_limit"],
-        found_within: "seconds where the power halves (after five seconds of known commands)",
+        found_within: "seconds if the power halves (after five seconds of known commands)",
     },
 ];
 

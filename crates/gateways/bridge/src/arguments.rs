@@ -18,12 +18,12 @@ use joulebus_program::config_file::ConfigFile;
     joulebus bridge mqtt --robots 'robot{id}=0-9' --write my-bridge.toml   the same as a file, to be changed\n\n\
     FILE maps names to robots, and says where values stand in messages, with units and signs. \
     docs/reference/bridge-file.md has its keys. A bridge is a source and a planner like any \
-    other. Several may run beside each other, each with a name of its own. It connects again by \
-    itself. What it cannot map is counted, named once on stderr, and \
-    listed at the end.\n\n\
+    other. Several bridges may run beside each other, each with a name of its own. A bridge \
+    connects again by itself. It counts what it cannot map, names it once on stderr, and lists it \
+    at the end.\n\n\
     Exit code 0: ended by a signal. 1: the fleet or the ROS domain cannot be joined, or the \
     broker refuses the login at the start. 2: a wrong option, config or FILE. 3: messages could \
-    not be mapped, or what was to be told was lost.")]
+    not be mapped, or outputs were lost.")]
 pub(crate) struct BridgeArguments {
     /// The bridge's file. `ros2` or `mqtt`: the usual topics of --robots, which are printed
     #[arg(value_name = "FILE")]

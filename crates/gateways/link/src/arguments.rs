@@ -17,22 +17,24 @@ use joulebus_program::config_file::ConfigFile;
     joulebus link my-link.toml --check          only checks the file and its certificate\n  \
     joulebus link my-link.toml --take-over      this host's worker serves, in place of another's\n\n\
     FILE says what this host gives and takes, and how it reaches the others (zenoh): docs/reference/link-file.md. Planners, \
-    `ask`, `watch`, `record` and `serve` work on a linked host as beside the worker. It connects again by itself. \
-    Every host of a fleet needs the same release and the same config of the fleet.\n\n\
+    `ask`, `watch`, `record` and `serve` work on a linked host as beside the worker. A link \
+    connects again by itself. Every host of a fleet needs the same release and the same config of \
+    the fleet.\n\n\
     Exit code 0: ended by a signal. 1: the fleet cannot be joined, it has a worker already, or \
     the network is refused. 2: a wrong option, config or FILE. 3: frames were lost on the way, or \
     refused.")]
 pub(crate) struct LinkArguments {
-    /// What is linked
+    /// The link's file
     #[arg(value_name = "FILE", required = true)]
     pub(crate) file: Option<PathBuf>,
     #[command(subcommand)]
     pub(crate) verb: Option<LinkVerb>,
-    /// Only check FILE, and say what it does, and with TLS whether name, certificate and key fit
+    /// Only check FILE, and say what the link does. With TLS, also check that name, certificate and
+    /// key fit
     #[arg(long)]
     pub(crate) check: bool,
-    /// Have the worker of this host serve its shard, in place of another host's: of those that
-    /// FILE's shards name, one does
+    /// Let this host's worker serve its shard, instead of another host's worker. One worker of a
+    /// shard serves at a time
     #[arg(long, conflicts_with = "check")]
     pub(crate) take_over: bool,
     /// The fleet's config.
@@ -56,8 +58,8 @@ pub(crate) enum LinkVerb {
     joulebus link init base=10.0.0.1 edge-1 --replace         new files, keys and certificates of both\n\n\
     The authority's key, fleet-ca.key, signs all of them: keep it off the hosts.")]
 pub(crate) struct InitArguments {
-    /// Names of the links, the worker's host first, and the name or address by which others reach a
-    /// host if that is another
+    /// Names of the links, the worker's host first. ADDRESS is the host name or IP address by which
+    /// others reach a host, if it is not NAME
     #[arg(value_name = "NAME[=ADDRESS]", num_args = 2.., required = true)]
     pub(crate) hosts: Vec<String>,
     /// Folder of the authority, with a folder for each host

@@ -78,8 +78,9 @@ fn log_absent_receivers(to: &[String], asked: &[EgressRecord], own: &str) {
     for name in to {
         if !asked.iter().any(|it| it.to == *name) {
             tracing::warn!(
-                "{name} has not asked for the samples published here so far: does its link run, and does its file have a \
-                 `[[worker.take]]` with `from = {own:?}`, which with TLS is the name in the certificate of this one?"
+                "{name} has not asked for the samples published here so far. Does its link run? Does its \
+                 file have a `[[worker.take]]` with `from = {own:?}`? With TLS, does the certificate \
+                 of this link have that name?"
             );
         }
     }

@@ -149,8 +149,9 @@ impl Ingress {
             let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENCE_TIMEOUT_NS;
             if is_absent && !is_sending {
                 tracing::warn!(
-                    "nothing has come from {from} so far: does its link run, can the two hosts reach each other, is {from} the name in \
-                     its file and, with TLS, in its certificate, and does one of the files name the other's address?",
+                    "nothing has come from {from} so far. Does its link run? Can the two hosts reach each \
+                     other? Is {from} the name in its file and, with TLS, in its certificate? Does one of \
+                     the files name the other's address?",
                     from = self.from
                 );
             }

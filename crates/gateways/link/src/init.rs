@@ -169,7 +169,7 @@ fn worker_file(host: &Host<'_>, others: &[Host<'_>], port: u16) -> String {
     );
     let takes: String = others.iter().map(take).collect();
     format!(
-        "{head}\n# `robots = [\"0-9\"]` in a section lets that host speak for these only.\n{takes}"
+        "{head}\n# `robots = [\"0-9\"]` in a section allows only samples of these robots.\n{takes}"
     )
 }
 

@@ -88,7 +88,8 @@ pub(crate) fn run(
                 ended?;
                 if let Some(robot) = foreign.filter(|_| reported.insert(from.clone())) {
                     tracing::warn!(
-                        "{from} sends samples of robot {robot}, which is not among its `robots` in this link's file: such are left out"
+                        "{from} sends samples of robot {robot}, which is not among its `robots` in \
+                            this link's file: these samples are left out"
                     );
                 }
             }

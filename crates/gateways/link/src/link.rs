@@ -403,7 +403,7 @@ impl fmt::Display for LinkReport {
         for EgressRecord { to, sent } in &self.given {
             writeln!(
                 out,
-                "gave {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
+                "sent {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
                 sent.frames, sent.bytes, sent.dropped, sent.unheard
             )?;
         }
@@ -411,7 +411,8 @@ impl fmt::Display for LinkReport {
             let it = &taken.received;
             writeln!(
                 out,
-                "took {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} runs, {} silences",
+                "received {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} \
+                    runs, {} silences",
                 it.frames,
                 it.bytes,
                 taken.from,

@@ -280,7 +280,8 @@ impl Following<'_> {
         let gives_way = highest_term > own || (term == own && rank < self.rank);
         if own > 0 && gives_way && self.is_by_hand {
             tracing::warn!(
-                "another worker is to serve in term {highest_term}: this host's, of term {own}, ends"
+                "another host's worker serves in term {highest_term}: this host's worker, of term \
+                    {own}, ends"
             );
             self.leadership.withdraw()?;
         }
@@ -302,7 +303,8 @@ impl Following<'_> {
                 let highest_term = self.leadership.highest_term();
                 let Some(claim) = highest_term.checked_add(1) else {
                     tracing::error!(
-                        "after term {highest_term} there is none: stop all links of this shard, and start them again"
+                        "there is no term after {highest_term}: stop all links of this shard, and \
+                            start them again"
                     );
                     return remove(request);
                 };

@@ -27,9 +27,9 @@ use joulebus_program::config_file::ConfigFile;
     line of at least 16 characters. Browsers open /?token=TOKEN once. Programs send \
     `Authorization: Bearer TOKEN`. There is no TLS: docs/how-to/open-the-page.md shows a reverse \
     proxy.\n\n\
-    --socket: the same at a Unix socket of mode 0660, without a token: whoever may enter its folder and is in \
-    its group can read the fleet and ask what plans cost, and change nothing. `curl --unix-socket FILE \
-    http://localhost/api/v1/fleet`.\n\n\
+    --socket: the same at a Unix socket of mode 0660, without a token. Whoever may enter its \
+    folder and is in its group can read the fleet, ask what plans cost and acknowledge alarms. \
+    They can change nothing else. `curl --unix-socket FILE http://localhost/api/v1/fleet`.\n\n\
     --webhook: a POST with JSON, {\"fleet\", \"changes\": [what `joulebus alarms --format json` prints, …]}, up to \
     100 changes each. Changes that the receiver does not take (no answer within 10 s, 5xx, 408, \
     425, 429) are sent again after 1 s, 2 s … 60 s. Up to 10,000 changes wait. Other answers \

@@ -65,7 +65,8 @@ pub enum FindError {
         "no part of the file has exactly the arrays of a network, found: {found}. A network has one to \
          three hidden layers of at most 64, 64 and 32 units. Each layer has biases, and weights from \
          11 or 5 inputs to one output, all of them or none transposed. No other array has these \
-         sizes. A network that reads freshness comes as an own model only"
+         sizes. A network that reads the age of a reading is read only from a file of \
+         joulebus"
     )]
     NoNetwork {
         /// The arrays found, with their shapes.

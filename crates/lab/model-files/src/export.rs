@@ -22,8 +22,8 @@ pub enum ExportError {
     Archive(#[from] zip::result::ZipError),
     /// The Python file's interface has no place for the age of readings.
     #[error(
-        "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not tell: export it as .onnx or .npz, \
-         or train one without: `joulebus train … --features full`"
+        "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not get. Export \
+         it as .onnx or .npz, or train one without that input: `joulebus train … --features full`"
     )]
     ReadingAge,
 }

@@ -30,13 +30,13 @@ use joulebus_program::utc::Utc;
     joulebus calibrate fleet.mcap --false-alarms 1/day --robots 20 -o lab/platforms/robot-alarms.toml\n  \
     joulebus calibrate recordings/ --config configs/mixed.toml --platform husky --false-alarms 2/hour\n  \
     joulebus calibrate trials/ --config lab/fleet.toml --false-alarms 1/day --extrapolate --format json\n\n\
-    The recordings are taken for healthy: leave out those with faults. They are played through the code of the \
-    tick at a grid of limits. Half of them decides how the limits stand to each other, the other \
-    half how high they are. The second half states the rate with an exact Poisson bound, widened \
-    where alarms come in groups. A rate that needs longer recordings is refused (exit 1) with the \
-    hours needed. --extrapolate continues the tail of what they show, and says so. Then faults \
-    are put into the second half. The report says how soon they are found, beside the textbook's \
-    CUSUM (limit 5) and limits of power and voltage.\n\
+    All recordings count as healthy: leave out those with faults. The code of the tick plays them \
+    at a grid of limits. One half decides the ratios between the limits, the other half how high \
+    they are. The second half states the rate with an exact Poisson bound, widened where alarms \
+    come in groups. A rate that needs longer recordings is refused (exit 1) with the hours needed. \
+    --extrapolate continues the tail of what they show, and says so. Then faults are put into the \
+    second half. The report says how soon they are found, beside the textbook's CUSUM (limit 5) \
+    and limits of power and voltage.\n\
     --out writes the platform's file with these limits and their evidence, and overwrites nothing. \
     docs/measured/alarms.md has results.")]
 pub(crate) struct Args {

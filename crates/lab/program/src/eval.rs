@@ -41,8 +41,9 @@ pub(crate) use subject::{Selection, usage};
     recognised by their readings and scored apart. The tables are of the others. --split \
     evaluates what `joulebus train trials` with the same recordings, \
     split and seed holds out.\n\n\
-    --partition I/N runs every N-th recording, on any host, and --merge makes of the N files what one run reports, to \
-    the bit. Each part reads all recordings, because baselines are fitted on them.")]
+    --partition I/N runs every N-th recording, on any host. --merge makes the report of a single \
+    run from the N files, to the bit. Each part reads all recordings, because baselines are fitted \
+    on them.")]
 pub(crate) struct Args {
     #[command(flatten)]
     asked: Selection,

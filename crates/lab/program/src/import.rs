@@ -33,19 +33,18 @@ use options::ImportArguments;
     joulebus import trials/*.csv.gz -o trials.mcap\n  \
     joulebus import captures/fleet.mcap -o trials/\n\n\
     A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag. A .db3 file \
-    needs the program joulebus-rosbag. Of a bag, sensor_msgs/BatteryState, geometry_msgs/Twist, \
-    TwistStamped and \
-    nav_msgs/Odometry are read (cdr). Without options every battery topic is a robot. Of a \
-    capture of \
-    joulebus, the samples of each robot are read. Data that the file does not have is missing in \
-    the result, never 0. Unusable data is named and counted.\n\
+    needs the program joulebus-rosbag. From a bag, the verb reads sensor_msgs/BatteryState, \
+    geometry_msgs/Twist, TwistStamped and nav_msgs/Odometry, encoded as cdr. Without options every \
+    battery topic is a robot. From a capture of joulebus, it reads the samples of each robot. Data \
+    that the file does not have is missing in the result, never 0. Unusable data is named and \
+    counted.\n\
     The result is a capture if its name ends in .mcap, and a dataset if it ends in .csv or \
     .csv.gz. Otherwise it is a directory of datasets, which `joulebus publish trial` plays.\n\n\
     A mapping file (all keys except name and battery are optional):\n\n  \
     time = \"auto\"              # header, log, publish\n  \
-    burst_s = 0.005            # of readings closer than this the last counts\n  \
+    burst_s = 0.005            # among readings closer than this, the last counts\n  \
     odometry_max_age_s = 1.0\n  \
-    command_holds_s = 0.5      # a command applies so long if no other one comes\n  \
+    command_holds_s = 0.5      # how long a command applies if no other comes\n  \
     command_expired = \"unknown\"   # or \"stops\": 0 afterwards\n\n  \
     [[robot]]\n  \
     name = \"r1\"                # in datasets\n  \

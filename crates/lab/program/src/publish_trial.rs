@@ -35,8 +35,8 @@ const LATE_NS: u64 = 50_000_000;
     joulebus publish trial a.npy@3 b.npy@17 --loop=10 --rate 2\n  \
     joulebus publish trial --config configs/mixed.toml robotino/@robotino husky/@husky rover/@rover\n\n\
     A directory stands for the recordings in it, up to the number of its platform's ids. Values that a file does \
-    not have (a rover without velocities) is sent as missing, never as 0. Faster than recorded, the \
-    source follows the worker's forecasts and never sends more than the worker can process.")]
+    not have (a rover without velocities) are sent as missing, never as 0. Faster than recorded, \
+    the source follows the worker's forecasts and never sends more than the worker can process.")]
 pub(crate) struct Args {
     #[command(flatten)]
     trials: TrialFiles,

@@ -25,9 +25,9 @@ pub(crate) struct Recordings {
 /// Names of a CSV's columns.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ColumnArguments {
-    /// Names of columns in CSV files, where they are not found by themselves:
-    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names). A minus turns
-    /// the sign: current_A=-i. := gives a value for every row: voltage_V:=3.0
+    /// Columns of CSV files whose names joulebus does not know: time=timestamp_s,power=load_W
+    /// (`data check --help` lists the names that it knows). A minus changes the sign: current_A=-i.
+    /// := gives a value for every row: voltage_V:=3.0
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
     /// Sign of the current, and of a power that has its sign [default: discharge-positive, of bags

@@ -1,10 +1,10 @@
 /**
  * @file
- * libjoulebus for C++17: handles that close themselves, results instead of error codes, frames as ranges in place.
- * Everything is in this header, above joulebus.h, whose rules of threads and processes hold; docs/tutorial/cpp.md has the whole
- * picture.
+ * libjoulebus for C++17: handles that close themselves, results instead of error codes, frames as ranges in
+ * shared memory. This header is complete, and uses joulebus.h. The rules of joulebus.h for threads and
+ * processes hold. docs/tutorial/cpp.md shows how to use it.
  *
- * No function throws, but Result::value() of a failed call, and what the standard library's containers throw.
+ * No function throws, except Result::value() of a failed call, and the standard library's containers.
  */
 #ifndef JOULEBUS_HPP
 #define JOULEBUS_HPP
@@ -75,7 +75,7 @@ public:
     /** The value; throws Exception if there is none. */
     T &value() & { return check(), std::get<0>(found_); }
     const T &value() const & { return check(), std::get<0>(found_); }
-    /** By value: what is read from it in the same expression, or in a loop over it, outlives this. */
+    /** By value: so a range that is used in the same expression, or in a loop, outlives this Result. */
     T value() && { return check(), std::move(std::get<0>(found_)); }
 
     /** The value, which must be there. */
@@ -177,7 +177,7 @@ public:
     }
 
 private:
-    // Refused in another thread or process, where it stays open: there is nobody to tell.
+    // In another thread or process, the library refuses this, and the handle stays open. A destructor cannot report it.
     void drop() noexcept {
         if (raw_ != nullptr) {
             (void)Close(raw_);
@@ -203,7 +203,7 @@ inline Result<void> done(joulebus_error code) {
 /** Time-out that never ends. */
 inline constexpr std::chrono::nanoseconds forever = std::chrono::nanoseconds::max();
 
-/** One robot in one control tick; what is not said is unknown. */
+/** One robot in one control tick. Values that are not set are unknown. */
 struct RobotState : joulebus_robot_state {
     explicit RobotState(std::uint32_t id) noexcept : joulebus_robot_state{} { robot = id; }
 
@@ -298,7 +298,7 @@ public:
         return counts;
     }
 
-    /** Leaves the fleet, and says if that is refused; the destructor does the same and cannot say. */
+    /** Leaves the fleet, and returns an error if that is refused. The destructor does the same, and cannot return one. */
     Result<void> close() { return handle_.close(); }
     /** For calls of joulebus.h. */
     joulebus_publisher *get() const noexcept { return handle_.get(); }
@@ -355,11 +355,11 @@ using Diagnostics = Frame<joulebus_diagnostics, joulebus_diagnostic_header, joul
 using Budgets = Frame<joulebus_budgets, joulebus_budget_header, joulebus_budget>;
 using Outlooks = Frame<joulebus_outlooks, joulebus_outlook_header, joulebus_outlook>;
 
-/** The worker has ended; told once. */
+/** The worker has ended. The event comes once. */
 struct Gone {
     joulebus_end end;
 };
-/** The newest frame is older than two tick periods; told once. */
+/** The newest frame is older than two tick periods. The event comes once. */
 struct Stale {
     std::chrono::nanoseconds age;
 };
@@ -367,7 +367,7 @@ struct Stale {
 struct Interrupted {};
 /** Nothing happened in the time. */
 struct TimedOut {};
-/** What a subscriber is told. */
+/** An event of a subscriber. */
 using Event = std::variant<TimedOut, Forecasts, Gone, Stale, Interrupted>;
 
 /** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is. Belongs to its
@@ -391,7 +391,7 @@ public:
     const joulebus_forecast *find(std::uint32_t robot) const & noexcept { return frame_.find(robot); }
     const joulebus_forecast *find(std::uint32_t robot) const && = delete;
 
-    /** Gives it back; afterwards it has no rows, and a header of zeros. */
+    /** Returns the frame to the worker. Afterwards this has no rows, and a header of zeros. */
     Result<void> close() {
         static const joulebus_forecast_header none{};
         auto closed = handle_.close();
@@ -478,8 +478,8 @@ public:
         return row;
     }
 
-    /** Takes the frame that was returned last out, to keep it: there is no current frame then until a newer one arrives.
-     *  Two may be kept. */
+    /** Takes the frame that was returned last out of the subscriber. Then there is no current frame until a newer one
+     *  arrives. Two frames may be kept. */
     Result<KeptForecasts> take_current() {
         joulebus_frame *raw = nullptr;
         joulebus_forecasts frame{};
@@ -537,7 +537,7 @@ private:
     detail::Handle<joulebus_subscriber, joulebus_subscriber_close> handle_;
 };
 
-/** Whether a robot makes a plan with its reserve untouched. */
+/** Whether a robot's battery suffices for a plan, without its reserve. */
 enum class Verdict : std::uint16_t { yes = 1, tight = 2, no = 3, unknown = 4 };
 
 /** The answer to one candidate, or of one robot. */
@@ -549,9 +549,9 @@ struct Answer : joulebus_answer_row {
     std::optional<float> energy_j() const noexcept { return known(JOULEBUS_ANSWER_ENERGY, mean_j); }
     /** Upper end of the energy at the asked coverage, J. */
     std::optional<float> energy_hi_j() const noexcept { return known(JOULEBUS_ANSWER_ENERGY, hi_j); }
-    /** What the battery can spare at least, less the upper end of the energy, J. */
+    /** Lower bound of the energy above the reserve, less the upper end of the energy, J. */
     std::optional<float> spare_j() const noexcept { return known(JOULEBUS_ANSWER_MARGIN, margin_j); }
-    /** Until when the robot can turn back, s. */
+    /** Latest time to turn back, s. */
     std::optional<float> turn_back() const noexcept { return known(JOULEBUS_ANSWER_TURN_BACK, turn_back_s); }
 
 private:
@@ -573,7 +573,7 @@ struct Candidates {
     Span<const float> omega_radps;
 };
 
-/** A question about plans, with what it is about. */
+/** A question about plans, with the robots, path or commands that it asks about. */
 class Question {
 public:
     /** Robots that stand still, s. */
@@ -582,7 +582,7 @@ public:
         made.asked_.duration_s = duration_s;
         return made;
     }
-    /** Robots that follow a path, which begins where they are; answered the best first. */
+    /** Robots that follow a path from where they are. The answers list the best robot first. */
     static Question follow(std::vector<std::uint32_t> robots, std::vector<joulebus_waypoint> path) {
         Question made(JOULEBUS_QUERY_KIND_FOLLOW, std::move(robots));
         made.path_ = std::move(path);
@@ -613,7 +613,7 @@ public:
         return *this;
     }
     Question &&heading(double rad) && { return std::move(heading(rad)); }
-    /** Coverage of the intervals, 0.5 to 0.999; 0.9 if it is not said. */
+    /** Coverage of the intervals, 0.5 to 0.999. The default is 0.9. */
     Question &coverage(float share) & {
         asked_.coverage = share;
         return *this;
@@ -628,7 +628,7 @@ public:
 
     bool wants_power() const noexcept { return power_; }
 
-    /** The struct of C; valid as long as this is not changed. Empty where there are not as many commands as needed. */
+    /** The struct of C. It is valid until this question changes. It is empty if there are too few commands. */
     std::optional<joulebus_question> raw() const noexcept {
         joulebus_question raw = asked_;
         const std::size_t steps = raw.steps;
@@ -672,7 +672,7 @@ struct Answers {
 
 namespace detail {
 
-/** Asks with memory for the answers, and once more with more of it where the number of powers is not known before. */
+/** Asks with memory for the answers. If the number of powers is not known before, it asks once more with enough memory. */
 template <class Ask> Result<Answers> answered(const Question &question, Ask ask) {
     auto raw = question.raw();
     if (!raw) {
@@ -813,7 +813,7 @@ public:
         return Predictor(raw);
     }
 
-    /** Forecasts of rows of `width` features, 11 or 13, W; as many as there are places in `power_w`. */
+    /** Forecasts of rows of `width` features, 11 or 13, in W. `power_w` has one element for each row. */
     Result<void> predict(Span<const float> features, std::size_t width, Span<float> power_w) const {
         const bool fits = width != 0 && features.size() % width == 0 && features.size() / width == power_w.size();
         if (!fits) {

@@ -34,8 +34,8 @@ impl Check {
         let listed = list.iter().filter(|shard| shard.has("robots")).count();
         if listed != 0 && listed != found {
             let what = format!("stands in {listed} of {found} shards");
-            let remedy =
-                "List the robots of every shard, or of none: then they are shared out by hashing";
+            let remedy = "List the robots of every shard, or of none: then a hash of the id assigns each \
+                    robot";
             let with = list.iter().find(|shard| shard.has("robots"))?;
             self.add(with.problem("robots", what, remedy));
             return None;

@@ -105,10 +105,10 @@ fn identity(path: &Path) -> Option<Identity> {
 /// open it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{path:?} was removed or cut short while this process used it: what starts now cannot reach it. End this process and \
-     start it again. A supervisor does that. If it happened when a user logged out, \
-     systemd-logind did it: \
-     set `RemoveIPC=no`, or enable lingering for the user (docs/how-to/removeipc.md)"
+    "{path:?} was removed or cut short while this process used it: processes that start now cannot \
+     reach it. End this process and start it again. A supervisor does that. If it happened when a \
+     user logged out, systemd-logind did it: set `RemoveIPC=no`, or enable lingering for the user \
+     (docs/how-to/removeipc.md)"
 )]
 pub struct FilesRemoved {
     /// The first missing file.

@@ -410,8 +410,8 @@ impl WorkerOwner {
 fn remedy(owner: WorkerOwner, path: &Path) -> String {
     match owner.pid {
         Some(pid) if owner.is_link() => format!(
-            " on another host: the link here holds its place, pid {pid}. Run the worker beside a link whose file has \
-             [worker]"
+            " on another host: the link here stands in for it, pid {pid}. Run the worker beside a \
+             link whose file has [worker]"
         ),
         Some(pid) => format!(", pid {pid}. Stop it first (`kill {pid}`)"),
         None => format!(

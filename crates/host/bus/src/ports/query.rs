@@ -485,7 +485,8 @@ pub enum QueryError {
     NotServed,
     /// The worker has not taken an earlier question that was given up.
     #[error(
-        "the worker has not taken the question before yet, which was given up: it is overloaded, or stopped"
+        "the worker has not yet taken the previous question, which this client gave up. It is \
+            overloaded, or stopped"
     )]
     Full,
     /// No answer before the deadline.

@@ -163,7 +163,7 @@ fn retry<S, E: Debug>(
             if !pids.is_empty() {
                 tracing::warn!(
                     ?pids,
-                    "these processes make or remove a service for long: are they stopped?"
+                    "these processes take long to make or remove a service. Are they stopped?"
                 );
             }
             return Err(error);
@@ -370,9 +370,9 @@ pub enum OpenError {
     Removed(#[from] FilesRemoved),
     /// All places that are not reserved are taken.
     #[error(
-        "service {service:?}: all {allowed} places that are not reserved are taken, by {holders}. \
-            End one of them (of what planners read and ask there are more with a greater \
-         `readers.max_planners`, for all processes of the fleet)"
+        "service {service:?}: all {allowed} ports that are not reserved are taken, by {holders}. \
+         End one of them. A greater `readers.max_planners`, set for all processes of the fleet, gives \
+         planners more ports"
     )]
     Places {
         /// The service.

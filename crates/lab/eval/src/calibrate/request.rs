@@ -43,10 +43,10 @@ pub enum CalibrateError {
     Unscored,
     /// The recordings are too short for the request.
     #[error(
-        "{hours:.2} robot-hours, half of the recordings, can show at most {at_best:.3} false alarms a robot-hour at \
-         {:.0} %, {:.1} a day of {robots} robots, and asked for are {wanted:.3e}. Record \
-         {needed_h:.1} robot-hours in which \
-         none is raised, ask for more alarms, or allow what is not shown (--extrapolate)",
+        "{hours:.2} robot-hours (half of the recordings) cannot show a rate below {at_best:.3} false \
+         alarms a robot-hour at {:.0} %, which is {:.1} a day for {robots} robots. Asked for are \
+         {wanted:.3e} a robot-hour. Record {needed_h:.1} robot-hours in which no alarm is raised, \
+         ask for more alarms, or allow limits that are not shown (--extrapolate)",
         100.0 * confidence,
         at_best * f64::from(*robots) * 24.0
     )]

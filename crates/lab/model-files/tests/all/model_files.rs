@@ -352,7 +352,7 @@ fn a_network_of_another_program_is_not_assumed_to_read_the_reading_age() {
     let read = Checkpoint::from_arrays(&arrays).unwrap();
     assert!(read.network.is_none());
     let error = read.find(None, None).unwrap_err().to_string();
-    says(&error, ["freshness comes as an own model only", "64, 13"]);
+    says(&error, ["is read only from a file of joulebus", "64, 13"]);
 }
 
 #[test]

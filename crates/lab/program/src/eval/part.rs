@@ -30,7 +30,7 @@ pub(super) struct PartArguments {
     /// The part's file, which must not exist
     #[arg(short, long, value_name = "FILE", requires = "partition")]
     out: Option<PathBuf>,
-    /// Report what the parts in these files (PATH…) are together: what one run reports
+    /// Merge the parts in these files (PATH…) into the report that a single run would give
     #[arg(long, conflicts_with_all = [
         "partition", "out", "model", "config", "platform", "first_robot", "map", "current", "accept", "split", "held_out", "leave_out", "seed",
         "fit", "forecasts", "horizons", "origins_every", "energy", "resamples", "confidence", "block_rows",

@@ -12,13 +12,12 @@ use crate::recordings::ColumnArguments;
     joulebus export recordings/ --to parquet archive/\n  \
     joulebus eval archive/ --model my.safetensors\n\n\
     Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit. \
-    Properties that no recording has, as the fleet and day of a CSV, make no folder. Recordings \
-    that have them go into another DIR. \
-    docs/how-to/archives.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
-    exported, in their order. Of a partition (DIR/fleet=a/day=2026-11-22) they take file by file. \
-    Further exports into DIR \
-    add to it. Captures of any length need little memory. A temporary file in TMPDIR has their \
-    samples meanwhile.\n\n\
+    A property that no recording has, such as fleet and day of a CSV, makes no folder. Recordings \
+    that have them go into another DIR. docs/how-to/archives.md has the columns. Every verb that \
+    takes recordings takes DIR as the recordings that were exported, in their order. From a \
+    partition (DIR/fleet=a/day=2026-11-22) verbs take one file after the other. Further exports \
+    into DIR add to it. Captures of any length need little memory. A temporary file in TMPDIR has \
+    their samples meanwhile.\n\n\
     Exit code 1: something cannot be read or written, and whole recordings before it are in DIR. \
     2: wrong usage, such as a folder with other files. 3: lines were left out because they are no \
     whole rows.")]

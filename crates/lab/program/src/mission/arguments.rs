@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// What energy forecasts are worth: missions of simulated robots under several charging policies
+/// Simulate missions under several charging policies, to see what energy forecasts are worth
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus mission                                   100 seeds, an hour each, some minutes on \
@@ -11,12 +11,11 @@ use std::path::PathBuf;
     joulebus mission --dragging 0 --battery-wh 0.25    no faults, larger batteries\n  \
     joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n  \
     joulebus mission --seeds 1 --picture run.svg       a picture of one mission\n\n\
-    Twenty simulated robots with small batteries and varied parts do tasks that arrive. Three \
-    chargers take one robot each. Every policy gets the same tasks, robots, dispatcher and \
-    account of its batteries, and faces the same seeds. Settings were chosen on seeds from 1001 \
-    on (--tune). Intervals are at 95 %, by \
-    bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/measured/mission.md has \
-    results.")]
+    Twenty simulated robots with small batteries and varied parts do tasks, which arrive at \
+    random. Three chargers take one robot each. Every policy gets the same tasks, robots, \
+    dispatcher and account of its batteries, and faces the same seeds. Settings were chosen on \
+    seeds from 1001 on (--tune). Intervals are at 95 %, by bootstrap over seeds, paired where \
+    policies are compared. Same seed, same bits. docs/measured/mission.md has results.")]
 pub(crate) struct Args {
     /// Number of missions of each policy
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]

@@ -20,8 +20,8 @@ use joulebus_program::file::write;
 /// Number of conventions shown in the report.
 const SHOWN: usize = 5;
 
-/// Import a model of NumPy or PyTorch: finds the network in the file, and identifies its feature
-/// convention by its statistics and by evaluating what remains on recordings
+/// Import a model of NumPy or PyTorch: find its network, and identify the feature convention by
+/// statistics and recordings
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \

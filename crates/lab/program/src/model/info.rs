@@ -17,8 +17,8 @@ const SHOWN: usize = 40;
 #[command(after_help = "Examples:\n  \
     joulebus model info builtin:husky\n  \
     joulebus model info energy_predictor_full.pt --format json\n\n\
-    Of a file of another program it shows what is in it and where a network was found. Exit code \
-    1: there is none.")]
+    For a file of another program it shows the contents, and where it found a network. Exit code \
+    1: there is no network.")]
 pub(crate) struct Args {
     /// A model file of any format, a directory of .npy files, or builtin:NAME
     #[arg(value_name = "FILE")]

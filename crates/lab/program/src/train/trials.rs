@@ -67,8 +67,8 @@ pub(super) struct Args {
     /// reading, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
-    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over
-    /// all recordings are taken
+    /// Maximum number of rows to train, validate and score on. If there are more, stretches are
+    /// taken that are spread evenly over all recordings
     #[arg(long, value_name = "N", default_value_t = MAX_ROWS)]
     most_rows: NonZeroUsize,
     #[command(flatten)]

@@ -109,9 +109,10 @@ def demo(robots: int = 20, *, seed: int = 7) -> Demo:
         with joulebus.demo() as demo:
             print(demo.planner.ask(7, [(0.0, 0.0), (1.0, 0.0)], back_to=(0.0, 0.0))[0].verdict)
 
-    Worker and robots are in a process of their own, their files in a directory of their own in memory. The end of the
-    block removes both, also by an exception or Ctrl-C, and so does the end of this process. Returns when questions
-    about every robot have an answer, after some two seconds.
+    Worker and robots are in a process of their own, their files in a directory of their own in
+    memory. The end of the block removes both, even after an exception or Ctrl-C. The end of this
+    process removes them too. The call returns when questions about every robot have an answer,
+    after some two seconds.
     """
     return Demo(robots, seed)
 

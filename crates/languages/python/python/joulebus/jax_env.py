@@ -54,10 +54,11 @@ class EnergyState(NamedTuple):
 class EnergyJaxEnv:
     """One arena of `EnergyVectorEnv` as functions without side effects, in the shape of JaxMARL and JaxRobotarium.
 
-    Arguments, observations, actions, rewards and the end of an episode are those of `EnergyVectorEnv`, for each robot:
-    dicts with ``robot_0``, ``robot_1``, and so on. ``dones`` has ``__all__`` too. Motion, powers and energies are those of
-    `EnergyVectorEnv` within single precision: 2e-5 m, 2e-5 W and 1e-3 J during 300 steps. Places come from JAX's random
-    numbers, so they are others.
+    Arguments, observations, actions, rewards and the end of an episode are those of
+    `EnergyVectorEnv`, for each robot: dicts with ``robot_0``, ``robot_1``, and so on. ``dones`` has
+    ``__all__`` too. Motion, powers and energies are those of `EnergyVectorEnv` within single
+    precision: 2e-5 m, 2e-5 W and 1e-3 J during 300 steps. Start and goal positions come from JAX's
+    random numbers, so they differ.
     """
 
     def __init__(

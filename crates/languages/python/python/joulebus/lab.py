@@ -139,8 +139,8 @@ def train(
     recipe:      a TOML file (`configs/recipes/paper.toml` explains it) [default: the paper's recipe]. The next five
                  replace its settings
     feature_set: ``full`` (the paper's), ``power_only``, ``freshness``, ``power_freshness``
-    columns:     names of columns of CSV files where they are not found by themselves: ``{"power": "load_W"}``; ``missing:``
-                 is a number that stands for no value: ``{"missing:": "-999"}``
+    columns:     columns of CSV files whose names joulebus does not know: ``{"power": "load_W"}``.
+                 ``missing:`` is a number that stands for no value: ``{"missing:": "-999"}``
     current:     sign of the current in files: ``discharge-positive`` (default) or ``discharge-negative``
     accept:      findings to let through, because you know better: ``sign``, ``unit``, ``clock``, … (`joulebus data check`)
     out:         the model file to write; `Training.save` writes it later

@@ -104,10 +104,11 @@ class Forecast:
 class Frame:
     """Forecasts of all robots, as the worker wrote them into shared memory.
 
-    ``rows`` is a read-only array of `joulebus.FORECAST` on that memory, and ``power_w``, ``lo_w``, ``hi_w``, ``robot``
-    and every other field of it a view of a column. Nothing is copied. A frame, and each array made of it, keeps the memory
-    for as long as it exists: two frames beside the newest can be kept, further reading is then refused. ``rows.copy()``
-    is yours.
+    ``rows`` is a read-only array of `joulebus.FORECAST` on that memory, and ``power_w``, ``lo_w``,
+    ``hi_w``, ``robot`` and every other field of it a view of a column. Nothing is copied. A frame,
+    and each array made of it, keeps the memory for as long as it exists. You can keep two frames
+    beside the newest. If you keep more, the next read is refused. ``rows.copy()`` is a copy of your
+    own.
 
     ``frame[7]`` is the forecast of robot 7.
     """
@@ -237,8 +238,8 @@ class Planner(_Connection):
                 if isinstance(event, joulebus.Frame):
                     print(event[7].interval_w, event.power_w.sum())
 
-    Several threads may use one planner. Their calls follow one another. A process made by `fork` cannot use its
-    parent's: connect a new one there.
+    Several threads may use one planner. Only one call runs at a time. A child made by `fork` cannot
+    use its parent's planner: open a new one there.
     """
 
     def __init__(self, config: str | os.PathLike[str], name: str = "planner") -> None:
@@ -262,8 +263,8 @@ class Planner(_Connection):
         return Gone(detail) if what == "gone" else Stale(detail)
 
     def events(self, timeout: float | None = None) -> Iterator[Frame | Gone | Stale]:
-        """Events as they come: frames, the worker's end, stale frames. Ends when there was none for `timeout` seconds;
-        never without one."""
+        """Events as they come: frames, the worker's end, stale frames. Ends when none has come for
+        `timeout` seconds. Without a timeout it never ends."""
         while True:
             event = self.next(timeout)
             if event is None:
@@ -273,8 +274,9 @@ class Planner(_Connection):
             del event
 
     def diagnostics(self, timeout: float | None = 1.0) -> Table | None:
-        """The newest diagnostics: residuals, alarms, coverage (`joulebus.DIAGNOSTIC`). The first call opens the
-        service, and waits for its next frame; None if there is none within `timeout` seconds."""
+        """The newest diagnostics: residuals, alarms, coverage (`joulebus.DIAGNOSTIC`). The first
+        call opens the service, and waits for its next frame. None if there is none within `timeout`
+        seconds."""
         return _table(self._ports.diagnostics(timeout), DIAGNOSTIC)
 
     def budgets(self, timeout: float | None = 1.0) -> Table | None:
@@ -283,9 +285,10 @@ class Planner(_Connection):
         return _table(self._ports.budgets(timeout), BUDGET)
 
     def outlooks(self, timeout: float | None = 1.0) -> Table | None:
-        """The newest outlooks (`joulebus.OUTLOOK`): the energy that each robot will draw over `joulebus.OUTLOOK_S` if it
-        goes on as it does, and its time to empty, with bounds. The first call opens the service, and the worker computes
-        them from then on; None if there is none within `timeout` seconds."""
+        """The newest outlooks (`joulebus.OUTLOOK`): the energy that each robot will draw over
+        `joulebus.OUTLOOK_S` if it goes on as now, and its time to empty, with bounds. The first
+        call opens the service. From then on the worker computes outlooks. None if there is none
+        within `timeout` seconds."""
         return _table(self._ports.outlooks(timeout), OUTLOOK)
 
     def what_if(
@@ -302,10 +305,11 @@ class Planner(_Connection):
         """What command sequences would cost a robot: `v` in m/s and `omega` in rad/s, ``(steps,)`` or ``(candidates,
         steps)``, each command in force for `period_s` (the fleet's tick by default).
 
-        Computed in this process from the newest tick, with other Python threads running; `coverage` is that of the
-        intervals, 0.5 to 0.999; `power` asks for the power of every step too. If nothing current arrives within
-        `timeout` seconds, the answers are unknown and say so; `ReadError` if nothing has arrived at all. The first
-        question joins the fleet once more, as a planner that the worker writes plan states for.
+        This process computes the answers from the newest tick. Meanwhile other Python threads run.
+        `coverage` is that of the intervals, 0.5 to 0.999. `power` asks for the power of every step
+        too. If no current frame arrives within `timeout` seconds, the answers are unknown and say
+        so. If no frame has arrived at all, `ReadError` is raised. The first question joins the
+        fleet once more, as a planner for which the worker writes plan states.
         """
         return Answers(self._asked().what_if([robot], v, omega, period_s, coverage, power, timeout))
 
@@ -322,11 +326,13 @@ class Planner(_Connection):
         power: bool = False,
         timeout: float = 1.0,
     ) -> Answers:
-        """What a path, or `idle_s` seconds at rest, cost one robot or several, and whether they make it.
+        """What a path, or `idle_s` seconds at rest, cost one robot or several, and whether their
+        batteries suffice.
 
-        `path` are points ``(points, 2)`` in m, first where the robot is; `speed` (m/s) one for all, or towards each
-        point, at most the platform's; `heading` (rad) at the first point. With `back_to` the way back counts, and
-        ``turn_back_s`` says until when the robot can return for sure. The best robot is first; `power` is of one robot.
+        `path` has points ``(points, 2)`` in m. The robot is at the first one. `speed` (m/s) is one
+        number, or one towards each point, at most the platform's. `heading` (rad) is that at the
+        first point. With `back_to` the path back counts too, and ``turn_back_s`` is the latest time
+        to turn back. The best robot is first. `power` is possible for one robot only.
         """
         if (path is None) == (idle_s is None):
             raise ValueError("ask takes either a path or idle_s")
@@ -338,7 +344,8 @@ class Planner(_Connection):
         return Answers(asked.follow(ids, path, speed, heading, back_to, coverage, power, timeout))
 
     def acknowledge(self, robot: int, alarm: str, by: str, *, timeout: float = 5.0) -> None:
-        """Acknowledges a raised alarm in the name of the person `by`, until the alarm ends: everybody sees who and when.
+        """Acknowledges a raised alarm in the name of the person `by`, until the alarm ends.
+        Everybody sees who acknowledged it, and when.
 
         ``RuntimeError`` if the alarm is not raised, or no worker takes it within `timeout` seconds.
         """

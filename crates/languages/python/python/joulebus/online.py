@@ -44,7 +44,7 @@ class OnlineConformal(_base.RegressorMixin, _base.BaseEstimator):  # type: ignor
     the readings that followed them, in the order of time. `predict(X)` and `predict_interval(X)` change nothing: each row
     is the next of its robot. `robots` is a label for all rows, or one for each. A robot is new when it is first named.
 
-    It can be pickled, with what the robots have learned.
+    It can be pickled, with everything learned about the robots.
     """
 
     _online = False
@@ -69,7 +69,8 @@ class OnlineConformal(_base.RegressorMixin, _base.BaseEstimator):  # type: ignor
     def fit(self, X: Any, y: Any, robots: Any = None) -> OnlineConformal:
         """Fits the regressor to rows `X` and the readings `y` that followed, and forgets all robots.
 
-        Rows are in the order of time. The first interval comes from the last fifth, as forecast after the others alone.
+        Rows are in the order of time. The first interval comes from the last fifth of the rows,
+        forecast after a fit to the others.
         """
         X, y = _validation.validate_data(self, X, y, y_numeric=True, ensure_all_finite=self._finite())
         labels = _labels(robots, len(X))
@@ -190,9 +191,10 @@ class OnlineConformal(_base.RegressorMixin, _base.BaseEstimator):  # type: ignor
 class OnlineForecaster(OnlineConformal):
     """Forecasts that learn from each robot's own readings, with intervals that adapt.
 
-    Its members are the regressor, the robot's last reading, and two stacks of these, the robot's mean and an
-    autoregression. They are weighted by their errors so far: the forecast is never much worse than the best of them, on a
-    robot unlike any in the training too (docs/measured/online.md). Until a robot has five readings, it is the regressor's own.
+    Its members are the regressor, the robot's last reading, and two stacks of these, the robot's
+    mean and an autoregression. Their weights follow from their errors so far. So the forecast is
+    never much worse than the best member, even on a robot unlike any in the training
+    (docs/measured/online.md). Until a robot has five readings, it is the regressor's own.
 
     Arguments and methods are those of `OnlineConformal`. With ``regressor=Predictor(file)``, and with the platform's
     `resolution` and `limits`, forecasts and intervals have the bits of a worker with that model.

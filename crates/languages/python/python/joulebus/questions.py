@@ -1,4 +1,4 @@
-"""Answers to questions about plans: what they cost, and whether the robot makes them."""
+"""Answers to questions about plans: what they cost, and whether the robot's battery suffices."""
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
@@ -13,12 +13,14 @@ from ._optional import needed
 class Answer:
     """The answer to one candidate, or of one robot. What is unknown is None.
 
-    ``verdict``: ``yes`` only if the upper end of the energy fits into what the battery can spare at least, on every
-    leg, and the robot's state is known; ``tight``, ``no``, or ``unknown`` with its ``reason``. ``energy_lo_j`` and
-    ``energy_hi_j`` are the interval at the asked coverage; ``left_lo_j`` is the energy left at least; ``margin_j`` what
-    the battery can spare at least, less ``energy_hi_j``; ``probability`` that of finishing above the reserve;
-    ``limiting_leg`` the first that is not sure, from 0; ``turn_back_s`` until when the robot can still return for sure;
-    ``caveats`` what weakens the answer.
+    ``verdict`` is ``yes``, ``tight``, ``no``, or ``unknown`` with its ``reason``. It is ``yes``
+    only if on every leg the upper end of the energy is below the lower bound of the battery's
+    energy above the reserve, and the robot's state is known. ``energy_lo_j`` and ``energy_hi_j``
+    are the interval at the asked coverage. ``left_lo_j`` is the lower bound of the energy left.
+    ``margin_j`` is the lower bound of the energy above the reserve, less ``energy_hi_j``.
+    ``probability`` is that of finishing above the reserve. ``limiting_leg`` is the first leg that
+    is not a yes, from 0. ``turn_back_s`` is the latest time to turn back. ``caveats`` has what
+    weakens the answer.
     """
 
     robot: int
@@ -45,9 +47,10 @@ _TEXTS = ("verdict", "reason", "caveats")
 class Answers:
     """Answers to one question, as of one tick (``tick``, ``age_s`` old when it was answered).
 
-    Each field of `Answer` is an array here, NaN where unknown (−1 as ``limiting_leg``, None as a text): one element
-    for each candidate, in the order of the candidates, or for each robot; the best first where robots follow a path.
-    ``power_w``, if it was asked for, is the power of every step, W: ``(candidates, steps)``.
+    Each field of `Answer` is an array here. Unknown values are NaN (−1 as ``limiting_leg``, None as
+    a text). There is one element for each candidate, in the order of the candidates, or for each
+    robot. If robots follow a path, the best robot is first. ``power_w``, if it was asked for, is
+    the power of every step, W: ``(candidates, steps)``.
     """
 
     def __init__(self, told: dict[str, Any]) -> None:
@@ -71,7 +74,8 @@ class Answers:
 
     @property
     def best(self) -> int:
-        """Place of the best answer: by verdict (yes, tight, no, unknown), then by the expected energy."""
+        """Index of the best answer: by verdict (yes, tight, no, unknown), then by the expected
+        energy."""
         ranks = {"yes": 0, "tight": 1, "no": 2, "unknown": 3}
         rank = np.array([ranks[verdict] for verdict in self.verdict])
         return int(np.lexsort((np.nan_to_num(self.energy_j, nan=np.inf), rank))[0])

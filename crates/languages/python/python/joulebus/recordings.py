@@ -26,7 +26,7 @@ _ROWS = {
 
 
 class RecordingDamaged(UserWarning):
-    """A capture is not whole: what can be read of it was returned."""
+    """A capture is damaged. The readable part was returned."""
 
 
 def read_arrays(
@@ -35,10 +35,12 @@ def read_arrays(
     """What a capture (`joulebus record`, MCAP) holds of ``samples``, ``forecasts``, ``diagnostics``, ``budgets``
     or ``outlooks``.
 
-    One element for each robot and message, in the order of the file: the fields of `joulebus.SAMPLE`, `FORECAST`,
-    `DIAGNOSTIC`, `BUDGET` or `OUTLOOK`, to the bit, and of its message ``tick`` (number of the source's frame, of samples),
-    ``log_ns`` (received by the recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the
-    capture has several. Of a damaged file, what is before the damage is returned with a warning `RecordingDamaged`.
+    One element for each robot and message, in the order of the file: the fields of
+    `joulebus.SAMPLE`, `FORECAST`, `DIAGNOSTIC`, `BUDGET` or `OUTLOOK`, to the bit, and of its
+    message ``tick`` (number of the source's frame, of samples), ``log_ns`` (received by the
+    recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the capture
+    has several. From a damaged file, the rows before the damage are returned, with a warning
+    `RecordingDamaged`.
     """
     told = lab("captures").read_capture(path, topic, fleet, robots)
     if told["damage"] is not None:
@@ -103,7 +105,7 @@ def read_trials(
 ) -> list[Trial]:
     """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot.
 
-    columns: names of columns of a CSV where they are not found by themselves: ``{"power": "load_W"}``
+    columns: columns of a CSV whose names joulebus does not know: ``{"power": "load_W"}``
     current: sign of the current: ``discharge-positive`` (default) or ``discharge-negative``
     accept:  findings to let through, because you know better: ``sign``, ``unit``, … Others that make numbers wrong raise
              `RecordingError`

@@ -1,4 +1,4 @@
-"""Environments of gymnasium whose rewards have the energy in them.
+"""Environments of gymnasium whose rewards include the energy.
 
     import gymnasium
 

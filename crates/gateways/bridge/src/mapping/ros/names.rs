@@ -17,8 +17,9 @@ const TYPES: [(RosType, &str); 4] = [
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NameError {
     #[error(
-        "is, of a robot, {found:?}, and no topic of ROS 2: it begins with a slash, has at most {MAX_BYTES} bytes, and its \
-         parts are letters, digits and single underscores that do not begin with a digit"
+        "becomes {found:?} for a robot, which is no topic of ROS 2. A topic begins with a slash, and \
+         has at most {MAX_BYTES} bytes. Its parts are letters, digits and single underscores, and \
+         do not begin with a digit"
     )]
     Topic { found: String },
     #[error("is no type that is read, allowed are {allowed}")]
