@@ -7,8 +7,8 @@
 #     background worker joulebus run --config fleet.toml
 #     step 'the worker is ready' seen worker '^ready'
 #
-# A step that fails ends the walk with 1 and its output. A wait has ten minutes: the walk states
-# times, it does not judge them.
+# A step that fails ends the walk with 1 and its output. A wait has ten minutes. Only `step_within`
+# judges a time, one of a processor.
 set -euo pipefail
 repository=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
 dist=${JOULEBUS_DIST:-$repository/dist}
@@ -46,6 +46,17 @@ cpu_ms() {
 
 took() { # ms, of a processor, what
     printf '%3d min %4.1f s  (%5.1f s of CPU)  %s\n' $(($1 / 60000)) "$((($1 % 60000) / 100))e-1" "$(($2 / 100))e-1" "$3"
+}
+
+# A step with a promise: the time that it has of a processor, which other work does not change much.
+step_within() { # s, what, command…
+    local limit_s=$1 cpu_before=$total_cpu_ms
+    shift
+    step "$@"
+    [ $((total_cpu_ms - cpu_before)) -le $((1000 * limit_s)) ] || {
+        echo "tools/walks/$walk.sh: $1: $((total_cpu_ms - cpu_before)) ms of a processor, at most $limit_s s are promised"
+        exit 1
+    }
 }
 
 step() { # what, command…
