@@ -47,4 +47,5 @@ if [ "${1:-}" = --pictures ]; then
     exec node "$folder/pictures.mjs" "${2:-docs/pictures}"
 fi
 node --test --test-reporter=spec "$folder/parts.test.mjs"
+node --test --test-reporter=spec "$folder/report.test.mjs"
 node --test --test-reporter=spec "$folder/page.test.mjs"
