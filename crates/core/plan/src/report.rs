@@ -148,15 +148,15 @@ pub struct Joules(pub f64);
 impl fmt::Display for Joules {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let watt_hours = self.0 / 3_600.0;
-        // Also of a number that is not finite.
-        let is_small = !(watt_hours.abs() >= 1.0);
+        // False for NaN.
+        let has_watt_hours = watt_hours.abs() >= 1.0;
         let decimals = usize::from(self.0.abs() < 100.0);
-        if is_small || out.alternate() {
+        if !has_watt_hours || out.alternate() {
             write!(out, "{:.decimals$} J", self.0)?;
         }
         let (begin, end) = if out.alternate() { (" (", ")") } else { ("", "") };
         match watt_hours.abs() {
-            _ if is_small => Ok(()),
+            _ if !has_watt_hours => Ok(()),
             few if few < 100.0 => write!(out, "{begin}{watt_hours:.2} Wh{end}"),
             some if some < 1_000.0 => write!(out, "{begin}{watt_hours:.1} Wh{end}"),
             _ => write!(out, "{begin}{:.2} kWh{end}", watt_hours / 1_000.0),
