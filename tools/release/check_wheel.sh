@@ -19,7 +19,7 @@ for name in joulebus joulebus_lab; do
     mkdir "$work/$name"
     python3 -m zipfile -e "${found[0]}" "$work/$name"
     library=$(find "$work/$name" -name '_native*.so')
-    readelf -h "$library" | grep -qi "Machine:.*${arch//_/.}" || fail "$library is not of $arch"
+    readelf -h "$library" | grep -i "Machine:.*${arch//_/.}" >/dev/null || fail "$library is not of $arch"
     newest=$(readelf -V "$library" | grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
     [ "$(printf '%s\n' "$newest" GLIBC_2.28 | sort -V | tail -n 1)" = GLIBC_2.28 ] || fail "$name needs $newest"
     ls "$work/$name/$name-$version.dist-info"/licenses/LICENSE-MIT >/dev/null || fail "$name has no licence"
