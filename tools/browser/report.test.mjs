@@ -24,7 +24,7 @@ after(async () => {
 
 const run = (program, ...args) => execFileSync(program, args, { cwd: folder, stdio: ["ignore", "ignore", "inherit"] });
 
-/** Figures and boxes of tables that are wider than what shows them, and the page if it scrolls sideways. */
+/** Figures and tables that are wider than what shows them, and the page if it scrolls sideways. */
 const overflowing = (page) => page.evaluate(() => {
   const wider = [...document.querySelectorAll("html, .scroll, figure, td, th")].filter((box) => box.scrollWidth > box.clientWidth + 1);
   const beyond = [...document.querySelectorAll("table")].filter((table) => {

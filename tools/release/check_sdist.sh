@@ -4,7 +4,7 @@
 #
 #     tools/release/check_sdist.sh DIST VERSION
 #
-# The registry of Cargo is this machine's. Beside other work the same takes up to twice the time of a
+# The registry of Cargo is this machine's. Beside other work it takes up to twice the time of a
 # processor: judge it on a quiet machine.
 set -euo pipefail
 sdist=$(realpath "$1/joulebus-$2.tar.gz")
