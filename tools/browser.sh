@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Drives the operator's page (`joulebus serve --http`) in a real browser: the real programs,
+# Drives the operator's page (`joulebus serve --http`) and reports in a real browser: real programs,
 # headless Chromium, Playwright and axe, whose versions tools/browser/package-lock.json fixes.
 #
 #     tools/browser.sh              # the tests
