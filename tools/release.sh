@@ -102,7 +102,7 @@ make_deb() {
     need_programs
     local options=(--profile "$profile") deb
     [ -z "$built" ] || options=(--programs "$built")
-    deb=$(tools/deb.sh "${options[@]}" | tee /dev/stderr | tail -n 1)
+    deb=$(tools/deb.sh "${options[@]}" | tee >(cat >&2) | tail -n 1)
     cp "$deb" "$dist/"
 }
 
