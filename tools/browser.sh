@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Drives the operator's page (`joulebus serve --http`) in a real browser: the real programs,
+# Drives the operator's page (`joulebus serve --http`) and reports in a real browser: real programs,
 # headless Chromium, Playwright and axe, whose versions tools/browser/package-lock.json fixes.
 #
 #     tools/browser.sh              # the tests
@@ -47,4 +47,5 @@ if [ "${1:-}" = --pictures ]; then
     exec node "$folder/pictures.mjs" "${2:-docs/pictures}"
 fi
 node --test --test-reporter=spec "$folder/parts.test.mjs"
+node --test --test-reporter=spec "$folder/report.test.mjs"
 node --test --test-reporter=spec "$folder/page.test.mjs"

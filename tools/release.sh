@@ -102,7 +102,7 @@ make_deb() {
     need_programs
     local options=(--profile "$profile") deb
     [ -z "$built" ] || options=(--programs "$built")
-    deb=$(tools/deb.sh "${options[@]}" | tee /dev/stderr | tail -n 1)
+    deb=$(tools/deb.sh "${options[@]}" | tee >(cat >&2) | tail -n 1)
     cp "$deb" "$dist/"
 }
 
@@ -151,11 +151,7 @@ make_sdist() {
     local python
     python=$(python_of_wheels) || { skip 'maturin cannot be installed from PyPI: no source distribution'; return; }
     (cd crates/languages/python && "$python" -m maturin sdist --out "$dist" >&2)
-    # Whole: Cargo finds all of it, and resolves it with the versions of Cargo.lock, from which
-    # maturin leaves out what is not there.
-    rm -rf "$work/sdist" && mkdir "$work/sdist"
-    tar -xzf "$dist/joulebus-$version.tar.gz" -C "$work/sdist"
-    cargo metadata --offline --format-version 1 --manifest-path "$work/sdist/joulebus-$version/crates/languages/python/Cargo.toml" >/dev/null
+    tools/release/check_sdist.sh "$dist" "$version" >&2
 }
 
 make_sbom() {

@@ -6,6 +6,10 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$(realpath -m "${CARGO_TARGET_DIR:-target}")/tools/clean-root
 say() { echo "tools/deb/root.sh: $1" >&2; exit 1; }
+# Who comes while another makes it waits.
+mkdir -p "${root%/*}"
+exec 9>"$root.lock"
+flock 9
 if [ ! -e "$root.made" ]; then
     [ "$(id -u)" = 0 ] || say 'only root makes a root'
     if ! command -v debootstrap >/dev/null; then

@@ -6,6 +6,7 @@
 #     tools/release/check_wheel.sh DIST VERSION --foreign aarch64   # what can be read of another's without one
 set -euo pipefail
 dist=$(realpath "$1") version=$2 arch=$(uname -m)
+here=$(dirname "$(realpath "$0")")
 [ "${3:-}" != --foreign ] || arch=$4
 fail() { echo "tools/release/check_wheel.sh: $1" >&2; exit 1; }
 work=$(mktemp -d)
@@ -18,7 +19,7 @@ for name in joulebus joulebus_lab; do
     mkdir "$work/$name"
     python3 -m zipfile -e "${found[0]}" "$work/$name"
     library=$(find "$work/$name" -name '_native*.so')
-    readelf -h "$library" | grep -qi "Machine:.*${arch//_/.}" || fail "$library is not of $arch"
+    readelf -h "$library" | grep -i "Machine:.*${arch//_/.}" >/dev/null || fail "$library is not of $arch"
     newest=$(readelf -V "$library" | grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
     [ "$(printf '%s\n' "$newest" GLIBC_2.28 | sort -V | tail -n 1)" = GLIBC_2.28 ] || fail "$name needs $newest"
     ls "$work/$name/$name-$version.dist-info"/licenses/LICENSE-MIT >/dev/null || fail "$name has no licence"
@@ -30,21 +31,7 @@ python3 -m venv "$work/venv"
 pip=("$work/venv/bin/python" -m pip --quiet --disable-pip-version-check)
 cd "$work"
 "${pip[@]}" install "${wheels[0]}"
-"$work/venv/bin/python" - <<'PYTHON'
-import joulebus
-
-with joulebus.demo() as demo:
-    trip = demo.planner.ask(7, [(0.0, 0.0), (1.0, 0.0)], back_to=(0.0, 0.0))[0]
-assert trip.verdict == "yes", trip
-print(trip.verdict, f"{trip.energy_j:.1f} J, to turn back within {trip.turn_back_s:.1f} s")
-print(joulebus.__version__, joulebus.EnergyPredictor().step(0.1, 0.0), "mW")
-try:
-    joulebus.simulate(1)
-except ImportError as error:
-    print(error)
-else:
-    raise SystemExit("the lab is there without joulebus-lab")
-PYTHON
+"$work/venv/bin/python" "$here/first_yes.py"
 "${pip[@]}" install "${wheels[1]}"
 "$work/venv/bin/python" - <<'PYTHON'
 import joulebus

@@ -23,7 +23,9 @@ dpkg-deb --root-owner-group -Znone --build "$work/previous" "$root/tmp/previous.
 in_root dpkg --install /tmp/previous.deb
 in_root dpkg --install /tmp/new.deb
 [ -z "$(in_root dpkg --verify libjoulebus-dev)" ] || fail 'dpkg --verify finds differences'
-in_root ldconfig -p | grep -q 'libjoulebus\.so\.' || fail 'the loader does not know the library'
+# Not by a pipe: `grep -q` ends before ldconfig has written all.
+in_root ldconfig -p >"$work/libraries"
+grep -q 'libjoulebus\.so\.' "$work/libraries" || fail 'the loader does not know the library'
 
 cp /etc/resolv.conf "$root/etc/resolv.conf" 2>/dev/null || true
 # Kept for the next time, outside of this view.

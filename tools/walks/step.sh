@@ -7,13 +7,14 @@
 #     background worker joulebus run --config fleet.toml
 #     step 'the worker is ready' seen worker '^ready'
 #
-# A step that fails ends the walk with 1 and its output. A wait has ten minutes: the walk states
-# times, it does not judge them.
+# A step that fails ends the walk with 1 and its output. A wait has ten minutes. Only `step_within`
+# judges a time, one of a processor.
 set -euo pipefail
 repository=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
 dist=${JOULEBUS_DIST:-$repository/dist}
 version=$(sed -n '/^\[workspace.package\]/,/^$/s/^version = "\(.*\)"$/\1/p' "$repository/Cargo.toml")
 walked=()
+broken=()
 total_ms=0
 total_cpu_ms=0
 
@@ -46,6 +47,15 @@ cpu_ms() {
 
 took() { # ms, of a processor, what
     printf '%3d min %4.1f s  (%5.1f s of CPU)  %s\n' $(($1 / 60000)) "$((($1 % 60000) / 100))e-1" "$(($2 / 100))e-1" "$3"
+}
+
+# A step with a promise: the time that it has of a processor. Beside other work the same takes up to
+# twice that. A walk with a broken promise goes on, and ends with 1.
+step_within() { # s, what, command…
+    local limit_s=$1 before_ms=$total_cpu_ms
+    shift
+    step "$@"
+    [ $((total_cpu_ms - before_ms)) -le $((1000 * limit_s)) ] || broken+=("$1: at most $limit_s s of a processor are promised")
 }
 
 step() { # what, command…
@@ -122,5 +132,6 @@ own_domain() { # config
 }
 
 walk_says() { # the result worth staying for
-    took "$total_ms" "$total_cpu_ms" "in all: $1"
+    took "$total_ms" "$total_cpu_ms" "in all, at load $(cut -d' ' -f1 /proc/loadavg): $1"
+    [ ${#broken[@]} = 0 ] || { printf "tools/walks/$walk.sh: %s\n" "${broken[@]}"; exit 1; }
 }

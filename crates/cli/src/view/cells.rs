@@ -1,6 +1,7 @@
 //! Data of a robot as text, the same in every view.
 
 use joulebus_board::Row;
+use joulebus_plan::report::Joules;
 use joulebus_settings::{CHARGE_UNKNOWN, NO_BATTERY};
 use joulebus_wire::{
     Budget, ChargeState, Outlook, Quality, budget_flag, diagnostic_flag, forecast_flag,
@@ -23,7 +24,7 @@ pub(crate) const HEADS: [(&str, u16); COLUMNS] = [
     ("MAE W", 6),
     ("skill", 6),
     ("inside", 6),
-    ("drawn J", 8),
+    ("drawn", 8),
     ("charge", 6),
     ("lasts", 8),
     ("next min J", 19),
@@ -32,7 +33,7 @@ pub(crate) const HEADS: [(&str, u16); COLUMNS] = [
 
 /// Columns that a narrow view omits, in this order.
 const DISPENSABLE: [&str; 12] = [
-    "drawn J",
+    "drawn",
     "inside",
     "skill",
     "interval W",
@@ -94,7 +95,7 @@ pub(crate) fn cells(robot: u32, row: &Row, outlook: Option<&Outlook>) -> [String
         or_unknown(scored.map(|diagnostic| format!("{:.3}", diagnostic.mae_w))),
         or_unknown(scored.and_then(|diagnostic| skill(diagnostic.skill))),
         or_unknown(scored.map(|diagnostic| percent(diagnostic.coverage.into()))),
-        or_unknown(metered.map(|budget| format!("{:.1}", budget.drawn_j()))),
+        or_unknown(metered.map(|budget| Joules(budget.drawn_j()).to_string())),
         or_unknown(battery.map(|budget| percent(budget.soc.into()))),
         or_unknown(battery.as_ref().map(lasts)),
         or_unknown(outlook.and_then(next_minute)),
@@ -234,7 +235,7 @@ mod tests {
             let heads = HEADS.map(|(head, _)| head).into_iter();
             heads.filter(|head| !left_out.contains(head) && *head != OF_OUTLOOKS).collect()
         };
-        assert_eq!(heads(126, true), without(&["drawn J"]));
+        assert_eq!(heads(126, true), without(&["drawn"]));
         assert_eq!(heads(127, false), without(&["charge", "lasts"]));
         let at_78 = ["robot", "quality", "read W", "forecast W", "charge", "lasts", "state"];
         assert_eq!(heads(78, true), at_78);

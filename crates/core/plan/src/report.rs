@@ -93,18 +93,17 @@ impl AnswerReport {
         let percent = 100.0 * coverage;
         if let Some(energy) = self.energy {
             lines.push(format!(
-                "energy  {:.1} J, {:.1} to {:.1} J at {percent} %, in {}",
-                energy.mean_j,
-                energy.lo_j,
-                energy.hi_j,
+                "energy  {:#}, {} to {} at {percent} %, in {}",
+                Joules(energy.mean_j.into()),
+                Joules(energy.lo_j.into()),
+                Joules(energy.hi_j.into()),
                 Lasting(self.duration_s.into())
             ));
         }
         if let (Some(left), Some(margin_j)) = (self.left, self.margin_j) {
-            lines.push(format!(
-                "left    {:.0} J, at least {:.0} J; {margin_j:.0} J to spare above the reserve",
-                left.mean_j, left.lo_j
-            ));
+            let [mean, lo, spare] = [left.mean_j, left.lo_j, margin_j].map(|j| Joules(j.into()));
+            lines.push(format!("left    {mean:#}, at least {lo:#}"));
+            lines.push(format!("spare   {spare:#} above the reserve"));
         }
         if let Some(probability) = self.probability {
             lines.push(format!("above the reserve with probability {probability:.3}"));
@@ -141,6 +140,30 @@ impl fmt::Display for Lasting {
     }
 }
 
+/// An energy in J as people read it: J below one watt-hour, then Wh and kWh, as batteries state
+/// their capacity. `{:#}` writes Wh beside J.
+#[derive(Debug, Clone, Copy)]
+pub struct Joules(pub f64);
+
+impl fmt::Display for Joules {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let watt_hours = self.0 / 3_600.0;
+        // False for NaN.
+        let has_watt_hours = watt_hours.abs() >= 1.0;
+        let decimals = usize::from(self.0.abs() < 100.0);
+        if !has_watt_hours || out.alternate() {
+            write!(out, "{:.decimals$} J", self.0)?;
+        }
+        let (begin, end) = if out.alternate() { (" (", ")") } else { ("", "") };
+        match watt_hours.abs() {
+            _ if !has_watt_hours => Ok(()),
+            few if few < 100.0 => write!(out, "{begin}{watt_hours:.2} Wh{end}"),
+            some if some < 1_000.0 => write!(out, "{begin}{watt_hours:.1} Wh{end}"),
+            _ => write!(out, "{begin}{:.2} kWh{end}", watt_hours / 1_000.0),
+        }
+    }
+}
+
 impl fmt::Display for AnswersReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (place, answer) in self.answers.iter().enumerate() {
@@ -159,5 +182,27 @@ impl fmt::Display for AnswersReport {
         self.missing.iter().try_for_each(|robot| {
             write!(out, "\n\nrobot {robot}: not in the fleet, or not followed on this host")
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_energy_has_the_unit_that_fits_and_watt_hours_beside_joules() {
+        for (energy_j, fitted, beside) in [
+            (44.04, "44.0 J", "44.0 J"),
+            (-0.5, "-0.5 J", "-0.5 J"),
+            (3_599.0, "3599 J", "3599 J"),
+            (33_187.0, "9.22 Wh", "33187 J (9.22 Wh)"),
+            (-7_200.0, "-2.00 Wh", "-7200 J (-2.00 Wh)"),
+            (1.8e6, "500.0 Wh", "1800000 J (500.0 Wh)"),
+            (7.2e6, "2.00 kWh", "7200000 J (2.00 kWh)"),
+            (f64::NAN, "NaN J", "NaN J"),
+        ] {
+            assert_eq!(Joules(energy_j).to_string(), fitted);
+            assert_eq!(format!("{:#}", Joules(energy_j)), beside);
+        }
     }
 }

@@ -86,6 +86,8 @@ fn by_verbosity(verbose: u8) -> Targets {
         .with_target("iceoryx2", libraries)
         // It warns of each message to a peer on another network of the host than the chosen one.
         .with_target("rustdds", libraries)
+        // It warns of each line of a figure that has no length.
+        .with_target("tiny_skia", libraries)
         .with_target(ALARMS, level.max(LevelFilter::INFO))
 }
 
