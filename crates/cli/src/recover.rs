@@ -2,7 +2,8 @@
 
 use std::fmt;
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::io::Seek as _;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
@@ -48,9 +49,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         joulebus_files::open(&args.input).with_context(|| args.input.display().to_string())?;
     let input_bytes = input.metadata()?.len();
     let started = Instant::now();
-    let recovery = write(input, args)?;
-    let duration_s = started.elapsed().as_secs_f64();
-    check(&args.out, &recovery)?;
+    let (recovery, duration_s) = write(input, args, started)?;
     let is_whole = recovery.is_lossless();
     output.report(&RecoverReport {
         input: args.input.display().to_string(),
@@ -64,32 +63,32 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-fn write(input: File, args: &Args) -> anyhow::Result<Recovery> {
-    let recovered = joulebus_files::create(&args.out, |result| {
-        let (recovery, result) = recover(input, result)?;
+/// Writes and checks the result, which has no name before both are done. Returns the time of the
+/// first, too.
+fn write(input: File, args: &Args, started: Instant) -> anyhow::Result<(Recovery, f64)> {
+    joulebus_files::create::<_, anyhow::Error>(&args.out, |result| {
+        let (recovery, result) = recover(input, result).map_err(|error| {
+            let is_input = matches!(error, RecoverError::Read(_));
+            let file = if is_input { &args.input } else { &args.out };
+            anyhow::Error::from(error).context(file.display().to_string())
+        })?;
         result.sync_all()?;
-        Ok(recovery)
-    });
-    recovered.map_err(|error| {
-        let file = match &error {
-            RecoverError::Read(_) => &args.input,
-            _ => &args.out,
-        };
-        anyhow::Error::from(error).context(file.display().to_string())
+        let duration_s = started.elapsed().as_secs_f64();
+        check(result, &recovery)?;
+        Ok((recovery, duration_s))
     })
+    .with_context(|| format!("cannot write {}", args.out.display()))
 }
 
-/// Opens the result: it must be complete and contain what was counted.
-fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
-    let found = inspect(joulebus_files::open(path)?)?;
+/// Reads the result again: it must be complete and contain what was counted.
+fn check(mut result: &File, recovery: &Recovery) -> anyhow::Result<()> {
+    result.rewind()?;
+    let found = inspect(result.try_clone()?).context("the result cannot be read again")?;
     let (wanted, messages) = (recovery.messages.recovered, found.messages);
     if !found.is_sound() || !found.complete || messages != wanted {
         let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
-        let name = path.display();
-        bail!(
-            "{name}: the result is wrong: {messages} of {wanted} messages; {}",
-            findings.join("; ")
-        );
+        let findings = findings.join(", ");
+        bail!("the result is wrong: {messages} of {wanted} messages. {findings}");
     }
     Ok(())
 }

@@ -101,14 +101,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let sources = sources(args.sources.as_deref())?;
     let project = Project::new(args.kind, args.lang, &args.folder, sources.as_deref())?;
     make_empty(&args.folder)?;
-    let mut files = Vec::new();
-    for (name, text) in &project.files {
-        let path = args.folder.join(name);
-        let parent = path.parent().unwrap_or(&args.folder);
-        fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
-        write(&path, text.as_bytes())?;
-        files.push(PathBuf::from(name));
-    }
+    write_files(&args.folder, &project).inspect_err(|_| remove_files(&args.folder, &project))?;
+    let files = project.files.iter().map(|(name, _)| PathBuf::from(name)).collect();
     output.report(&Written {
         folder: args.folder.clone(),
         files,
@@ -117,6 +111,28 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         run: project.run,
     })?;
     Ok(Outcome::Done)
+}
+
+fn write_files(folder: &Path, project: &Project) -> anyhow::Result<()> {
+    for (name, text) in &project.files {
+        let path = folder.join(name);
+        let parent = path.parent().unwrap_or(folder);
+        fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
+        write(&path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Removes what [`write_files`] has written, since the next call refuses a folder that is not
+/// empty. What cannot be removed, that call names.
+fn remove_files(folder: &Path, project: &Project) {
+    for (name, _) in &project.files {
+        let path = folder.join(name);
+        let _ = fs::remove_file(&path);
+        for parent in path.ancestors().skip(1).take_while(|it| it.starts_with(folder)) {
+            let _ = fs::remove_dir(parent);
+        }
+    }
 }
 
 /// The folder is there and empty afterwards, or it is refused.
