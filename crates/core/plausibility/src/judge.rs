@@ -254,7 +254,7 @@ impl Judge {
                 severity: Severity::Error,
                 readings,
                 found: format!("the voltage is negative in {readings} readings"),
-                allowed: "batteries have a positive one".to_owned(),
+                allowed: "batteries have a positive voltage".to_owned(),
                 remedy: Remedy::Sensor,
             });
         }
@@ -384,7 +384,7 @@ impl Judge {
             severity: Severity::Warning,
             readings: self.times.rows,
             found: format!("{} never came in {} observations", quantity.name(), self.times.rows),
-            allowed: "the source names it".to_owned(),
+            allowed: "what the source names has values".to_owned(),
             remedy: Remedy::Name,
         })
     }

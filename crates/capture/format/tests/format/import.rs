@@ -322,6 +322,21 @@ fn robots_of_one_namespace_beside_another_get_names_of_their_own() {
     let imported = bag_of(&batteries, &[]).import("").unwrap();
     let names: Vec<_> = imported.robots.iter().map(|one| &*one.name).collect();
     assert_eq!(names, ["r1", "r2", "dock"]);
+    for (battery, commands, name) in [
+        ("/fleet/r1/battery_state", &["/fleet/r1/cmd_vel"][..], "r1"),
+        ("/fleet/r1/battery_state", &["/fleet/r1/cmd_vel", "/fleet/r2/cmd_vel"], "r1"),
+        ("/fleet/r1/battery_state", &[], "r1"),
+        ("/fleet/alice/battery_state", &["/fleet/alice/cmd_vel"], "alice"),
+        ("/site/fleet/r1/power/battery", &["/site/fleet/r1/cmd_vel"], "r1"),
+        ("/r1/base/battery", &["/r1/base/cmd_vel"], "r1"),
+        ("/panther/battery/battery_status", &["/panther/cmd_vel"], "panther"),
+        ("/panther/battery/battery_status", &[], "panther"),
+        ("/battery/state", &["/cmd_vel"], "battery"),
+        ("/battery_state", &["/cmd_vel"], "bag"),
+    ] {
+        let imported = bag_of(&[battery], commands).import("").unwrap();
+        assert_eq!(imported.robots[0].name, name, "{battery} {commands:?}");
+    }
 }
 
 #[test]

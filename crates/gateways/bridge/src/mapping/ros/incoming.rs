@@ -136,7 +136,12 @@ impl BatteryFields {
         let current_a = measured(state.current, "current");
         let current_a = current_a
             .map(|current_a| if self.discharge_is_positive { current_a } else { -current_a });
-        let soc = measured(state.percentage, "percentage");
+        // Drivers write −1 as well.
+        let percentage = Some(state.percentage).filter(|share| !share.is_nan() && *share != -1.0);
+        let soc = percentage.and_then(|share| measured(share, "percentage"));
+        if percentage.is_none() {
+            refused(Reason::Unknown, "percentage");
+        }
         let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
         // It is judged with the others of its robot, and in no sample.
         if soc.is_some_and(|soc| !SOC.contains(&soc)) {
@@ -303,7 +308,17 @@ mod tests {
         let (seen, refused) = read_battery(&route, &unknown);
         let seen = seen.unwrap();
         assert_eq!((seen.power, seen.current_a, seen.soc), (None, None, None));
-        assert_eq!((seen.voltage_v, refused), (Some(24.0), vec![]));
+        let told = [("unknown", "percentage of r1".to_owned())];
+        assert_eq!((seen.voltage_v, refused), (Some(24.0), told.to_vec()));
+        // In either unit.
+        for percentage in [Quantity::Share.si(), Quantity::Share.unit("%").unwrap()] {
+            let mut route = route.clone();
+            route.battery.percentage = percentage;
+            let unknown = BatteryState { percentage: -1.0, ..battery() };
+            let (seen, refused) = read_battery(&route, &unknown);
+            let seen = seen.unwrap();
+            assert_eq!((seen.soc, seen.current_a, refused), (None, Some(2.0), told.to_vec()));
+        }
         let wrong = BatteryState {
             voltage: f32::INFINITY,
             percentage: 50.0,
