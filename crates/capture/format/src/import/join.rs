@@ -287,8 +287,9 @@ impl Track {
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
         self.charging += u64::from(current_a < 0.0);
-        // Drivers write −1 as well.
-        let soc = Some(f64::from(state.percentage)).filter(|soc| soc.is_finite() && *soc != -1.0);
+        // Drivers write −1 as well, and mavros −1 %.
+        let is_known = state.percentage.is_finite() && ![-1.0, -0.01].contains(&state.percentage);
+        let soc = is_known.then_some(f64::from(state.percentage));
         self.unknown_soc += u64::from(soc.is_none());
         let soc = soc.unwrap_or(f64::NAN);
         let known = soc.is_nan() || SOC.contains(&soc);

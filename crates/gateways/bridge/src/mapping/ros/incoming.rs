@@ -136,8 +136,7 @@ impl BatteryFields {
         let current_a = measured(state.current, "current");
         let current_a = current_a
             .map(|current_a| if self.discharge_is_positive { current_a } else { -current_a });
-        // Drivers write −1 as well.
-        let percentage = Some(state.percentage).filter(|share| !share.is_nan() && *share != -1.0);
+        let percentage = Some(state.percentage).filter(|share| !is_unknown(*share));
         let soc = percentage.and_then(|share| measured(share, "percentage"));
         if percentage.is_none() {
             refused(Reason::Unknown, "percentage");
@@ -162,6 +161,11 @@ impl BatteryFields {
             .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
         Observation { power, voltage_v, current_a, soc, charging, full, ..Observation::default() }
     }
+}
+
+/// Whether a percentage is not measured. Drivers write −1 as well as NaN, and mavros −1 %.
+fn is_unknown(percentage: f32) -> bool {
+    percentage.is_nan() || percentage == -1.0 || percentage == -0.01
 }
 
 /// Forward and angular velocity. With a velocity across, the speed counts.

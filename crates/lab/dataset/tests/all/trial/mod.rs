@@ -1,6 +1,7 @@
 //! Recorded trials: reading, refusals, notes and samples.
 
 mod fleet;
+mod forms;
 mod mat;
 mod parts;
 mod read;
