@@ -208,8 +208,7 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
         done(words.split(' '));
         Some(path)
     };
-    let accepted =
-        "sign,unit,clock,hold,range,saturation,constant,never-came,sentinel,mismatch";
+    let accepted = "sign,unit,clock,hold,range,saturation,constant,never-came,sentinel,mismatch";
     let is_appended = planted == "a recording that was appended to another one";
     match format {
         "CSV" => Some(csv),

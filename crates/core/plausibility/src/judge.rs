@@ -180,6 +180,7 @@ impl Judge {
             ratios: &self.ratios,
             implied: &self.implied,
             driving: &self.driving,
+            resistance_ohm: self.sign.resistance_ohm(),
             unstated: &self.known.unstated,
             enough: self.known.least(MIN_ROWS),
         };

@@ -26,6 +26,8 @@ const DRIVING_W: f64 = 0.1;
 /// Largest usual speeds, m/s and rad/s: larger ones are in mm/s, cm/s or degrees.
 const SPEED_MPS: f64 = 10.0;
 const TURN_RADPS: f64 = 12.0;
+/// Resistance of batteries with their wires, Ω.
+const RESISTANCE_OHM: (f64, f64) = (5e-4, 8.0);
 /// The largest share of charge that a full battery reports.
 const FULL: f64 = 1.05;
 /// Factor between two units of a quantity.
@@ -47,6 +49,8 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
+    /// How much the voltage falls for each ampere more, Ω, if it clearly does.
+    pub(crate) resistance_ohm: Option<f64>,
     /// Quantities whose unit the source does not state.
     pub(crate) unstated: &'a [bool; 6],
     /// Values of a quantity before their size counts.
@@ -86,6 +90,9 @@ impl Magnitudes<'_> {
             found.extend(self.product());
             found.extend(self.implied());
         }
+        if found.is_empty() {
+            found.extend(self.resistance());
+        }
         found.extend(self.switches());
         found.extend(self.speed(Quantity::V, SPEED_MPS, &[("cmps", 1e-2), ("mmps", 1e-3)]));
         found.extend(self.speed(Quantity::Omega, TURN_RADPS, &[("degps", PI / 180.0)]));
@@ -95,9 +102,8 @@ impl Magnitudes<'_> {
 
     /// Columns without a unit: each in every unit that it can have.
     fn unstated(&self) -> Vec<Finding> {
-        let asked = [Quantity::Voltage, Quantity::Current].map(|quantity| {
-            self.unstated[quantity as usize] && self.usual(quantity).is_some()
-        });
+        let asked = [Quantity::Voltage, Quantity::Current]
+            .map(|quantity| self.unstated[quantity as usize] && self.usual(quantity).is_some());
         let units = |asked: bool, all: &'static [i8]| if asked { all } else { &all[..1] };
         let mut fitting = Vec::new();
         for voltage in units(asked[0], &UNSTATED[..2]) {
@@ -120,7 +126,8 @@ impl Magnitudes<'_> {
             if units == [0] {
                 continue;
             }
-            let name = |unit: i8| format!("{}{}", ["u", "m", ""][(unit + 1) as usize], quantity.unit());
+            let name =
+                |unit: i8| format!("{}{}", ["u", "m", ""][(unit + 1) as usize], quantity.unit());
             let read = match units.len() {
                 0 | 1 => &UNSTATED[..2],
                 _ => &units,
@@ -139,7 +146,10 @@ impl Magnitudes<'_> {
             let allowed = "a column has its unit in its name, or a mapping states it".to_owned();
             let of = Remedy::Scale {
                 read: quantity.milli(),
-                thousands: [units.first().copied().unwrap_or(1), units.get(1).copied().unwrap_or(0)],
+                thousands: [
+                    units.first().copied().unwrap_or(1),
+                    units.get(1).copied().unwrap_or(0),
+                ],
             };
             found.push(Finding { remedy: of, ..self.finding(quantity, what, allowed, "") });
         }
@@ -199,13 +209,17 @@ impl Magnitudes<'_> {
     /// Quantities whose usual size no robot has.
     fn sizes(&self) -> Vec<Finding> {
         let mut found = Vec::new();
-        for (quantity, (least, greatest)) in
-            [(Quantity::Voltage, VOLTAGE_V), (Quantity::Current, CURRENT_A), (Quantity::Power, POWER_W)]
-        {
+        for (quantity, (least, greatest)) in [
+            (Quantity::Voltage, VOLTAGE_V),
+            (Quantity::Current, CURRENT_A),
+            (Quantity::Power, POWER_W),
+        ] {
             let Some(usual) = self.usual(quantity) else {
                 continue;
             };
-            if (least..=greatest).contains(&usual) {
+            // Power of voltage and current is as wrong as they are.
+            let is_made = quantity == Quantity::Power && !found.is_empty() && self.is_product();
+            if (least..=greatest).contains(&usual) || is_made {
                 continue;
             }
             let others = if usual < least { [1, 2] } else { [-1, -2] };
@@ -215,10 +229,13 @@ impl Magnitudes<'_> {
                 others.retain(|unit| self.is_everyday(quantity, scale(*unit)));
             }
             let what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
-            let what = what + &match others.is_empty() {
-                true => String::new(),
-                false => format!(". In another unit it would be {}", self.read(quantity, &others)),
-            };
+            let what = what
+                + &match others.is_empty() {
+                    true => String::new(),
+                    false => {
+                        format!(". In another unit it would be {}", self.read(quantity, &others))
+                    }
+                };
             let allowed =
                 format!("usual are {} to {}", quantity.shown(least), quantity.shown(greatest));
             found.push(self.scaled(quantity, what, allowed, &others, usual < least));
@@ -234,9 +251,35 @@ impl Magnitudes<'_> {
             );
             let allowed =
                 format!("a robot that drives takes {} or more", Quantity::Power.shown(DRIVING_W));
-            found.push(self.scaled(Quantity::Power, what, allowed, &[1], true));
+            let wrong = if self.is_product() { Quantity::Current } else { Quantity::Power };
+            found.push(self.scaled(wrong, what, allowed, &[1], true));
         }
         found
+    }
+
+    /// Whether power was made of voltage and current.
+    fn is_product(&self) -> bool {
+        self.ratios.usual().is_some_and(is_product)
+    }
+
+    /// A current that lowers the voltage by more, or by less, than that of a battery.
+    fn resistance(&self) -> Option<Finding> {
+        let (least, greatest) = RESISTANCE_OHM;
+        let ohm = self.resistance_ohm.filter(|ohm| !(least..=greatest).contains(ohm))?;
+        let unit = if ohm > greatest { 1 } else { -1 };
+        // Voltages are usual here.
+        let usual = self.usual(Quantity::Current)?;
+        if !self.is_everyday(Quantity::Current, scale(unit)) {
+            return None;
+        }
+        let what = format!(
+            "the voltage falls by {} V for each ampere more. The current may be {} and not {}",
+            number(ohm),
+            Quantity::Current.shown(usual * scale(unit)),
+            Quantity::Current.shown(usual)
+        );
+        let allowed = format!("usual are {least} to {greatest} V for each ampere");
+        Some(self.scaled(Quantity::Current, what, allowed, &[unit], unit > 0))
     }
 
     /// What a quantity usually is in other units, in thousands of the one in which it was read.
@@ -273,7 +316,8 @@ impl Magnitudes<'_> {
         }
         let thousands = thousands.clamp(-4.0, 4.0) as i8;
         // The one whose other unit makes all three usual. Power, if that is none, or several.
-        let changes = MEASURED.map(|one| if one == Quantity::Power { -thousands } else { thousands });
+        let changes =
+            MEASURED.map(|one| if one == Quantity::Power { -thousands } else { thousands });
         let is_usual_with = |changed: usize| {
             MEASURED.into_iter().enumerate().all(|(at, of)| {
                 let change = if at == changed { changes[at] } else { 0 };
@@ -309,7 +353,13 @@ impl Magnitudes<'_> {
         let what = format!("power and current imply a battery of {shown}");
         let allowed = format!("usual are {least} to {}", Quantity::Voltage.shown(greatest));
         let is_small = implied_v < least;
-        Some(self.scaled(Quantity::Power, what, allowed, &[if is_small { 1 } else { -1 }], is_small))
+        Some(self.scaled(
+            Quantity::Power,
+            what,
+            allowed,
+            &[if is_small { 1 } else { -1 }],
+            is_small,
+        ))
     }
 
     /// Another unit in a part of the recording.

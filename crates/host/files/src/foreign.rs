@@ -184,12 +184,18 @@ fn is_mat_4(head: &[u8]) -> bool {
         let [kind, rows, columns, complex, length] = [0, 1, 2, 3, 4].map(|at| number(at, big));
         let kind_is = |kind: u32| {
             let digits = [kind / 1000, kind / 100 % 10, kind / 10 % 10, kind % 10];
-            kind < 5_000 && digits[0] == u32::from(big) && digits[1] == 0 && digits[2] <= 5 && digits[3] <= 2
+            kind < 5_000
+                && digits[0] == u32::from(big)
+                && digits[1] == 0
+                && digits[2] <= 5
+                && digits[3] <= 2
         };
         let name = length.and_then(|length| head.get(20..20_usize.checked_add(length as usize)?));
         let is_name = name.and_then(<[u8]>::split_last).is_some_and(|(end, name)| {
             let is_letter = |byte: &u8| byte.is_ascii_alphanumeric() || *byte == b'_';
-            *end == 0 && name.first().is_some_and(u8::is_ascii_alphabetic) && name.iter().all(is_letter)
+            *end == 0
+                && name.first().is_some_and(u8::is_ascii_alphabetic)
+                && name.iter().all(is_letter)
         });
         let is_size = |count: Option<u32>| count.is_some_and(|count| count < 1 << 28);
         kind.is_some_and(kind_is)

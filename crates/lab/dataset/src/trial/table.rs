@@ -480,9 +480,9 @@ impl Table {
         let is_known = |column: Column, row: usize| value(&self.columns, column, row).is_some();
         let rows = self.rows();
         let readings = (0..rows).filter(|row| is_known(reading, *row)).count();
-        let others = Column::ALL.into_iter().filter(|column| {
-            *column != reading && !(by_product && *column == Column::Power)
-        });
+        let others = Column::ALL
+            .into_iter()
+            .filter(|column| *column != reading && !(by_product && *column == Column::Power));
         let is_apart = |column: Column| {
             let known = (0..rows).filter(|row| is_known(column, *row));
             let (count, shared) = known.fold((0, 0), |(count, shared), row| {

@@ -6,6 +6,7 @@ mod mat;
 mod parts;
 mod read;
 mod real;
+mod runs;
 mod samples;
 mod text;
 mod truncation;
