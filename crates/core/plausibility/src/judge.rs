@@ -7,7 +7,7 @@ use crate::hold::Hold;
 use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
-use crate::sentinel::{dropped, sentinel};
+use crate::sentinel::{dropped, sentinel, silent};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
@@ -502,6 +502,15 @@ fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
         let what =
             format!("{name} is exactly {value} in {count} of {of} readings, far from all others");
         return Some(finding(Severity::Error, count, what, found.written));
+    }
+    if let Some(count) =
+        silent(column).filter(|_| quantity != Quantity::Voltage && quantity != Quantity::Soc)
+    {
+        let usual = quantity.shown(column.sizes.usual().unwrap_or_default());
+        let what = format!(
+            "{name} is exactly 0 in {count} of {of} readings between those of usually {usual}"
+        );
+        return Some(finding(Severity::Warning, count, what, 0.0));
     }
     let (count, single) = dropped(column).filter(|_| quantity == Quantity::Voltage)?;
     let severity = if single { Severity::Error } else { Severity::Warning };

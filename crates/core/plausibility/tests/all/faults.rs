@@ -309,3 +309,15 @@ fn two_units_in_one_column_are_found_however_often_they_change() {
         }
     }
 }
+
+#[test]
+fn a_monitor_that_does_not_answer_now_and_then_is_found() {
+    for one in robots() {
+        let mut rows = rounded(one.rows());
+        for seen in rows.iter_mut().step_by(11) {
+            (seen.power_w, seen.current_a) = (0.0, 0.0);
+        }
+        let found = judged(Known::default(), &rows);
+        assert!(is_found(&found, Kind::Sentinel, Quantity::Power), "{one:?}: {found:?}");
+    }
+}
