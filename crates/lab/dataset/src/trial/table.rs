@@ -449,7 +449,8 @@ impl Table {
     /// with another time begins none.
     fn starts(&self) -> Vec<(usize, Option<f64>)> {
         let times_s = &self.timestamp_s;
-        let mut headers = self.headers.iter().peekable();
+        let before = |header: &&u32| self.file_row.first().is_some_and(|first| *header < first);
+        let mut headers = self.headers.iter().skip_while(before).peekable();
         let mut starts: Vec<(usize, Option<f64>)> = Vec::new();
         let (mut from, mut latest_s) = (0, times_s.first().copied().unwrap_or_default());
         for (row, time_s) in times_s.iter().copied().enumerate().skip(1) {

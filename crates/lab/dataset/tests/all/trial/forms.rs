@@ -31,7 +31,7 @@ const FORMS: [[&str; 6]; 26] = [
         "time,current,voltage,power",
         "{s},{mA},{V},{mW}",
         "",
-        "refused: --map",
+        "unit",
     ],
     [
         "TooTallNate/ina260, battery.csv",
@@ -39,7 +39,7 @@ const FORMS: [[&str; 6]; 26] = [
         "Date,Voltage,Current",
         "{iso},{V},{A}",
         "time=Date",
-        "unit",
+        "refused: voltage_V=Voltage,current_A=Current",
     ],
     [
         "a logger of mV and A",
