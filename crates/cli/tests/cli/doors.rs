@@ -247,9 +247,9 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let (out, errors) = (stdout(said), stderr(said));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
     // Too few recordings, which is asked after what is in them.
-    let is_read = matches!(code(said), 0 | 3)
-        || door == "calibrate" && errors.contains("at least 2 are needed");
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
+    let is_short = errors.contains("at least 2 are needed") || warns(kind);
+    let is_read = matches!(code(said), 0 | 3) || door == "calibrate" && is_short;
     let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(said) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
