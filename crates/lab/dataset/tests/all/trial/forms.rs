@@ -115,7 +115,7 @@ const FORMS: [[&str; 6]; 26] = [
     ],
     [
         "mavlink/mavros #1284",
-        "−1 % for a charge that is not known",
+        "a negative percentage for a charge that is not known",
         "time,battery.voltage,battery.current,battery.percentage",
         "{s},{V},{A},-1",
         "",
