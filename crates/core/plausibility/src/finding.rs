@@ -308,7 +308,8 @@ impl Finding {
             let first = letters.next().map(|letter| letter.to_uppercase().to_string());
             first.unwrap_or_default() + letters.as_str()
         };
-        format!("{}. {}. {}.", self.found, begun(&self.allowed), begun(remedy))
+        let end = if self.found.ends_with('?') { "" } else { "." };
+        format!("{}{end} {}. {}.", self.found, begun(&self.allowed), begun(remedy))
     }
 
     /// Whether it stops a verb.

@@ -30,6 +30,8 @@ const TURN_RADPS: f64 = 12.0;
 const RESISTANCE_OHM: (f64, f64) = (5e-4, 8.0);
 /// The largest share of charge that a full battery reports.
 const FULL: f64 = 1.05;
+/// Voltage of vehicles that draw more current than most robots.
+const VEHICLE_V: f64 = 24.0;
 /// Factor between two units of a quantity.
 const THOUSAND: f64 = 1_000.0;
 /// Units of a column that states none, in thousands of the one in which it is read.
@@ -161,10 +163,13 @@ impl Magnitudes<'_> {
     fn is_reading(&self, both: bool, voltage: i8, current: i8) -> bool {
         let is_usual = |thousands: i8| self.is_everyday(Quantity::Current, scale(thousands));
         let is_whole = self.columns[Quantity::Current as usize].decimals <= 3;
+        let voltage_v =
+            self.usual(Quantity::Voltage).map_or(f64::NAN, |usual| usual * scale(voltage));
+        let is_vehicle = current == 1 && voltage_v >= VEHICLE_V;
         let is_likely = match current {
             // Few monitors count whole amperes.
             _ if both && voltage != current && current >= 0 => {
-                is_usual(current) && !(is_whole && current == 1)
+                (is_usual(current) || is_vehicle) && !(is_whole && current == 1)
             }
             0.. => true,
             _ => is_usual(current) && !is_usual(0),
@@ -225,9 +230,11 @@ impl Magnitudes<'_> {
             let others = if usual < least { [1, 2] } else { [-1, -2] };
             let is_robots = |unit: &i8| (least..=greatest).contains(&(usual * scale(*unit)));
             let mut others: Vec<i8> = others.into_iter().filter(is_robots).collect();
-            if others.iter().any(|unit| self.is_everyday(quantity, scale(*unit))) {
-                others.retain(|unit| self.is_everyday(quantity, scale(*unit)));
-            }
+            // A millionth only where it is more usual, or the thousandth is none.
+            let has_next = others.iter().any(|unit| unit.abs() == 1);
+            others.retain(|unit| {
+                unit.abs() == 1 || !has_next || self.is_everyday(quantity, scale(*unit))
+            });
             let what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
             let what = what
                 + &match others.is_empty() {

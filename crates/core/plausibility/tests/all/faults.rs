@@ -248,7 +248,7 @@ fn each_reading_of_a_unit_is_named() {
     let both = Known::default().whole().unstated(Quantity::Voltage).unstated(Quantity::Current);
     let stated = Known::default().whole();
     // Scales of voltage and current, what is known, the current in A, and what a table is told.
-    let cases: [(f64, f64, Known, f64, &[&str]); 14] = [
+    let cases: [(f64, f64, Known, f64, &[&str]); 15] = [
         // Read in mV and mA, as they are.
         (1.0, 1.0, both, 0.85, &[]),
         (1.0, 1.0, both, 4.2, &[]),
@@ -261,6 +261,8 @@ fn each_reading_of_a_unit_is_named() {
         (1e-3, 1.0, both, 0.85, &["--map voltage_V=x"]),
         (1e-3, 1.0, both, 0.25, &["--map voltage_V=x", "--map current_mA=x or --map current_A=x"]),
         (1.0, 1e3, both, 0.25, &["--map current_mA=x or --map current_uA=x"]),
+        // A vehicle.
+        (4.0, 1e-3, both, 131.4, &["--map current_mA=x or --map current_A=x"]),
         // Units that are stated, and wrong.
         (1e3, 1.0, stated, 0.85, &["--map voltage_mV=x"]),
         (1.0, 1e6, stated, 0.85, &["--map current_uA=x"]),
@@ -273,7 +275,7 @@ fn each_reading_of_a_unit_is_named() {
         let rows = (0..200).map(|row| {
             let load_a = ampere * (1.0 + 0.1137 * (0.7 * f64::from(row)).sin());
             let mut seen = Observation::at(f64::from(row) / 10.0);
-            (seen.voltage_v, seen.current_a) = ((12.0 - 0.1 * load_a) * voltage, load_a * current);
+            (seen.voltage_v, seen.current_a) = ((12.0 - 0.01 * load_a) * voltage, load_a * current);
             seen.power_w = seen.voltage_v * seen.current_a;
             seen
         });
