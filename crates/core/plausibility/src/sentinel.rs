@@ -26,6 +26,8 @@ const NAMED: [f64; 9] = [
     2_147_483_647.0,
     4_294_967_295.0,
 ];
+/// Share by which 32 bits of a capture may be beside it.
+const SAME: f64 = 2e-7;
 /// Units of files, in SI units.
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-2];
 
@@ -77,7 +79,7 @@ pub(crate) fn sentinel(column: &Column) -> Option<Sentinel> {
 fn written(value: f64, numbers: &[f64]) -> Option<f64> {
     let pairs = UNITS.iter().flat_map(|unit| numbers.iter().map(move |number| (unit, number)));
     let mut found =
-        pairs.filter(|(unit, number)| (value.abs() / (*number * *unit) - 1.0).abs() < 1e-9);
+        pairs.filter(|(unit, number)| (value.abs() / (*number * *unit) - 1.0).abs() < SAME);
     found.next().map(|(_, number)| number.copysign(value))
 }
 
