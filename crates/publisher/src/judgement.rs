@@ -131,7 +131,8 @@ impl Judgement {
         for finding in &found {
             if !robot.found.iter().any(|known| is_same(known, finding)) {
                 let remedy = finding.remedy(self.source, None);
-                self.news.push(format!("robot {id}: {finding}: {remedy}"));
+                let sentences = finding.sentences(&remedy);
+                self.news.push(format!("robot {id}: {}: {sentences}", finding.kind));
             }
         }
         if count < ENDS_AFTER {

@@ -15,7 +15,7 @@ use super::fleet::{Fleet, code, done, output, stderr, stdout};
 /// Doors, with what stands for the recording.
 const DOORS: [(&str, &str); 11] = [
     ("data check", "data check RECORDING"),
-    ("import", "import RECORDING -o OUT.csv"),
+    ("import", "import RECORDING -o OUT"),
     ("config init", "config init --from RECORDING -o OUT"),
     ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
     ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none"),
@@ -37,18 +37,29 @@ const DOORS: [(&str, &str); 11] = [
 ];
 
 /// What is planted: the finding, and how it came about.
-const PLANTED: [(&str, &str); 11] = [
+const PLANTED: [(&str, &str); 15] = [
     ("", "nothing"),
     ("sign", "a current that is negative while discharging"),
     ("unit", "V, A and W in columns of mV, mA and mW"),
     ("unit", "voltage and current without a unit"),
+    ("unit", "a voltage in mV beside a current in A without a unit"),
     ("unit", "a charge of 0 to 100"),
     ("clock", "times of whole seconds"),
+    ("clock", "a recording that was appended to another one"),
     ("hold", "a command that never ends"),
     ("never-came", "a column that is named and empty"),
     ("range", "a speed of 30 m/s in a tenth of the rows"),
     ("saturation", "a monitor at 2^15 − 1"),
+    ("sentinel", "−999 in every tenth reading"),
+    ("mismatch", "a power of another circuit"),
     ("constant", "a current of 0 in every reading"),
+];
+
+/// Columns that only a text has.
+const OF_TEXT: [&str; 3] = [
+    "voltage and current without a unit",
+    "a voltage in mV beside a current in A without a unit",
+    "a column that is named and empty",
 ];
 
 const FORMATS: [&str; 5] = ["CSV", ".npy", "capture", "Parquet", "ROS 2 bag"];
@@ -68,7 +79,13 @@ fn row(number: u32, planted: &str) -> [f64; 9] {
         "a current that is negative while discharging" => [i, p] = [-i, -p],
         "V, A and W in columns of mV, mA and mW" => [u, i, p] = [u * 1e-3, i * 1e-3, p * 1e-3],
         "voltage and current without a unit" => [u, i] = [u * 1e-3, i * 1e-3],
+        "a voltage in mV beside a current in A without a unit" => i *= 1e-3,
         "a charge of 0 to 100" => soc *= 100.0,
+        "a recording that was appended to another one" if number >= ROWS / 2 => {
+            t -= f64::from(ROWS / 2) / 30.0;
+        }
+        "−999 in every tenth reading" if number.is_multiple_of(10) => [i, p] = [-999.0; 2],
+        "a power of another circuit" => p *= 1.5,
         "times of whole seconds" => t = t.floor(),
         "a command that never ends" if number >= 100 => [v, omega, v_meas] = [0.1, 0.0, 0.0],
         "a speed of 30 m/s in a tenth of the rows" if number.is_multiple_of(10) => v = 30.0,
@@ -80,10 +97,8 @@ fn row(number: u32, planted: &str) -> [f64; 9] {
 }
 
 fn table(planted: &str, is_array: bool) -> String {
-    let (unstated, empty) = (
-        planted == "voltage and current without a unit",
-        planted == "a column that is named and empty",
-    );
+    let empty = planted == "a column that is named and empty";
+    let unstated = OF_TEXT.contains(&planted) && !empty;
     let header = match (unstated, is_array) {
         (true, _) => "timestamp_s,voltage,current,v_cmd_mps,omega_cmd_radps",
         (_, true) => "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps",
@@ -128,7 +143,10 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
     };
     for number in 0..ROWS {
         let [t, u, i, _, v, omega, v_meas, omega_meas, soc] = row(number, planted);
-        let at_ns = 1_700_000_000_000_000_000 + u64::from(number) * 33_333_333;
+        let mut at_ns = 1_700_000_000_000_000_000 + u64::from(number) * 33_333_333;
+        if planted == "a recording that was appended to another one" && number >= ROWS / 2 {
+            at_ns -= u64::from(ROWS / 2) * 33_333_333;
+        }
         let stamp_ns = match planted {
             "times of whole seconds" => 1_700_000_000_000_000_000 + t as u64 * 1_000_000_000,
             _ => at_ns,
@@ -174,13 +192,13 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
         message(odometry, at_ns, &data);
     }
     writer.finish().unwrap();
-    let is_of_tables = ["voltage and current without a unit", "a column that is named and empty"];
-    (!is_of_tables.contains(&planted)).then(|| writer.into_inner().into_inner())
+    // Its power is voltage times current.
+    let is_of_tables = OF_TEXT.contains(&planted) || planted == "a power of another circuit";
+    (!is_of_tables).then(|| writer.into_inner().into_inner())
 }
 
 /// The recording in a format; `None` where the format cannot have what is planted.
 fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
-    let is_of_text = ["voltage and current without a unit", "a column that is named and empty"];
     let csv = folder.join("recording.csv");
     fs::write(&csv, table(planted, format == ".npy")).unwrap();
     let made = |name: &str, words: &str| {
@@ -190,10 +208,13 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
         done(words.split(' '));
         Some(path)
     };
-    let accepted = "sign,unit,clock,hold,range,saturation,constant,never-came";
+    let accepted = "sign,unit,clock,hold,range,saturation,constant,never-came,sentinel,mismatch";
+    let is_appended = planted == "a recording that was appended to another one";
     match format {
         "CSV" => Some(csv),
-        _ if is_of_text.contains(&planted) => None,
+        _ if OF_TEXT.contains(&planted) => None,
+        // joulebus writes a trial for each of them.
+        "capture" | "Parquet" if is_appended => None,
         // Without measured speeds and a charge.
         ".npy" if ["a charge of 0 to 100", "a command that never ends"].contains(&planted) => None,
         ".npy" => made("recording.npy", "data convert CSV --out TO"),
@@ -212,12 +233,12 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
 }
 
 /// What the note of an import says of what it mends by itself.
-fn said_of(kind: &str) -> Option<&'static str> {
+fn said_of(kind: &str) -> &'static [&'static str] {
     match kind {
-        "unit" => Some("percentage"),
-        "clock" => Some("the time of recording is used"),
-        "hold" => Some("after the last command: it is unknown (command_holds_s)"),
-        _ => None,
+        "unit" => &["percentage"],
+        "clock" => &["the time of recording is used", "clock was set back"],
+        "hold" => &["after the last command: it is unknown (command_holds_s)"],
+        _ => &[],
     }
 }
 
@@ -226,16 +247,16 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let (out, errors) = (stdout(said), stderr(said));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
     // Too few recordings, which is asked after what is in them.
-    let is_read = matches!(code(said), 0 | 3)
-        || door == "calibrate" && errors.contains("at least 2 are needed");
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
+    let is_short = errors.contains("at least 2 are needed") || warns(kind);
+    let is_read = matches!(code(said), 0 | 3) || door == "calibrate" && is_short;
     let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(said) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
         3 if door == "data check" && !kind.is_empty() && out.contains("fault: ") => "fault",
         _ if is_read && warns(kind) => "warned",
-        _ if is_read && said_of(kind).is_some_and(|note| out.contains(note)) => "read, said",
+        _ if is_read && said_of(kind).iter().any(|note| out.contains(note)) => "read, said",
         found => panic!("{door}: {kind:?}: exit code {found}\n{out}{errors}"),
     }
 }

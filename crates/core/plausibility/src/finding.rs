@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::quantity::Quantity;
+use crate::quantity::{Quantity, number};
 
 /// Kind of a finding. Its name is what `--accept` takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -119,6 +119,8 @@ pub(crate) enum Remedy {
     Turn,
     /// State the unit.
     State(&'static str),
+    /// State another unit: so many thousands of the one in which it was read, or so many. 0: none.
+    Scale { read: &'static str, thousands: [i8; 2] },
     /// Give time in the right unit, by its name in `--map`.
     Seconds(&'static str),
     /// Record or use a better clock.
@@ -159,6 +161,25 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// In a row of a file, another recording begins: there the time goes back by so much, s, or the
+    /// header comes again.
+    #[must_use]
+    pub fn appended(row: usize, back_s: Option<f64>) -> Self {
+        let what = match back_s {
+            Some(back_s) => format!("the time goes back by {} s", number(back_s)),
+            None => "the header comes again".to_owned(),
+        };
+        Self {
+            kind: Kind::Clock,
+            quantity: None,
+            severity: Severity::Warning,
+            readings: 1,
+            found: format!("{what} in row {row}. The rows from there on are another trial"),
+            allowed: "a file has one recording".to_owned(),
+            remedy: Remedy::Split,
+        }
+    }
+
     /// What to do, in the words of the source; `column` is the name that the source has for the
     /// quantity, if known.
     #[must_use]
@@ -178,17 +199,33 @@ impl Finding {
                     .to_owned()
             }
             (Remedy::Turn, Source::Bridge) => format!(
-                "turn the sign: negate = true in the field `{quantity}`, or current = \"discharge_positive\" of the battery"
+                "turn the sign with negate = true in the field `{quantity}`, or with current = \"discharge_positive\" of the battery"
             ),
             (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
-            (Remedy::State(_), Source::Array) => format!(
-                "convert its {quantity}: an array has s, m/s, rad/s, mV, mA and mW; or give a CSV with --map"
+            (Remedy::Scale { .. } | Remedy::State(_), Source::Array) => format!(
+                "convert its {quantity}, because an array has s, m/s, rad/s, mV, mA and mW, or give a \
+                 CSV with --map"
             ),
-            (Remedy::State(unit), Source::Recording | Source::TurnedRecording) => {
-                state(quantity, unit, column)
+            (Remedy::Scale { read, thousands }, Source::Recording | Source::TurnedRecording) => {
+                state(quantity, column, &scaled(stated(quantity, column).unwrap_or(read), thousands))
             }
+            (Remedy::State(unit), Source::Recording | Source::TurnedRecording) => {
+                state(quantity, column, &[unit.to_owned()])
+            }
+            (Remedy::Scale { thousands: [thousands, _], .. }, Source::Bag) => format!(
+                "state the unit in a mapping file, such as {quantity}_unit = {}",
+                1e3_f64.powi(thousands.into())
+            ),
             (Remedy::State(_), Source::Bag) => {
                 format!("state the unit in a mapping file, such as {quantity}_unit = 0.001")
+            }
+            (Remedy::Scale { thousands, .. }, Source::Bridge) => {
+                let si = self.quantity.map_or("", Quantity::unit);
+                let fields = fields(quantity, &scaled(si, thousands));
+                format!(
+                    "state the unit in the field, {fields}. A BatteryState of ROS 2 has V and A: \
+                     correct its driver"
+                )
             }
             (Remedy::State(unit), Source::Bridge) => {
                 // The units of a bridge's file.
@@ -200,16 +237,19 @@ impl Finding {
                     other => other,
                 };
                 let ros = match quantity {
-                    "soc" => "; of ROS 2, percentage_unit = \"%\"",
-                    _ => "; a BatteryState of ROS 2 has V and A: correct its driver",
+                    "soc" => ". Of ROS 2, set percentage_unit = \"%\"",
+                    _ => "",
                 };
-                format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}{ros}")
+                format!("state the unit in the field, {}{ros}", fields(quantity, &[unit.to_owned()]))
+            }
+            (Remedy::Scale { .. }, Source::Program) => {
+                format!("publish {quantity} in {}", self.quantity.map_or("", Quantity::unit))
             }
             (Remedy::State(unit), Source::Program) => {
-                format!("{quantity} is expected in SI units, not in {unit}")
+                format!("publish {quantity} in SI units, not in {unit}")
             }
             (Remedy::Seconds(unit), Source::Array) => {
-                format!("convert its time, which seems to be in {unit}: an array has seconds")
+                format!("convert its time, which seems to be in {unit}, to seconds")
             }
             (Remedy::Seconds(unit), _) => {
                 format!("state the unit of the time, such as --map time_{unit}={column}")
@@ -239,7 +279,7 @@ impl Finding {
             // Zero is a speed and a current as well.
             (Remedy::Missing(0.0), _) => "leave the fields empty where there is no reading".to_owned(),
             (Remedy::Missing(number), Source::Recording | Source::TurnedRecording | Source::Array) => {
-                format!("say that it is no reading: --map missing:={number}")
+                format!("say that it is no reading with --map missing:={number}")
             }
             (Remedy::Missing(_), _) => format!("leave {quantity} out where there is no reading"),
             (Remedy::Split, _) => "divide the recording where it changes".to_owned(),
@@ -253,11 +293,23 @@ impl Finding {
         };
         match source {
             Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag => {
-                format!("{remedy}. If it is right, --accept {accept}")
+                format!("{remedy}. If it is right, add --accept {accept}")
             }
-            Source::Bridge => format!("{remedy}. If it is right, accept = [\"{accept}\"]"),
+            Source::Bridge => format!("{remedy}. If it is right, set accept = [\"{accept}\"]"),
             Source::Program => remedy,
         }
+    }
+
+    /// What was found, what is allowed, and what to do: a sentence each.
+    #[must_use]
+    pub fn sentences(&self, remedy: &str) -> String {
+        let begun = |text: &str| {
+            let mut letters = text.chars();
+            let first = letters.next().map(|letter| letter.to_uppercase().to_string());
+            first.unwrap_or_default() + letters.as_str()
+        };
+        let end = if self.found.ends_with('?') { "" } else { "." };
+        format!("{}{end} {}. {}.", self.found, begun(&self.allowed), begun(remedy))
     }
 
     /// Whether it stops a verb.
@@ -267,33 +319,60 @@ impl Finding {
     }
 }
 
-/// The mapping that states a unit; another one if the name of the column states this one already,
-/// by which the values were read.
-fn state(quantity: &str, unit: &str, column: &str) -> String {
-    let states = |unit: &str| {
-        let parts: Vec<&str> = column.split(|letter: char| !letter.is_alphanumeric()).collect();
-        parts.len() > 1 && parts.iter().any(|part| part.eq_ignore_ascii_case(unit))
+/// Units of power, voltage and current, in steps of a thousand.
+const UNITS: [(&str, [&str; 4]); 3] = [
+    ("power", ["uW", "mW", "W", "kW"]),
+    ("voltage", ["uV", "mV", "V", ""]),
+    ("current", ["uA", "mA", "A", ""]),
+];
+
+/// The unit that the name of a column states.
+fn stated(quantity: &str, column: &str) -> Option<&'static str> {
+    let (_, units) = UNITS.iter().find(|(of, _)| *of == quantity)?;
+    let parts: Vec<&str> = column.split(|letter: char| !letter.is_alphanumeric()).collect();
+    let last = parts.iter().skip(1).rev().find(|part| !part.is_empty())?;
+    units.iter().find(|unit| unit.eq_ignore_ascii_case(last)).copied()
+}
+
+/// The units that are so many thousands of another one.
+fn scaled(read: &str, thousands: [i8; 2]) -> Vec<String> {
+    let all = UNITS.iter().find(|(_, units)| units.contains(&read) && !read.is_empty());
+    let Some((at, units)) =
+        all.and_then(|(_, units)| Some((units.iter().position(|unit| *unit == read)?, units)))
+    else {
+        return Vec::new();
     };
-    let other = match unit {
-        _ if !states(unit) => Some(unit),
-        "W" => Some("kW"),
-        "mW" => Some("uW"),
-        "mV" => Some("uV"),
-        "mA" => Some("uA"),
-        _ => None,
+    let [first, second] = thousands;
+    let of = |steps: i8| {
+        let place = usize::try_from(at as i64 + i64::from(steps)).ok();
+        place.and_then(|place| units.get(place)).filter(|unit| !unit.is_empty())
     };
-    match other {
-        Some(unit) => {
-            format!("state the unit, --map {quantity}_{unit}={column}, or correct the file")
-        }
-        None => {
-            format!("{column} states {unit}, which it is not in: correct its values, or its name")
-        }
+    let several = [Some(first), Some(second).filter(|second| *second != 0)];
+    several.into_iter().flatten().filter_map(of).map(|unit| (*unit).to_owned()).collect()
+}
+
+/// The mapping that states a unit, or one of several.
+fn state(quantity: &str, column: &str, units: &[String]) -> String {
+    let mapped: Vec<String> =
+        units.iter().map(|unit| format!("--map {quantity}_{unit}={column}")).collect();
+    match mapped.is_empty() {
+        true => format!("correct the values of {column}, or the unit in its name"),
+        false => format!("state the unit, {}, or correct the file", mapped.join(" or ")),
+    }
+}
+
+/// The same in a bridge's file.
+fn fields(quantity: &str, units: &[String]) -> String {
+    let fields: Vec<String> =
+        units.iter().map(|unit| format!("{quantity} = {{ at = …, unit = \"{unit}\" }}")).collect();
+    match fields.is_empty() {
+        true => format!("{quantity} = {{ at = …, unit = … }}"),
+        false => fields.join(" or "),
     }
 }
 
 impl fmt::Display for Finding {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}: {}, {}", self.kind, self.found, self.allowed)
+        write!(out, "{}: {}. Allowed: {}", self.kind, self.found, self.allowed)
     }
 }

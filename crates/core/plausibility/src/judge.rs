@@ -7,7 +7,7 @@ use crate::hold::Hold;
 use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
-use crate::sentinel::{dropped, sentinel};
+use crate::sentinel::{dropped, sentinel, silent};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
@@ -180,6 +180,7 @@ impl Judge {
             ratios: &self.ratios,
             implied: &self.implied,
             driving: &self.driving,
+            resistance_ohm: self.sign.resistance_ohm(),
             unstated: &self.known.unstated,
             enough: self.known.least(MIN_ROWS),
         };
@@ -254,7 +255,7 @@ impl Judge {
                 severity: Severity::Error,
                 readings,
                 found: format!("the voltage is negative in {readings} readings"),
-                allowed: "batteries have a positive one".to_owned(),
+                allowed: "batteries have a positive voltage".to_owned(),
                 remedy: Remedy::Sensor,
             });
         }
@@ -384,7 +385,7 @@ impl Judge {
             severity: Severity::Warning,
             readings: self.times.rows,
             found: format!("{} never came in {} observations", quantity.name(), self.times.rows),
-            allowed: "the source names it".to_owned(),
+            allowed: "what the source names has values".to_owned(),
             remedy: Remedy::Name,
         })
     }
@@ -501,6 +502,15 @@ fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
         let what =
             format!("{name} is exactly {value} in {count} of {of} readings, far from all others");
         return Some(finding(Severity::Error, count, what, found.written));
+    }
+    if let Some(count) =
+        silent(column).filter(|_| quantity != Quantity::Voltage && quantity != Quantity::Soc)
+    {
+        let usual = quantity.shown(column.sizes.usual().unwrap_or_default());
+        let what = format!(
+            "{name} is exactly 0 in {count} of {of} readings between those of usually {usual}"
+        );
+        return Some(finding(Severity::Warning, count, what, 0.0));
     }
     let (count, single) = dropped(column).filter(|_| quantity == Quantity::Voltage)?;
     let severity = if single { Severity::Error } else { Severity::Warning };

@@ -50,6 +50,16 @@ impl Quantity {
         }
     }
 
+    /// A thousandth of that unit, where tables have it.
+    pub(crate) const fn milli(self) -> &'static str {
+        match self {
+            Self::Power => "mW",
+            Self::Voltage => "mV",
+            Self::Current => "mA",
+            _ => self.unit(),
+        }
+    }
+
     /// A value with its unit.
     pub(crate) fn shown(self, value: f64) -> String {
         let number = number(value);

@@ -12,6 +12,8 @@ const FAR: f64 = 5.0;
 const NAMED_SIZE: f64 = 1.5;
 /// Consecutive readings of one that is not: a state of the robot lasts longer.
 const MAX_RUN: f64 = 3.0;
+/// Share of the usual reading that a robot, or a coarse monitor, has beside 0.
+const NEAR: f64 = 0.2;
 /// Numbers that are used for it, in the unit of the file.
 const NAMED: [f64; 9] = [
     255.0,
@@ -24,6 +26,8 @@ const NAMED: [f64; 9] = [
     2_147_483_647.0,
     4_294_967_295.0,
 ];
+/// Share by which 32 bits of a capture may be beside it.
+const SAME: f64 = 2e-7;
 /// Units of files, in SI units.
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-2];
 
@@ -75,8 +79,16 @@ pub(crate) fn sentinel(column: &Column) -> Option<Sentinel> {
 fn written(value: f64, numbers: &[f64]) -> Option<f64> {
     let pairs = UNITS.iter().flat_map(|unit| numbers.iter().map(move |number| (unit, number)));
     let mut found =
-        pairs.filter(|(unit, number)| (value.abs() / (*number * *unit) - 1.0).abs() < 1e-9);
+        pairs.filter(|(unit, number)| (value.abs() / (*number * *unit) - 1.0).abs() < SAME);
     found.next().map(|(_, number)| number.copysign(value))
+}
+
+/// Single readings of exactly 0 among others that are far from it: a monitor that did not answer.
+/// How many.
+pub(crate) fn silent(column: &Column) -> Option<u64> {
+    let usual = column.sizes.usual()?;
+    let is_far = column.negative == 0 && column.above_least >= NEAR * usual;
+    dropped(column).filter(|(_, single)| *single && is_far).map(|(count, _)| count)
 }
 
 /// Voltages of exactly 0 among others: how many, and whether they are single ones.

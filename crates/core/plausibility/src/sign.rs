@@ -24,6 +24,8 @@ const MOVES_RADPS: f64 = 0.1;
 const SOC_CHANGE: f64 = 0.005;
 /// Correlation of the changes of voltage and current that shows a resistance.
 const RESISTANCE: f64 = 0.3;
+/// The same where the resistance itself counts.
+const CLEAR_RESISTANCE: f64 = 0.5;
 /// Pairs of changes before the correlation counts.
 const MIN_PAIRS: u64 = 50;
 /// Changes of the sign by a driver or a firmware: a robot that feeds energy back has more.
@@ -232,6 +234,13 @@ impl Sign {
         let share = self.current_against_power as f64 / self.currents.max(1) as f64;
         let is_turned = self.currents >= MIN_READINGS && share >= NEGATIVE;
         is_turned.then_some((self.current_against_power, self.currents))
+    }
+
+    /// How much the voltage changes for each ampere, Ω, if it clearly does and currents are known.
+    pub(crate) fn resistance_ohm(&self) -> Option<f64> {
+        let correlation = self.resistance.correlation().abs();
+        let is_clear = self.resistance.count >= MIN_PAIRS && correlation >= CLEAR_RESISTANCE;
+        (is_clear && self.currents > 0).then(|| self.resistance.slope().0.abs())
     }
 
     /// Begins another recording, which may be of another battery.

@@ -18,15 +18,29 @@ const MIN_SWITCHED: u64 = 20;
 const VOLTAGE_V: (f64, f64) = (0.5, 1_000.0);
 const CURRENT_A: (f64, f64) = (0.005, 300.0);
 const POWER_W: (f64, f64) = (0.01, 20_000.0);
+/// Sizes that most of them have, in the order of [`MEASURED`]: of several readings, these count.
+const EVERYDAY: [(f64, f64); 3] = [(0.5, 2_000.0), (2.5, 100.0), (0.03, 50.0)];
+const MEASURED: [Quantity; 3] = [Quantity::Power, Quantity::Voltage, Quantity::Current];
 /// Least power of a robot that moves at a hand's speed, W.
 const DRIVING_W: f64 = 0.1;
 /// Largest usual speeds, m/s and rad/s: larger ones are in mm/s, cm/s or degrees.
 const SPEED_MPS: f64 = 10.0;
 const TURN_RADPS: f64 = 12.0;
+/// Resistance of batteries with their wires, Ω.
+const RESISTANCE_OHM: (f64, f64) = (5e-4, 8.0);
 /// The largest share of charge that a full battery reports.
 const FULL: f64 = 1.05;
+/// Voltage of vehicles that draw more current than most robots.
+const VEHICLE_V: f64 = 24.0;
 /// Factor between two units of a quantity.
 const THOUSAND: f64 = 1_000.0;
+/// Units of a column that states none, in thousands of the one in which it is read.
+const UNSTATED: [i8; 3] = [0, 1, -1];
+
+/// A factor of so many thousands.
+fn scale(thousands: i8) -> f64 {
+    THOUSAND.powi(thousands.into())
+}
 
 /// Sizes that are judged together.
 pub(crate) struct Magnitudes<'a> {
@@ -37,6 +51,8 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
+    /// How much the voltage falls for each ampere more, Ω, if it clearly does.
+    pub(crate) resistance_ohm: Option<f64>,
     /// Quantities whose unit the source does not state.
     pub(crate) unstated: &'a [bool; 6],
     /// Values of a quantity before their size counts.
@@ -71,8 +87,13 @@ impl Magnitudes<'_> {
         let mut found = self.unstated();
         if found.is_empty() {
             found.extend(self.sizes());
+        }
+        if found.is_empty() {
             found.extend(self.product());
             found.extend(self.implied());
+        }
+        if found.is_empty() {
+            found.extend(self.resistance());
         }
         found.extend(self.switches());
         found.extend(self.speed(Quantity::V, SPEED_MPS, &[("cmps", 1e-2), ("mmps", 1e-3)]));
@@ -81,55 +102,90 @@ impl Magnitudes<'_> {
         found
     }
 
-    /// Columns without a unit: read as they are, or a thousandfold.
+    /// Columns without a unit: each in every unit that it can have.
     fn unstated(&self) -> Vec<Finding> {
-        let is_unstated =
-            |quantity: Quantity| self.unstated[quantity as usize] && self.usual(quantity).is_some();
-        let asked = [Quantity::Voltage, Quantity::Current].map(is_unstated);
-        if asked == [false, false] {
-            return Vec::new();
-        }
-        let scales = |asked: bool| {
-            if asked { &[1.0, THOUSAND][..] } else { &[1.0][..] }
-        };
+        let asked = [Quantity::Voltage, Quantity::Current]
+            .map(|quantity| self.unstated[quantity as usize] && self.usual(quantity).is_some());
+        let units = |asked: bool, all: &'static [i8]| if asked { all } else { &all[..1] };
         let mut fitting = Vec::new();
-        for voltage in scales(asked[0]) {
-            for current in scales(asked[1]) {
-                // One file has one convention.
-                if (asked != [true, true] || voltage == current) && self.fits(*voltage, *current) {
+        for voltage in units(asked[0], &UNSTATED[..2]) {
+            for current in units(asked[1], &UNSTATED) {
+                if self.is_reading(asked == [true, true], *voltage, *current) {
                     fitting.push([*voltage, *current]);
                 }
             }
         }
-        if fitting == [[1.0, 1.0]] {
+        if asked == [false, false] || fitting == [[0, 0]] {
             return Vec::new();
         }
-        let both = fitting.contains(&[1.0, 1.0]);
         let mut found = Vec::new();
-        for (at, quantity, units) in
-            [(0, Quantity::Voltage, ("mV", "V")), (1, Quantity::Current, ("mA", "A"))]
-        {
+        for (at, quantity) in [(0, Quantity::Voltage), (1, Quantity::Current)] {
             let Some(usual) = self.usual(quantity).filter(|_| asked[at]) else {
                 continue;
             };
-            if !fitting.is_empty() && fitting.iter().all(|scale| scale[at] == 1.0) {
+            let can_be = |unit: &i8| fitting.iter().any(|pair| pair[at] == *unit);
+            let units: Vec<i8> = UNSTATED.into_iter().filter(can_be).collect();
+            if units == [0] {
                 continue;
             }
-            let (as_milli, as_whole) = (quantity.shown(usual), quantity.shown(usual * THOUSAND));
-            let what = match both {
-                true => "could be either",
-                false => "no robot has the former",
+            let name =
+                |unit: i8| format!("{}{}", ["u", "m", ""][(unit + 1) as usize], quantity.unit());
+            let read = match units.len() {
+                0 | 1 => &UNSTATED[..2],
+                _ => &units,
             };
-            let reading = format!(
-                "{quantity} has no unit: read in {milli} it is usually {as_milli}, in {whole} {as_whole}, {what}",
-                quantity = quantity.name(),
-                milli = units.0,
-                whole = units.1
-            );
-            let allowed = "a column with its unit in the name, or a mapping that states it";
-            found.push(self.finding(quantity, reading, allowed.to_owned(), units.1));
+            let read: Vec<String> = read
+                .iter()
+                .map(|unit| format!("in {} {}", name(*unit), quantity.shown(usual * scale(*unit))))
+                .collect();
+            let which = match units.as_slice() {
+                [] => "no robot has either".to_owned(),
+                [unit] => format!("only {} fits a robot", name(*unit)),
+                _ => "it could be either".to_owned(),
+            };
+            let (quantity_name, read) = (quantity.name(), read.join(", "));
+            let what = format!("{quantity_name} has no unit. It is usually {read}: {which}");
+            let allowed = "a column has its unit in its name, or a mapping states it".to_owned();
+            let of = Remedy::Scale {
+                read: quantity.milli(),
+                thousands: [
+                    units.first().copied().unwrap_or(1),
+                    units.get(1).copied().unwrap_or(0),
+                ],
+            };
+            found.push(Finding { remedy: of, ..self.finding(quantity, what, allowed, "") });
         }
         found
+    }
+
+    /// Whether voltage and current may be in these units, in thousands of those in which they are
+    /// read. One file has one convention, and no millionths, unless another is what is usual.
+    fn is_reading(&self, both: bool, voltage: i8, current: i8) -> bool {
+        let is_usual = |thousands: i8| self.is_everyday(Quantity::Current, scale(thousands));
+        let is_whole = self.columns[Quantity::Current as usize].decimals <= 3;
+        let voltage_v =
+            self.usual(Quantity::Voltage).map_or(f64::NAN, |usual| usual * scale(voltage));
+        let is_vehicle = current == 1 && voltage_v >= VEHICLE_V;
+        let is_likely = match current {
+            // Few monitors count whole amperes.
+            _ if both && voltage != current && current >= 0 => {
+                (is_usual(current) || is_vehicle) && !(is_whole && current == 1)
+            }
+            0.. => true,
+            _ => is_usual(current) && !is_usual(0),
+        };
+        is_likely && self.fits(scale(voltage), scale(current))
+    }
+
+    /// Whether a quantity, in another scale, has a size that most robots have.
+    fn is_everyday(&self, quantity: Quantity, scale: f64) -> bool {
+        let place = MEASURED.iter().position(|measured| *measured == quantity);
+        let range = place.map(|place| EVERYDAY[place]);
+        let is_within = |(least, greatest)| {
+            let usual = self.usual(quantity).map(|usual| usual * scale);
+            usual.is_none_or(|usual| (least..=greatest).contains(&usual))
+        };
+        range.is_none_or(is_within)
     }
 
     /// Whether a robot can have voltage and current with these scales.
@@ -158,31 +214,38 @@ impl Magnitudes<'_> {
     /// Quantities whose usual size no robot has.
     fn sizes(&self) -> Vec<Finding> {
         let mut found = Vec::new();
-        for (quantity, (least, greatest), smaller) in [
-            (Quantity::Voltage, VOLTAGE_V, "mV"),
-            (Quantity::Current, CURRENT_A, "mA"),
-            (Quantity::Power, POWER_W, "mW"),
+        for (quantity, (least, greatest)) in [
+            (Quantity::Voltage, VOLTAGE_V),
+            (Quantity::Current, CURRENT_A),
+            (Quantity::Power, POWER_W),
         ] {
             let Some(usual) = self.usual(quantity) else {
                 continue;
             };
-            if (least..=greatest).contains(&usual) {
+            // Power of voltage and current is as wrong as they are.
+            let is_made = quantity == Quantity::Power && !found.is_empty() && self.is_product();
+            if (least..=greatest).contains(&usual) || is_made {
                 continue;
             }
-            let other = match usual < least {
-                true => usual * THOUSAND,
-                false => usual / THOUSAND,
-            };
-            let what = format!(
-                "{} is usually {}. A thousandth or a thousandfold of it, {}, would fit a robot",
-                quantity.name(),
-                quantity.shown(usual),
-                quantity.shown(other)
-            );
+            let others = if usual < least { [1, 2] } else { [-1, -2] };
+            let is_robots = |unit: &i8| (least..=greatest).contains(&(usual * scale(*unit)));
+            let mut others: Vec<i8> = others.into_iter().filter(is_robots).collect();
+            // A millionth only where it is more usual, or the thousandth is none.
+            let has_next = others.iter().any(|unit| unit.abs() == 1);
+            others.retain(|unit| {
+                unit.abs() == 1 || !has_next || self.is_everyday(quantity, scale(*unit))
+            });
+            let what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
+            let what = what
+                + &match others.is_empty() {
+                    true => String::new(),
+                    false => {
+                        format!(". In another unit it would be {}", self.read(quantity, &others))
+                    }
+                };
             let allowed =
                 format!("usual are {} to {}", quantity.shown(least), quantity.shown(greatest));
-            let unit = if usual < least { quantity.unit() } else { smaller };
-            found.push(self.finding(quantity, what, allowed, unit));
+            found.push(self.scaled(quantity, what, allowed, &others, usual < least));
         }
         let driving = self.driving.usual().filter(|_| self.driving.count() >= self.enough);
         if found.is_empty()
@@ -195,9 +258,60 @@ impl Magnitudes<'_> {
             );
             let allowed =
                 format!("a robot that drives takes {} or more", Quantity::Power.shown(DRIVING_W));
-            found.push(self.finding(Quantity::Power, what, allowed, "W"));
+            let wrong = if self.is_product() { Quantity::Current } else { Quantity::Power };
+            found.push(self.scaled(wrong, what, allowed, &[1], true));
         }
         found
+    }
+
+    /// Whether power was made of voltage and current.
+    fn is_product(&self) -> bool {
+        self.ratios.usual().is_some_and(is_product)
+    }
+
+    /// A current that lowers the voltage by more, or by less, than that of a battery.
+    fn resistance(&self) -> Option<Finding> {
+        let (least, greatest) = RESISTANCE_OHM;
+        let ohm = self.resistance_ohm.filter(|ohm| !(least..=greatest).contains(ohm))?;
+        let unit = if ohm > greatest { 1 } else { -1 };
+        // Voltages are usual here.
+        let usual = self.usual(Quantity::Current)?;
+        if !self.is_everyday(Quantity::Current, scale(unit)) {
+            return None;
+        }
+        let what = format!(
+            "the voltage falls by {} V for each ampere more. The current may be {} and not {}",
+            number(ohm),
+            Quantity::Current.shown(usual * scale(unit)),
+            Quantity::Current.shown(usual)
+        );
+        let allowed = format!("usual are {least} to {greatest} V for each ampere");
+        Some(self.scaled(Quantity::Current, what, allowed, &[unit], unit > 0))
+    }
+
+    /// What a quantity usually is in other units, in thousands of the one in which it was read.
+    fn read(&self, quantity: Quantity, units: &[i8]) -> String {
+        let usual = self.usual(quantity).unwrap_or(f64::NAN);
+        let read: Vec<String> =
+            units.iter().map(|unit| quantity.shown(usual * scale(*unit))).collect();
+        read.join(" or ")
+    }
+
+    /// A quantity that is in another unit, in thousands of the one in which it was read.
+    fn scaled(
+        &self,
+        quantity: Quantity,
+        what: String,
+        allowed: String,
+        units: &[i8],
+        is_small: bool,
+    ) -> Finding {
+        let first = units.first().copied().unwrap_or(if is_small { 1 } else { -1 });
+        let remedy = Remedy::Scale {
+            read: if is_small { quantity.milli() } else { quantity.unit() },
+            thousands: [first, units.get(1).copied().unwrap_or(0)],
+        };
+        Finding { remedy, ..self.finding(quantity, what, allowed, "") }
     }
 
     /// Power that differs from voltage times current by thousands.
@@ -207,10 +321,31 @@ impl Magnitudes<'_> {
         if thousands == 0.0 || !thousands.is_finite() {
             return None;
         }
-        let what = format!("power is {} times voltage times current", number(ratio));
-        let allowed = "they agree where all three are in the right unit";
-        let unit = if ratio < 1.0 { "W" } else { "mW" };
-        Some(self.finding(Quantity::Power, what, allowed.to_owned(), unit))
+        let thousands = thousands.clamp(-4.0, 4.0) as i8;
+        // The one whose other unit makes all three usual. Power, if that is none, or several.
+        let changes =
+            MEASURED.map(|one| if one == Quantity::Power { -thousands } else { thousands });
+        let is_usual_with = |changed: usize| {
+            MEASURED.into_iter().enumerate().all(|(at, of)| {
+                let change = if at == changed { changes[at] } else { 0 };
+                self.is_everyday(of, scale(change))
+            })
+        };
+        let mut fitting = (0..MEASURED.len()).filter(|at| is_usual_with(*at));
+        let at = match (fitting.next(), fitting.next()) {
+            (Some(only), None) => only,
+            _ => 0,
+        };
+        let (quantity, change) = (MEASURED[at], changes[at]);
+        let what = format!(
+            "power is {} times voltage times current. They agree if {} is {} and not {}",
+            number(ratio),
+            quantity.name(),
+            self.read(quantity, &[change]),
+            self.read(quantity, &[0])
+        );
+        let allowed = "power is voltage times current where all three have the right unit";
+        Some(self.scaled(quantity, what, allowed.to_owned(), &[change], change > 0))
     }
 
     /// Power and current without a voltage imply one.
@@ -224,8 +359,14 @@ impl Magnitudes<'_> {
         let shown = Quantity::Voltage.shown(implied_v);
         let what = format!("power and current imply a battery of {shown}");
         let allowed = format!("usual are {least} to {}", Quantity::Voltage.shown(greatest));
-        let unit = if implied_v < least { "W" } else { "mW" };
-        Some(self.finding(Quantity::Power, what, allowed, unit))
+        let is_small = implied_v < least;
+        Some(self.scaled(
+            Quantity::Power,
+            what,
+            allowed,
+            &[if is_small { 1 } else { -1 }],
+            is_small,
+        ))
     }
 
     /// Another unit in a part of the recording.
@@ -236,16 +377,21 @@ impl Magnitudes<'_> {
             let Some([(few, small), (many, large)]) = column.sizes.groups() else {
                 continue;
             };
+            let ratio = large / small / THOUSAND;
+            let is_rare = column.jumps <= (column.count / MAX_SWITCHES).max(4);
+            // Rows of two units in turn: a robot that sleeps does not use a thousandth so exactly.
+            let is_exact = quantity == Quantity::Voltage || (0.8..=1.25).contains(&ratio);
             let is_switch = few.min(many) >= MIN_SWITCHED
-                && (0.5..=2.0).contains(&(large / small / THOUSAND))
-                && (1..=(column.count / MAX_SWITCHES).max(4)).contains(&column.jumps);
+                && (0.5..=2.0).contains(&ratio)
+                && column.jumps > 0
+                && (is_rare || is_exact);
             if is_switch {
                 let (small, large) = (quantity.shown(small), quantity.shown(large));
                 let name = quantity.name();
                 let what = format!(
                     "{name} is about {small} in {few} readings and {large} in {many}: its unit changes"
                 );
-                let allowed = "one unit for all readings".to_owned();
+                let allowed = "a recording has one unit for all readings".to_owned();
                 found.push(Finding {
                     remedy: Remedy::Split,
                     ..self.finding(quantity, what, allowed, "")
@@ -273,7 +419,7 @@ impl Magnitudes<'_> {
             what += &format!(": {}", read.join(", or "));
         }
         let volts = match quantity {
-            Quantity::V => "; or it is a voltage",
+            Quantity::V => ", or it is a voltage",
             _ => "",
         };
         let allowed = format!("usual is up to {}{volts}", quantity.shown(most));
@@ -285,7 +431,7 @@ impl Magnitudes<'_> {
     fn share(&self) -> Option<Finding> {
         let column = &self.columns[Quantity::Soc as usize];
         let usual = self.usual(Quantity::Soc)?;
-        let allowed = "0 to 1, or a percentage that is named so";
+        let allowed = "a charge is 0 to 1, or a percentage that is named so";
         if usual > FULL && column.greatest <= 100.0 * FULL {
             let what = format!(
                 "soc is usually {} and up to {}: a percentage, so that 1 is 1 % and not full",

@@ -168,7 +168,43 @@ pub fn recognise(head: &[u8]) -> Option<Foreign> {
         let is_length = is_model && magic.len() == 2 && !magic.is_ascii();
         !is_length && head.get(*at..).is_some_and(|rest| rest.starts_with(magic))
     });
-    found.map(|(_, _, what, remedy)| Foreign { what, remedy })
+    let found = found.map(|(_, _, what, remedy)| Foreign { what, remedy });
+    let mat_4 = || is_mat_4(head).then_some(Foreign { what: "a MATLAB file (v4)", remedy: MAT });
+    found.or_else(mat_4)
+}
+
+/// Whether a file begins with a variable of MATLAB 4, which has no magic bytes: its type, rows,
+/// columns, whether it is complex, and the length of its name, which ends with NUL.
+fn is_mat_4(head: &[u8]) -> bool {
+    let number = |at: usize, big: bool| -> Option<u32> {
+        let bytes: [u8; 4] = head.get(4 * at..4 * at + 4)?.try_into().ok()?;
+        Some(if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
+    };
+    let is_of = |big: bool| {
+        let [kind, rows, columns, complex, length] = [0, 1, 2, 3, 4].map(|at| number(at, big));
+        let kind_is = |kind: u32| {
+            let digits = [kind / 1000, kind / 100 % 10, kind / 10 % 10, kind % 10];
+            kind < 5_000
+                && digits[0] == u32::from(big)
+                && digits[1] == 0
+                && digits[2] <= 5
+                && digits[3] <= 2
+        };
+        let name = length.and_then(|length| head.get(20..20_usize.checked_add(length as usize)?));
+        let is_name = name.and_then(<[u8]>::split_last).is_some_and(|(end, name)| {
+            let is_letter = |byte: &u8| byte.is_ascii_alphanumeric() || *byte == b'_';
+            *end == 0
+                && name.first().is_some_and(u8::is_ascii_alphabetic)
+                && name.iter().all(is_letter)
+        });
+        let is_size = |count: Option<u32>| count.is_some_and(|count| count < 1 << 28);
+        kind.is_some_and(kind_is)
+            && is_size(rows)
+            && is_size(columns)
+            && complex.is_some_and(|complex| complex <= 1)
+            && is_name
+    };
+    is_of(false) || is_of(true)
 }
 
 /// What a file is, if it is of one of the kinds and can be read.
@@ -194,6 +230,12 @@ mod tests {
         for length in [b"\x80\x02", b"\x80\x05", b"\x1f\x8b"] {
             let model = [&length[..], &[0; 6], b"{\"__metadata__\":"].concat();
             assert_eq!(recognise(&model), None, "{length:x?}");
+        }
+        for (kind, big) in [(0_u32, false), (1000, true), (50, false)] {
+            let bytes = |number: u32| if big { number.to_be_bytes() } else { number.to_le_bytes() };
+            let numbers = [kind, 300, 1, 0, 6].map(bytes);
+            let head = [numbers.as_flattened(), b"power\0", &[0; 8]].concat();
+            assert!(recognise(&head).is_some_and(|found| found.what.contains("v4")), "{kind}");
         }
         for text in [
             "",

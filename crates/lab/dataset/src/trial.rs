@@ -38,7 +38,7 @@ pub use write::{Form, Row, WriteError};
 
 pub(crate) use table::Cell;
 
-use table::Columns;
+use table::{Appended, Columns};
 
 /// One robot's recorded run: at least two rows, in file order, in SI units.
 #[derive(Debug, Clone)]
@@ -55,6 +55,7 @@ pub struct Trial {
     states_time_unit: bool,
     is_turned: bool,
     is_part: bool,
+    appended: Option<Appended>,
     notes: TrialNotes,
 }
 
@@ -93,6 +94,8 @@ impl Trial {
             states_time_unit,
             is_turned,
             is_part,
+            headers: _,
+            appended,
         } = table;
         for column in &mut columns {
             if column.as_ref().is_some_and(|values| values.iter().all(|value| value.is_nan())) {
@@ -116,6 +119,7 @@ impl Trial {
             states_time_unit,
             is_turned,
             is_part,
+            appended,
             notes: TrialNotes::default(),
         };
         trial.notes = TrialNotes {
@@ -201,6 +205,11 @@ impl Trial {
     /// many for one ([`Trial::each`]).
     pub const fn is_part(&self) -> bool {
         self.is_part
+    }
+
+    /// Where it begins, if there another recording was appended to its file.
+    pub(crate) const fn appended(&self) -> Option<Appended> {
+        self.appended
     }
 
     /// Quality notes on the trial.

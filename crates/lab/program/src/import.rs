@@ -234,7 +234,7 @@ fn read_trials(
     let from_capture = is_capture(path);
     let trials = match from_capture {
         true => Trial::read_mapped(path, map)?,
-        false => vec![crate::trials::read_one(path, map)?],
+        false => one_robot(path, map)?,
     };
     let notes: Vec<String> = trials.iter().map(|trial| trial.notes().to_string()).collect();
     let source = Source {
@@ -256,6 +256,8 @@ fn read_trials(
         *run += 1;
         let name = match (several, *run) {
             (false, _) => stem(path),
+            (true, 1) if !from_capture => stem(path),
+            (true, run) if !from_capture => format!("{}_run_{run}", stem(path)),
             (true, 1) => format!("{}_robot_{robot}", stem(path)),
             (true, run) => format!("{}_robot_{robot}_run_{run}", stem(path)),
         };
@@ -270,6 +272,17 @@ fn read_trials(
     Ok(source)
 }
 
+/// The trials of a dataset with one robot: several if recordings were appended to each other.
+fn one_robot(path: &Path, map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
+    let trials = Trial::read_mapped(path, map)?;
+    let is_one = trials.iter().all(|trial| trial.robot_name() == trials[0].robot_name());
+    match is_one {
+        true => Ok(trials),
+        // Refused with the row of the second robot.
+        false => Ok(vec![crate::trials::read_one(path, map)?]),
+    }
+}
+
 fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
     let name = args.out.to_string_lossy();
     if name.ends_with(".mcap") {
@@ -279,7 +292,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     }
     let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
     if is_dataset && recordings.len() > 1 {
-        let what = format!("{} robots cannot be written to one dataset", recordings.len());
+        let what = format!("{} recordings cannot be written to one dataset", recordings.len());
         return Err(UsageError(format!("{what}. Name a directory or a capture (.mcap)")).into());
     }
     let places = match is_dataset {

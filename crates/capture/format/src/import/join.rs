@@ -165,6 +165,8 @@ pub(super) struct Track {
     /// Readings whose state of charge is no share, and those of them that could be percentages.
     odd_soc: u64,
     percent_soc: u64,
+    /// Readings of which the battery does not know it.
+    unknown_soc: u64,
 }
 
 /// A robot's rows, with notes.
@@ -199,6 +201,7 @@ impl Track {
             charging: 0,
             odd_soc: 0,
             percent_soc: 0,
+            unknown_soc: 0,
         }
     }
 
@@ -284,14 +287,15 @@ impl Track {
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
         self.charging += u64::from(current_a < 0.0);
-        let soc = f64::from(state.percentage);
-        let known = !soc.is_finite() || SOC.contains(&soc);
+        // Drivers write −1 as well, and mavros −1 %.
+        let is_known = state.percentage.is_finite() && ![-1.0, -0.01].contains(&state.percentage);
+        let soc = is_known.then_some(f64::from(state.percentage));
+        self.unknown_soc += u64::from(soc.is_none());
+        let soc = soc.unwrap_or(f64::NAN);
+        let known = soc.is_nan() || SOC.contains(&soc);
         self.odd_soc += u64::from(!known);
         self.percent_soc += u64::from(!known && SOC.contains(&(soc / 100.0)));
-        self.battery.push(
-            times,
-            Reading { voltage_v, current_a, soc: if soc.is_finite() { soc } else { f64::NAN } },
-        );
+        self.battery.push(times, Reading { voltage_v, current_a, soc });
     }
 
     fn twist(&mut self, times: Times, twist: &Twist) {
@@ -330,7 +334,8 @@ impl Track {
             reading.soc = share(reading.soc, has_percentages);
         }
         let mut readings = self.battery.items.iter();
-        let measures_soc = readings.any(|(_, reading)| reading.soc != 0.0);
+        let measures_soc =
+            readings.any(|(_, reading)| reading.soc.is_finite() && reading.soc != 0.0);
         for run in 0..=self.run {
             if !rows.is_empty() && rows.len() > runs_from.last().copied().unwrap_or(0) {
                 runs_from.push(rows.len());
@@ -458,6 +463,12 @@ impl Track {
             notes.push(format!(
                 "{} of {all} readings report that there is no battery (`present` is false)",
                 self.not_present
+            ));
+        }
+        if self.unknown_soc > 0 {
+            notes.push(format!(
+                "{} of {all} readings have a percentage of NaN or −1: their charge is unknown",
+                self.unknown_soc
             ));
         }
         if self.has_percentages() {

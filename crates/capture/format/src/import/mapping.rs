@@ -214,7 +214,7 @@ pub(super) fn choose(
     let mut robots = Vec::new();
     for battery in &search.batteries {
         robots.push(RobotMapping {
-            name: folders(battery).first().map_or(name, |first| *first).to_owned(),
+            name: robot_name(battery, channels).unwrap_or(name).to_owned(),
             id: None,
             battery: (*battery).to_owned(),
             is_searched: true,
@@ -235,6 +235,24 @@ pub(super) fn choose(
         }
     }
     Ok(robots)
+}
+
+/// Namespaces of the parts of a robot.
+const PARTS: [&str; 6] = ["batter", "bms", "power", "base", "platform", "driver"];
+
+/// What a robot is called by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A
+/// number tells robots apart, and no part of a robot is one.
+fn robot_name<'a>(battery: &'a str, channels: &[Channel]) -> Option<&'a str> {
+    let all = folders(battery);
+    let is_ours = |topic: &&str| {
+        folders(topic).first() == all.first() && !is_of_another_number(battery, topic)
+    };
+    let topics = channels.iter().map(|channel| channel.topic.as_str()).filter(is_ours);
+    let length = topics.map(|topic| shared(battery, topic)).min().unwrap_or(all.len());
+    let is_robot = |name: &&&str| !PARTS.iter().any(|part| name.to_lowercase().contains(part));
+    let mut names = all[..length].iter().rev().filter(is_robot);
+    let numbered = names.clone().find(|name| name.contains(|letter: char| letter.is_ascii_digit()));
+    numbered.or(names.next()).or(all.first()).copied()
 }
 
 /// Names robots of one namespace by what their own adds to it: that of battery and command.

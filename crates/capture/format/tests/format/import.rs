@@ -322,6 +322,21 @@ fn robots_of_one_namespace_beside_another_get_names_of_their_own() {
     let imported = bag_of(&batteries, &[]).import("").unwrap();
     let names: Vec<_> = imported.robots.iter().map(|one| &*one.name).collect();
     assert_eq!(names, ["r1", "r2", "dock"]);
+    for (battery, commands, name) in [
+        ("/fleet/r1/battery_state", &["/fleet/r1/cmd_vel"][..], "r1"),
+        ("/fleet/r1/battery_state", &["/fleet/r1/cmd_vel", "/fleet/r2/cmd_vel"], "r1"),
+        ("/fleet/r1/battery_state", &[], "r1"),
+        ("/fleet/alice/battery_state", &["/fleet/alice/cmd_vel"], "alice"),
+        ("/site/fleet/r1/power/battery", &["/site/fleet/r1/cmd_vel"], "r1"),
+        ("/r1/base/battery", &["/r1/base/cmd_vel"], "r1"),
+        ("/panther/battery/battery_status", &["/panther/cmd_vel"], "panther"),
+        ("/panther/battery/battery_status", &[], "panther"),
+        ("/battery/state", &["/cmd_vel"], "battery"),
+        ("/battery_state", &["/cmd_vel"], "bag"),
+    ] {
+        let imported = bag_of(&[battery], commands).import("").unwrap();
+        assert_eq!(imported.robots[0].name, name, "{battery} {commands:?}");
+    }
 }
 
 #[test]
@@ -525,7 +540,26 @@ fn percentages_are_read_as_such_in_all_readings() {
     assert_eq!(percent.rows[0].soc, 0.6);
     assert!((percent.rows[59].soc - 0.01).abs() < 1e-9);
     says(&percent.notes.join("\n"), ["0 to 100"]);
-    let share = bag(|step| if step == 7 { -1.0 } else { 0.5 });
+    let share = bag(|step| if step == 7 { 7.0 } else { 0.5 });
     assert!(share.rows[7].soc.is_nan() && share.rows[8].soc == 0.5);
-    says(&share.notes.join("\n"), ["left out"]);
+    says(&share.notes.join("\n"), ["1 of 60 readings have a percentage outside", "left out"]);
+    // The last one is that of mavros. Drivers that measure nothing else leave it at 0.
+    for unknown in [-1.0, f32::NAN, -0.01] {
+        for (known, expected) in [(0.5, 0.5), (60.0, 0.6), (0.0, f64::NAN)] {
+            let charge = |step| [unknown, known][usize::from(step % 2 == 0)];
+            let mut bag = Bag::new();
+            bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+            for step in 0..60_u64 {
+                let now_ns = START_NS + step * TENTH_NS;
+                let mut state = battery(now_ns, 12.0, -1.0);
+                state.percentage = charge(step);
+                bag.message("/battery", now_ns, &state);
+            }
+            let robot = bag.import("").unwrap().robots.remove(0);
+            assert_eq!((robot.row_count, robot.battery.refused.len()), (60, 0));
+            let [even, odd] = [robot.rows[8].soc, robot.rows[7].soc];
+            assert!(odd.is_nan() && even.total_cmp(&expected).is_eq(), "{unknown} {known}: {even}");
+            says(&robot.notes.join("\n"), ["30 of 60 readings have a percentage of NaN or −1"]);
+        }
+    }
 }

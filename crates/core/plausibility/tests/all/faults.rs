@@ -240,3 +240,86 @@ fn short_recordings_are_judged() {
         assert!(is_found(&found, Kind::Sign, Quantity::Power), "{one:?}: {found:?}");
     }
 }
+
+/// Voltage and current of a robot of 12 V in other units than they are read in.
+#[test]
+fn each_reading_of_a_unit_is_named() {
+    use joulebus_plausibility::Source;
+    let both = Known::default().whole().unstated(Quantity::Voltage).unstated(Quantity::Current);
+    let stated = Known::default().whole();
+    // Scales of voltage and current, what is known, the current in A, and what a table is told.
+    let cases: [(f64, f64, Known, f64, &[&str]); 15] = [
+        // Read in mV and mA, as they are.
+        (1.0, 1.0, both, 0.85, &[]),
+        (1.0, 1.0, both, 4.2, &[]),
+        // V and A.
+        (1e-3, 1e-3, both, 0.85, &["--map voltage_V=x", "--map current_A=x"]),
+        (1e-3, 1e-3, both, 20.3, &["--map voltage_V=x", "--map current_A=x"]),
+        // mV and A, V and mA, mV and µA.
+        (1.0, 1e-3, both, 0.85, &["--map current_A=x"]),
+        (1.0, 1e-3, both, 20.3, &["--map current_mA=x or --map current_A=x"]),
+        (1e-3, 1.0, both, 0.85, &["--map voltage_V=x"]),
+        (1e-3, 1.0, both, 0.25, &["--map voltage_V=x", "--map current_mA=x or --map current_A=x"]),
+        (1.0, 1e3, both, 0.25, &["--map current_mA=x or --map current_uA=x"]),
+        // A vehicle.
+        (4.0, 1e-3, both, 131.4, &["--map current_mA=x or --map current_A=x"]),
+        // Units that are stated, and wrong.
+        (1e3, 1.0, stated, 0.85, &["--map voltage_mV=x"]),
+        (1.0, 1e6, stated, 0.85, &["--map current_uA=x"]),
+        (1.0, 1e-3, stated, 0.85, &["--map current_A=x"]),
+        // Of a size that a robot has, so that the voltage tells.
+        (1.0, 1e-3, stated, 20.0, &["--map current_A=x"]),
+        (1.0, 1e3, stated, 0.25, &["--map current_mA=x"]),
+    ];
+    for (voltage, current, known, ampere, expected) in cases {
+        let rows = (0..200).map(|row| {
+            let load_a = ampere * (1.0 + 0.1137 * (0.7 * f64::from(row)).sin());
+            let mut seen = Observation::at(f64::from(row) / 10.0);
+            (seen.voltage_v, seen.current_a) = ((12.0 - 0.01 * load_a) * voltage, load_a * current);
+            seen.power_w = seen.voltage_v * seen.current_a;
+            seen
+        });
+        let found = judged(known, &rows.collect::<Vec<_>>());
+        let units = found.iter().filter(|one| one.kind == Kind::Unit);
+        let told: Vec<String> = units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
+        let is_told = told.len() == expected.len()
+            && told.iter().zip(expected).all(|(told, part)| told.contains(part));
+        let case = (voltage, current, ampere);
+        assert!(is_told, "{case:?}: {told:?}, and not {expected:?}: {found:?}");
+    }
+}
+
+/// Rows of two units in turn.
+#[test]
+fn two_units_in_one_column_are_found_however_often_they_change() {
+    for every in [2, 3, 7, 100] {
+        for quantity in [Quantity::Voltage, Quantity::Current, Quantity::Power] {
+            let mut rows = Recording { idle: 0.0, ..Recording::USUAL }.rows();
+            for seen in rows.iter_mut().step_by(every) {
+                match quantity {
+                    Quantity::Voltage => seen.voltage_v *= 1e3,
+                    Quantity::Current => seen.current_a *= 1e3,
+                    _ => seen.power_w *= 1e3,
+                }
+            }
+            let found = judged(Known::default(), &rows);
+            let is_of_unit = |one: &&Finding| one.kind == Kind::Unit && one.is_error();
+            assert!(
+                found.iter().any(|one| is_of_unit(&one)) || every == 100,
+                "{quantity:?}: {found:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_monitor_that_does_not_answer_now_and_then_is_found() {
+    for one in robots() {
+        let mut rows = rounded(one.rows());
+        for seen in rows.iter_mut().step_by(11) {
+            (seen.power_w, seen.current_a) = (0.0, 0.0);
+        }
+        let found = judged(Known::default(), &rows);
+        assert!(is_found(&found, Kind::Sentinel, Quantity::Power), "{one:?}: {found:?}");
+    }
+}

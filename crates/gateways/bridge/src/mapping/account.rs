@@ -41,6 +41,8 @@ pub(crate) enum Reason {
     NotFinite,
     /// A share beyond 0 to 1, or a code that the message's definition does not have.
     OutOfRange,
+    /// A charge that its sender says not to know: NaN or −1.
+    Unknown,
     /// Retained by the broker, so of unknown age.
     Retained,
     /// A field that none of the first messages of a robot had.
@@ -68,6 +70,7 @@ impl Reason {
             Self::WrongType => "wrong_type",
             Self::NotFinite => "not_finite",
             Self::OutOfRange => "out_of_range",
+            Self::Unknown => "unknown",
             Self::Retained => "retained",
             Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",
@@ -77,9 +80,9 @@ impl Reason {
     }
 
     /// Whether a value was lost. Retained messages are skipped on purpose, robots that are switched
-    /// off do not answer, and a field that never came is not lost.
+    /// off do not answer, and a field that never came, or that is unknown, is not lost.
     const fn is_loss(self) -> bool {
-        !matches!(self, Self::Retained | Self::NoAnswer | Self::NeverCame)
+        !matches!(self, Self::Unknown | Self::Retained | Self::NoAnswer | Self::NeverCame)
     }
 }
 

@@ -22,24 +22,30 @@ const TABLE: &str = "
 | `sign` | a current of the other sign | alarm | alarm | alarm |
 | `unit` | mV, mA and mW without a unit in the mapping | alarm | alarm | alarm |
 | `unit` | a charge of 0 to 100 where a share is expected, or the other way round | alarm | alarm | alarm |
+| `unit` | mV beside A without a unit in the mapping | alarm | alarm | alarm |
 | `hold` | a controller that fell silent | expires | expires | expires |
 | `clock` | a robot's clock that stands still | read | read | read |
-| `never-came` | a field that no message has | told | told | – |
+| `never-came` | a field that no message has | told | told | told |
 | `saturation` | a monitor at 2^15 − 1 | told | told | told |
+| `sentinel` | −999 in every tenth reading | alarm | alarm | alarm |
+| `mismatch` | a power of another circuit | alarm | – | – |
 | `constant` | a current of 0 in every reading | alarm | alarm | alarm |
 
 ";
 
 /// What is planted, and the finding that it is.
-const PLANTED: [(&str, &str); 9] = [
+const PLANTED: [(&str, &str); 12] = [
     ("", "nothing"),
     ("sign", "a current of the other sign"),
     ("unit", "mV, mA and mW without a unit in the mapping"),
     ("unit", "a charge of 0 to 100 where a share is expected, or the other way round"),
+    ("unit", "mV beside A without a unit in the mapping"),
     ("hold", "a controller that fell silent"),
     ("clock", "a robot's clock that stands still"),
     ("never-came", "a field that no message has"),
     ("saturation", "a monitor at 2^15 − 1"),
+    ("sentinel", "−999 in every tenth reading"),
+    ("mismatch", "a power of another circuit"),
     ("constant", "a current of 0 in every reading"),
 ];
 const FORMATS: [&str; 3] = ["MQTT, fields", "VDA 5050", "ROS 2, BatteryState"];
@@ -53,6 +59,7 @@ fn robot(step: u64, planted: &str) -> [f64; 4] {
     let v = 0.2 + 0.05 * (0.3 * at).sin();
     match planted {
         "a monitor at 2^15 − 1" if step % 7 < 4 => load_a = 3.2767,
+        "−999 in every tenth reading" if step % 10 == 0 => load_a = -999.0,
         "a current of 0 in every reading" => load_a = 0.0,
         _ => {}
     }
@@ -74,7 +81,10 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
         soc *= if format == "VDA 5050" { 0.01 } else { 100.0 };
     }
     if planted.starts_with("mV") {
-        [volt, ampere] = [volt * 1e3, ampere * 1e3];
+        volt *= 1e3;
+    }
+    if planted.starts_with("mV,") {
+        ampere *= 1e3;
     }
     if planted == "a current of the other sign" {
         ampere = -ampere;
@@ -93,8 +103,14 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
                 soc: si(Quantity::Share, "soc"),
                 ..Fields::default()
             };
-            let power =
-                if planted.starts_with("mV") { volt * ampere * 1e-3 } else { volt * ampere };
+            let power = volt
+                * ampere
+                * match planted {
+                    "a power of another circuit" => 1.5,
+                    // mW, or W.
+                    _ if planted.starts_with("mV") => 1e-3,
+                    _ => 1.0,
+                };
             let mut sent = json!({"stamp": stamp, "power": power, "volt": volt, "ampere": ampere});
             if commands {
                 sent["v"] = json!(v);
@@ -189,8 +205,10 @@ fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
         "" | "clock" if unmapped.is_empty() => "read".to_owned(),
         "hold" if expired => "expires".to_owned(),
         "never-came" if unmapped.iter().any(|one| one.reason == "never_came") => "told".to_owned(),
-        // A share of the charge is optional in the message, and its definition knows NaN.
-        "never-came" if format == FORMATS[2] => "–".to_owned(),
+        // A percentage that is NaN.
+        "never-came" if unmapped.iter().any(|one| one.reason == "unknown") => "told".to_owned(),
+        // Their power is voltage times current.
+        "mismatch" if format != FORMATS[0] => "–".to_owned(),
         _ => panic!("{format}, {planted}: silent; {unmapped:?}"),
     }
 }

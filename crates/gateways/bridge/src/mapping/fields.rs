@@ -171,6 +171,10 @@ impl Fields {
             soc: number(&self.soc, "soc"),
             ..Observation::default()
         };
+        // As ROS and VDA 5050 write a charge that is not measured, in whatever unit.
+        let unknown = self.soc.as_ref().map(|soc| -soc.unit.size as f32);
+        let is_unknown = seen.soc.is_some() && seen.soc == unknown;
+        seen.soc = seen.soc.filter(|_| !is_unknown);
         // It is judged with the others of its robot, and in no sample.
         let is_odd = seen.soc.is_some_and(|soc| !SOC.contains(&soc));
         if let Some(vy_mps) = number(&self.vy, "vy").filter(|vy_mps| *vy_mps != 0.0) {
@@ -194,6 +198,9 @@ impl Fields {
         seen.full = flag(&self.full, "full");
         if is_odd {
             refused(Reason::OutOfRange, "soc");
+        }
+        if is_unknown {
+            refused(Reason::Unknown, "soc");
         }
         seen
     }

@@ -26,18 +26,28 @@ pub(super) enum TextFormat {
 }
 
 impl TextFormat {
-    /// OpenMetrics where the `Accept` header of a request names it, the classic format otherwise.
-    pub(super) fn accepted(accept: Option<&str>) -> Self {
-        let is_open = |range: &str| {
-            let mut parts = range.split(';').map(str::trim);
-            let kind = parts.next().unwrap_or_default();
-            let mut weights = parts.filter_map(|part| part.strip_prefix("q="));
-            let refused = weights.any(|weight| weight.parse().is_ok_and(|q: f32| q <= 0.0));
-            kind.eq_ignore_ascii_case("application/openmetrics-text") && !refused
+    /// The format that the `Accept` headers of a request prefer. `None`: they refuse both. Without
+    /// a weight that is greater, OpenMetrics is for who names it. Who names neither gets the
+    /// classic format.
+    pub(super) fn accepted<'a>(headers: impl IntoIterator<Item = &'a str>) -> Option<Self> {
+        let ranges: Vec<(String, f32)> =
+            headers.into_iter().flat_map(|header| header.split(',')).filter_map(range).collect();
+        let weight = |kinds: &[&str]| {
+            kinds.iter().find_map(|kind| {
+                let same = ranges.iter().filter(|(range, _)| range == kind).map(|(_, q)| *q);
+                same.reduce(f32::max)
+            })
         };
-        match accept.is_some_and(|ranges| ranges.split(',').any(is_open)) {
-            true => Self::OpenMetrics,
-            false => Self::Classic,
+        let named = weight(&["application/openmetrics-text"]);
+        let open = named.or(weight(&["application/*", "*/*"]));
+        let classic = weight(&["text/plain", "text/*", "*/*"]);
+        match (open, classic) {
+            (Some(open), Some(classic)) if open <= 0.0 && classic <= 0.0 => None,
+            (Some(open), _) if named.is_some() && open > 0.0 && open >= classic.unwrap_or(0.0) => {
+                Some(Self::OpenMetrics)
+            }
+            (Some(open), Some(classic)) if open > classic => Some(Self::OpenMetrics),
+            _ => Some(Self::Classic),
         }
     }
 
@@ -48,6 +58,19 @@ impl TextFormat {
             Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
         }
     }
+}
+
+/// A media range of an `Accept` header in lower case, and its weight. `None`: it has none that is
+/// valid, so it says nothing.
+fn range(text: &str) -> Option<(String, f32)> {
+    let mut parts = text.split(';').map(|part| part.trim().to_ascii_lowercase());
+    let kind = parts.next().filter(|kind| !kind.is_empty())?;
+    let weight = parts.find_map(|part| {
+        let (name, value) = part.split_once('=')?;
+        (name.trim() == "q").then(|| value.trim().parse::<f32>())
+    });
+    let weight = weight.unwrap_or(Ok(1.0)).ok().filter(|weight| (0.0..=1.0).contains(weight))?;
+    Some((kind, weight))
 }
 
 /// OpenMetrics in the classic format: counters and infos are typed under their samples' names, and
@@ -541,18 +564,40 @@ mod tests {
     }
 
     #[test]
-    fn openmetrics_is_sent_to_who_names_it() {
+    fn the_format_is_the_one_that_weights_prefer() {
+        const OPEN: &str = "application/openmetrics-text";
+        let prometheus = format!(
+            "{OPEN};version=1.0.0;q=0.5,{OPEN};version=0.0.1;q=0.4,text/plain;version=0.0.4;q=0.3,*/*;q=0.2"
+        );
+        let of = |rest: &str| format!("{OPEN}{rest}");
+        let (classic, open) = (Some(TextFormat::Classic), Some(TextFormat::OpenMetrics));
         for (accept, format) in [
-            (None, TextFormat::Classic),
-            (Some("*/*"), TextFormat::Classic),
-            (Some("text/plain;version=0.0.4"), TextFormat::Classic),
-            (Some("application/openmetrics-text; q=0"), TextFormat::Classic),
-            (
-                Some("text/html, Application/OpenMetrics-Text; version=1.0.0; q=0.8"),
-                TextFormat::OpenMetrics,
-            ),
+            ("", classic),
+            ("*/*", classic),
+            ("application/json", classic),
+            ("text/plain;version=0.0.4", classic),
+            (&prometheus, open),
+            (&of("; q=0"), classic),
+            (&of(";Q=0.000, */*"), classic),
+            (&of(" ; version=1.0.0 ; q=0.8, text/html"), open),
+            ("text/html, Application/OpenMetrics-Text; version=1.0.0; q=0.8", open),
+            (&of(";q=0.3, text/plain;q=0.9"), classic),
+            (&of(";q=0.9, text/plain;q=0.3"), open),
+            (&of(";q=0.3, text/*;q=0.9"), classic),
+            (&of(";q=0.3, */*"), classic),
+            (&of(";q=0.5, text/plain;q=0.5"), open),
+            (&of(";q=0.1, text/plain;q=0"), open),
+            ("text/plain;q=0, */*", open),
+            ("text/*;q=0, application/*;q=0.1", open),
+            // A weight that is none says nothing.
+            (&of(";q=high"), classic),
+            (&of(";q=2"), classic),
+            (&of(";q=0, text/plain;q=0"), None),
+            ("*/*;q=0", None),
         ] {
-            assert_eq!(TextFormat::accepted(accept), format, "{accept:?}");
+            assert_eq!(TextFormat::accepted([accept]), format, "{accept:?}");
         }
+        assert_eq!(TextFormat::accepted([]), classic);
+        assert_eq!(TextFormat::accepted(["text/plain;q=0.1", OPEN]), open);
     }
 }

@@ -41,7 +41,8 @@ pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
 pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     let mut judge = Judge::new(known(trial, limits));
     take(&mut judge, trial);
-    let found = judge.findings().into_iter();
+    let appended = trial.appended().map(|begun| Finding::appended(begun.row, begun.back_s));
+    let found = judge.findings().into_iter().chain(appended);
     found.map(|finding| implausible(source, trial, finding)).collect()
 }
 
@@ -122,7 +123,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         file: trial.path().to_owned(),
         row: None,
         column: name,
-        what: format!("{robot}{}, {}: {remedy}", finding.found, finding.allowed),
+        what: format!("{robot}{}", finding.sentences(&remedy)),
     };
     Implausible { finding, remedy, place }
 }

@@ -45,7 +45,7 @@ impl Table {
         Ok(tables)
     }
 
-    /// Calls `take` with each table of a file. A file with more than
+    /// Calls `take` with each table of a file, divided as by [`Table::runs`]. A file with more than
     /// [`MAX_ROWS`](super::MAX_ROWS) rows is read in parts: memory holds about so many rows of it,
     /// and a robot has several tables, one after another.
     ///
@@ -58,7 +58,7 @@ impl Table {
     ) -> Result<(), E> {
         let mut failed = None;
         Self::read_in(path.as_ref(), map, map.in_parts(), &mut |table| {
-            failed = take(table).err();
+            failed = table.runs().into_iter().try_for_each(&mut take).err();
             match failed {
                 None => ControlFlow::Continue(()),
                 Some(_) => ControlFlow::Break(()),
@@ -147,13 +147,14 @@ impl Trial {
         Self::read_mapped(path, &ColumnMap::default())
     }
 
-    /// Same as [`Trial::read_robots`], with names for the columns of a CSV.
+    /// Same as [`Trial::read_robots`], with names for the columns of a CSV. A file to which another
+    /// recording was appended has several trials of a robot ([`Table::runs`]).
     ///
     /// # Errors
     /// Same as [`Trial::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let tables = Table::read_mapped(path, map)?;
-        tables.into_iter().map(Table::into_trial).collect()
+        tables.into_iter().flat_map(Table::runs).map(Table::into_trial).collect()
     }
 
     /// Calls `take` with each trial of a file, of which memory holds a part at a time

@@ -151,7 +151,32 @@ pub struct Table {
     pub(crate) is_turned: bool,
     /// Whether its file has more rows of the robot, which are in other tables.
     pub(crate) is_part: bool,
+    /// Rows of the file in which its header comes again.
+    pub(crate) headers: Vec<u32>,
+    /// Where it begins, if there another recording was appended to its file.
+    pub(crate) appended: Option<Appended>,
 }
+
+/// Where another recording was appended to a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Appended {
+    /// Its first row in the file, from 1.
+    pub(crate) row: usize,
+    /// The step back of the time, s. `None`: the header came again.
+    pub(crate) back_s: Option<f64>,
+}
+
+/// Step back of the time that is no reordering, s: that of a bag's clock.
+const SET_BACK_S: f64 = 1.0;
+/// Steps back as a share of the rows: more are those of two mixed recordings.
+const MAX_SET_BACK: usize = 20;
+/// Ages up to which values of other rows count, s: of commands, and of measurements, as in a bag.
+const COMMAND_AGE_S: f64 = joulebus_plausibility::COMMAND_HOLDS_S;
+const MEASURED_AGE_S: f64 = 1.0;
+/// Values of a column before it tells whether rows are sparse, and the share of them that are in
+/// rows with a reading.
+const MIN_SPARSE: usize = 10;
+const MAX_SHARED: f64 = 0.05;
 
 /// Lines of a CSV that are no whole rows, and were left out on request.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -393,6 +418,123 @@ impl Table {
     pub(super) fn push_checked(&mut self, column: Column, recorded: f64) {
         let values = self.columns[column as usize].get_or_insert_default();
         values.push(recorded);
+    }
+
+    /// A table for each recording in the file: another one begins where the time was set back, or
+    /// the header came again.
+    pub fn runs(mut self) -> Vec<Self> {
+        let (starts, is_part) = (self.starts(), self.is_part);
+        let (mut runs, mut taken) = (Vec::new(), 0);
+        for (start, back_s) in starts {
+            runs.push(Self {
+                ignored_columns: self.ignored_columns.clone(),
+                sources: self.sources.clone(),
+                left_out: std::mem::take(&mut self.left_out),
+                understood: std::mem::take(&mut self.understood),
+                time_name: self.time_name.clone(),
+                states_time_unit: self.states_time_unit,
+                is_turned: self.is_turned,
+                is_part,
+                appended: self.appended.take(),
+                ..self.take_first(start - taken)
+            });
+            taken = start;
+            self.appended = Some(Appended { row: self.file_row(0), back_s });
+        }
+        runs.push(self);
+        runs
+    }
+
+    /// The first rows of appended recordings, and how far the time goes back there. A single row
+    /// with another time begins none.
+    fn starts(&self) -> Vec<(usize, Option<f64>)> {
+        let times_s = &self.timestamp_s;
+        let before = |header: &&u32| self.file_row.first().is_some_and(|first| *header < first);
+        let mut headers = self.headers.iter().skip_while(before).peekable();
+        let mut starts: Vec<(usize, Option<f64>)> = Vec::new();
+        let (mut from, mut latest_s) = (0, times_s.first().copied().unwrap_or_default());
+        for (row, time_s) in times_s.iter().copied().enumerate().skip(1) {
+            let has_header = headers.next_if(|header| **header < self.file_row[row]).is_some();
+            let back_s = latest_s - time_s;
+            let next_s = times_s.get(row + 1).copied().unwrap_or(f64::NAN);
+            let is_back = back_s > SET_BACK_S && next_s < latest_s;
+            // Both have two rows that advance.
+            if (is_back || has_header) && next_s > time_s && latest_s > times_s[from] {
+                starts.push((row, is_back.then_some(back_s)));
+                (from, latest_s) = (row, time_s);
+            } else {
+                latest_s = latest_s.max(time_s);
+            }
+        }
+        let back = starts.iter().filter(|(_, back_s)| back_s.is_some()).count();
+        if back > (times_s.len() / MAX_SET_BACK).max(2) {
+            starts.retain(|(_, back_s)| back_s.is_none());
+        }
+        starts
+    }
+
+    /// Joins rows of which each has only some columns, as PlotJuggler writes those of several
+    /// topics: rows with a reading stay, with the values of the others that are not too old.
+    /// `by_product`: power is made of voltage and current. What was done, if anything was.
+    pub(super) fn join_sparse(&mut self, by_product: bool) -> Option<String> {
+        let reading = if by_product { Column::Current } else { Column::Power };
+        let is_known = |column: Column, row: usize| value(&self.columns, column, row).is_some();
+        let rows = self.rows();
+        let readings = (0..rows).filter(|row| is_known(reading, *row)).count();
+        let others = Column::ALL
+            .into_iter()
+            .filter(|column| *column != reading && !(by_product && *column == Column::Power));
+        let is_apart = |column: Column| {
+            let known = (0..rows).filter(|row| is_known(column, *row));
+            let (count, shared) = known.fold((0, 0), |(count, shared), row| {
+                (count + 1, shared + usize::from(is_known(reading, row)))
+            });
+            let few = readings.min(count);
+            few >= MIN_SPARSE && shared as f64 <= MAX_SHARED * few as f64
+        };
+        let others: Vec<Column> = others.collect();
+        if !others.iter().any(|column| is_apart(*column)) {
+            return None;
+        }
+        let keeps: Vec<bool> = (0..rows).map(|row| is_known(reading, row)).collect();
+        for column in others {
+            let age_s = match column {
+                Column::V | Column::Omega => COMMAND_AGE_S,
+                _ => MEASURED_AGE_S,
+            };
+            let Some(values) = &mut self.columns[column as usize] else {
+                continue;
+            };
+            let mut last = (f64::NEG_INFINITY, f64::NAN);
+            for (value, time_s) in values.iter_mut().zip(&self.timestamp_s) {
+                if !value.is_nan() {
+                    last = (*time_s, *value);
+                } else if (0.0..=age_s).contains(&(time_s - last.0)) {
+                    *value = last.1;
+                }
+            }
+        }
+        let keep = |values: &mut Vec<f64>| {
+            let mut kept = keeps.iter();
+            values.retain(|_| kept.next() == Some(&true));
+        };
+        keep(&mut self.timestamp_s);
+        self.columns.iter_mut().flatten().for_each(keep);
+        let mut kept = keeps.iter();
+        self.file_row.retain(|_| kept.next() == Some(&true));
+        let [power, voltage, current] =
+            [Column::Power, Column::Voltage, Column::Current].map(|column| column as usize);
+        if by_product
+            && let [Some(voltages), Some(currents)] =
+                [voltage, current].map(|column| self.columns[column].clone())
+        {
+            let pairs = voltages.iter().zip(&currents);
+            self.columns[power] = Some(pairs.map(|(mv, ma)| mv * ma / 1000.0).collect());
+        }
+        Some(format!(
+            "each row has only some of the columns, as PlotJuggler writes them. The {readings} of {rows} rows \
+             with a reading are kept. Commands are held for {COMMAND_AGE_S} s, other values for {MEASURED_AGE_S} s"
+        ))
     }
 
     /// Removes the first rows, which are then a table of their own.

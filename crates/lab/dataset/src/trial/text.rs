@@ -61,7 +61,7 @@ pub(super) fn read(
     let mut record = ByteRecord::new();
     let (mut rows, mut broken) = (0, 0);
     let mut notes = Notes { understood, left_out: LeftOut::default() };
-    let mut refused = None;
+    let (mut refused, mut headers) = (None, Vec::new());
     loop {
         let cell = Cell { path, row: rows + 1 };
         let taken = match reader.read_byte_record(&mut record) {
@@ -93,6 +93,9 @@ pub(super) fn read(
         };
         match taken {
             Err(error) if map.leaves_out() && error.is_of_lines() => {
+                if record == header {
+                    headers.push(cell.row as u32);
+                }
                 notes.left_out.add(cell.row, error.of_the_line());
                 broken += 1;
                 refused.get_or_insert(error);
@@ -104,6 +107,7 @@ pub(super) fn read(
         if let Some(mut parts) = tables.complete(path, in_memory)? {
             for table in &mut parts {
                 table.ignored_columns.clone_from(&ignored_columns);
+                table.headers.clone_from(&headers);
             }
             times.finish(path, &mut parts, &layout.time_name, &mut notes.understood)?;
             let parts = layout.finish(parts, &sources, &times, &mut notes);
@@ -124,6 +128,9 @@ pub(super) fn read(
     if numbers.decimal_comma == Some(true) {
         let what = "its numbers have a decimal comma";
         notes.understood.push(what.to_owned());
+    }
+    for table in &mut tables {
+        table.headers.clone_from(&headers);
     }
     let tables = layout.finish(tables, &sources, &times, &mut notes);
     // Whether it wants more makes no difference.
@@ -890,6 +897,11 @@ impl Layout {
         notes: &mut Notes,
     ) -> Vec<Table> {
         for table in &mut tables {
+            if let Some(joined) = table.join_sparse(self.by_product)
+                && !notes.understood.contains(&joined)
+            {
+                notes.understood.push(joined);
+            }
             table.sources = sources.to_vec();
             let is_number = times.form == Some(TimeForm::Number);
             table.time_name = is_number.then(|| self.time_name.clone());

@@ -90,6 +90,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for file in &found {
         tables.extend(Table::read_mapped(file, &args.recordings.map())?);
     }
+    if resample.is_some() {
+        // On a grid, recordings that were appended to each other do not overlap.
+        tables = tables.into_iter().flat_map(Table::runs).collect();
+    }
     let targets = args.targets(&tables)?;
     let mut files = Vec::with_capacity(tables.len());
     for (mut table, file) in tables.into_iter().zip(targets) {
@@ -162,10 +166,14 @@ impl Args {
         })?;
         let targets: Vec<PathBuf> = tables
             .iter()
-            .map(|table| {
-                let alone = tables.iter().filter(|t| t.path() == table.path()).count() == 1;
+            .enumerate()
+            .map(|(at, table)| {
+                let of_file = |other: &&Table| other.path() == table.path();
+                let of_robot = |other: &&Table| other.robot_name() == table.robot_name();
+                let alone = tables.iter().filter(of_file).all(|other| of_robot(&other));
                 let robot = table.robot_name().filter(|_| !alone);
-                self.out.join(file_name(table.path(), robot, to.into()))
+                let before = tables[..at].iter().filter(of_file).filter(of_robot).count();
+                self.out.join(file_name(table.path(), (robot, before + 1), to.into()))
             })
             .collect();
         match targets.iter().enumerate().find(|(at, file)| targets[..*at].contains(file)) {
@@ -180,15 +188,17 @@ impl Args {
     }
 }
 
-/// The recording's name with another extension; includes the robot's name if a file holds several.
-fn file_name(path: &Path, robot: Option<&str>, form: Form) -> String {
+/// The recording's name with another extension. It includes the robot's name if a file holds
+/// several, and the number of its recordings but for the first.
+fn file_name(path: &Path, (robot, run): (Option<&str>, usize), form: Form) -> String {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.unwrap_or("recording");
     let stem = match Form::of(path) {
         Some(form) => name.strip_suffix(form.ending()).unwrap_or(name),
         None => name.strip_suffix(".mcap").unwrap_or(name),
     };
-    let ending = form.ending();
+    let run = if run > 1 { format!("_run_{run}") } else { String::new() };
+    let ending = format!("{run}{}", form.ending());
     match robot {
         None => format!("{stem}{ending}"),
         Some(robot) => {

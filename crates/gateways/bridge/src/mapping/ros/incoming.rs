@@ -136,7 +136,11 @@ impl BatteryFields {
         let current_a = measured(state.current, "current");
         let current_a = current_a
             .map(|current_a| if self.discharge_is_positive { current_a } else { -current_a });
-        let soc = measured(state.percentage, "percentage");
+        let percentage = Some(state.percentage).filter(|share| !is_unknown(*share));
+        let soc = percentage.and_then(|share| measured(share, "percentage"));
+        if percentage.is_none() {
+            refused(Reason::Unknown, "percentage");
+        }
         let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
         // It is judged with the others of its robot, and in no sample.
         if soc.is_some_and(|soc| !SOC.contains(&soc)) {
@@ -157,6 +161,11 @@ impl BatteryFields {
             .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
         Observation { power, voltage_v, current_a, soc, charging, full, ..Observation::default() }
     }
+}
+
+/// Whether a percentage is not measured. Drivers write −1 as well as NaN, and mavros −1 %.
+fn is_unknown(percentage: f32) -> bool {
+    percentage.is_nan() || percentage == -1.0 || percentage == -0.01
 }
 
 /// Forward and angular velocity. With a velocity across, the speed counts.
@@ -303,7 +312,17 @@ mod tests {
         let (seen, refused) = read_battery(&route, &unknown);
         let seen = seen.unwrap();
         assert_eq!((seen.power, seen.current_a, seen.soc), (None, None, None));
-        assert_eq!((seen.voltage_v, refused), (Some(24.0), vec![]));
+        let told = [("unknown", "percentage of r1".to_owned())];
+        assert_eq!((seen.voltage_v, refused), (Some(24.0), told.to_vec()));
+        // In either unit.
+        for percentage in [Quantity::Share.si(), Quantity::Share.unit("%").unwrap()] {
+            let mut route = route.clone();
+            route.battery.percentage = percentage;
+            let unknown = BatteryState { percentage: -1.0, ..battery() };
+            let (seen, refused) = read_battery(&route, &unknown);
+            let seen = seen.unwrap();
+            assert_eq!((seen.soc, seen.current_a, refused), (None, Some(2.0), told.to_vec()));
+        }
         let wrong = BatteryState {
             voltage: f32::INFINITY,
             percentage: 50.0,

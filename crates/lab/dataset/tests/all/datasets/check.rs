@@ -86,7 +86,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
         }),
         (Unit, &[], "mW", ALL, |row| row[10] /= 1e3),
         (Unit, &[], "mV", ALL, |row| row[8] /= 1e3),
-        (Unit, &[], "voltage times current", ALL, |row| row[9] /= 1e3),
+        (Unit, &[], "would be 0.3 A", ALL, |row| row[9] /= 1e3),
         (Unit, &[], "seconds?", ALL, |row| row[1] *= 1e3),
     ];
     for (kind, at, words, rows, spoil) in faults {

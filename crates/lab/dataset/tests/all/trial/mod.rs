@@ -1,10 +1,12 @@
 //! Recorded trials: reading, refusals, notes and samples.
 
 mod fleet;
+mod forms;
 mod mat;
 mod parts;
 mod read;
 mod real;
+mod runs;
 mod samples;
 mod text;
 mod truncation;

@@ -218,7 +218,7 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
         assert!(finding.fault && finding.count == 1 && check.rows == 4, "{name}: {check:?}");
         says(&finding.places[0].to_string(), [what, &format!("row {row}")]);
         let whole = ColumnMap::default().whole_rows(true);
-        let trial = &Trial::read_mapped(&path, &whole).unwrap()[0];
+        let trial = Table::only_of(&path, &whole).unwrap().into_trial().unwrap();
         assert_eq!(trial.column(Column::Power), Some([4.5, 4.6, 4.7, 4.8].as_slice()), "{name}");
         assert_eq!(trial.notes().left_out.lines, 1, "{name}");
         assert_eq!(trial.file_row(3), if in_front == 4 { 4 } else { 5 }, "{name}");
