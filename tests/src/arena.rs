@@ -132,13 +132,12 @@ impl Setup {
     }
 }
 
-/// A separate fleet: directories, config, shared memory. Must be closed with [`Arena::close`],
-/// which checks that nothing is left.
+/// A separate fleet: directories, config, shared memory. When it is dropped, all its processes have
+/// exited, and a file that is left fails the test.
 #[derive(Debug)]
 pub struct Arena {
     files: PathBuf,
     domain: Domain,
-    closed: bool,
 }
 
 impl Arena {
@@ -150,7 +149,7 @@ impl Arena {
         let (files, root) = (shm.join(format!("{name}.f")), shm.join(name));
         let domain = Domain::new(FLEET, &root, PREFIX).expect("valid names");
         fs::DirBuilder::new().mode(0o755).create(&files).expect("the name is unique to this test");
-        let arena = Self { files, domain, closed: false };
+        let arena = Self { files, domain };
         arena.configure(setup);
         arena
     }
@@ -287,23 +286,16 @@ impl Arena {
     pub fn stale_files(&self) -> Vec<PathBuf> {
         left_behind(self.domain.shm_prefix(), self.domain.root())
     }
-
-    /// Closes the arena: all its processes have exited, and no file may be left.
-    pub fn close(mut self) {
-        self.closed = true;
-        assert_eq!(self.stale_files(), Vec::<PathBuf>::new(), "left behind");
-    }
 }
 
 impl Drop for Arena {
     fn drop(&mut self) {
-        for path in self.stale_files() {
-            let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+        let left = self.stale_files();
+        for path in &left {
+            let _ = fs::remove_file(path).or_else(|_| fs::remove_dir_all(path));
         }
         let _ = fs::remove_dir_all(&self.files);
-        if !std::thread::panicking() {
-            assert!(self.closed, "an arena must be closed, otherwise its stale files go unnoticed");
-        }
+        assert!(left.is_empty() || std::thread::panicking(), "left behind: {left:?}");
     }
 }
 

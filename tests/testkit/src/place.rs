@@ -10,7 +10,7 @@ const ROLE: &str = "JOULEBUS_TEST_ROLE";
 const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
-/// The fleet of one test, removed when dropped.
+/// The fleet of one test, removed when dropped. What its members have left then fails the test.
 #[derive(Debug)]
 pub struct Place {
     config: PathBuf,
@@ -62,15 +62,6 @@ impl Place {
         command.env(ROLE, role).env(CONFIG, &self.config);
         Member::spawn(role, command)
     }
-
-    /// Asserts that its members have left nothing.
-    ///
-    /// # Panics
-    /// They have.
-    pub fn assert_nothing_left(&self) {
-        let left = left_behind(&self.prefix, &self.root);
-        assert_eq!(left, Vec::<PathBuf>::new());
-    }
 }
 
 impl Default for Place {
@@ -81,11 +72,13 @@ impl Default for Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        for left in left_behind(&self.prefix, &self.root) {
-            let _ = fs::remove_file(left);
+        let left = left_behind(&self.prefix, &self.root);
+        for object in &left {
+            let _ = fs::remove_file(object);
         }
         let _ = fs::remove_dir_all(&self.root);
         let _ = fs::remove_file(&self.config);
+        assert!(left.is_empty() || std::thread::panicking(), "left behind: {left:?}");
     }
 }
 

@@ -204,5 +204,4 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
         };
         assert!(*after <= allowed, "{before} then {after} kB, allowed {allowed}");
     }
-    arena.close();
 }

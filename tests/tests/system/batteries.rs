@@ -73,7 +73,6 @@ fn a_lowered_capacity_takes_no_account_and_a_robot_that_has_none_is_unknown() {
     worker.stop();
     assert_eq!(bounds(&arena, 0).map(|(lo, _)| lo), Some(0.0));
     assert!((1..6).all(|robot| is_known(bounds(&arena, robot))), "they were in the file");
-    arena.close();
 }
 
 /// The file that the worker saves by default, once there is one.
@@ -129,7 +128,6 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
     assert!(remembered(&arena).is_some_and(|after| after >= errors && errors < 200.0));
     controller.kill();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -138,5 +136,4 @@ fn a_fleet_without_batteries_saves_nothing_by_default() {
     let mut worker = arena.worker();
     worker.stop();
     assert!(!arena.state().exists());
-    arena.close();
 }

@@ -143,7 +143,6 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
     );
     // Two seconds is not a measured value but a bound that holds under any load.
     assert!(max < (2.0 * a_second) as usize, "{messages:?}");
-    arena.close();
 }
 
 #[test]
@@ -192,7 +191,6 @@ fn a_full_disk_ends_only_the_capture() {
     let _ = planner.leave();
     source.finish();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -229,6 +227,4 @@ fn two_fleets_are_recorded_into_one_file() {
         source.finish();
         worker.stop();
     }
-    one.close();
-    other.close();
 }

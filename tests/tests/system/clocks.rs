@@ -82,7 +82,6 @@ fn processes_whose_clocks_differ_are_forecast_and_each_notices_a_silent_worker()
     }
     beside.leave();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -122,6 +121,5 @@ fn fleets_at_the_lowest_and_the_highest_rate_are_forecast_and_metered_to_the_nan
         source.leave();
         planner.leave();
         worker.stop();
-        arena.close();
     }
 }

@@ -108,7 +108,6 @@ fn no_process_needs_a_call_or_a_capability_that_docker_forbids() {
     if let Some(file) = file {
         verified(&file);
     }
-    arena.close();
 }
 
 /// A process to kill: its name, its command, and what is forecast while it is gone.
@@ -186,6 +185,5 @@ fn others_go_on_and_the_next_works_when_the_kernel_kills_a_process_for_memory() 
         consumer.leave();
         beside.as_mut().map(Child::stop);
         figure("out of memory", format_args!("{name} killed by the kernel and started again"));
-        arena.close();
     }
 }

@@ -128,5 +128,4 @@ fn after_truncation_of_an_object_restarts_recover_the_fleet() {
             "10 ways: {killed} processes died by SIGBUS, {ended} ended by themselves; 0.6 s later the fleet works after {cured}"
         ),
     );
-    arena.close();
 }

@@ -62,7 +62,6 @@ fn run(setup: &Setup, with_flood: bool) -> Run {
     source.leave();
     planner.leave();
     let report = worker.stop().json();
-    arena.close();
     Run { answers, report, refused, flooded, flood_pid }
 }
 
@@ -189,5 +188,4 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
             report["tick"]["max_us"].as_f64().unwrap() * 1e-3,
         ),
     );
-    arena.close();
 }

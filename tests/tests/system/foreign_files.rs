@@ -150,7 +150,6 @@ fn a_directory_not_created_by_joulebus_is_refused_and_unchanged() {
         everybody_refuses(what, &arena, shows);
         assert_eq!(tree(arena.files()), files, "{what}");
         fs::remove_dir_all(&root).unwrap();
-        arena.close();
     }
     figure(
         "somebody's folder where the fleet's belongs",
@@ -183,7 +182,6 @@ fn a_root_not_created_by_joulebus_is_neither_changed_nor_removed() {
     assert!(root.exists(), "an empty root is somebody's as well");
     fs::remove_dir(&root).unwrap();
     arena.worker().stop();
-    arena.close();
 }
 
 #[test]
@@ -251,7 +249,6 @@ fn foreign_files_in_a_fleets_directory_are_kept() {
     }
     fs::remove_dir(&node).unwrap();
     arena.worker().stop();
-    arena.close();
 }
 
 #[test]
@@ -266,7 +263,6 @@ fn a_directory_of_an_earlier_boot_with_our_marker_is_cleaned_and_reused() {
     let text = fs::read_to_string(&marker).unwrap();
     assert!(!text.contains("of-last-week"), "{text}");
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -287,7 +283,6 @@ fn concurrent_starts_create_one_directory_and_none_is_refused() {
         }
     }
     arena.worker().stop();
-    arena.close();
 }
 
 /// Other files at the path of the worker's lock.
@@ -331,5 +326,4 @@ fn an_invalid_lock_file_is_refused_and_unchanged() {
         arena.worker().stop();
     }
     fs::remove_dir(&root).unwrap();
-    arena.close();
 }

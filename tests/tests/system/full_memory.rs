@@ -9,11 +9,13 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use joulebus_tests::{Arena, Child, Ended, PATIENCE, Planner, Setup, figure, program};
+use tempfile::TempDir;
 
 /// A separate `/dev/shm` with the arena's fleet.
 struct OwnShm {
-    arena: Arena,
+    _arena: Arena,
     holder: Child,
+    _folder: TempDir,
     config: PathBuf,
     capture: PathBuf,
 }
@@ -28,15 +30,13 @@ impl OwnShm {
         if holder.lines(0, PATIENCE).is_empty() {
             assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{}", holder.tail());
             println!("skipped: needs the right to mount");
-            arena.close();
             return None;
         }
-        let name = arena.files().file_name().expect("an arena's name");
-        let place = std::env::temp_dir().join(name);
-        fs::create_dir(&place).expect("no other test has the name");
-        let config = place.join("fleet.toml");
+        let folder = tempfile::tempdir().expect("a folder for temporary use");
+        let config = folder.path().join("fleet.toml");
         fs::copy(arena.config(), &config).expect("there is room");
-        Some(Self { arena, holder, config, capture: place.join("run.mcap") })
+        let capture = folder.path().join("run.mcap");
+        Some(Self { _arena: arena, holder, _folder: folder, config, capture })
     }
 
     fn inside(&self, program: &std::path::Path, arguments: &[&str]) -> Command {
@@ -79,13 +79,6 @@ impl OwnShm {
     fn objects(&self) -> usize {
         let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
         fs::read_dir(path).expect("the holder lives").count()
-    }
-
-    fn close(mut self) {
-        self.holder.kill();
-        let place = self.config.parent().expect("it has one");
-        fs::remove_dir_all(place).expect("it is ours");
-        self.arena.close();
     }
 }
 
@@ -229,7 +222,6 @@ fn row_24_joining_a_fleet_with_little_memory_left_works_or_fails_with_numbers() 
             "{worked} of {started} worked, the others were refused with numbers; SIGBUS 0"
         ),
     );
-    shm.close();
 }
 
 #[test]
@@ -251,7 +243,6 @@ fn row_24_the_first_process_with_little_memory_left_works_or_fails_with_numbers(
             "{worked} of {started} worked, the others were refused with numbers; SIGBUS 0"
         ),
     );
-    shm.close();
 }
 
 #[test]
@@ -272,7 +263,6 @@ fn row_24_the_first_process_with_few_files_left_works_or_names_their_number() {
         "row 24, first processes with 0 to 200 files left",
         format_args!("{worked} of {started} worked, the others were refused with numbers"),
     );
-    shm.close();
 }
 
 /// Files of dead processes are removed before free memory is checked.
@@ -290,5 +280,4 @@ fn row_24_memory_of_dead_processes_is_freed_for_the_next_start() {
     worker.wait_for_line("ready:");
     worker.stop();
     assert_eq!(shm.objects(), 0, "nothing is left");
-    shm.close();
 }

@@ -78,7 +78,6 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -160,5 +159,4 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }

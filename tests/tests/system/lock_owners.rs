@@ -60,7 +60,6 @@ fn a_second_worker_names_the_holder_of_the_lock_at_any_contents_of_its_file() {
         assert!(doctor.text().contains(&named), "{shown:?}: {doctor:?}");
     }
     worker.stop();
-    arena.close();
     figure("lock files that lie", format_args!("{}: 0 believed", texts.len()));
 }
 
@@ -95,7 +94,6 @@ fn an_invisible_holder_is_not_named() {
     holder.kill().unwrap();
     holder.wait().unwrap();
     fs::remove_dir_all(arena.domain().root()).unwrap();
-    arena.close();
 }
 
 #[test]
@@ -123,7 +121,6 @@ fn looking_whether_there_is_a_worker_keeps_none_from_starting() {
     arena.worker().stop();
     stop.store(true, Ordering::Relaxed);
     looking.join().unwrap();
-    arena.close();
 }
 
 #[test]
@@ -168,5 +165,4 @@ fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_told() {
     assert!(ended.errors().contains("`lslocks` names it"), "{ended:?}");
     drop(file);
     arena.worker().stop();
-    arena.close();
 }

@@ -142,7 +142,6 @@ fn row_12_a_damaged_model_file_is_refused_with_path_and_both_values_and_leaves_n
     assert!(matches!(missing.code(), Some(1 | 2)), "{missing:?}");
     assert!(missing.errors().contains(&path.display().to_string()), "{}", missing.errors());
     figure("row 12, wrong accepts", format_args!("0 of {refused} damaged files, panics 0"));
-    arena.close();
 }
 
 #[test]
@@ -171,7 +170,6 @@ fn row_12_overwriting_a_loaded_model_file_does_not_affect_the_worker() {
         source.leave();
         planner.leave();
         worker.stop();
-        arena.close();
         answers
     };
     let (clean, disturbed) = (play(false), play(true));

@@ -68,7 +68,6 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed(
             report["ticks"]
         ),
     );
-    arena.close();
 }
 
 #[test]
@@ -137,5 +136,4 @@ fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_
     stopped.leave();
     let report = worker.stop().json();
     assert_eq!(report["frames_unsent"], 0, "{report}");
-    arena.close();
 }

@@ -169,14 +169,12 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
     planner.leave();
     recorder.leave();
     let report = worker.stop().json();
-    arena.close();
 
     let clean = Arena::new(&setup);
     let mut worker = clean.worker();
     let frames = sent.load(Ordering::Relaxed);
     let (expected, _) = play_others(&clean, &setup, &sent, |seq| seq == frames, Duration::ZERO);
     worker.stop();
-    clean.close();
     let mut compared = 0;
     for (key, answer) in &answers {
         // A planner that waited for a CPU may have missed a frame.

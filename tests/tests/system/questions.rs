@@ -132,7 +132,6 @@ fn clients_killed_in_the_middle_of_a_question_leave_nothing_behind_and_others_ar
     let report = worker.stop().json();
     assert!(report["queries"]["answered"].as_u64().unwrap() >= answered, "{report}");
     figure("questions, clients killed", format_args!("{killed}, {answered} others answered"));
-    arena.close();
 }
 
 #[test]
@@ -180,7 +179,6 @@ fn connections_of_clients_that_left_while_their_questions_were_unread_are_given_
     assert_eq!(failed, None, "a client that stays is answered all the time");
     source.finish();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -206,7 +204,6 @@ fn a_worker_that_ends_refuses_the_questions_that_wait() {
     let counted = report["queries"]["refused"]["Ending"].as_u64();
     assert!(counted >= names.get("Ending").copied(), "{report}");
     source.finish();
-    arena.close();
 }
 
 #[test]
@@ -245,7 +242,6 @@ fn a_killed_worker_is_an_error_at_once_and_the_next_one_answers() {
         "questions, workers killed",
         format_args!("{rounds}: {errors:?}, asked before {spread}"),
     );
-    arena.close();
 }
 
 #[test]
@@ -266,7 +262,6 @@ fn a_stopped_worker_is_a_time_out_and_answers_again_when_it_continues() {
     asker.child.finish();
     source.finish();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -302,7 +297,6 @@ fn a_calm_client_is_served_next_whatever_others_ask() {
         // They have used more time by then: a question of several robots that comes later waits.
         assert_eq!(overtook.count(), 0, "{:?}", query.record);
     }
-    arena.close();
 }
 
 fn queries(file: &std::path::Path) -> Vec<Query> {
@@ -344,7 +338,6 @@ fn hostile_questions_are_refused_by_reason_and_counted_and_harm_nobody() {
     assert_eq!(reasons.len(), 8, "{reasons:?}");
     assert!(answered > 0);
     assert_eq!(report["frames_unsent"], 0, "{report}");
-    arena.close();
 }
 
 #[test]
@@ -357,7 +350,6 @@ fn the_worker_answers_with_the_bits_that_a_planner_computes_itself() {
     asker.child.finish();
     source.finish();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -370,7 +362,6 @@ fn a_question_that_takes_longer_than_two_ticks_is_a_yes_about_a_state_that_is_no
     asker.child.finish();
     source.finish();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -447,5 +438,4 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
         "questions, computed again",
         format_args!("{} of {}", count("queries_verified"), count("queries")),
     );
-    arena.close();
 }

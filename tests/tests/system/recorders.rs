@@ -43,7 +43,6 @@ fn a_capture_of_a_worker_that_records_itself_is_verified() {
     assert_eq!(verified.code(), Some(0), "{}", verified.text());
     let verified = verified.json();
     assert_eq!(verified["ticks_verified"], report["ticks"], "{verified}");
-    arena.close();
 }
 
 #[test]
@@ -78,7 +77,6 @@ fn a_signal_writes_a_snapshot_and_the_recorder_continues() {
     let captures = left.filter(|entry| entry.path().extension().is_some_and(|end| end == "mcap"));
     assert_eq!(captures.count(), 2, "a snapshot was written at the end");
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -93,7 +91,6 @@ fn all_samples_of_a_looped_replay_are_accepted() {
     assert_eq!(report["samples"], 3 * once, "{report}");
     let report = worker.stop().json();
     assert_eq!(report["samples_accepted"], 3 * once, "{report}");
-    arena.close();
 }
 
 #[test]
@@ -115,5 +112,4 @@ fn a_capture_is_played_under_another_name() {
     let wrong = alone(&["replay", file.to_str().unwrap(), "--remap", "t=copy"]);
     assert_eq!(wrong.code(), Some(2));
     assert!(wrong.errors().contains(":="), "{}", wrong.errors());
-    arena.close();
 }

@@ -121,7 +121,6 @@ fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works
         "removed under a running fleet",
         format_args!("{} ways; the worker says so after {noticed}", REMOVALS.len()),
     );
-    arena.close();
 }
 
 #[test]
@@ -155,7 +154,6 @@ fn every_program_whose_files_are_removed_reports_it_and_exits() {
     let info = joulebus_tests::alone(&["info", arena.files().join("run-0.mcap").to_str().unwrap()]);
     assert_eq!(info.code(), Some(0), "the capture is whole: {info:?}");
     arena.worker().stop();
-    arena.close();
 }
 
 #[test]
@@ -176,7 +174,6 @@ fn doctor_finds_no_fault_with_what_a_reader_that_has_left_had() {
     controller.finish();
     planner.child.end();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -206,7 +203,6 @@ fn doctor_names_processes_that_use_removed_files() {
         assert_eq!(arena.run(&["doctor", "--fix"]).code(), Some(0), "{what}");
         assert_eq!(arena.stale_files(), Vec::<PathBuf>::new(), "{what}");
     }
-    arena.close();
 }
 
 #[test]
@@ -217,7 +213,6 @@ fn removal_of_the_lock_file_ends_the_worker_before_a_second_one_can_start() {
     worker.wait_for_line(NOTICED);
     assert_eq!(worker.wait().code(), Some(1));
     arena.worker().stop();
-    arena.close();
 }
 
 /// Processes that join, leave, are killed or fall behind cause no errors.
@@ -251,5 +246,4 @@ fn no_file_is_reported_missing_while_processes_join_leave_and_are_killed() {
     assert!(!ended.errors().contains(NOTICED), "{ended:?}");
     let ended = worker.stop();
     assert!(!ended.errors().contains(NOTICED), "{ended:?}");
-    arena.close();
 }

@@ -182,7 +182,6 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
     assert_eq!(ended.json()["first"]["robot"], 3, "{}", ended.text());
-    arena.close();
 }
 
 #[test]
@@ -211,7 +210,6 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
     // Two of three readings are held.
     let [fresh, held] = counts;
     assert!(fresh > 100 && held > fresh, "{counts:?}");
-    arena.close();
 }
 
 /// The recording of a replay at twice the speed, and the report of the replay.
@@ -252,7 +250,6 @@ fn the_recording_of_a_replay_equals_the_original() {
     assert!(forecasts > 200 && residuals > 200, "{forecasts} forecasts, {residuals} residuals");
     let ended = alone(&["replay", "--verify", second.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(0), "{}", ended.text());
-    arena.close();
 }
 
 #[test]
@@ -291,7 +288,6 @@ fn a_recording_started_in_the_middle_and_split_is_verified_from_its_keyframes() 
     let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
     assert_eq!(ended.json()["differences"], 0);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
-    arena.close();
 }
 
 #[test]
@@ -350,7 +346,6 @@ fn another_model_is_compared_robot_by_robot() {
         assert_eq!(robot["recorded"]["mae_w"], published.mae_w, "robot {id}");
         assert_eq!(robot["recorded"]["scored"], published.scored, "robot {id}");
     }
-    arena.close();
 }
 
 #[test]
@@ -395,7 +390,6 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
         .into_iter()
         .find_map(|entry| Some(entry.message.frame::<Budgets>()?.header.tick));
     assert!(first.unwrap() <= after[0].0, "budgets {first:?}, forecasts {}", after[0].0);
-    arena.close();
 }
 
 #[test]
@@ -420,5 +414,4 @@ fn a_replay_can_be_stepped() {
     assert_eq!(report["frames"]["samples"], 3, "{report:#}");
     assert_eq!(frames(), 3);
     let _ = planner.leave();
-    arena.close();
 }

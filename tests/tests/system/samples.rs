@@ -22,7 +22,6 @@ fn clean_run(setup: &Setup, frames: &[Vec<Sample>]) -> Answers {
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
     answers
 }
 
@@ -127,7 +126,6 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -188,7 +186,6 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
     second.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }
 
 /// Waits for the first frame in which `samples` samples are accounted for; `newest` has been read
@@ -327,7 +324,6 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }
 
 #[test]
@@ -392,7 +388,6 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
         format_args!("{total} sent = {} accepted + {:?}", frame.accepted, frame.dropped),
     );
     assert_eq!(report["receive_errors"], 0);
-    arena.close();
 }
 
 #[test]
@@ -448,7 +443,6 @@ fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep
         "operators read it in the log: {}",
         ended.errors()
     );
-    arena.close();
 }
 
 #[test]
@@ -492,7 +486,6 @@ fn row_6_a_forged_run_from_the_far_future_blocks_a_source_for_one_stale_period_o
     planner.leave();
     let report = worker.stop().json();
     assert_ne!(report["samples_dropped"]["OldEpoch"], serde_json::Value::Null);
-    arena.close();
 }
 
 #[test]
@@ -521,5 +514,4 @@ fn more_successive_sources_than_slots_are_all_accepted() {
     planner.leave();
     let report = worker.stop().json();
     assert!(report["samples_accepted"].as_u64() > Some(5 * u64::from(NAMES)));
-    arena.close();
 }

@@ -66,7 +66,6 @@ fn row_18_stale_files_of_dead_runs_are_removed_at_the_next_start_in_one_log_line
     let ended = arena.worker().stop();
     assert!(!ended.errors().contains(CLEANED), "{}", ended.errors());
     works(&arena, 10);
-    arena.close();
 }
 
 #[test]
@@ -89,7 +88,6 @@ fn row_18_doctor_lists_stale_files_and_removes_them_only_on_request() {
     assert_eq!(check(&mended, "stale files")["status"], "ok", "{mended}");
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     works(&arena, 0);
-    arena.close();
 }
 
 #[test]
@@ -103,7 +101,6 @@ fn row_18_after_a_killed_worker_the_last_process_to_leave_removes_its_files() {
     worker.kill();
     source.leave();
     planner.leave();
-    arena.close();
 }
 
 #[test]
@@ -127,7 +124,6 @@ fn row_18_doctor_does_not_touch_files_in_use() {
     let report = worker.stop().json();
     assert_eq!(report["frames_unsent"], 0);
     assert_eq!(report["receive_errors"], 0);
-    arena.close();
 }
 
 #[test]
@@ -156,7 +152,6 @@ fn trap_1_empty_files_do_not_block_a_start_with_or_without_running_processes() {
         "trap 1, ready in spite of files of length zero",
         format_args!("{cold:?} cold, {warm:?} with somebody alive"),
     );
-    arena.close();
 }
 
 /// A kind of process: how to start it, and how to detect that it has joined.
@@ -298,7 +293,6 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
              {again} attempts to join repeated, {disturbed} passing failures of the living"
         ),
     );
-    arena.close();
 }
 
 #[test]

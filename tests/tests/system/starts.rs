@@ -131,7 +131,6 @@ fn row_20_an_invalid_config_is_refused_with_line_key_nearest_key_and_unit_and_ex
         "row 20, silent acceptances",
         format_args!("0 of {} wrong configs, each by three verbs", WRONG.len()),
     );
-    arena.close();
 }
 
 #[test]
@@ -161,7 +160,6 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
     refused("source", &source.wait());
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     figure("row 24, SIGBUS", format_args!("0; worker refused: {needed} bytes needed, {free} free"));
-    arena.close();
 }
 
 #[test]
@@ -192,5 +190,4 @@ fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works(
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }

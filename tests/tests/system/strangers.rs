@@ -77,7 +77,7 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
     let setup = Setup::default();
     let arena = Arena::new(&setup);
     let Some(programs) = Programs::copy(&arena) else {
-        return arena.close();
+        return;
     };
     let config = arena.config().display().to_string();
     let mut worker = arena.worker();
@@ -125,14 +125,13 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
     source.leave();
     planner.leave();
     worker.stop();
-    arena.close();
 }
 
 #[test]
 fn row_19_files_created_earlier_by_another_user_are_refused_with_the_owner() {
     let arena = Arena::new(&Setup::default());
     let Some(_programs) = Programs::copy(&arena) else {
-        return arena.close();
+        return;
     };
     let root = arena.domain().root().display().to_string();
     let object = format!("/dev/shm/{}squat", arena.domain().shm_prefix());
@@ -158,5 +157,4 @@ fn row_19_files_created_earlier_by_another_user_are_refused_with_the_owner() {
         stranger_does(&format!("{undo} {place}"));
     }
     arena.worker().stop();
-    arena.close();
 }

@@ -186,7 +186,6 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
             audit.ledgers
         ),
     );
-    arena.close();
 }
 
 #[test]
@@ -228,7 +227,6 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     assert_eq!(std::fs::read_to_string(&aside).ok(), Some(edited), "kept");
     let named = aside.display().to_string();
     assert!(ended.errors().contains(&named), "{}", ended.errors());
-    arena.close();
 }
 
 #[test]
@@ -252,7 +250,6 @@ fn a_worker_whose_ledger_cannot_be_saved_at_the_end_says_so_and_ends_with_3() {
     assert_eq!(ended.json()["ledger_unsaved"], true);
     assert!(generation(&arena, "").is_some(), "the newest ledger is whole");
     std::fs::remove_dir_all(&older).expect("the arena's own directory");
-    arena.close();
 }
 
 /// The runs of workers in the order of their frames; panics if a run reappears after another.
@@ -290,7 +287,6 @@ fn row_17_a_second_worker_exits_with_the_owners_pid_and_the_first_continues() {
     source.leave();
     planner.leave();
     assert_eq!(first.stop().json()["frames_unsent"], 0);
-    arena.close();
 }
 
 #[test]
@@ -324,5 +320,4 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
     figure("row 17, owners at once", format_args!("1 in {rounds} races of {RACERS}"));
     planner.leave();
     last.stop();
-    arena.close();
 }

@@ -70,5 +70,4 @@ fn only_loans_allocate_and_only_once() {
     drop((publisher, planner, budgets));
     drop((samples, forecasts, budget_writer, waker, bus));
     drop(lock);
-    place.assert_nothing_left();
 }
