@@ -8,7 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use joulebus_bus::{Background, yield_to_the_worker};
+use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
@@ -24,6 +24,7 @@ use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
 use crate::mapping::ros::services::Service;
+use crate::mapping::simulated::{Allowed, SimulatedClock};
 use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
@@ -116,6 +117,7 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
     let mut bridge = Bridge::start(&config, &settings)?;
     while !stop.is_asked() && !bridge.is_over() {
         thread::sleep(POLL_INTERVAL);
+        bridge.shared.log_clock();
     }
     let report = bridge.finish(&config, &settings)?;
     output.report(&report)?;
@@ -166,8 +168,11 @@ struct Bridge {
 
 impl Bridge {
     fn start(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
+        let is_simulated = settings.ros2.as_ref().is_some_and(|ros2| ros2.use_sim_time);
+        let allowed = Allowed::new(config.settings(), config.tick_period_ns());
+        let simulated = is_simulated.then(|| SimulatedClock::new(allowed, clock::monotonic_ns()));
         let mut bridge = Self {
-            shared: Arc::new(Shared::new(settings.intake(config))),
+            shared: Arc::new(Shared::new(settings.intake(config), simulated)),
             lost: Arc::default(),
             publishing: None,
             others: Vec::new(),

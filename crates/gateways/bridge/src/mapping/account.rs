@@ -41,6 +41,8 @@ pub(crate) enum Reason {
     NotFinite,
     /// A share beyond 0 to 1, or a code that the message's definition does not have.
     OutOfRange,
+    /// Of another clock than `/clock`, or from before a reset of the simulation.
+    WrongStamp,
     /// Retained by the broker, so of unknown age.
     Retained,
     /// A field that none of the first messages of a robot had.
@@ -68,6 +70,7 @@ impl Reason {
             Self::WrongType => "wrong_type",
             Self::NotFinite => "not_finite",
             Self::OutOfRange => "out_of_range",
+            Self::WrongStamp => "wrong_stamp",
             Self::Retained => "retained",
             Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",
