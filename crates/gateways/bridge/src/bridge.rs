@@ -14,6 +14,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use joulebus_publisher::Implausible;
+use joulebus_ros_messages::Clock;
 use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
@@ -28,7 +29,9 @@ use crate::mapping::simulated::{Allowed, SimulatedClock};
 use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
-use crate::ros2::{Answering, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh};
+use crate::ros2::{
+    Answering, CLOCK_TOPIC, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh,
+};
 use crate::shared::Shared;
 use crate::usual;
 
@@ -141,12 +144,13 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
 fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
     let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
+    let clock = ros2.use_sim_time.then(|| format!("{CLOCK_TOPIC} ({})", Clock::NAME));
     let serve = |(it, name): &(Service, String)| format!("{name} ({})", it.type_name());
     RosCheckReport {
         domain_id: ros2.domain_id,
         zenoh: is_zenoh(),
         networks: ros2.networks.iter().map(ToString::to_string).collect(),
-        reads: ros2.routes.iter().map(read).collect(),
+        reads: ros2.routes.iter().map(read).chain(clock).collect(),
         writes: ros2.writes.iter().map(write).collect(),
         services: ros2.services.iter().map(serve).collect(),
     }

@@ -38,13 +38,13 @@ use crate::mapping::ros::names::{dds_topic, dds_type, ros_type};
 use crate::mapping::ros::services::Service;
 use crate::ros2::answering::Asked;
 use crate::ros2::raw::Raw;
-use crate::ros2::reading::{CLOCK_TOPIC, POLL_INTERVAL, Ros2Error};
+use crate::ros2::reading::{POLL_INTERVAL, Ros2Error};
 use crate::ros2::sink::Topic;
 use crate::ros2::writer::{Client, DdsWriter, Writer};
 use crate::shared::Shared;
 
 pub(crate) use answering::{Answering, MAX_REQUESTS};
-pub(crate) use reading::Reading;
+pub(crate) use reading::{CLOCK_TOPIC, Reading};
 pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
 

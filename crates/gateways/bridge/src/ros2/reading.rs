@@ -14,7 +14,7 @@ use crate::ros2::answering::Asked;
 use crate::shared::Shared;
 
 /// The topic of the simulated clock, as in every ROS 2 program.
-pub(super) const CLOCK_TOPIC: &str = "/clock";
+pub(crate) const CLOCK_TOPIC: &str = "/clock";
 /// Delay until a stop is noticed.
 pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(50);
 

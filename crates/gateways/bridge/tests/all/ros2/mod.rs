@@ -371,6 +371,8 @@ fn a_file_is_checked_without_a_fleet_or_a_peer() {
     assert_eq!(ros2["domain_id"], domain.id);
     assert_eq!(ros2["reads"][0], "/fleet/{robot}/battery_state (sensor_msgs/msg/BatteryState)");
     assert_eq!(ros2["writes"][4], "/diagnostics (diagnostic_msgs/msg/DiagnosticArray)");
+    let simulated = check(&file(&domain).replace("networks", "use_sim_time = true\nnetworks"));
+    assert_eq!(simulated.json()["ros2"]["reads"][2], "/clock (rosgraph_msgs/msg/Clock)");
     let bad = check(&file(&domain).replace("/fleet/{robot}/cmd_vel", "fleet/{robot}/cmd_vel"));
     assert_eq!(bad.exit_code(), 2);
     assert!(bad.errors().contains("no topic of ROS 2"), "{bad:?}");
