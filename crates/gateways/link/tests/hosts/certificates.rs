@@ -283,6 +283,7 @@ fn init_writes_files_and_certificates_that_check_compares() {
     ] {
         assert_eq!(init(&[wrong]).code(), Some(2), "{wrong}");
     }
+    assert_eq!(init(&["--port", "0"]).code(), Some(2));
     assert_eq!(init(&["x=::1", "y=10.0.0.2", "z=Z.example.org"]).code(), Some(0));
     // Its key may be kept elsewhere. Another authority would shut the old hosts out.
     fs::remove_file(host.config().with_file_name("made").join("fleet-ca.key")).unwrap();
