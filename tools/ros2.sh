@@ -40,6 +40,19 @@ EOF
     rm -rf "$home/build"
     echo "$from" >"$home/made-from"
 fi
+# The package's description names what its build finds, and catkin_pkg has no warning.
+"$home/bin/python" - "$package" <<'EOF' >&2
+import re, sys
+from pathlib import Path
+from catkin_pkg.package import parse_package
+warnings = []
+parsed = parse_package(sys.argv[1], warnings=warnings)
+parsed.validate(warnings=warnings)
+assert not warnings, warnings
+found = set(re.findall(r"find_package\((\w+)", (Path(sys.argv[1]) / "CMakeLists.txt").read_text()))
+named = {it.name for it in parsed.buildtool_depends + parsed.build_depends}
+assert found == named, f"CMakeLists.txt alone, or package.xml alone: {found ^ named}"
+EOF
 # The hashes that the bridge states are those of rosidl.
 "$home/ros2-python" - crates/core/ros-messages/src/hashes.rs "$home" <<'EOF' >&2
 import json, re, sys

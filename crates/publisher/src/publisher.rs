@@ -146,8 +146,22 @@ impl Publisher {
         intended_ns: u64,
         robots: impl IntoIterator<Item = RobotState>,
     ) -> Result<Sent, PublishError> {
+        self.publish_stamped(intended_ns, clock::monotonic_ns(), robots)
+    }
+
+    /// As [`Publisher::publish_intended`], stamped with `now_ns`: for a simulation, whose time
+    /// passes at another rate. `measured_ns` of states is on the same clock. Stamps of a robot rise
+    /// all the same, by 1 ns where `now_ns` does not.
+    ///
+    /// # Errors
+    /// [`PublishError`]; nothing was sent.
+    pub fn publish_stamped(
+        &mut self,
+        intended_ns: u64,
+        now_ns: u64,
+        robots: impl IntoIterator<Item = RobotState>,
+    ) -> Result<Sent, PublishError> {
         let allowed = self.writer.max_len();
-        let now_ns = clock::monotonic_ns();
         self.attempts += 1;
         self.samples.clear();
         let mut robots = robots.into_iter();

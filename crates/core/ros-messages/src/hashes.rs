@@ -1,7 +1,7 @@
 //! Hashes of definitions (REP 2011, `RIHS01`), as ROS 2 has them since Iron.
 
 /// Types, and the hashes of their definitions.
-const HASHES: [(&str, &str); 9] = [
+const HASHES: [(&str, &str); 10] = [
     (
         "sensor_msgs/msg/BatteryState",
         "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741",
@@ -12,6 +12,7 @@ const HASHES: [(&str, &str); 9] = [
         "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
     ),
     ("nav_msgs/msg/Odometry", "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+    ("rosgraph_msgs/msg/Clock", "692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564"),
     ("std_msgs/msg/Float64", "705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"),
     (
         "diagnostic_msgs/msg/DiagnosticArray",

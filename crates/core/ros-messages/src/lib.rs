@@ -39,6 +39,25 @@ impl Time {
     }
 }
 
+/// `rosgraph_msgs/Clock`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// Simulated time.
+    pub clock: Time,
+}
+
+impl Clock {
+    /// Its name in ROS 2.
+    pub const NAME: &str = "rosgraph_msgs/msg/Clock";
+
+    /// Simulated ns from 0. `None` for what is no time.
+    #[must_use]
+    pub fn sim_ns(self) -> Option<u64> {
+        let sec = u64::try_from(self.clock.sec).ok().filter(|_| self.clock.nanosec < 1_000_000_000);
+        sec.map(|sec| sec * 1_000_000_000 + u64::from(self.clock.nanosec))
+    }
+}
+
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {

@@ -8,12 +8,13 @@ use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use joulebus_bus::{Background, yield_to_the_worker};
+use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use joulebus_publisher::Implausible;
+use joulebus_ros_messages::Clock;
 use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
@@ -24,10 +25,13 @@ use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
 use crate::mapping::ros::services::Service;
+use crate::mapping::simulated::{Allowed, SimulatedClock};
 use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
-use crate::ros2::{Answering, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh};
+use crate::ros2::{
+    Answering, CLOCK_TOPIC, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh,
+};
 use crate::shared::Shared;
 use crate::usual;
 
@@ -116,6 +120,7 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
     let mut bridge = Bridge::start(&config, &settings)?;
     while !stop.is_asked() && !bridge.is_over() {
         thread::sleep(POLL_INTERVAL);
+        bridge.shared.log_clock();
     }
     let report = bridge.finish(&config, &settings)?;
     output.report(&report)?;
@@ -139,12 +144,13 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
 fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
     let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
+    let clock = ros2.use_sim_time.then(|| format!("{CLOCK_TOPIC} ({})", Clock::NAME));
     let serve = |(it, name): &(Service, String)| format!("{name} ({})", it.type_name());
     RosCheckReport {
         domain_id: ros2.domain_id,
         zenoh: is_zenoh(),
         networks: ros2.networks.iter().map(ToString::to_string).collect(),
-        reads: ros2.routes.iter().map(read).collect(),
+        reads: ros2.routes.iter().map(read).chain(clock).collect(),
         writes: ros2.writes.iter().map(write).collect(),
         services: ros2.services.iter().map(serve).collect(),
     }
@@ -166,8 +172,11 @@ struct Bridge {
 
 impl Bridge {
     fn start(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
+        let is_simulated = settings.ros2.as_ref().is_some_and(|ros2| ros2.use_sim_time);
+        let allowed = Allowed::new(config.settings(), config.tick_period_ns());
+        let simulated = is_simulated.then(|| SimulatedClock::new(allowed, clock::monotonic_ns()));
         let mut bridge = Self {
-            shared: Arc::new(Shared::new(settings.intake(config))),
+            shared: Arc::new(Shared::new(settings.intake(config), simulated)),
             lost: Arc::default(),
             publishing: None,
             others: Vec::new(),

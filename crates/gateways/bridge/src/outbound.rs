@@ -87,9 +87,9 @@ impl Times {
     }
 
     /// Converts a monotonic time, which may lie ahead, to Unix time.
-    pub(crate) const fn unix_ns(self, at_ns: u64) -> u64 {
+    pub(crate) fn unix_ns(self, at_ns: u64) -> u64 {
         let ago_ns = self.now_ns as i128 - at_ns as i128;
-        (self.now_unix_ns as i128 - ago_ns) as u64
+        (self.now_unix_ns as i128 - ago_ns).max(0) as u64
     }
 }
 

@@ -58,33 +58,34 @@ pub(crate) fn run(
 ) -> anyhow::Result<PublishedRecord> {
     let mut publisher = Publisher::without_judgement(config, name)?;
     thread.joined(());
-    let mut groups = groups(config, robots, clock::monotonic_ns());
+    let mut groups = groups(config, robots, shared.now_ns().unwrap_or_default());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
     let mut news_ns = clock::monotonic_ns();
     let mut never_came_ns = Some(news_ns + NEVER_CAME_NS);
     let mut refused = BTreeSet::new();
     let mut findings = FindingsFile::new(config, name);
     while !shared.is_stopped() {
-        let now_ns = clock::monotonic_ns();
+        let (host_ns, now_ns) = (clock::monotonic_ns(), shared.now_ns());
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
-        let wait_ns = due_ns.map_or(POLL_INTERVAL_NS, |due_ns| due_ns.saturating_sub(now_ns));
-        if wait_ns > 0 {
-            std::thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
+        let wait_ns = due_ns.zip(now_ns).map(|(due_ns, now_ns)| due_ns.saturating_sub(now_ns));
+        let wait_ns = wait_ns.unwrap_or(POLL_INTERVAL_NS).min(POLL_INTERVAL_NS);
+        if wait_ns > 0 && host_ns < news_ns {
+            shared.wait(Duration::from_nanos(wait_ns));
             continue;
         }
         states.clear();
-        let mut intended_ns = now_ns;
+        let mut late_ns = 0;
         for group in &mut groups {
-            if let Some(slot) = group.grid.take(now_ns) {
-                intended_ns = intended_ns.min(slot.intended_ns);
+            if let Some((slot, now_ns)) = now_ns.and_then(|it| Some((group.grid.take(it)?, it))) {
+                late_ns = late_ns.max(now_ns - slot.intended_ns);
                 let mut intake = shared.intake();
                 states
                     .extend(group.robots.iter().filter_map(|robot| intake.sample(*robot, now_ns)));
             }
         }
-        if now_ns >= news_ns {
-            news_ns = now_ns + LOG_EVERY_NS;
-            if never_came_ns.is_some_and(|at_ns| now_ns >= at_ns) {
+        if host_ns >= news_ns {
+            news_ns = host_ns + LOG_EVERY_NS;
+            if never_came_ns.is_some_and(|at_ns| host_ns >= at_ns) {
                 never_came_ns = None;
                 never_came(robots, shared);
             }
@@ -99,12 +100,10 @@ pub(crate) fn run(
                 Err(error) => tracing::warn!(%error, "what is implausible was not written"),
             }
         }
-        if !states.is_empty() {
-            count(
-                publisher.publish_intended(intended_ns, states.iter().copied()),
-                &mut record,
-                &mut refused,
-            )?;
+        if let Some(stamp_ns) = now_ns.filter(|_| !states.is_empty()) {
+            let intended_ns = host_ns.saturating_sub(late_ns);
+            let sent = publisher.publish_stamped(intended_ns, stamp_ns, states.iter().copied());
+            count(sent, &mut record, &mut refused)?;
         }
     }
     Ok(record)

@@ -2,13 +2,16 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
+use joulebus_bus::clock;
 use joulebus_program::output::say;
 
 use crate::mapping::account::Account;
 use crate::mapping::intake::Intake;
 use crate::mapping::route::State;
+use crate::mapping::simulated::SimulatedClock;
 
 /// Maximum number of states that wait to be passed on.
 const MAX_STATES: usize = 1_000;
@@ -19,17 +22,23 @@ pub(crate) struct Shared {
     intake: Mutex<Intake>,
     account: Mutex<Account>,
     states: Mutex<VecDeque<State>>,
+    simulated: Option<Mutex<SimulatedClock>>,
+    /// The simulated clock has moved.
+    moved: Condvar,
     stop: AtomicBool,
     close: AtomicBool,
     messages: AtomicU64,
 }
 
 impl Shared {
-    pub(crate) fn new(intake: Intake) -> Self {
+    /// With the clock of a simulation, if samples have its time.
+    pub(crate) fn new(intake: Intake, simulated: Option<SimulatedClock>) -> Self {
         Self {
             intake: Mutex::new(intake),
             account: Mutex::default(),
             states: Mutex::default(),
+            simulated: simulated.map(Mutex::new),
+            moved: Condvar::new(),
             stop: AtomicBool::new(false),
             close: AtomicBool::new(false),
             messages: AtomicU64::new(0),
@@ -42,6 +51,45 @@ impl Shared {
 
     pub(crate) fn account(&self) -> MutexGuard<'_, Account> {
         lock(&self.account)
+    }
+
+    /// The simulated clock, if samples have its time.
+    pub(crate) fn simulated(&self) -> Option<MutexGuard<'_, SimulatedClock>> {
+        self.simulated.as_ref().map(lock)
+    }
+
+    /// The present in the time of samples, ns: this host's monotonic clock, or the place of the
+    /// simulated time on it. `None` before a message of `/clock`.
+    pub(crate) fn now_ns(&self) -> Option<u64> {
+        let Some(simulated) = self.simulated() else { return Some(clock::monotonic_ns()) };
+        simulated.now_ns().map(|(stamp_ns, _)| stamp_ns)
+    }
+
+    /// Takes a message of `/clock`.
+    pub(crate) fn set_clock(&self, sim_ns: u64) {
+        let host_ns = clock::monotonic_ns();
+        if self.simulated().is_some_and(|mut it| it.take(sim_ns, host_ns)) {
+            self.intake().forget();
+        }
+        self.moved.notify_all();
+    }
+
+    /// Waits until the simulated clock moves, at most this time. A clock of this host moves by
+    /// itself.
+    pub(crate) fn wait(&self, most: Duration) {
+        match self.simulated() {
+            None => std::thread::sleep(most),
+            // Whether it was the clock or the time that ended it does not matter.
+            Some(simulated) => drop(self.moved.wait_timeout(simulated, most)),
+        }
+    }
+
+    /// Logs what is new about the simulated clock.
+    pub(crate) fn log_clock(&self) {
+        let news = self.simulated().and_then(|mut it| it.news(clock::monotonic_ns()));
+        if let Some(line) = news {
+            say(&line);
+        }
     }
 
     /// Logs each unmapped message of a new reason or name, and each new implausible value.

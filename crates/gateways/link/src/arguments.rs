@@ -66,7 +66,7 @@ pub(crate) struct InitArguments {
     #[arg(long, value_name = "DIR", default_value = "links")]
     pub(crate) out: PathBuf,
     /// Port on which the worker's host listens
-    #[arg(long, value_name = "PORT", default_value_t = 7447)]
+    #[arg(long, value_name = "PORT", default_value_t = 7447, value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) port: u16,
     /// Days for which certificates are valid
     #[arg(long, value_name = "DAYS", default_value_t = 825, value_parser = clap::value_parser!(u32).range(1..=3650))]

@@ -3,11 +3,11 @@
 use std::fmt;
 use std::fs;
 use std::io::Write as _;
-use std::net::Ipv6Addr;
+use std::net::{IpAddr, Ipv6Addr};
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -16,6 +16,8 @@ use crate::arguments::InitArguments;
 use crate::certificates::Authority;
 
 const MAX_BYTES: u64 = 1 << 20;
+/// The name of the authority's files.
+const AUTHORITY: &str = "fleet-ca";
 
 /// A host as the command line names it.
 #[derive(Debug)]
@@ -27,13 +29,13 @@ struct Host<'a> {
 impl<'a> Host<'a> {
     fn parse(text: &'a str) -> Result<Self, UsageError> {
         let (name, address) = text.split_once('=').unwrap_or((text, text));
-        // A folder has this name, too: none that is hidden, or another one's.
-        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        let is_name = (1..=64).contains(&name.len()) && !name.starts_with(['.', '-']);
-        if !is_name || !name.bytes().all(allowed) || address.contains(['/', '"', '\\', '#', '?']) {
+        // A folder and files have this name, too: none that is hidden, or another one's.
+        let is_own = !name.starts_with(AUTHORITY);
+        let is_address = address.parse::<IpAddr>().is_ok() || is_host(address, 253);
+        if !is_host(name, 64) || !is_own || !is_address {
             let what = format!(
-                "{text:?} is no link: a name of 1 to 64 letters, digits and `-_.`, and, if others reach that host by \
-                 another name or an IP address, =ADDRESS without a port"
+                "{text:?} is no link: a name of 1 to 64 letters, digits and `-_.`, which does not begin with {AUTHORITY}, and, \
+                 if others reach that host by another name or an IP address, =ADDRESS without a port"
             );
             return Err(UsageError(what));
         }
@@ -47,6 +49,13 @@ impl<'a> Host<'a> {
             Err(_) => format!("tls/{}:{port}", self.address),
         }
     }
+}
+
+/// Whether the text can be the name of a host, and of a file.
+fn is_host(text: &str, most: usize) -> bool {
+    let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+    let is_whole = (1..=most).contains(&text.len()) && !text.starts_with(['.', '-']);
+    is_whole && text.bytes().all(allowed)
 }
 
 /// What `init` has written, and what to do with it.
@@ -115,6 +124,14 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
 /// The authority of the folder, made if it has none.
 fn authority(folder: &Path) -> anyhow::Result<(Authority, bool)> {
     let (pem, key) = (folder.join("fleet-ca.pem"), folder.join("fleet-ca.key"));
+    if !key.exists() && pem.exists() {
+        bail!(
+            "{} is missing beside {}: put it back to add hosts. A new authority would be none of those that hosts \
+             have: for one, name another folder with --out",
+            key.display(),
+            pem.display()
+        );
+    }
     if !key.exists() {
         let (authority, key_pem) = Authority::make()?;
         make_private(folder)?;

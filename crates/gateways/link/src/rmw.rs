@@ -12,19 +12,24 @@
 use std::collections::{BTreeMap, HashSet};
 use std::io::{self, BufRead as _, ErrorKind, Read as _, Write as _};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_bus::clock;
 use joulebus_program::exit::Outcome;
 use serde::Deserialize;
+use zenoh::bytes::ZBytes;
+use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
+use zenoh::time::Timestamp;
 use zenoh::{Config, Session, Wait as _};
 
 use crate::protocol;
-use crate::protocol::rmw::{Endpoint, Node, Topic, announced, attachment};
+use crate::protocol::rmw::{
+    ATTACHMENT_BYTES, Endpoint, History, Node, Topic, announced, attachment,
+};
 
 /// Index of frames that are no message.
 const NOTICE: u32 = u32::MAX;
@@ -43,7 +48,7 @@ const ALONE: Duration = Duration::from_secs(5);
 const FILE_VARIABLE: &str = "ZENOH_SESSION_CONFIG_URI";
 const KEYS_VARIABLE: &str = "ZENOH_CONFIG_OVERRIDE";
 /// Settings in which a session of `rmw_zenoh_cpp` differs from zenoh's own.
-const SETTINGS: [(&str, &str); 7] = [
+const SETTINGS: [(&str, &str); 8] = [
     ("mode", r#""peer""#),
     ("connect/endpoints", r#"["tcp/localhost:7447"]"#),
     ("connect/timeout_ms", "-1"),
@@ -51,6 +56,7 @@ const SETTINGS: [(&str, &str); 7] = [
     ("listen/endpoints", r#"["tcp/localhost:0"]"#),
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "true"),
+    ("timestamping/enabled", "true"),
 ];
 
 /// What the bridge asks for.
@@ -60,6 +66,15 @@ struct Asked {
     read: Vec<Topic>,
     write: Vec<Topic>,
     serve: Vec<Topic>,
+}
+
+/// A message of a latched topic.
+#[derive(Debug, Clone)]
+struct Sent {
+    key: KeyExpr<'static>,
+    stamp: Timestamp,
+    attached: [u8; ATTACHMENT_BYTES],
+    message: ZBytes,
 }
 
 /// Requests that wait for their response, by number.
@@ -84,6 +99,7 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         session.liveliness().declare_token(token).wait().map_err(|error| anyhow!(error))
     };
     let mut tokens = vec![declare(node.token())?];
+    let mut caches_seen = Vec::new();
     let mut seen = HashSet::new();
     let publishers = session.liveliness().declare_subscriber(node.publishers());
     let publishers =
@@ -103,11 +119,22 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         tokens.push(declare(node.endpoint(tokens.len(), Endpoint::Subscription, topic))?);
     }
     let mut publishers = Vec::new();
+    let mut caches = Vec::new();
     for topic in &write {
         let publisher = session.declare_publisher(topic.key(domain_id));
         let publisher = publisher.wait().map_err(|error| anyhow!(error))?;
         let token = node.endpoint(tokens.len(), Endpoint::Publisher, topic);
-        publishers.push((publisher, xxhash_rust::xxh3::xxh3_128(token.as_bytes()), 0_i64));
+        let id = xxhash_rust::xxh3::xxh3_128(token.as_bytes());
+        let history = Arc::new(Mutex::new(History::new(topic.kept)));
+        if topic.kept > 0 {
+            let (key, kept) = (topic.history_key(domain_id, &node.session), Arc::clone(&history));
+            let cache = session.declare_queryable(key.as_str());
+            let cache = cache.callback(move |query| retell(&kept, &query));
+            caches.push(cache.wait().map_err(|error| anyhow!(error))?);
+            // Subscribers that were there first ask when they see it.
+            caches_seen.push(declare(key)?);
+        }
+        publishers.push((publisher, id, 0_i64, history));
         tokens.push(declare(token)?);
     }
     let requests = Arc::<Mutex<Requests>>::default();
@@ -128,19 +155,41 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
             continue;
         }
         let named = publishers.get_mut(index as usize).context("a topic that was not named")?;
-        let (publisher, id, number) = named;
+        let (publisher, id, number, history) = named;
         *number += 1;
-        let attached = attachment(*number, clock::unix_ns() as i64, *id);
+        let sent = Sent {
+            key: publisher.key_expr().clone(),
+            // By it subscribers know what they have already.
+            stamp: session.new_timestamp(),
+            attached: attachment(*number, clock::unix_ns() as i64, *id),
+            message: message.as_slice().into(),
+        };
+        lock(history).add(sent.clone());
         // What nobody can take is dropped: the next message replaces it.
-        let put = publisher.put(message.as_slice()).attachment(attached.as_slice());
-        put.wait().map_err(|error| anyhow!(error))?;
+        let put = publisher.put(sent.message).attachment(sent.attached.as_slice());
+        put.timestamp(sent.stamp).wait().map_err(|error| anyhow!(error))?;
     }
     Ok(Outcome::Done)
 }
 
+/// Answers a late subscriber with the newest messages.
+fn retell(history: &Mutex<History<Sent>>, query: &Query) {
+    let kept = lock(history).asked(query.parameters().get("_max"));
+    for Sent { key, stamp, attached, message } in kept {
+        let reply = query.reply(key, message).timestamp(stamp).attachment(attached.as_slice());
+        // A subscriber may have gone.
+        let _ = reply.wait().inspect_err(|error| tracing::debug!(%error, "history is not sent"));
+    }
+}
+
+/// Ignores poisoning: no panic leaves the guarded data inconsistent.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Passes a request on with a number of its own.
 fn take(requests: &Mutex<Requests>, index: u32, query: Query) {
-    let mut requests = requests.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut requests = lock(requests);
     requests.newest += 1;
     let mut frame = requests.newest.to_le_bytes().to_vec();
     let request = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
@@ -156,7 +205,7 @@ fn take(requests: &Mutex<Requests>, index: u32, query: Query) {
 /// Sends the response to a request that still waits.
 fn respond(requests: &Mutex<Requests>, message: &[u8]) -> anyhow::Result<()> {
     let (number, response) = message.split_first_chunk().context("a response without a number")?;
-    let mut requests = requests.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut requests = lock(requests);
     let query = requests.waiting.remove(&u64::from_le_bytes(*number));
     drop(requests);
     let Some(query) = query else { return Ok(()) };
@@ -221,7 +270,7 @@ fn announce(token: &Sample, seen: &mut HashSet<String>) {
 /// Writes a frame to the bridge. That it no longer reads is seen at the end of stdin.
 fn pass_on(index: u32, message: &[u8]) {
     static OUTPUT: Mutex<()> = Mutex::new(());
-    let _whole = OUTPUT.lock().unwrap_or_else(PoisonError::into_inner);
+    let _whole = lock(&OUTPUT);
     let mut frame = Vec::with_capacity(8 + message.len());
     frame.extend_from_slice(&index.to_le_bytes());
     frame.extend_from_slice(&(message.len() as u32).to_le_bytes());

@@ -91,6 +91,7 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("mqtt.write.fields.*.negate", ValueKind::Flag, "", Flag(false), "Turns the sign."),
     bridge("ros2.domain_id", int(0..=232), "", Unset, "ROS domain. Without it the variable ROS_DOMAIN_ID, else 0."),
     bridge("ros2.networks", texts(TextRule::Any("IPv4 address"), 0, usize::MAX), "", Unset, "Addresses of this host that DDS uses. Without it all."),
+    bridge("ros2.use_sim_time", ValueKind::Flag, "", Flag(false), "Whether samples have the time of a simulation, as /clock states it."),
     bridge("ros2.what_if", any("service like \"/joulebus/what_if\""), "", Unset,
         "Service that answers questions about plans. Without it there is none."),
     bridge("ros2.acknowledge", any("service like \"/joulebus/acknowledge\""), "", Unset,

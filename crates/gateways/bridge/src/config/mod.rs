@@ -135,8 +135,17 @@ impl Check<'_> {
             let what = "names nothing to bridge".to_owned();
             self.add(file.problem("", what, "Add [mqtt] or [ros2]"));
         }
+        let has_mqtt = mqtt.is_some();
         let mqtt = mqtt.and_then(|section| self.mqtt(&section, &name, &robots));
-        let ros2 = ros2.and_then(|section| self.ros2(&section, &robots));
+        let ros2 = ros2.and_then(|section| {
+            let ros2 = self.ros2(&section, &robots)?;
+            if ros2.use_sim_time && has_mqtt {
+                let what = "is set, and MQTT has no simulated time".to_owned();
+                let remedy = "Run two bridges, one with [mqtt]";
+                self.add(section.problem("use_sim_time", what, remedy));
+            }
+            Some(ros2)
+        });
         Some(Settings { name, holds, accepted, robots, mqtt, ros2 })
     }
 
@@ -293,6 +302,7 @@ mod tests {
             "value" | "forecast" | 12 | belongs to
             unit = "mW" | topic = "/lab/{robot}/battery" | 4 | both name
             "diagnostics" | "diagnostics"\nunit = "W" | 16 | belongs to
+            [ros2] | [mqtt]\nbroker = "h:1"\n[ros2]\nuse_sim_time = true | 7 | no simulated time
             "#,
         ) {
             let [from, to, line, expected] = case.as_slice() else {

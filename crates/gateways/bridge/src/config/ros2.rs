@@ -31,6 +31,8 @@ pub(crate) struct Ros2Settings {
     pub(crate) networks: Vec<Ipv4Addr>,
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) writes: Vec<RosWrite>,
+    /// Whether samples have the time of a simulation.
+    pub(crate) use_sim_time: bool,
     /// Services and their names.
     pub(crate) services: Vec<(Service, String)>,
 }
@@ -74,7 +76,8 @@ impl Check<'_> {
             let what = "neither reads nor writes, and has no service".to_owned();
             self.add(section.problem("", what, "Add [[ros2.read]] or [[ros2.write]]"));
         }
-        Some(Ros2Settings { domain_id, networks, routes, writes, services })
+        let use_sim_time = section.flag("use_sim_time").unwrap_or_default();
+        Some(Ros2Settings { domain_id, networks, routes, writes, use_sim_time, services })
     }
 
     /// The name of a service, if the file has it.

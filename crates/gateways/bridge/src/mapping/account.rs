@@ -43,6 +43,8 @@ pub(crate) enum Reason {
     OutOfRange,
     /// A charge that its sender says not to know: NaN or −1.
     Unknown,
+    /// Of another clock than `/clock`, or from before a reset of the simulation.
+    WrongStamp,
     /// Retained by the broker, so of unknown age.
     Retained,
     /// A field that none of the first messages of a robot had.
@@ -71,6 +73,7 @@ impl Reason {
             Self::NotFinite => "not_finite",
             Self::OutOfRange => "out_of_range",
             Self::Unknown => "unknown",
+            Self::WrongStamp => "wrong_stamp",
             Self::Retained => "retained",
             Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",

@@ -167,7 +167,7 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
                 serial_number: String::new(),
             };
             let received = Received::new([0, 1], &encode(&state).unwrap());
-            let mut seen = route.read("r7", &received, account).unwrap_or_default();
+            let (mut seen, _) = route.read("r7", &received, account).unwrap_or_default();
             // Of another topic.
             seen.v_mps = commands.then_some(v as f32);
             seen

@@ -75,6 +75,7 @@ struct Robot {
 #[derive(Debug, Clone)]
 pub(crate) struct Intake {
     holds: Holds,
+    reports_charging: bool,
     robots: BTreeMap<u32, Robot>,
     observations: u64,
     judgement: Judgement,
@@ -88,27 +89,10 @@ impl Intake {
         reports_charging: bool,
         robots: impl IntoIterator<Item = (u32, ChargeReading)>,
     ) -> Self {
-        let robot = |(id, charge_reading)| {
-            let robot = Robot {
-                charge_reading,
-                any_ns: None,
-                v_mps: None,
-                omega_radps: None,
-                power: None,
-                sampled: false,
-                voltage_v: None,
-                current_a: None,
-                soc: None,
-                percent: false,
-                charging: (!reports_charging).then_some(false),
-                is_told: !reports_charging,
-                first_ns: u64::MAX,
-                full: false,
-            };
-            (id, robot)
-        };
+        let robot = |(id, charge_reading)| (id, Robot::new(charge_reading, reports_charging));
         Self {
             holds,
+            reports_charging,
             robots: robots.into_iter().map(robot).collect(),
             observations: 0,
             judgement: Judgement::new(Source::Bridge, Vec::new()),
@@ -124,6 +108,13 @@ impl Intake {
     /// The judgement of what robots report.
     pub(crate) const fn judgement(&mut self) -> &mut Judgement {
         &mut self.judgement
+    }
+
+    /// Forgets what was observed: the simulation has begun anew.
+    pub(crate) fn forget(&mut self) {
+        for robot in self.robots.values_mut() {
+            *robot = Robot::new(robot.charge_reading, self.reports_charging);
+        }
     }
 
     /// Adds an observation of a robot made at `at_ns` (monotonic). A robot that the mapping does
@@ -230,6 +221,25 @@ impl Intake {
 }
 
 impl Robot {
+    const fn new(charge_reading: ChargeReading, reports_charging: bool) -> Self {
+        Self {
+            charge_reading,
+            any_ns: None,
+            v_mps: None,
+            omega_radps: None,
+            power: None,
+            sampled: false,
+            voltage_v: None,
+            current_a: None,
+            soc: None,
+            percent: false,
+            charging: if reports_charging { None } else { Some(false) },
+            is_told: !reports_charging,
+            first_ns: u64::MAX,
+            full: false,
+        }
+    }
+
     /// The power that the platform's config expects. On the charger the battery's power has the
     /// meaning of `charge_reading`. With `load` the consumption is then unknown.
     fn power_w(&self, reading: PowerReading, charging: Option<bool>) -> Option<f32> {
@@ -298,6 +308,8 @@ mod tests {
         assert!(!intake.sample(7, 410).unwrap().held, "it is back");
         intake.take(8, &power(5.0, PowerOf::Load), 400);
         assert_eq!((intake.sample(8, 410), intake.observations()), (None, 3), "not in the mapping");
+        intake.forget();
+        assert_eq!(intake.sample(7, 410), None, "a simulation that begins anew");
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub(crate) mod outgoing;
 pub(crate) mod robots;
 pub(crate) mod ros;
 pub(crate) mod route;
+pub(crate) mod simulated;
 pub(crate) mod topic;
 pub(crate) mod units;
 pub(crate) mod vda5050;

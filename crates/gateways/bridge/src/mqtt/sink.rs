@@ -376,7 +376,7 @@ mod tests {
             ],
             outlet: Arc::clone(&outlet),
             changes: changed,
-            shared: Arc::new(Shared::new(Intake::new(HOLDS, false, []))),
+            shared: Arc::new(Shared::new(Intake::new(HOLDS, false, []), None)),
             lost: Arc::default(),
             arrives_within_ns: 1_000_000_000,
         });

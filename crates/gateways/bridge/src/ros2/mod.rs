@@ -18,7 +18,7 @@ use std::time::Duration;
 use futures_util::StreamExt as _;
 use futures_util::stream::SelectAll;
 use joulebus_program::output::say;
-use joulebus_ros_messages::encode;
+use joulebus_ros_messages::{Clock, encode};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataReader, DataSample};
 use rustdds::policy::{Durability, History, ResourceLimits};
@@ -35,7 +35,6 @@ use crate::mapping::account::Reason;
 use crate::mapping::ros::discovery::{GRAPH, ParticipantEntities, announced};
 use crate::mapping::ros::incoming::Received;
 use crate::mapping::ros::names::{dds_topic, dds_type, ros_type};
-use crate::mapping::ros::outgoing::RosWhat;
 use crate::mapping::ros::services::Service;
 use crate::ros2::answering::Asked;
 use crate::ros2::raw::Raw;
@@ -45,7 +44,7 @@ use crate::ros2::writer::{Client, DdsWriter, Writer};
 use crate::shared::Shared;
 
 pub(crate) use answering::{Answering, MAX_REQUESTS};
-pub(crate) use reading::Reading;
+pub(crate) use reading::{CLOCK_TOPIC, Reading};
 pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
 
@@ -82,6 +81,8 @@ pub(crate) struct Ros2 {
     participant: DomainParticipant,
     reading: Reading,
     incoming: Vec<Incoming>,
+    /// The reader of the simulated clock.
+    clock: Option<DataReader<Received, Raw>>,
     /// Readers of requests, and the services' names.
     services: Vec<(DataReader<Received, Raw>, String)>,
     /// The topic of each of our endpoints, for error messages.
@@ -115,6 +116,7 @@ impl Ros2 {
             participant,
             reading,
             incoming: Vec::new(),
+            clock: None,
             services: Vec::new(),
             endpoints: HashMap::new(),
             graph: None,
@@ -130,7 +132,7 @@ impl Ros2 {
             "in ROS domain {} as participant {}: {} topics read, {written} written, {} services",
             settings.domain_id,
             ros.participant.participant_id(),
-            ros.incoming.len(),
+            ros.incoming.len() + usize::from(ros.clock.is_some()),
             repliers.len(),
         ));
         ros.announce_node(&publisher, &sink.name)?;
@@ -146,23 +148,40 @@ impl Ros2 {
             .durability(Durability::Volatile)
             .history(History::KeepLast { depth: READ_DEPTH })
             .build();
-        for (place, route) in self.reading.routes.iter().enumerate() {
-            for (robot, name) in self.reading.robots.iter() {
-                let name = route.topic.of(name);
-                let kind = dds_type(ros_type(route.kind));
-                let opened = self
-                    .topic(dds_topic(&name), kind, &qos)
-                    .and_then(|topic| subscriber.create_datareader_no_key(&topic, None));
-                let reader: DataReader<Received, Raw> = opened.map_err(|source| {
-                    let topic = name.clone();
-                    Ros2Error::Topic { topic, source }
-                })?;
-                self.endpoints.insert(reader.guid(), name);
+        for place in 0..self.reading.routes.len() {
+            let route = &self.reading.routes[place];
+            let of_robots = self.reading.robots.iter();
+            let of_robots = of_robots.map(|(robot, name)| (robot, route.topic.of(name)));
+            let (kind, of_robots) = (ros_type(route.kind), of_robots.collect::<Vec<_>>());
+            for (robot, name) in of_robots {
+                let reader = self.open_reader(subscriber, name, kind, &qos)?;
                 self.incoming.push(Incoming { route: place, robot, reader });
-                thread::sleep(ANNOUNCE_PAUSE);
             }
         }
+        if self.reading.shared.simulated().is_some() {
+            let name = CLOCK_TOPIC.to_owned();
+            self.clock = Some(self.open_reader(subscriber, name, Clock::NAME, &qos)?);
+        }
         Ok(())
+    }
+
+    fn open_reader(
+        &mut self,
+        subscriber: &Subscriber,
+        name: String,
+        kind: &str,
+        qos: &QosPolicies,
+    ) -> Result<DataReader<Received, Raw>, Ros2Error> {
+        let opened = self
+            .topic(dds_topic(&name), dds_type(kind), qos)
+            .and_then(|topic| subscriber.create_datareader_no_key(&topic, None));
+        let reader: DataReader<Received, Raw> = opened.map_err(|source| {
+            let topic = name.clone();
+            Ros2Error::Topic { topic, source }
+        })?;
+        self.endpoints.insert(reader.guid(), name);
+        thread::sleep(ANNOUNCE_PAUSE);
+        Ok(reader)
     }
 
     fn open_writers(
@@ -171,16 +190,17 @@ impl Ros2 {
         write: &RosWrite,
     ) -> Result<Topic, Ros2Error> {
         let (least, most) = WRITE_DEPTH;
+        let kept = write.what.kept(self.reading.robots.len());
         let depth = (LEASE_NS / write.every_ns).clamp(least, most) as i32;
         // Reliable is compatible with reliable and best-effort subscribers. A message for a full
         // queue is counted at once, because the bridge never waits for a reader.
         let qos = QosPolicyBuilder::new()
             .reliable(rustdds::Duration::ZERO)
-            .durability(match write.what {
-                RosWhat::Budget | RosWhat::Diagnostics => Durability::TransientLocal,
-                RosWhat::Forecast | RosWhat::Outlook | RosWhat::Value => Durability::Volatile,
+            .durability(match kept {
+                0 => Durability::Volatile,
+                _ => Durability::TransientLocal,
             })
-            .history(History::KeepLast { depth: 1 })
+            .history(History::KeepLast { depth: kept.max(1) as i32 })
             .resource_limits(ResourceLimits {
                 max_samples: depth,
                 max_instances: 1,
@@ -292,6 +312,8 @@ impl Ros2 {
             requests.push(reader.async_sample_stream().map(move |read| (place, read)));
             names.push(name);
         }
+        let clock = std::mem::take(&mut self.clock).into_iter();
+        let mut clock: SelectAll<_> = clock.map(|it| it.async_sample_stream()).collect();
         let listener = self.participant.status_listener();
         let mut events = pin!(listener.as_async_status_stream());
         let mut seen = HashSet::new();
@@ -302,6 +324,12 @@ impl Ros2 {
                     Ok(sample) => self.reading.take(of, Some(sample.value()), encoding),
                     Err(ReadError::Deserialization { .. }) => self.reading.take(of, None, encoding),
                     // These topics have no keys.
+                    Err(ReadError::UnknownKey { .. }) => {}
+                    Err(error) => return Err(Ros2Error::Ended(error)),
+                },
+                Some(read) = clock.next() => match read {
+                    Ok(sample) => self.reading.take_clock(Some(sample.value())),
+                    Err(ReadError::Deserialization { .. }) => self.reading.take_clock(None),
                     Err(ReadError::UnknownKey { .. }) => {}
                     Err(error) => return Err(Ros2Error::Ended(error)),
                 },

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
-use joulebus_bus::clock;
+use joulebus_ros_messages::{Clock, decode};
 use rustdds::dds::{CreateError, ReadError};
 
 use crate::mapping::account::Reason;
@@ -13,6 +13,8 @@ use crate::mapping::ros::incoming::{Received, RosRoute};
 use crate::ros2::answering::Asked;
 use crate::shared::Shared;
 
+/// The topic of the simulated clock, as in every ROS 2 program.
+pub(crate) const CLOCK_TOPIC: &str = "/clock";
 /// Delay until a stop is noticed.
 pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -63,11 +65,12 @@ impl Reading {
         received: Option<&Received>,
         otherwise: Reason,
     ) {
-        let at_ns = clock::monotonic_ns();
         self.shared.count_message();
         let (Some(route), Some(name)) = (self.routes.get(route), self.robots.name(robot)) else {
             return;
         };
+        // Without simulated time there are no samples. That is logged.
+        let Some(now_ns) = self.shared.now_ns() else { return };
         let seen = {
             let mut account = self.shared.account();
             match received {
@@ -78,9 +81,29 @@ impl Reading {
                 }
             }
         };
-        match seen {
-            Some(seen) => self.shared.intake().take(robot, &seen, at_ns),
-            None => self.shared.log_news(),
+        let Some((seen, stamp_ns)) = seen else { return self.shared.log_news() };
+        let simulated = self.shared.simulated().zip(stamp_ns);
+        // A robot's wall clock is not this host's. A simulation has one clock.
+        let at_ns = simulated.map_or(Some(now_ns), |(clock, stamp_ns)| clock.stamp_ns(stamp_ns));
+        match at_ns {
+            Some(at_ns) => self.shared.intake().take(robot, &seen, at_ns),
+            None => {
+                self.shared.account().count(&route.name, Reason::WrongStamp, name);
+                self.shared.log_news();
+            }
+        }
+    }
+
+    /// Takes a message of `/clock`. Counts one that is no time.
+    pub(super) fn take_clock(&self, received: Option<&Received>) {
+        self.shared.count_message();
+        let clock = received.and_then(|received| decode::<Clock>(&received.bytes).ok());
+        match clock.and_then(|clock| clock.sim_ns()) {
+            Some(sim_ns) => self.shared.set_clock(sim_ns),
+            None => {
+                self.shared.account().count(CLOCK_TOPIC, Reason::NotCdr, "/clock");
+                self.shared.log_news();
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 
 use joulebus_program::installed::find_program;
 use joulebus_program::output::say;
-use joulebus_ros_messages::type_hash;
+use joulebus_ros_messages::{Clock, type_hash};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 
@@ -21,7 +21,7 @@ use crate::mapping::ros::discovery::announced;
 use crate::mapping::ros::incoming::{MAX_BYTES, Received};
 use crate::mapping::ros::names::{dds_topic, dds_type, node_name, ros_type};
 use crate::ros2::answering::Asked;
-use crate::ros2::reading::{POLL_INTERVAL, Reading, Ros2Error};
+use crate::ros2::reading::{CLOCK_TOPIC, POLL_INTERVAL, Reading, Ros2Error};
 use crate::ros2::sink::{RosSink, Topic};
 use crate::ros2::writer::{Client, Writer, ZenohWriter};
 
@@ -48,8 +48,10 @@ pub(crate) struct Zenoh {
     buffer: Vec<u8>,
     /// Route and robot of each read topic.
     incoming: Vec<(usize, u32)>,
-    /// Names of services. Their indices follow those of the read topics.
+    /// Names of services. Their indices are the last.
     services: Vec<String>,
+    /// Whether the simulated clock is read. Its index follows those of the read topics.
+    has_clock: bool,
     reading: Reading,
 }
 
@@ -70,6 +72,8 @@ impl Zenoh {
                 read.push(topic(&route.topic.of(name), ros_type(route.kind)));
             }
         }
+        let has_clock = reading.shared.simulated().is_some();
+        read.extend(has_clock.then(|| topic(CLOCK_TOPIC, Clock::NAME)));
         let mut topics: Vec<Vec<(u32, u32)>> = Vec::new();
         for wanted in &settings.writes {
             let of_robot = reading.robots.iter().filter(|_| wanted.what.is_of_robot());
@@ -77,7 +81,9 @@ impl Zenoh {
             let mut places = Vec::new();
             for (robot, name) in of_robot.chain(of_fleet) {
                 places.push((robot, write.len() as u32));
-                write.push(topic(&wanted.topic.of(name), wanted.what.type_name()));
+                let mut topic = topic(&wanted.topic.of(name), wanted.what.type_name());
+                topic["kept"] = wanted.what.kept(reading.robots.len()).into();
+                write.push(topic);
             }
             topics.push(places);
         }
@@ -111,6 +117,7 @@ impl Zenoh {
             buffer: Vec::new(),
             incoming,
             services,
+            has_clock,
             reading,
         };
         while zenoh.frame().is_none() {
@@ -187,7 +194,10 @@ impl Zenoh {
         if let Some(of) = self.incoming.get(index).copied() {
             return self.reading.take(of, received(message).as_ref(), Reason::NotCdr);
         }
-        let service = index - self.incoming.len();
+        if self.has_clock && index == self.incoming.len() {
+            return self.reading.take_clock(received(message).as_ref());
+        }
+        let service = index - self.incoming.len() - usize::from(self.has_clock);
         let request = message.split_first_chunk();
         let request = request.and_then(|(number, message)| Some((number, received(message)?)));
         if let (Some(name), Some((number, request))) = (self.services.get(service), request) {

@@ -11,9 +11,10 @@ use crate::config::RosWrite;
 use crate::mapping::outgoing::values;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::{
-    RosWhat, add_implausible, budget, diagnostics, forecast, outlook as outlook_message,
+    RosWhat, add_clock, add_implausible, budget, diagnostics, forecast, outlook as outlook_message,
     robot_status, unknown_status, value, worker_status,
 };
+use crate::mapping::simulated::ClockState;
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::ros2::writer::Writer;
 use crate::shared::Shared;
@@ -66,6 +67,7 @@ pub(crate) struct RosSink {
 
 impl Sink for RosSink {
     fn publish(&mut self, board: &Board, times: Times) {
+        let (clock, sample_times) = self.sample_times(times);
         for place in 0..self.topics.len() {
             let topic = &mut self.topics[place];
             if times.now_ns < topic.due_ns {
@@ -74,8 +76,10 @@ impl Sink for RosSink {
             topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
             let topic = &self.topics[place];
             match topic.write.what {
-                RosWhat::Diagnostics => self.diagnose(topic, board, times),
-                _ => self.publish_robots(topic, board, times),
+                RosWhat::Diagnostics => self.diagnose(topic, board, clock, sample_times),
+                // Without simulated time no robot has been seen.
+                _ if clock == ClockState::Missing => {}
+                _ => self.publish_robots(topic, board, sample_times),
             }
         }
     }
@@ -87,6 +91,13 @@ impl RosSink {
     /// Whether there is any topic to publish to.
     pub(crate) fn has_topics(&self) -> bool {
         !self.topics.is_empty()
+    }
+
+    /// How the clock of samples runs, and the present on it.
+    fn sample_times(&self, times: Times) -> (ClockState, Times) {
+        let Some(clock) = self.shared.simulated() else { return (ClockState::Runs, times) };
+        let (now_ns, now_unix_ns) = clock.now_ns().unwrap_or_default();
+        (clock.state(times.now_ns), Times { now_ns, now_unix_ns })
     }
 
     fn publish_robots(&self, topic: &Topic, board: &Board, times: Times) {
@@ -113,7 +124,7 @@ impl RosSink {
         }
     }
 
-    fn diagnose(&self, topic: &Topic, board: &Board, times: Times) {
+    fn diagnose(&self, topic: &Topic, board: &Board, clock: ClockState, times: Times) {
         let Some(writer) = topic.writers.get(&0) else {
             return;
         };
@@ -129,7 +140,9 @@ impl RosSink {
             ("not_written", self.counts.lost()),
         ];
         let worker = (level, board.link.name());
-        let mut statuses = vec![worker_status((&self.fleet, &self.name), worker, counts)];
+        let mut worker = worker_status((&self.fleet, &self.name), worker, counts);
+        add_clock(&mut worker, clock);
+        let mut statuses = vec![worker];
         let implausible = self.shared.intake().judgement().records();
         statuses.extend(self.robots.iter().map(|(robot, name)| {
             let row = board.rows.get(&robot).filter(|_| board.link == Link::Live);

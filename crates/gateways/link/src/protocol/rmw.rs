@@ -4,10 +4,12 @@
 //! hash of its definition. A token of liveliness stands for each node, publisher and subscription.
 //! `ros2 node list` and `ros2 topic list` read these tokens.
 
+use std::collections::VecDeque;
+
 /// The prefix of all tokens.
 const SPACE: &str = "@ros2_lv";
 /// The default quality of service of publishers and services but for its depth: reliable, volatile,
-/// keep last.
+/// keep last. A latched publisher is `transient_local`, which is 1 after the first colon.
 const RELIABLE: &str = "::,10:,:,:,,";
 /// ROS 2's profile of sensor data: best effort, volatile, keep the last 5.
 const SENSOR_DATA: &str = "2::,5:,:,:,,";
@@ -21,6 +23,9 @@ pub(crate) struct Topic {
     #[serde(rename = "type")]
     pub(crate) kind: String,
     pub(crate) hash: String,
+    /// Number of messages that late subscribers get. 0: not latched.
+    #[serde(default)]
+    pub(crate) kept: usize,
 }
 
 /// What an endpoint does.
@@ -40,6 +45,13 @@ impl Topic {
     /// The keys of its messages with any type and any hash: releases differ in them.
     pub(crate) fn keys(&self, domain_id: u16) -> String {
         format!("{domain_id}/{}/*/*", self.topic.trim_matches('/'))
+    }
+
+    /// The key by which late subscribers ask a latched publisher for its newest messages, and of
+    /// the token by which they find it. As zenoh-ext's advanced publisher has it, whose messages
+    /// are told apart by time stamps.
+    pub(crate) fn history_key(&self, domain_id: u16, session: &str) -> String {
+        format!("{}/@adv/pub/{session}/uhlc/_", self.key(domain_id))
     }
 
     /// Whether a message with this key has the type.
@@ -72,12 +84,14 @@ impl Node {
 
     /// The token of one of its endpoints. Numbers begin with 1.
     pub(crate) fn endpoint(&self, number: usize, endpoint: Endpoint, topic: &Topic) -> String {
+        let Topic { topic, kind: name, hash, kept } = topic;
+        let latched = format!(":1:,{kept}:,:,:,,");
         let (kind, quality) = match endpoint {
+            Endpoint::Publisher if *kept > 0 => ("MP", latched.as_str()),
             Endpoint::Publisher => ("MP", RELIABLE),
             Endpoint::Subscription => ("MS", SENSOR_DATA),
             Endpoint::Service => ("SS", RELIABLE),
         };
-        let Topic { topic, kind: name, hash } = topic;
         let topic = topic.replace('/', "%");
         format!("{}/{topic}/{name}/{hash}/{quality}", self.token_of(number, kind))
     }
@@ -92,7 +106,34 @@ impl Node {
 pub(crate) fn announced(token: &str) -> Option<Topic> {
     let mut parts = token.split('/').skip(9);
     let (topic, kind, hash) = (parts.next()?, parts.next()?, parts.next()?);
-    Some(Topic { topic: topic.replace('%', "/"), kind: kind.to_owned(), hash: hash.to_owned() })
+    let (topic, kind, hash) = (topic.replace('%', "/"), kind.to_owned(), hash.to_owned());
+    Some(Topic { topic, kind, hash, kept: 0 })
+}
+
+/// The newest messages of a latched publisher. The oldest is the first.
+#[derive(Debug)]
+pub(crate) struct History<T> {
+    newest: VecDeque<T>,
+    kept: usize,
+}
+
+impl<T: Clone> History<T> {
+    pub(crate) const fn new(kept: usize) -> Self {
+        Self { newest: VecDeque::new(), kept }
+    }
+
+    pub(crate) fn add(&mut self, message: T) {
+        self.newest.push_back(message);
+        let excess = self.newest.len().saturating_sub(self.kept);
+        self.newest.drain(..excess);
+    }
+
+    /// The messages that a subscriber asks for: at most `_max` of its parameters.
+    pub(crate) fn asked(&self, max: Option<&str>) -> Vec<T> {
+        let max = max.and_then(|max| max.parse().ok()).unwrap_or(usize::MAX);
+        let first = self.newest.len().saturating_sub(max);
+        self.newest.range(first..).cloned().collect()
+    }
 }
 
 /// What each message carries: its number, the time at which it was sent, and the publisher's id,
@@ -122,7 +163,7 @@ mod tests {
 
     fn twist() -> Topic {
         let kind = "geometry_msgs::msg::dds_::Twist_".to_owned();
-        Topic { topic: "/robot1/cmd_vel".to_owned(), kind, hash: HASH.to_owned() }
+        Topic { topic: "/robot1/cmd_vel".to_owned(), kind, hash: HASH.to_owned(), kept: 0 }
     }
 
     #[test]
@@ -149,18 +190,38 @@ mod tests {
         );
         assert_eq!(announced(&publisher), Some(twist()));
         assert_eq!(announced(&node.token()), None);
+        let latched = Topic { kept: 3, ..twist() };
+        let publisher = node.endpoint(3, Endpoint::Publisher, &latched);
+        assert!(publisher.ends_with(&format!("{hash}/:1:,3:,:,:,,")), "{publisher}");
+        assert_eq!(latched.history_key(7, "a1b2"), format!("{key}/@adv/pub/a1b2/uhlc/_"));
         let subscription = node.endpoint(4, Endpoint::Subscription, &twist());
         assert!(subscription.ends_with("/2::,5:,:,:,,"), "{subscription}");
         // The example of the design of rmw_zenoh.
         let (topic, kind) = ("/add_two_ints", "example_interfaces::srv::dds_::AddTwoInts_");
         let [topic, kind, hash] = [topic, kind, "RIHS01_e118"].map(str::to_owned);
         let node = Node { domain_id: 2, name: "server".to_owned(), session: "aac3".to_owned() };
-        let service = node.endpoint(10, Endpoint::Service, &Topic { topic, kind, hash });
+        let service = node.endpoint(10, Endpoint::Service, &Topic { topic, kind, hash, kept: 0 });
         assert_eq!(
             service,
             "@ros2_lv/2/aac3/0/10/SS/%/%/server/%add_two_ints/\
              example_interfaces::srv::dds_::AddTwoInts_/RIHS01_e118/::,10:,:,:,,"
         );
+    }
+
+    #[test]
+    fn late_subscribers_get_the_newest_messages_and_no_more_than_they_ask_for() {
+        let mut history = History::new(3);
+        assert_eq!(history.asked(None), [0; 0]);
+        (1..=5).for_each(|message| history.add(message));
+        for (max, expected) in [
+            (None, &[3, 4, 5][..]),
+            (Some("2"), &[4, 5]),
+            (Some("0"), &[]),
+            (Some("9"), &[3, 4, 5]),
+            (Some("x"), &[3, 4, 5]),
+        ] {
+            assert_eq!(history.asked(max), expected, "{max:?}");
+        }
     }
 
     #[test]

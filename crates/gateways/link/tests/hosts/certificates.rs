@@ -265,9 +265,33 @@ fn init_writes_files_and_certificates_that_check_compares() {
         assert_eq!(refused.code(), Some(2), "{change}");
         assert!(refused.errors().contains(told), "{told}: {refused:?}");
     }
-    for wrong in ["base=10.0.0.9", "../x", "a/b", "x=tls/10.0.0.1:7447"] {
+    for wrong in [
+        "base=10.0.0.9",
+        "../x",
+        "a/b",
+        "x=tls/10.0.0.1:7447",
+        "x=10.0.0.1:7447",
+        "x=",
+        "=10.0.0.1",
+        "a b",
+        "x=a b",
+        "köln",
+        "x=köln",
+        "fleet-ca",
+        "fleet-ca.pem",
+        "x=[::1]",
+    ] {
         assert_eq!(init(&[wrong]).code(), Some(2), "{wrong}");
     }
+    assert_eq!(init(&["--port", "0"]).code(), Some(2));
+    assert_eq!(init(&["x=::1", "y=10.0.0.2", "z=Z.example.org"]).code(), Some(0));
+    // Its key may be kept elsewhere. Another authority would shut the old hosts out.
+    fs::remove_file(host.config().with_file_name("made").join("fleet-ca.key")).unwrap();
+    let before = host.read("made/fleet-ca.pem");
+    let refused = init(&["edge-3"]);
+    assert_eq!(refused.code(), Some(1), "{refused:?}");
+    assert!(refused.errors().contains("fleet-ca.key is missing"), "{refused:?}");
+    assert_eq!(host.read("made/fleet-ca.pem"), before);
 }
 
 /// Gives the link `name` a certificate of the authority in `folder` that expires after so many

@@ -39,6 +39,8 @@ const MAX_CHANGES: usize = 100;
 const REQUEST_LIMIT: Duration = Duration::from_secs(10);
 /// Pause before a request is sent again: doubled each time, up to the second.
 const RETRY_DELAYS: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
+/// Maximum pause that a receiver can ask for.
+const MAX_ASKED_PAUSE: Duration = Duration::from_secs(3_600);
 /// Time for what waits when the program ends.
 const END_LIMIT: Duration = Duration::from_secs(5);
 /// Interval of checking whether to end.
@@ -247,8 +249,8 @@ fn read(
 /// The result of a request.
 enum Answer {
     Taken,
-    /// Sending it again may help.
-    Later(String),
+    /// Sending it again may help, after the pause for which the receiver asks.
+    Later(String, Option<Duration>),
     /// The receiver refused it.
     Refused(String),
 }
@@ -338,7 +340,7 @@ impl Sending {
         let host = &self.counts.host;
         let mut pause = RETRY_DELAYS.0;
         while let Some(limit) = self.shared.limit(Instant::now()) {
-            let why = match self.send(&id, body().to_string().as_bytes(), limit) {
+            let (why, asked) = match self.send(&id, body().to_string().as_bytes(), limit) {
                 Answer::Taken => return true,
                 Answer::Refused(why) => {
                     self.counts.failed.fetch_add(1, Ordering::Relaxed);
@@ -349,17 +351,18 @@ impl Sending {
                     );
                     return false;
                 }
-                Answer::Later(why) => why,
+                Answer::Later(why, asked) => (why, asked),
             };
+            let wait = pause.max(asked.unwrap_or_default());
             self.counts.failed.fetch_add(1, Ordering::Relaxed);
-            let pause_s = pause.as_secs_f64();
+            let pause_s = wait.as_secs_f64();
             tracing::warn!(
                 changes = count,
                 host,
                 pause_s,
                 "--webhook: sent again after a pause: {why}"
             );
-            if !self.pauses(pause) {
+            if !self.pauses(wait) {
                 break;
             }
             pause = (pause * 2).min(RETRY_DELAYS.1);
@@ -377,16 +380,19 @@ impl Sending {
             request = request.header("webhook-signature", signer.sign(id, unix_s, body));
         }
         let sent = request.content_type("application/json").send(body);
-        match sent.map(|response| response.status()) {
-            Ok(status) if status.is_success() => Answer::Taken,
-            Ok(status)
-                if status.is_server_error() || [408, 425, 429].contains(&status.as_u16()) =>
-            {
-                Answer::Later(status.to_string())
-            }
-            Ok(status) => Answer::Refused(status.to_string()),
-            Err(error) => Answer::Later(error.to_string()),
+        let response = match sent {
+            Ok(response) => response,
+            Err(error) => return Answer::Later(error.to_string(), None),
+        };
+        let status = response.status();
+        if status.is_success() {
+            return Answer::Taken;
         }
+        if !status.is_server_error() && ![408, 425, 429].contains(&status.as_u16()) {
+            return Answer::Refused(status.to_string());
+        }
+        let asked = response.headers().get("retry-after").and_then(|it| it.to_str().ok());
+        Answer::Later(status.to_string(), asked.and_then(asked_pause))
     }
 
     /// Waits before the next attempt. False if there is no time for one.
@@ -405,9 +411,26 @@ impl Sending {
     }
 }
 
+/// The pause that a receiver asks for by `Retry-After`, in seconds. Its other form, a date, is of
+/// another host's clock.
+fn asked_pause(text: &str) -> Option<Duration> {
+    let seconds = text.trim().parse().ok()?;
+    Some(Duration::from_secs(seconds).min(MAX_ASKED_PAUSE))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_receiver_may_ask_for_a_pause_of_an_hour_at_most() {
+        for (text, seconds) in [("0", Some(0)), (" 120 ", Some(120)), ("86400", Some(3_600))] {
+            assert_eq!(asked_pause(text), seconds.map(Duration::from_secs), "{text}");
+        }
+        for text in ["", "-1", "1.5", "Fri, 27 Nov 2026 01:00:00 GMT", "99999999999999999999"] {
+            assert_eq!(asked_pause(text), None, "{text}");
+        }
+    }
 
     #[test]
     fn what_waits_has_five_seconds_whatever_the_receiver_does() {

@@ -79,13 +79,14 @@ impl Received {
 }
 
 impl RosRoute {
-    /// The observation in a message of `robot`. `None` if there is none, which is counted.
+    /// The observation in a message of `robot`, and the time in its header, ns, if it has one.
+    /// `None` if there is no observation, which is counted.
     pub(crate) fn read(
         &self,
         robot: &str,
         received: &Received,
         account: &mut Account,
-    ) -> Option<Observation> {
+    ) -> Option<(Observation, Option<u64>)> {
         let mut count = |reason, name: &str| account.count(&self.name, reason, name);
         if received.length > MAX_BYTES {
             count(Reason::TooLong, robot);
@@ -101,11 +102,17 @@ impl RosRoute {
             }
         };
         let mut refused = |reason, field: &str| count(reason, &format!("{field} of {robot}"));
-        let seen = match &message {
-            Message::BatteryState(state) => self.battery.read(state, &mut refused),
-            Message::Twist(twist) => motion(twist, &mut refused),
-            Message::TwistStamped(stamped) => motion(&stamped.twist, &mut refused),
-            Message::Odometry(odometry) => motion(&odometry.twist.twist, &mut refused),
+        let (seen, header) = match &message {
+            Message::BatteryState(state) => {
+                (self.battery.read(state, &mut refused), Some(&state.header))
+            }
+            Message::Twist(twist) => (motion(twist, &mut refused), None),
+            Message::TwistStamped(stamped) => {
+                (motion(&stamped.twist, &mut refused), Some(&stamped.header))
+            }
+            Message::Odometry(odometry) => {
+                (motion(&odometry.twist.twist, &mut refused), Some(&odometry.header))
+            }
         };
         if self.kind == RosType::BatteryState && self.battery.power_of.is_some() {
             account.came(&self.name, robot, &[("power", seen.power.is_some())]);
@@ -114,7 +121,7 @@ impl RosRoute {
             account.count(&self.name, Reason::Nothing, robot);
             return None;
         }
-        Some(seen)
+        Some((seen, header.and_then(|header| header.stamp.unix_ns())))
     }
 }
 
@@ -249,7 +256,7 @@ mod tests {
         received: &Received,
     ) -> (Option<Observation>, Vec<(&'static str, String)>) {
         let mut account = Account::default();
-        let seen = route.read("r1", received, &mut account);
+        let seen = route.read("r1", received, &mut account).map(|(seen, _)| seen);
         let refused = account.records().into_iter().map(|it| (it.reason, it.names.join(",")));
         (seen, refused.collect())
     }

@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use crate::mapping::outgoing::{Object, OutgoingValue, is_of_outlook, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
+use crate::mapping::simulated::ClockState;
 
 /// `diagnostic_msgs/DiagnosticStatus`: not measured.
 const STALE: u8 = 3;
@@ -58,6 +59,16 @@ impl RosWhat {
     /// Whether each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
         !matches!(self, Self::Diagnostics)
+    }
+
+    /// Number of messages that a late subscriber gets. 0: none, because they would be old.
+    pub(crate) const fn kept(self, robots: usize) -> usize {
+        match self {
+            Self::Budget => 1,
+            // An array for so many robots, and one status of the worker.
+            Self::Diagnostics => (robots + 1).div_ceil(MAX_STATUSES),
+            Self::Forecast | Self::Outlook | Self::Value => 0,
+        }
     }
 
     /// Its type in ROS 2.
@@ -188,6 +199,17 @@ pub(crate) fn worker_status(
         hardware_id: bridge.to_owned(),
         values: counts.collect(),
     }
+}
+
+/// Adds to the worker's status that the simulated clock does not run: a warning.
+pub(crate) fn add_clock(status: &mut DiagnosticStatus, clock: ClockState) {
+    let what = match clock {
+        ClockState::Runs => return,
+        ClockState::Missing => "no /clock",
+        ClockState::Stands => "/clock stands",
+    };
+    status.message = format!("{}, {what}", status.message);
+    status.level = status.level.max(1);
 }
 
 /// The statuses in CDR arrays.
@@ -325,6 +347,15 @@ mod tests {
         assert_eq!((of("power_w").value.as_str(), of("lo_w").value.as_str()), ("48.0", "unknown"));
         assert_eq!(robot_status("r1", &Object::new()).level, STALE);
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");
+        for (clock, level, message) in [
+            (ClockState::Runs, 0, "worker live"),
+            (ClockState::Stands, 1, "worker live, /clock stands"),
+            (ClockState::Missing, 1, "worker live, no /clock"),
+        ] {
+            let mut status = worker_status(("lab", "b"), (0, "live"), [("messages", 1); 4]);
+            add_clock(&mut status, clock);
+            assert_eq!((status.level, status.message.as_str()), (level, message));
+        }
         let mut judgement = Judgement::new(Source::Bridge, Vec::new());
         for step in 0..200 {
             let mut state = RobotState::new(1);
@@ -342,6 +373,7 @@ mod tests {
             let statuses = vec![status.clone(); robots];
             let messages: Vec<_> = diagnostics(1, &statuses).collect();
             assert_eq!(messages.len(), arrays);
+            assert_eq!(RosWhat::Diagnostics.kept(robots), (robots + 1).div_ceil(32));
             assert!(messages.iter().all(|it| it.as_ref().unwrap().len() < 60_000));
         }
     }

@@ -117,8 +117,12 @@ fn question(request: WhatIfRequest, robots: &Robots) -> Result<Question, String>
     if given.iter().filter(|is_given| **is_given).count() != 1 {
         return Err("give one of path, idle_s, or v_mps with omega_radps".to_owned());
     }
-    if request.return_to_start && path.is_empty() {
-        return Err("return_to_start belongs to a path".to_owned());
+    for (name, is_given) in
+        [("return_to_start", request.return_to_start), ("speed_mps", !speed_mps.is_empty())]
+    {
+        if is_given && path.is_empty() {
+            return Err(format!("{name} belongs to a path"));
+        }
     }
     let plan = match (ids.as_slice(), path.as_slice()) {
         ([], _) => return Err("name at least one robot".to_owned()),
@@ -258,6 +262,8 @@ mod tests {
             (WhatIfRequest { robots: named("r9"), idle_s: 1.0, ..asked() }, "no robot \"r9\""),
             (WhatIfRequest { robots: Vec::new(), idle_s: 1.0, ..asked() }, "at least one robot"),
             (WhatIfRequest { return_to_start: true, idle_s: 1.0, ..asked() }, "belongs to a path"),
+            (WhatIfRequest { speed_mps: vec![1.0], idle_s: 1.0, ..asked() }, "speed_mps belongs"),
+            (WhatIfRequest { idle_s: f32::NAN, path: path(), ..asked() }, "give one of path"),
             (WhatIfRequest { path: path(), speed_mps: vec![1.0], ..asked() }, "none or 2"),
             (WhatIfRequest { v_mps: vec![0.1], ..asked() }, "as many each"),
             (

@@ -5,6 +5,7 @@ mod garbage;
 pub(crate) mod peer;
 mod rmw;
 mod services;
+mod simulated;
 
 use std::net::UdpSocket;
 use std::path::PathBuf;
@@ -15,50 +16,39 @@ use peer::{Peer, RosDomain, cyclonedds};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-/// A bridge's file for robots 1 to 3 in this domain, with these topics.
-fn file_of(domain: &RosDomain, topics: &str) -> String {
-    let id = domain.id;
-    format!(
-        r#"
-        [robots]
-        "r{{id}}" = "1-3"
-        [ros2]
-        domain_id = {id}
-        networks = ["127.0.0.1"]
-        {topics}
-        "#
-    )
+/// A bridge's file for robots 1 to 3: keys of `[ros2]`, topics `/fleet/{robot}/NAME` to read with
+/// their types, and what to write.
+fn file_with(keys: &str, reads: &[(&str, &str)], writes: &[&str]) -> String {
+    let mut text = format!("[robots]\n\"r{{id}}\" = \"1-3\"\n[ros2]\n{keys}\n");
+    for (name, kind) in reads {
+        text += &format!("[[ros2.read]]\ntopic = \"/fleet/{{robot}}/{name}\"\ntype = \"{kind}\"\n");
+    }
+    for write in writes {
+        text += &format!("[[ros2.write]]\n{write}\n");
+        if !write.contains("every_s") {
+            text += "every_s = 0.1\n";
+        }
+    }
+    text
+}
+
+const BATTERY: (&str, &str) = ("battery_state", "sensor_msgs/msg/BatteryState");
+const COMMANDS: (&str, &str) = ("cmd_vel", "geometry_msgs/msg/Twist");
+const READING_MW: &str = "what = \"value\"\nvalue = \"reading_w\"\nunit = \"mW\"";
+const POWER_W: &str = "what = \"value\"\nvalue = \"power_w\"";
+const FORECAST: &str = "what = \"forecast\"";
+const BUDGET: &str = "what = \"budget\"";
+const DIAGNOSTICS: &str = "what = \"diagnostics\"";
+
+/// The keys of a bridge in this domain.
+fn keys(domain: &RosDomain) -> String {
+    format!("domain_id = {}\nnetworks = [\"127.0.0.1\"]", domain.id)
 }
 
 /// A bridge's file with all kinds of topics.
 fn file(domain: &RosDomain) -> String {
-    let topics = r#"
-        [[ros2.read]]
-        topic = "/fleet/{robot}/battery_state"
-        type = "sensor_msgs/msg/BatteryState"
-        [[ros2.read]]
-        topic = "/fleet/{robot}/cmd_vel"
-        type = "geometry_msgs/msg/Twist"
-        [[ros2.write]]
-        what = "forecast"
-        every_s = 0.1
-        [[ros2.write]]
-        what = "budget"
-        every_s = 0.2
-        [[ros2.write]]
-        what = "value"
-        value = "reading_w"
-        unit = "mW"
-        every_s = 0.1
-        [[ros2.write]]
-        what = "value"
-        value = "power_w"
-        every_s = 0.1
-        [[ros2.write]]
-        what = "diagnostics"
-        every_s = 0.2
-        "#;
-    file_of(domain, topics)
+    let writes = [FORECAST, BUDGET, READING_MW, POWER_W, DIAGNOSTICS];
+    file_with(&keys(domain), &[BATTERY, COMMANDS], &writes)
 }
 
 /// A battery of 4 V that is discharged with 4.4 W.
@@ -184,39 +174,27 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
     let Some(python) = cyclonedds() else { return };
     let (fleet, domain) = (Fleet::new(), RosDomain::take());
     let mut worker = fleet.worker();
-    let topics = r#"
-        [[ros2.read]]
-        topic = "/{robot}/odom"
-        type = "nav_msgs/msg/Odometry"
-        [[ros2.read]]
-        topic = "/{robot}/cmd_vel"
-        type = "geometry_msgs/msg/TwistStamped"
-        [[ros2.read]]
-        topic = "/{robot}/battery"
-        type = "sensor_msgs/msg/BatteryState"
-        current = "discharge_positive"
-        percentage_unit = "%"
-        [[ros2.write]]
-        what = "value"
-        value = "reading_w"
-        every_s = 0.1
-        [[ros2.write]]
-        what = "diagnostics"
-        every_s = 0.2
-        "#;
-    let mut bridge = fleet.bridge(&file_of(&domain, topics), "in ROS domain");
+    let battery =
+        format!("{}\"\ncurrent = \"discharge_positive\"\npercentage_unit = \"%", BATTERY.1);
+    let reads = [
+        ("odom", "nav_msgs/msg/Odometry"),
+        ("cmd_vel", "geometry_msgs/msg/TwistStamped"),
+        ("battery", &battery),
+    ];
+    let file = file_with(&keys(&domain), &reads, &[&READING_MW.replace("mW", "W"), DIAGNOSTICS]);
+    let mut bridge = fleet.bridge(&file, "in ROS domain");
     let mut peer = Peer::start(&python, &domain);
     peer.subscribe("/r1/joulebus/reading_w", "Float64");
     peer.subscribe("/r2/joulebus/reading_w", "Float64");
     peer.subscribe("/diagnostics", "DiagnosticArray");
     let battery =
         json!({"voltage": 4.0, "current": 1.0, "percentage": 80.0, "power_supply_status": 0});
-    peer.publish("/r1/odom", "Odometry", &json!({"twist": {"twist": twist()}}));
+    peer.publish("/fleet/r1/odom", "Odometry", &json!({"twist": {"twist": twist()}}));
     peer.order(&json!({
-        "say": "/r2/cmd_vel", "type": "TwistStamped", "fields": {"twist": twist()}, "best_effort": true,
+        "say": "/fleet/r2/cmd_vel", "type": "TwistStamped", "fields": {"twist": twist()}, "best_effort": true,
     }));
     for robot in 1..=2 {
-        peer.publish(&format!("/r{robot}/battery"), "BatteryState", &battery);
+        peer.publish(&format!("/fleet/r{robot}/battery"), "BatteryState", &battery);
         let topic = format!("/r{robot}/joulebus/reading_w");
         peer.wait_for(&topic, 0, |document| is_near(&document["data"], 4.0));
         peer.wait_for("/diagnostics", 0, |document| {
@@ -393,6 +371,8 @@ fn a_file_is_checked_without_a_fleet_or_a_peer() {
     assert_eq!(ros2["domain_id"], domain.id);
     assert_eq!(ros2["reads"][0], "/fleet/{robot}/battery_state (sensor_msgs/msg/BatteryState)");
     assert_eq!(ros2["writes"][4], "/diagnostics (diagnostic_msgs/msg/DiagnosticArray)");
+    let simulated = check(&file(&domain).replace("networks", "use_sim_time = true\nnetworks"));
+    assert_eq!(simulated.json()["ros2"]["reads"][2], "/clock (rosgraph_msgs/msg/Clock)");
     let bad = check(&file(&domain).replace("/fleet/{robot}/cmd_vel", "fleet/{robot}/cmd_vel"));
     assert_eq!(bad.exit_code(), 2);
     assert!(bad.errors().contains("no topic of ROS 2"), "{bad:?}");

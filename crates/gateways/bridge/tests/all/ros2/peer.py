@@ -2,8 +2,11 @@
 
 Of zenoh it speaks as rmw_zenoh_cpp does in ROS domain 7, and also prints the tokens of the graph.
 
-    peer.py DOMAIN|tcp/HOST:PORT < {"say": topic, "type": name, "fields": {...}, "hz": 30} | {"hush": topic} | {"hear": topic, "type": name}
+    peer.py DOMAIN|tcp/HOST:PORT|to/HOST:PORT < {"say": topic, "type": name, "fields": {...}, "hz": 30} | {"hush": topic} | {"hear": topic, "type": name}
         | {"call": service, "type": name, "fields": {...}}: twice a second, until "hush"
+        | {"clock": rate, "from_s": time}: a simulated clock, 100 steps of rate / 100 s a second
+
+A battery's state whose order has "stamped" has the simulated time in its header.
 """
 
 import dataclasses
@@ -15,6 +18,7 @@ import threading
 import time
 
 import zenoh
+import zenoh.ext
 from cyclonedds.core import Qos, Policy
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
@@ -35,6 +39,11 @@ class Time_(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
 class Header_(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
     stamp: Time_ = dataclasses.field(default_factory=Time_)
     frame_id: str = ""
+
+
+@dataclass
+class Clock_(IdlStruct, typename="rosgraph_msgs::msg::dds_::Clock_"):
+    clock: Time_ = dataclasses.field(default_factory=Time_)
 
 
 @dataclass
@@ -334,7 +343,8 @@ class Zenoh:
 
     def __init__(self, address):
         config = zenoh.Config()
-        config.insert_json5("listen/endpoints", json.dumps([address]))
+        listens = address.startswith("tcp/")
+        config.insert_json5("listen/endpoints" if listens else "connect/endpoints", json.dumps(["tcp" + address[address.index("/") :]]))
         config.insert_json5("scouting/multicast/enabled", "false")
         self.session = zenoh.open(config)
         self.count = 0
@@ -374,8 +384,12 @@ class Zenoh:
             message = plain(kind.deserialize(sample.payload.to_bytes()))
             tell({"topic": name, "message": {**message, "attached": attached}})
 
-        self.kept.append(self.session.declare_subscriber(self.key(name, kind, order), hear))
-
+        key = self.key(name, kind, order)
+        if order.get("transient_local"):
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=10)
+            self.kept.append(zenoh.ext.declare_advanced_subscriber(self.session, key, hear, history=history, subscriber_detection=True))
+        else:
+            self.kept.append(self.session.declare_subscriber(key, hear))
 
     def caller(self, name, request, response, order):
         key = f"7/{name.strip('/')}/{request.__idl_typename__.replace('.', '::').replace('_Request', '')}"
@@ -407,15 +421,26 @@ class Zenoh:
 
 def main():
     place = sys.argv[1]
-    middleware = Zenoh(place) if place.startswith("tcp/") else Dds(place)
+    middleware = Zenoh(place) if "/" in place else Dds(place)
     lock, says, hears, calls = threading.Lock(), {}, [], {}
+    clock = {"ns": 0, "step_ns": 0, "write": None}
+
+    def now():
+        return Time_(*divmod(clock["ns"], 1_000_000_000))
 
     def speak():
         turn = 0
         while True:
             with lock:
-                for writer, message, every in says.values():
+                if clock["step_ns"]:
+                    clock["ns"] += clock["step_ns"]
+                    clock["write"](Clock_(now()))
+                for writer, message, every, stamped in says.values():
                     if turn % every == 0:
+                        if stamped:
+                            # A monitor that never changes would raise an alarm.
+                            current = message.current * (1 + turn % 5 * 1e-3)
+                            message = dataclasses.replace(message, header=Header_(now()), current=current)
                         writer(message)
             turn += 1
             time.sleep(0.01)
@@ -439,13 +464,20 @@ def main():
             with lock:
                 says.pop(order["hush"], None)
             continue
+        if "clock" in order:
+            with lock:
+                clock["write"] = clock["write"] or middleware.writer("/clock", Clock_, order).write
+                clock["ns"] = round(order.get("from_s", clock["ns"] * 1e-9) * 1e9)
+                clock["step_ns"] = round(order["clock"] * 1e7)
+            tell({"topic": "/clock", "message": {"s": clock["ns"] * 1e-9}})
+            continue
         name = order.get("say") or order.get("hear") or order["call"]
         if "call" in order:
             request, response = (TYPES[order["type"] + part] for part in ("_Request", "_Response"))
             message = made(request, order["fields"])
             calls[name] = calls.get(name) or middleware.caller(name, request, response, order)
             with lock:
-                says[name] = (calls[name], message, 50)
+                says[name] = (calls[name], message, 50, False)
             continue
         kind = TYPES[order["type"]]
         if "say" in order:
@@ -454,7 +486,7 @@ def main():
             with lock:
                 before = says.get(name)
                 writer = before[0] if before else middleware.writer(name, kind, order).write
-                says[name] = (writer, message, every)
+                says[name] = (writer, message, every, order.get("stamped"))
         else:
             reader = middleware.reader(name, kind, order)
             if reader:

@@ -4,6 +4,7 @@ use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use joulebus_ros_messages::type_hash;
 use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -36,6 +37,22 @@ pub(crate) fn ros2() -> Option<PathBuf> {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "ROS 2 is missing");
     }
     named.map(PathBuf::from)
+}
+
+/// The hash of the definition of a type, which is named without its package.
+pub(crate) fn hash(kind: &str) -> String {
+    const PACKAGES: [&str; 8] = [
+        "sensor_msgs/msg",
+        "geometry_msgs/msg",
+        "nav_msgs/msg",
+        "rosgraph_msgs/msg",
+        "std_msgs/msg",
+        "diagnostic_msgs/msg",
+        "joulebus_msgs/msg",
+        "joulebus_msgs/srv",
+    ];
+    let mut hashes = PACKAGES.iter().map(|package| type_hash(&format!("{package}/{kind}")));
+    hashes.find(|hash| hash.starts_with("RIHS01_")).unwrap_or_else(|| type_hash(kind))
 }
 
 /// A ROS 2 domain that no other test on this host uses. The test holds one of its ports, which DDS
@@ -76,6 +93,11 @@ impl Peer {
         Self::run(python, "peer.py", place)
     }
 
+    /// Starts a participant that connects to another one of zenoh at `tcp/host:port`.
+    pub(crate) fn beside(python: &Path, address: &str) -> Self {
+        Self::run(python, "peer.py", &address.replace("tcp/", "to/"))
+    }
+
     /// Starts a node of ROS 2 in the domain.
     pub(crate) fn node(ros2: &Path, domain: &RosDomain) -> Self {
         Self::run(ros2, "node.py", &domain.id.to_string())
@@ -89,8 +111,9 @@ impl Peer {
             .env("CYCLONEDDS_URI", CYCLONE)
             .env("PYTHONDONTWRITEBYTECODE", "1");
         let child = Child::spawn("peer", command);
-        let first = child.lines(0, PATIENCE);
-        assert!(first.iter().any(|line| line.contains("ready")), "{first:?}");
+        eventually("the peer is ready", || {
+            child.lines(0, PATIENCE).iter().any(|line| line.contains("ready"))
+        });
         Self { child }
     }
 
@@ -103,9 +126,23 @@ impl Peer {
         self.order(&json!({"hear": topic, "type": kind}));
     }
 
-    /// Sends an order to `peer.py`.
+    /// Sends an order to `peer.py`, with the hash of its type if it names none.
     pub(crate) fn order(&mut self, order: &Value) {
+        let mut order = order.clone();
+        if let (None, Some(kind)) = (order.get("hash"), order["type"].as_str()) {
+            order["hash"] = hash(kind).into();
+        }
         self.child.send_line(&order.to_string());
+    }
+
+    /// Each message of the topic so far.
+    pub(crate) fn each(&self, topic: &str, mut take: impl FnMut(&Value)) {
+        for line in self.child.lines(0, PATIENCE) {
+            let message: Value = serde_json::from_str(&line).unwrap();
+            if message["topic"] == topic {
+                take(&message["message"]);
+            }
+        }
     }
 
     /// The number of messages received so far, to wait from there.

@@ -7,50 +7,32 @@ use joulebus_testkit::{Child, free_port, link_beside};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 
-use super::{discharging, is_near, lines_of, status, twist};
+use super::{
+    BATTERY, DIAGNOSTICS, FORECAST, READING_MW, discharging, file_with, is_near, lines_of, status,
+    twist,
+};
 use crate::fleet::Fleet;
-use crate::ros2::peer::{Peer, cyclonedds};
+use crate::ros2::peer::{Peer, cyclonedds, hash};
 
-const FILE: &str = r#"
-    [robots]
-    "r{id}" = "1-3"
-    [ros2]
-    domain_id = 7
-    [[ros2.read]]
-    topic = "/fleet/{robot}/battery_state"
-    type = "sensor_msgs/msg/BatteryState"
-    [[ros2.read]]
-    topic = "/fleet/{robot}/odom"
-    type = "nav_msgs/msg/Odometry"
-    [[ros2.write]]
-    what = "forecast"
-    every_s = 0.1
-    [[ros2.write]]
-    what = "value"
-    value = "reading_w"
-    unit = "mW"
-    every_s = 0.1
-    [[ros2.write]]
-    what = "diagnostics"
-    every_s = 0.2
-    "#;
-/// Hashes of definitions, as ROS 2 Jazzy has them.
-const FLOAT64: &str = "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a";
-const BATTERY_STATE: &str =
-    "RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741";
-const DIAGNOSTIC_ARRAY: &str =
-    "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e";
-const ODOMETRY: &str = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0";
+/// A bridge's file with topics over zenoh.
+pub(super) fn file() -> String {
+    let odometry = ("odom", "nav_msgs/msg/Odometry");
+    let writes = [FORECAST, READING_MW, DIAGNOSTICS];
+    file_with("domain_id = 7", &[BATTERY, odometry], &writes)
+}
 
-fn bridge(fleet: &Fleet, address: &str) -> Child {
+/// Starts a bridge over zenoh, and waits until it logs `expected`.
+pub(super) fn bridge(fleet: &Fleet, address: &str, file: &str, expected: &str) -> Child {
     link_beside(env!("CARGO_BIN_EXE_joulebus-bridge"));
-    let mut command = fleet.command(FILE);
+    let mut command = fleet.command(file);
     let connect = format!("connect/endpoints=[\"{address}\"]");
     command.env("RMW_IMPLEMENTATION", "rmw_zenoh_cpp").env("ZENOH_CONFIG_OVERRIDE", connect);
     let mut bridge = Child::spawn("bridge", command);
-    bridge.wait_for_line("over zenoh as node /joulebus_bridge: 6 topics read, 7 written");
+    bridge.wait_for_line(expected);
     bridge
 }
+
+const OPEN: &str = "over zenoh as node /joulebus_bridge: 6 topics read, 7 written";
 
 /// Waits for a token of the graph that ends so, or until it is gone.
 fn wait_for_token(peer: &Peer, end: &str, alive: bool) {
@@ -66,14 +48,14 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
     let mut worker = fleet.worker();
     let mut peer = Peer::within(&python, &address);
-    let mut bridge = bridge(&fleet, &address);
+    let mut bridge = bridge(&fleet, &address, &file(), OPEN);
     // By the whole key, as a subscriber of ROS 2 has it.
-    for (topic, kind, hash) in [
-        ("/r1/joulebus/reading_w", "Float64", FLOAT64),
-        ("/r1/joulebus/forecast", "BatteryState", BATTERY_STATE),
-        ("/diagnostics", "DiagnosticArray", DIAGNOSTIC_ARRAY),
+    for (topic, kind) in [
+        ("/r1/joulebus/reading_w", "Float64"),
+        ("/r1/joulebus/forecast", "BatteryState"),
+        ("/diagnostics", "DiagnosticArray"),
     ] {
-        peer.order(&json!({"hear": topic, "type": kind, "hash": hash}));
+        peer.subscribe(topic, kind);
     }
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
     // ROS 2 Humble has no hashes.
@@ -99,10 +81,12 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     peer.wait_for("/diagnostics", 0, |it| status(it, "joulebus: r1")["level"] == 0);
     let node = "/NN/%/%/joulebus_bridge";
     let written = format!(
-        "/joulebus_bridge/%r1%joulebus%forecast/sensor_msgs::msg::dds_::BatteryState_/{BATTERY_STATE}/::,10:,:,:,,"
+        "/joulebus_bridge/%r1%joulebus%forecast/sensor_msgs::msg::dds_::BatteryState_/{}/::,10:,:,:,,",
+        hash("BatteryState")
     );
     let read = format!(
-        "/joulebus_bridge/%fleet%r3%odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY}/2::,5:,:,:,,"
+        "/joulebus_bridge/%fleet%r3%odom/nav_msgs::msg::dds_::Odometry_/{}/2::,5:,:,:,,",
+        hash("Odometry")
     );
     for end in [node, &written, &read] {
         wait_for_token(&peer, end, true);
@@ -124,11 +108,11 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
     let Some(python) = cyclonedds() else { return };
     let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
     let _worker = fleet.worker();
-    let mut bridge = bridge(&fleet, &address);
+    let mut bridge = bridge(&fleet, &address, &file(), OPEN);
     bridge.wait_for_line("no zenoh router and no other node is reached");
     let mut peer = Peer::within(&python, &address);
     let reading = "/r1/joulebus/reading_w";
-    peer.order(&json!({"hear": reading, "type": "Float64", "hash": FLOAT64}));
+    peer.subscribe(reading, "Float64");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
     peer.wait_for(reading, 0, |it| is_near(&it["data"], 4_400.0));
     let tasks = fs::read_dir(format!("/proc/{}/task", bridge.pid())).unwrap();
@@ -139,4 +123,42 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
     let ended = bridge.wait();
     assert_eq!(ended.code(), Some(1), "{ended:?}");
     assert!(ended.errors().contains("joulebus-link rmw-zenoh has ended: signal: 9"), "{ended:?}");
+}
+
+/// Subscribers as rmw_zenoh has them for latched topics: zenoh-ext's, which ask for the history.
+#[test]
+fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() {
+    let Some(python) = cyclonedds() else { return };
+    let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
+    let _worker = fleet.worker();
+    let mut early = Peer::within(&python, &address);
+    let latched = json!({
+        "hear": "/diagnostics", "type": "DiagnosticArray", "transient_local": true,
+    });
+    early.order(&latched);
+    // Nothing is written again.
+    let rarely = format!("{DIAGNOSTICS}\nevery_s = 3000");
+    let file = file_with("domain_id = 7", &[BATTERY], &[&rarely, FORECAST]);
+    let mut bridge = bridge(&fleet, &address, &file, "4 written");
+    let token = format!(
+        "/%diagnostics/diagnostic_msgs::msg::dds_::DiagnosticArray_/{}/:1:,1:,:,:,,",
+        hash("DiagnosticArray")
+    );
+    wait_for_token(&early, &token, true);
+    early.wait_for("/diagnostics", 0, |it| it["attached"]["number"] == 1);
+    let mut late = Peer::beside(&python, &address);
+    late.order(&latched);
+    let told = late.wait_for("/diagnostics", 0, |_| true);
+    assert_eq!(told["attached"]["number"], 1, "{told}");
+    assert_eq!(told["status"][0]["hardware_id"], "bridge", "{told}");
+    // A later topic shows that nothing came twice.
+    for peer in [&mut early, &mut late] {
+        peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+        peer.subscribe("/r1/joulebus/forecast", "BatteryState");
+        peer.wait_for("/r1/joulebus/forecast", 0, |_| true);
+        let mut arrays = 0;
+        peer.each("/diagnostics", |_| arrays += 1);
+        assert_eq!(arrays, 1);
+    }
+    bridge.stop();
 }

@@ -2,39 +2,17 @@
 
 use std::path::PathBuf;
 
-use joulebus_testkit::{free_port, link_beside};
+use joulebus_testkit::free_port;
 use serde_json::{Value, json};
 
-use super::peer::{Peer, RosDomain, cyclonedds, ros2};
-use super::{discharging, file_of, twist};
+use super::peer::{Peer, RosDomain, cyclonedds, hash, ros2};
+use super::{BATTERY, COMMANDS, discharging, file_with, keys, rmw, twist};
 use crate::fleet::Fleet;
 
-const TOPICS: &str = r#"
-    what_if = "/joulebus/what_if"
-    acknowledge = "/joulebus/acknowledge"
-    [[ros2.read]]
-    topic = "/fleet/{robot}/battery_state"
-    type = "sensor_msgs/msg/BatteryState"
-    [[ros2.read]]
-    topic = "/fleet/{robot}/cmd_vel"
-    type = "geometry_msgs/msg/Twist"
-    [[ros2.write]]
-    what = "outlook"
-    every_s = 0.1
-    "#;
-/// Hashes of definitions, as rosidl of ROS 2 Kilted computes them.
-const HASHES: [(&str, &str); 5] = [
-    ("BatteryState", "RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741"),
-    ("Twist", "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
-    ("Outlook", "RIHS01_ac0f11522bfb85b70ef4c0b71bfb1e204f1adffc146c57cd10c9f1eafbbfb29e"),
-    ("WhatIf", "RIHS01_f12090b8e3ea2e62e0b1e4917c0b534abdae7cb4ac59d79cd3d70d49b99a5287"),
-    ("Acknowledge", "RIHS01_2a26f7dd41d060ed87ec033354c998e87175cadbf0c14a4adc32bc7b640456fc"),
-];
-
-/// Sends an order about a topic or a service, with the hash of its type.
-fn order(peer: &mut Peer, what: &str, name: &str, kind: &str, fields: &Value) {
-    let hash = HASHES.iter().find(|(known, _)| *known == kind).unwrap().1;
-    peer.order(&json!({what: name, "type": kind, "fields": fields, "hash": hash}));
+/// A bridge's file with services and outlooks.
+fn file(keys: &str) -> String {
+    let services = "what_if = \"/joulebus/what_if\"\nacknowledge = \"/joulebus/acknowledge\"";
+    file_with(&format!("{keys}\n{services}"), &[BATTERY, COMMANDS], &["what = \"outlook\""])
 }
 
 /// Calls a service until a response is as expected.
@@ -45,7 +23,7 @@ fn call(
     is_it: impl FnMut(&Value) -> bool,
 ) -> Value {
     let from = peer.received();
-    order(peer, "call", name, kind, request);
+    peer.order(&json!({"call": name, "type": kind, "fields": request}));
     let response = peer.wait_for(name, from, is_it);
     peer.order(&json!({"hush": name}));
     response
@@ -55,9 +33,9 @@ fn call(
 fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     let ask = ("/joulebus/what_if", "WhatIf");
     let (battery, commands) = ("/fleet/r1/battery_state", "/fleet/r1/cmd_vel");
-    order(peer, "say", battery, "BatteryState", &discharging());
-    order(peer, "say", commands, "Twist", &twist());
-    order(peer, "hear", "/r1/joulebus/outlook", "Outlook", &json!({}));
+    peer.publish(battery, "BatteryState", &discharging());
+    peer.publish(commands, "Twist", &twist());
+    peer.subscribe("/r1/joulebus/outlook", "Outlook");
     let outlook = peer.wait_for("/r1/joulebus/outlook", 0, |it| it["energy_j"][3].is_number());
     assert_eq!(outlook["horizon_s"], json!([1.0, 10.0, 60.0, 300.0]), "{outlook}");
     assert_eq!(outlook["header"]["frame_id"], "r1", "{outlook}");
@@ -112,7 +90,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_with_cyclone_dds() {
     let Some(python) = cyclonedds() else { return };
     let (fleet, domain) = (Fleet::new(), RosDomain::take());
     let mut worker = fleet.worker();
-    let mut bridge = fleet.bridge(&file_of(&domain, TOPICS), "2 services");
+    let mut bridge = fleet.bridge(&file(&keys(&domain)), "2 services");
     let mut peer = Peer::start(&python, &domain);
     outlook_questions_and_acknowledgement(&mut peer);
     let report = bridge.stop().json();
@@ -127,7 +105,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_with_nodes_of_ros_2() {
     let Some(ros2) = ros2() else { return };
     let (fleet, domain) = (Fleet::new(), RosDomain::take());
     let mut worker = fleet.worker();
-    let mut bridge = fleet.bridge(&file_of(&domain, TOPICS), "2 services");
+    let mut bridge = fleet.bridge(&file(&keys(&domain)), "2 services");
     let mut peer = Peer::node(&ros2, &domain);
     outlook_questions_and_acknowledgement(&mut peer);
     peer.order(&json!({"graph": "joulebus_bridge"}));
@@ -146,17 +124,11 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_over_zenoh() {
     let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
     let mut worker = fleet.worker();
     let mut peer = Peer::within(&python, &address);
-    link_beside(env!("CARGO_BIN_EXE_joulebus-bridge"));
-    let text = format!("[robots]\n\"r{{id}}\" = \"1-3\"\n[ros2]\ndomain_id = 7\n{TOPICS}");
-    let mut command = fleet.command(&text);
-    let connect = format!("connect/endpoints=[\"{address}\"]");
-    command.env("RMW_IMPLEMENTATION", "rmw_zenoh_cpp").env("ZENOH_CONFIG_OVERRIDE", connect);
-    let mut bridge = joulebus_testkit::Child::spawn("bridge", command);
-    bridge.wait_for_line("2 services");
+    let mut bridge = rmw::bridge(&fleet, &address, &file("domain_id = 7"), "2 services");
     outlook_questions_and_acknowledgement(&mut peer);
     let token = format!(
         "/SS/%/%/joulebus_bridge/%joulebus%what_if/joulebus_msgs::srv::dds_::WhatIf_/{}/::,10:,:,:,,",
-        HASHES[3].1
+        hash("WhatIf")
     );
     peer.wait_for("@", 0, |it| it["token"].as_str().unwrap().ends_with(&token));
     let report = bridge.stop().json();

@@ -224,17 +224,21 @@ fn publish(fleet: &Fleet) {
     fleet.joulebus("publish sim --robots 3 --duration 1").finish();
 }
 
+/// Asks for a longer pause than the third attempt has by itself.
+const BUSY: &str = "429 Too Many Requests\r\nretry-after: 6";
+
 #[test]
 fn every_change_is_told_in_order_also_after_failures() {
     let fleet = Fleet::new();
     // A closed connection, an overloaded server, one that asks for a pause.
-    let receiver = Receiver::start(&["", "503 Service Unavailable", "429 Too Many Requests"]);
+    let receiver = Receiver::start(&["", "503 Service Unavailable", BUSY]);
     let mut worker = fleet.worker();
     let mut watch = fleet.joulebus("alarms --format json");
     watch.wait_for_line("alarms of fleet");
     let file = secret(&fleet, "hook", &receiver.address);
     let mut server = serve(&fleet, &format!("@{}", file.display()));
     publish(&fleet);
+    server.wait_for_line("pause_s=6");
     eventually("the robots' silence is told", || {
         (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
     });
