@@ -73,6 +73,7 @@ step miri miri 'cargo +nightly miri test -p joulebus-predictor --test all memory
 step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
 step simulator - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --seeds 1000'
+step linked-hosts - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --linked --seeds 288'
 step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture --skip write_the_seeds'
 # With a witness, read_capture.py and read_fleet.py run beside the faults.
 step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'

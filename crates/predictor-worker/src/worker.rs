@@ -12,7 +12,7 @@ use joulebus_bus::{
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
-use joulebus_settings::{FleetSettings, Policy, SettingsError};
+use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::SentErrors;
@@ -74,7 +74,8 @@ pub struct Worker {
 #[derive(Debug)]
 struct Standby {
     places: Places,
-    settings: FleetSettings,
+    /// Until it serves: its view of the robots, and when it checks for a permit, monotonic ns.
+    follows: Option<(Following, u64)>,
     /// Keeps `current_permit` up to date once there is a permit.
     renewal: Option<Background>,
 }
@@ -157,9 +158,10 @@ impl Worker {
     /// Those of [`Worker::open`].
     pub fn open_standby(config: &Config) -> Result<Self, OpenError> {
         let mut worker = Self::open_as(config, Arc::new(CurrentPermit::not_yet()))?;
+        let following = Following::new(config.settings(), worker.header.period_ns);
         worker.standby = Some(Standby {
             places: Places::of(config),
-            settings: config.settings().clone(),
+            follows: Some((following, 0)),
             renewal: None,
         });
         Ok(worker)
@@ -269,28 +271,44 @@ impl Worker {
     /// # Errors
     /// Those of [`Worker::run`], or the permit's file is something else.
     pub fn stand_by(&mut self, stop: &AtomicBool) -> Result<bool, RunError> {
-        let Some(standby) = &self.standby else {
+        while !stop.load(Ordering::Relaxed) {
+            if self.stand_by_once()? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// One round of [`Worker::stand_by`]. Returns whether this worker serves.
+    ///
+    /// # Errors
+    /// Those of [`Worker::stand_by`].
+    pub fn stand_by_once(&mut self) -> Result<bool, RunError> {
+        let Some(standby) = &mut self.standby else {
+            return Ok(true);
+        };
+        let Some((mut following, look_ns)) = standby.follows.take() else {
             return Ok(true);
         };
         let places = standby.places.clone();
-        let mut following = Following::new(&standby.settings, self.header.period_ns);
-        let mut look_ns = 0;
-        while !stop.load(Ordering::Relaxed) {
-            self.turns.fetch_add(1, Ordering::Relaxed);
-            self.bus.check()?;
-            self.hold(&mut following, &places);
-            let now_ns = clock::monotonic_ns();
-            if now_ns >= look_ns {
-                look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
-                let permit = Permit::read(&places.permit)?;
-                let boot_ns = clock::boot_ns();
-                if let Some(permit) = permit.filter(|permit| permit.holds(boot_ns)) {
-                    self.take_over(&permit, &places, following)?;
-                    return Ok(true);
-                }
+        self.turns.fetch_add(1, Ordering::Relaxed);
+        self.bus.check()?;
+        self.hold(&mut following, &places);
+        let now_ns = clock::monotonic_ns();
+        let mut until_ns = look_ns;
+        if now_ns >= look_ns {
+            until_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
+            let permit = Permit::read(&places.permit)?;
+            let boot_ns = clock::boot_ns();
+            if let Some(permit) = permit.filter(|permit| permit.holds(boot_ns)) {
+                self.take_over(&permit, &places, following)?;
+                return Ok(true);
             }
-            self.waiter.wait_until(Some(look_ns), None)?;
         }
+        if let Some(standby) = &mut self.standby {
+            standby.follows = Some((following, until_ns));
+        }
+        self.waiter.wait_until(Some(until_ns), None)?;
         Ok(false)
     }
 

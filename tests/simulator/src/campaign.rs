@@ -7,12 +7,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use serde::Serialize;
 
+use crate::hosts;
 use crate::scenario::Scenario;
 use crate::shrink::shrink;
 use crate::world::{Outcome, run};
 use crate::{Failure, Grown};
 
 const HOUR_NS: f64 = 3_600e9;
+/// Duration of a seed of linked hosts, ns.
+const LINKED_NS: u64 = 300_000_000_000;
 
 /// Which seeds are run, and how.
 #[derive(Debug, Clone, Default)]
@@ -27,6 +30,8 @@ pub struct Campaign {
     pub until_ns: Option<u64>,
     /// Only the faults of these numbers.
     pub only: Option<Vec<usize>>,
+    /// Fleets over several hosts, joined by links. Their plans are not made small.
+    pub linked: bool,
     /// Threads.
     pub threads: usize,
     /// Whether a failing seed is made small.
@@ -167,6 +172,16 @@ pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Syn
 }
 
 fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Failed>) {
+    if campaign.linked {
+        let duration_ns = campaign.duration_ns.unwrap_or(LINKED_NS);
+        let (outcome, left) = hosts::run(seed, duration_ns, stop);
+        let hours = duration_ns as f64 / HOUR_NS;
+        let command = format!("joulebus-sim --linked --seed {seed} --hours {hours}");
+        let failure = outcome.failure.clone();
+        let planned = left.len();
+        let failed = failure.map(|failure| Failed { seed, failure, planned, left, command });
+        return (outcome, failed);
+    }
     let whole = Scenario::of(seed, campaign.duration_ns);
     let planned = whole.faults.len();
     let whole = match campaign.until_ns {

@@ -39,7 +39,7 @@ pub struct Failure {
     pub at_ns: u64,
 }
 
-pub(crate) type Checked = Result<(), Failure>;
+pub(crate) type Checked<T = ()> = Result<T, Failure>;
 
 pub(crate) fn failure(invariant: &'static str, found: String) -> Failure {
     Failure { invariant, found, at_ns: time::now_ns() }

@@ -12,6 +12,7 @@ pub mod campaign;
 mod check;
 mod grown;
 mod hostile;
+mod hosts;
 mod ledger;
 pub mod panics;
 mod process;

@@ -32,6 +32,9 @@ struct Arguments {
     /// hours on, the fleet is small and slow
     #[arg(long, value_parser = hours)]
     hours: Option<f64>,
+    /// Fleets over three hosts, joined by links: five minutes each, unless `--hours` states others
+    #[arg(long, conflicts_with_all = ["only", "until_ns"])]
+    linked: bool,
     /// Threads; 0: one per processor
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -89,6 +92,7 @@ fn work(arguments: &Arguments) -> anyhow::Result<Outcome> {
         duration_ns: arguments.hours.map(|hours| (hours * 3_600e9) as u64),
         until_ns: arguments.until_ns,
         only: arguments.only.clone().map(|Numbers(numbers)| numbers),
+        linked: arguments.linked,
         threads: if arguments.threads == 0 { processors } else { arguments.threads },
         shrinks: !arguments.no_shrink,
     };

@@ -164,7 +164,7 @@ impl SourceProgram {
         })
     }
 
-    fn step(&mut self) -> Stepped {
+    pub(crate) fn step(&mut self) -> Stepped {
         if time::monotonic_ns() >= self.due_ns {
             let count = 1 + std::mem::take(&mut self.flood);
             for extra in 0..count {
@@ -240,7 +240,7 @@ impl PlannerProgram {
         })
     }
 
-    fn step(&mut self) -> Stepped {
+    pub(crate) fn step(&mut self) -> Stepped {
         let mut learned =
             Learned { polls: self.polls, every_ns: self.every_ns, ..Learned::default() };
         let mut note = |header: &ForecastHeader, robots: &[Forecast]| {

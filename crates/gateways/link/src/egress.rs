@@ -5,13 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use serde::Serialize;
 
-use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
-use crate::protocol::carried::Carried;
+use crate::network::{Event, Inbox, NetworkError, Outlet};
+use crate::protocol::carried::{Carried, Kind};
 use crate::protocol::message::{Body, FleetId, LeaderStatus, Request, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
+use crate::report::{Done, EgressRecord};
+use crate::shared::Shared;
 use crate::wall_clock::WallClock;
 
 /// Maximum number of receivers at a time.
@@ -25,18 +26,10 @@ const OTHERS: &str = "others";
 /// Maximum size of a request, bytes.
 const MAX_REQUEST_BYTES: usize = 4 << 10;
 
-/// Totals of the frames sent to one link.
-#[derive(Debug, Clone, Serialize)]
-pub(crate) struct EgressRecord {
-    pub(crate) to: String,
-    #[serde(flatten)]
-    pub(crate) sent: Sent,
-}
-
 /// The streams of one kind of frames to all their receivers.
 #[derive(Debug)]
 pub(crate) struct Egress {
-    network: Arc<Network>,
+    shared: Arc<Shared>,
     kind: Kind,
     /// The links that may request. Without it all links may.
     only: Option<Vec<String>>,
@@ -52,23 +45,22 @@ pub(crate) struct Egress {
 
 impl Egress {
     pub(crate) fn open(
-        network: &Arc<Network>,
+        shared: Arc<Shared>,
         kind: Kind,
         only: Option<Vec<String>>,
-        fleet: FleetId,
     ) -> Result<Self, NetworkError> {
         let mut inbox = Inbox::new(MAX_REQUEST_BYTES);
-        network.take_requests(kind, &mut inbox)?;
+        shared.network.take_requests(kind, &mut inbox)?;
         Ok(Self {
-            network: Arc::clone(network),
             kind,
             only,
-            fleet,
+            fleet: shared.settings.fleet(&shared.config),
+            clock: shared.network.wall_clock(),
+            shared,
             inbox,
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
             leader: LeaderStatus::default(),
-            clock: network.wall_clock(),
             refused: Refusals::default(),
         })
     }
@@ -157,7 +149,7 @@ impl Egress {
             return Ok(());
         }
         tracing::info!("link {from} asks for {}", self.kind_name());
-        let outlet = self.network.frames_to(self.kind, from)?;
+        let outlet = self.shared.network.frames_to(self.kind, from)?;
         let stream = Stream::new(self.fleet, request, now_ns);
         self.streams.insert(Arc::clone(from), (stream, outlet));
         Ok(())
@@ -207,6 +199,11 @@ impl Egress {
             stream.write_status(leader, now_ns, &mut out);
             outlet.send(out);
         }
+    }
+
+    /// What this side adds to the report.
+    pub(crate) fn finish(self) -> Done {
+        Done { given: self.records(), refused: self.refused, ..Done::default() }
     }
 
     /// The totals sent, by link.

@@ -1,23 +1,22 @@
 //! The thread of a planners' host: writes the frames of workers elsewhere into this host's shared
 //! memory, in a worker's place.
 
-use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use joulebus_bus::{Running, SendError, WorkerLock, clock};
-use joulebus_config::Config;
-use joulebus_connect::join;
+use joulebus_bus::{Bus, Rounds, SendError, clock};
 use joulebus_wire::WakeEvent;
 
-use crate::config::{Follow, Settings};
-use crate::ingress::{Ingress, IngressRecord};
-use crate::network::{Bytes, Event, Inbox, Kind, Network, max_message_bytes};
-use crate::protocol::carried::Carried;
+use crate::config::Follow;
+use crate::ingress::{self, Ingress};
+use crate::network::{Bytes, Event, Inbox, NetworkError};
+use crate::protocol::carried::{Carried, Kind, max_message_bytes};
 use crate::protocol::lease::MAX_TTL_S;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
+use crate::report::Done;
 use crate::shard_merger::ShardMerger;
+use crate::shared::Shared;
 use crate::worker_ports::{PassError, WorkerPorts};
 
 /// Maximum sleep: the delay until a stop, a silence or a new reader of plan states is noticed.
@@ -32,76 +31,27 @@ const MERGE_INTERVAL: Duration = Duration::from_millis(5);
 /// lease, so no earlier lease is left.
 const TERM_TIMEOUT_NS: u64 = 2 * MAX_TTL_S as u64 * 1_000_000_000;
 
-/// Follows until it is told to end. Says when the outputs can be read.
-///
-/// # Errors
-/// The fleet cannot be joined, its files were removed, or the network is refused.
-pub(crate) fn run(
-    (config, settings, follow): (&Config, &Settings, &Follow),
-    (network, lock): (&Arc<Network>, &WorkerLock),
-    thread: &Running,
-) -> anyhow::Result<Vec<IngressRecord>> {
-    let mut bus = join(config, "link")?;
-    bus.needs_lock(lock);
-    let mut inbox = Inbox::new(max_message_bytes(config.limits().capacity));
-    let shards = open(config, settings, follow, network, &mut inbox)?;
-    let every = follow.selection.every;
-    let shard_merger = match &settings.shards {
-        Some(map) if shards.len() > 1 => Some(ShardMerger::new(map, config, every)),
-        _ => None,
-    };
-    let mut following = Following {
-        worker_ports: WorkerPorts::open(&bus, config, every)?,
-        shards,
-        shard_merger,
-        requested: follow.selection.services,
-        has_message: false,
-        reported: Worker::Unknown,
-    };
-    thread.joined(());
-    while !thread.is_stopping() {
-        bus.check()?;
-        following.poll(&inbox)?;
-    }
-    following.worker_ports.planners.wake(WakeEvent::Ended)?;
-    let ingresses = following.shards.iter().flat_map(|shard| &shard.ingresses);
-    let mut records: Vec<IngressRecord> = ingresses.map(Ingress::record).collect();
-    if let Some(first) = records.first_mut() {
-        first.received.lost += inbox.overflowed();
-    }
-    Ok(records)
-}
-
 /// Opens a stream from every candidate of every shard.
 fn open(
-    config: &Config,
-    settings: &Settings,
+    shared: &Shared,
     follow: &Follow,
-    network: &Arc<Network>,
     inbox: &mut Inbox,
-) -> anyhow::Result<Vec<ShardFeed>> {
-    let limits = config.limits();
+) -> Result<Vec<ShardFeed>, NetworkError> {
+    let limits = shared.config.limits();
     let most = limits.capacity.max(limits.listed_frames());
-    let mut shards = Vec::new();
-    for workers in &follow.workers {
-        let mut ingresses = Vec::new();
-        for worker in workers {
-            ingresses.push(Ingress::open(
-                network,
-                (Kind::Outputs, worker),
-                (settings.fleet(config), most),
-                follow.selection.clone(),
-                inbox,
-            )?);
-        }
-        shards.push(ShardFeed {
-            ingresses,
+    let candidates = |workers: &Vec<String>| {
+        let open = |worker: &String| {
+            let from = (Kind::Outputs, worker.as_str());
+            Ingress::open(shared, from, most, follow.selection.clone(), inbox)
+        };
+        Ok(ShardFeed {
+            ingresses: workers.iter().map(open).collect::<Result<_, _>>()?,
             leader: 0,
             highest: HighestTerm::default(),
             reported: Worker::Unknown,
-        });
-    }
-    Ok(shards)
+        })
+    };
+    follow.workers.iter().map(candidates).collect()
 }
 
 /// The streams of one shard's candidates, or of the worker of a fleet without shards.
@@ -195,21 +145,25 @@ impl ShardFeed {
     }
 }
 
-struct Following {
+/// Follows the workers.
+pub(crate) struct Following {
     worker_ports: WorkerPorts,
+    bus: Bus,
+    inbox: Inbox,
     shards: Vec<ShardFeed>,
     /// Merges the frames of several workers.
     shard_merger: Option<ShardMerger>,
     /// Services that the link's file names.
     requested: u32,
-    /// The last poll took a message.
+    /// The last round took a message.
     has_message: bool,
     /// The state of the fleet's workers that planners here know.
     reported: Worker,
 }
 
-impl Following {
-    fn poll(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
+impl Rounds<Done, anyhow::Error> for Following {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        self.bus.check()?;
         // Some services are requested only while somebody here reads them, as the worker itself
         // writes them.
         let ports = &self.worker_ports;
@@ -229,7 +183,7 @@ impl Following {
             None => POLL_INTERVAL,
         };
         self.has_message = false;
-        match inbox.next(wait) {
+        match self.inbox.next(wait) {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
                 self.has_message = true;
                 self.message(&from, &bytes, arrived_ns)?;
@@ -256,7 +210,40 @@ impl Following {
             let written = shard_merger.write(&mut self.worker_ports, &has_worker);
             is_final(written)?;
         }
-        self.report()
+        self.report()?;
+        Ok(Duration::ZERO)
+    }
+
+    fn finish(self) -> anyhow::Result<Done> {
+        self.worker_ports.planners.wake(WakeEvent::Ended)?;
+        let ingresses = self.shards.iter().flat_map(|shard| &shard.ingresses);
+        Ok(ingress::finish(ingresses, &self.inbox))
+    }
+}
+
+impl Following {
+    /// # Errors
+    /// The fleet cannot be joined, or the network is refused.
+    pub(crate) fn open(shared: &Shared, follow: &Follow) -> anyhow::Result<Self> {
+        let Shared { config, settings, .. } = shared;
+        let bus = shared.join()?;
+        let mut inbox = Inbox::new(max_message_bytes(config.limits().capacity));
+        let shards = open(shared, follow, &mut inbox)?;
+        let every = follow.selection.every;
+        let shard_merger = match &settings.shards {
+            Some(map) if shards.len() > 1 => Some(ShardMerger::new(map, config, every)),
+            _ => None,
+        };
+        Ok(Self {
+            worker_ports: WorkerPorts::open(&bus, config, every)?,
+            bus,
+            inbox,
+            shards,
+            shard_merger,
+            requested: follow.selection.services,
+            has_message: false,
+            reported: Worker::Unknown,
+        })
     }
 
     fn ingresses(&mut self) -> impl Iterator<Item = &mut Ingress> {

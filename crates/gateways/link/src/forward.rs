@@ -2,52 +2,64 @@
 //! sends them to the workers' hosts.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{FrameBuf, ReceiveError, Running, SampleReader, WorkerLock, clock};
-use joulebus_config::Config;
-use joulebus_connect::join;
+use joulebus_bus::{Bus, FrameBuf, ReceiveError, Rounds, SampleReader, Waiter, clock};
 use joulebus_wire::{Sample, SampleHeader};
 
-use crate::config::Settings;
-use crate::egress::{Egress, EgressRecord};
+use crate::egress::Egress;
 use crate::ingress::ABSENCE_TIMEOUT_NS;
-use crate::network::{Kind, Network};
-use crate::protocol::carried::Carried;
+use crate::protocol::carried::{Carried, Kind};
 use crate::protocol::split::Split;
 use crate::protocol::stream::LocalFrame;
-use crate::refusals::Refusals;
+use crate::report::{Done, EgressRecord};
+use crate::shared::Shared;
 
 /// Maximum sleep: the delay until a request or a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 20_000_000;
 
-/// Sends the samples published here to the links `to`, to each those of its shard, until it is told
-/// to end. Says when the fleet is joined.
-///
-/// # Errors
-/// The fleet cannot be joined, its files were removed, or the network is refused.
-pub(crate) fn run(
-    (config, settings, to): (&Config, &Settings, &[String]),
-    (network, lock): (&Arc<Network>, &WorkerLock),
-    thread: &Running,
-) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
-    let limits = config.limits();
-    let mut bus = join(config, "link")?;
-    bus.needs_lock(lock);
-    let (kind, fleet) = (Kind::Samples, settings.fleet(config));
-    let mut egress = Egress::open(network, kind, Some(to.to_vec()), fleet)?;
-    let mut split = settings.shards.as_deref().cloned().map(Split::new);
-    let mut waiter = bus.arrivals_waiter(&limits)?;
-    let mut samples = bus.sample_reader(&limits)?;
-    let mut frame = FrameBuf::new(limits.capacity);
-    let absent_ns = clock::monotonic_ns().saturating_add(ABSENCE_TIMEOUT_NS);
-    let mut is_known = false;
-    thread.joined(());
-    while !thread.is_stopping() {
-        bus.check()?;
-        while is_taken(&mut samples, &mut frame)? {
+/// Sends the samples published here to the links `to`, to each those of its shard.
+pub(crate) struct Forwarding {
+    shared: Arc<Shared>,
+    to: Vec<String>,
+    egress: Egress,
+    split: Option<Split>,
+    samples: SampleReader,
+    waiter: Waiter,
+    bus: Bus,
+    frame: FrameBuf,
+    /// When receivers that have not requested are reported, monotonic ns.
+    absent_ns: Option<u64>,
+}
+
+impl Forwarding {
+    /// # Errors
+    /// The fleet cannot be joined, or the network is refused.
+    pub(crate) fn open(shared: Arc<Shared>, to: Vec<String>) -> anyhow::Result<Self> {
+        let limits = shared.config.limits();
+        let bus = shared.join()?;
+        Ok(Self {
+            egress: Egress::open(Arc::clone(&shared), Kind::Samples, Some(to.clone()))?,
+            split: shared.settings.shards.as_deref().cloned().map(Split::new),
+            waiter: bus.arrivals_waiter(&limits)?,
+            samples: bus.sample_reader(&limits)?,
+            bus,
+            frame: FrameBuf::new(limits.capacity),
+            absent_ns: Some(clock::monotonic_ns().saturating_add(ABSENCE_TIMEOUT_NS)),
+            to,
+            shared,
+        })
+    }
+}
+
+impl Rounds<Done, anyhow::Error> for Forwarding {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let Self { shared, egress, split, frame, .. } = self;
+        self.bus.check()?;
+        while is_taken(&mut self.samples, frame)? {
             let (header, samples) = (frame.header(), frame.samples());
-            match (&mut split, settings.shards.as_deref()) {
+            match (&mut *split, shared.settings.shards.as_deref()) {
                 (Some(split), Some(shards)) => {
                     split.split(header, samples, |shard, header, samples| {
                         let workers = &shards.all()[shard].workers;
@@ -60,18 +72,20 @@ pub(crate) fn run(
         }
         egress.poll()?;
         let now_ns = clock::monotonic_ns();
-        if !is_known && now_ns > absent_ns {
-            log_absent_receivers(to, &egress.records(), &settings.name);
-            is_known = true;
+        if self.absent_ns.take_if(|absent_ns| now_ns > *absent_ns).is_some() {
+            log_absent_receivers(&self.to, &egress.records(), &shared.settings.name);
         }
-        let until_ns = now_ns + POLL_INTERVAL_NS;
-        waiter.wait_until(Some(until_ns), None)?;
+        self.waiter.wait_until(Some(now_ns + POLL_INTERVAL_NS), None)?;
+        Ok(Duration::ZERO)
     }
-    let unassigned = split.map_or(0, |split| split.unassigned);
-    if unassigned > 0 {
-        tracing::warn!("{unassigned} samples were of robots that no shard has");
+
+    fn finish(self) -> anyhow::Result<Done> {
+        let unassigned = self.split.map_or(0, |split| split.unassigned);
+        if unassigned > 0 {
+            tracing::warn!("{unassigned} samples were of robots that no shard has");
+        }
+        Ok(self.egress.finish())
     }
-    Ok((egress.records(), egress.refused))
 }
 
 fn log_absent_receivers(to: &[String], asked: &[EgressRecord], own: &str) {

@@ -1,43 +1,19 @@
 //! The receiving side of this host: frames from one link, and the requests for them.
 
-use std::sync::Arc;
-
 use joulebus_bus::clock;
-use serde::Serialize;
 
-use crate::network::{Bytes, Inbox, Kind, Network, NetworkError, Outlet};
+use crate::network::{Bytes, Inbox, NetworkError, Outlet};
+use crate::protocol::carried::Kind;
 use crate::protocol::message::{FleetId, Sender, read};
-use crate::protocol::receiver::{Accepted, Received, Receiver, Unused};
+use crate::protocol::receiver::{Accepted, Receiver, Unused};
 use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
+use crate::report::{Done, IngressRecord};
+use crate::shared::Shared;
 use crate::wall_clock::WallClock;
 
 /// Time without any message after which a link is reported as absent.
 pub(crate) const ABSENCE_TIMEOUT_NS: u64 = 5_000_000_000;
-
-/// Totals of the frames received from one link.
-#[derive(Debug, Clone, Serialize)]
-pub(crate) struct IngressRecord {
-    pub(crate) from: String,
-    #[serde(flatten)]
-    pub(crate) received: Received,
-    /// Frames that arrived before the clock offset was known.
-    pub(crate) before_clock: u64,
-    /// Frames of an earlier leader, dropped after another has led.
-    pub(crate) fenced: u64,
-    /// Upper bound of how much older stamps may look than they are, s. Null before the clock offset
-    /// is known.
-    pub(crate) clock_uncertainty_s: Option<f64>,
-    /// Number of changes of the clock offset in use.
-    pub(crate) clock_refits: u64,
-    /// Number of clock steps.
-    pub(crate) clock_steps: u64,
-    /// Whether realtime clocks narrow the uncertainty now.
-    pub(crate) clock_realtime: bool,
-    /// Number of times that round trips ruled out what realtime clocks showed.
-    pub(crate) clock_contradictions: u64,
-    pub(crate) refused: Refusals,
-}
 
 /// The stream from one link.
 #[derive(Debug)]
@@ -60,13 +36,15 @@ pub(crate) struct Ingress {
 impl Ingress {
     /// Subscribes the inbox to frames of the link `from`.
     pub(crate) fn open(
-        network: &Arc<Network>,
+        shared: &Shared,
         (kind, from): (Kind, &str),
-        (fleet, most): (FleetId, usize),
+        most: usize,
         selection: Selection,
         inbox: &mut Inbox,
     ) -> Result<Self, NetworkError> {
+        let network = &shared.network;
         network.take_frames(kind, from, inbox)?;
+        let fleet = shared.settings.fleet(&shared.config);
         let run = clock::monotonic_ns();
         Ok(Self {
             from: from.to_owned(),
@@ -163,7 +141,7 @@ impl Ingress {
         &mut self.receiver
     }
 
-    pub(crate) fn record(&self) -> IngressRecord {
+    fn record(&self) -> IngressRecord {
         let offset = self.receiver.offset();
         let now_ns = clock::monotonic_ns();
         let uncertainty_ns = offset.uncertainty_ns(now_ns);
@@ -180,4 +158,13 @@ impl Ingress {
             refused: self.refused.clone(),
         }
     }
+}
+
+/// What the streams of an inbox add to the report.
+pub(crate) fn finish<'a>(all: impl Iterator<Item = &'a Ingress>, inbox: &Inbox) -> Done {
+    let mut taken: Vec<IngressRecord> = all.map(Ingress::record).collect();
+    if let Some(first) = taken.first_mut() {
+        first.received.lost += inbox.overflowed();
+    }
+    Done { taken, ..Done::default() }
 }

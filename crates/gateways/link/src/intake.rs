@@ -6,18 +6,18 @@ use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use joulebus_bus::{Running, SampleWriter, SendError, clock, process_id};
-use joulebus_config::Config;
-use joulebus_connect::join;
+use joulebus_bus::{Bus, Rounds, SampleWriter, SendError, clock, process_id};
 use joulebus_wire::{Sample, SampleHeader, fnv1a};
 
-use crate::config::{Settings, Take};
-use crate::ingress::{Ingress, IngressRecord};
-use crate::network::{Event, Inbox, Kind, Network, max_message_bytes};
-use crate::protocol::carried::Carried;
+use crate::config::Take;
+use crate::ingress::{self, Ingress};
+use crate::network::{Bytes, Event, Inbox};
+use crate::protocol::carried::{Carried, Kind, max_message_bytes};
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
+use crate::report::Done;
+use crate::shared::Shared;
 
 /// Maximum sleep: the delay until a stop or a silence is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -26,75 +26,93 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// ends the sleep.
 const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 
-/// Takes samples until it is told to end. Says when the fleet is joined.
-///
-/// # Errors
-/// The fleet cannot be joined, its files were removed, or the network is refused.
-pub(crate) fn run(
-    (config, settings, takes): (&Config, &Settings, &[Take]),
-    network: &Arc<Network>,
-    thread: &Running,
-) -> anyhow::Result<Vec<IngressRecord>> {
-    let limits = config.limits();
-    let bus = join(config, "link")?;
-    let mut writer = bus.sample_writer(&limits, limits.capacity)?;
-    let mut inbox = Inbox::new(max_message_bytes(limits.capacity));
-    let (mut hosts, mut reported) = (BTreeMap::new(), BTreeSet::new());
-    for take in takes {
-        let selection = Selection::new(Carried::SAMPLES.bit(), 1, take.robots.ranges().to_vec());
-        let of_fleet = (settings.fleet(config), limits.capacity);
-        let from = (Kind::Samples, take.from.as_str());
-        let ingress = Ingress::open(network, from, of_fleet, selection, &mut inbox)?;
-        hosts.insert(take.from.as_str(), (ingress, &take.robots));
+/// Takes the samples of other hosts.
+pub(crate) struct Intake {
+    shared: Arc<Shared>,
+    hosts: BTreeMap<String, (Ingress, Selection)>,
+    inbox: Inbox,
+    writer: SampleWriter,
+    bus: Bus,
+    /// Hosts whose samples of foreign robots were logged.
+    reported: BTreeSet<Arc<str>>,
+    wait: Duration,
+}
+
+impl Intake {
+    /// # Errors
+    /// The fleet cannot be joined, or the network is refused.
+    pub(crate) fn open(shared: Arc<Shared>, takes: Vec<Take>) -> anyhow::Result<Self> {
+        let limits = shared.config.limits();
+        let bus = shared.join()?;
+        let writer = bus.sample_writer(&limits, limits.capacity)?;
+        let mut inbox = Inbox::new(max_message_bytes(limits.capacity));
+        let mut hosts = BTreeMap::new();
+        for Take { from, robots } in takes {
+            let selection = Selection::new(Carried::SAMPLES.bit(), 1, robots.ranges().to_vec());
+            let of = (Kind::Samples, from.as_str());
+            let ingress = Ingress::open(&shared, of, limits.capacity, selection, &mut inbox)?;
+            hosts.insert(from, (ingress, robots));
+        }
+        let (reported, wait) = (BTreeSet::new(), POLL_INTERVAL);
+        Ok(Self { shared, hosts, inbox, writer, bus, reported, wait })
     }
-    thread.joined(());
-    let mut wait = POLL_INTERVAL;
-    while !thread.is_stopping() {
-        bus.check()?;
-        for (ingress, _) in hosts.values_mut() {
+
+    /// Handles a message of the link `from`.
+    fn message(
+        &mut self,
+        from: &Arc<str>,
+        bytes: &Bytes,
+        arrived_ns: u64,
+    ) -> Result<(), SendError> {
+        let Self { shared, hosts, writer, reported, .. } = self;
+        let Some((ingress, robots)) = hosts.get_mut(&**from) else {
+            return Ok(());
+        };
+        let (mut ended, mut foreign) = (Ok(()), None);
+        ingress.message(bytes, arrived_ns, |accepted| {
+            let has = |robot| {
+                let (is_taken, is_here) =
+                    (robots.has_robot(robot), shared.settings.has_robot(robot));
+                if is_here && !is_taken {
+                    foreign = Some(robot);
+                }
+                is_here && is_taken
+            };
+            publish(writer, (from, &accepted), has).map_err(|error| {
+                let shown = error.to_string();
+                if error.is_final() {
+                    ended = Err(error);
+                }
+                ("not published", shown)
+            })
+        });
+        if let Some(robot) = foreign.filter(|_| reported.insert(Arc::clone(from))) {
+            tracing::warn!(
+                "{from} sends samples of robot {robot}, which is not among its `robots` in this link's file: such are left out"
+            );
+        }
+        ended
+    }
+}
+
+impl Rounds<Done, anyhow::Error> for Intake {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        self.bus.check()?;
+        for (ingress, _) in self.hosts.values_mut() {
             ingress.request_if_due();
             if ingress.receiver().becomes_silent(clock::monotonic_ns()) {
                 tracing::warn!("no samples come from {}", ingress.from());
             }
         }
-        let event = inbox.next(wait);
-        wait = match event {
-            Ok(Event::Message { .. }) => AFTER_MESSAGE,
-            _ => POLL_INTERVAL,
-        };
+        let event = self.inbox.next(self.wait);
+        self.wait = POLL_INTERVAL;
         match event {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
-                let Some((ingress, robots)) = hosts.get_mut(&*from) else {
-                    continue;
-                };
-                let (mut ended, mut foreign) = (Ok(()), None);
-                ingress.message(&bytes, arrived_ns, |accepted| {
-                    let has = |robot| {
-                        let (is_taken, is_here) =
-                            (robots.has_robot(robot), settings.has_robot(robot));
-                        if is_here && !is_taken {
-                            foreign = Some(robot);
-                        }
-                        is_here && is_taken
-                    };
-                    publish(&mut writer, (&*from, &accepted), has).map_err(|error| {
-                        let shown = error.to_string();
-                        if error.is_final() {
-                            ended = Err(error);
-                        }
-                        ("not published", shown)
-                    })
-                });
-                ended?;
-                if let Some(robot) = foreign.filter(|_| reported.insert(from.clone())) {
-                    tracing::warn!(
-                        "{from} sends samples of robot {robot}, which is not among its `robots` in \
-                            this link's file: these samples are left out"
-                    );
-                }
+                self.wait = AFTER_MESSAGE;
+                self.message(&from, &bytes, arrived_ns)?;
             }
             Ok(Event::Lost { name }) => {
-                if let Some((ingress, _)) = hosts.get_mut(&*name)
+                if let Some((ingress, _)) = self.hosts.get_mut(&*name)
                     && ingress.receiver().lost()
                 {
                     tracing::warn!("the link of {name} is gone");
@@ -103,13 +121,12 @@ pub(crate) fn run(
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
+        Ok(Duration::ZERO)
     }
-    let mut records: Vec<IngressRecord> =
-        hosts.values().map(|(ingress, _)| ingress.record()).collect();
-    if let Some(first) = records.first_mut() {
-        first.received.lost += inbox.overflowed();
+
+    fn finish(self) -> anyhow::Result<Done> {
+        Ok(ingress::finish(self.hosts.values().map(|(ingress, _)| ingress), &self.inbox))
     }
-    Ok(records)
 }
 
 /// Publishes a frame with the times of this host and the source's id on this host. Robots that

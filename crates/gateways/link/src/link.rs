@@ -2,31 +2,26 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
 use crate::arguments::{LinkArguments, LinkVerb};
 use anyhow::Context as _;
-use joulebus_bus::{Background, Running, WorkerLock, clock, yield_to_the_worker};
+use joulebus_bus::{clock, yield_to_the_worker};
 use joulebus_config::Config;
-use joulebus_plan_server::PlanServer;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_standby::Places;
 use serde::Serialize;
 
 use crate::certificates::{self, CertificateReport};
 use crate::config::{Mode, Settings, Side};
-use crate::egress::EgressRecord;
-use crate::ingress::IngressRecord;
-use crate::leadership::Leadership;
-use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
+use crate::network::{Network, NetworkError};
+use crate::protocol::carried::{max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::{
-    follow, forward, init, intake, outputs, rmw, standby, take_over, tls_causes, tls_workaround,
-};
+use crate::report::{Done, EgressRecord, IngressRecord};
+use crate::threads::{Place, Threads};
+use crate::{init, rmw, take_over, tls_causes, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -108,14 +103,19 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         _ => {}
     }
     yield_to_the_worker(NICE);
-    let Some(mut link) = Link::start(&config, &settings, &stop)? else {
+    let place = Place::take(&config, &settings)?;
+    let Some(network) = open(&config, &settings, &stop)? else {
         return Ok(Outcome::Done);
     };
-    while !stop.is_asked() && !link.threads.iter().any(Background::has_ended) {
+    let threads = Threads::start(&config, &settings, place, network)?;
+    say(&format!("link {} of fleet {} is open", settings.name, config.fleet()));
+    while !stop.is_asked() && !threads.have_ended() {
         thread::sleep(POLL_INTERVAL);
         tls_causes::take().iter().for_each(|cause| tracing::warn!("{cause}"));
     }
-    let report = link.finish(&config, &settings)?;
+    let Done { given, taken, refused } = threads.finish()?;
+    let fleet = config.fleet().to_owned();
+    let report = LinkReport { fleet, link: settings.name, given, taken, refused };
     let lost = report.is_lossy();
     output.report(&report)?;
     Ok(Outcome::unless_lost(lost))
@@ -175,12 +175,7 @@ fn checked(
 }
 
 /// Opens the network. A client retries until a router answers or a stop is requested.
-fn open(
-    config: &Config,
-    settings: &Settings,
-    takes: Option<&[&str]>,
-    stop: &Stop,
-) -> anyhow::Result<Option<Network>> {
+fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Network>> {
     let of = (config.fleet(), settings.name.as_str());
     let capacity = config.limits().capacity;
     let max_message_bytes = match settings.standby {
@@ -189,7 +184,11 @@ fn open(
     };
     let candidates = settings.standby.iter().flat_map(|it| &it.others);
     let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
-    let hosts = takes.map(|takes| (takes, candidates.as_slice()));
+    let takes: Option<Vec<&str>> = match &settings.side {
+        Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
+        Side::Other { .. } => None,
+    };
+    let hosts = takes.as_deref().map(|takes| (takes, candidates.as_slice()));
     let mut is_logged = false;
     while !stop.is_asked() {
         match Network::open(&settings.network, of, hosts, max_message_bytes) {
@@ -205,180 +204,6 @@ fn open(
         }
     }
     Ok(None)
-}
-
-/// The part of the report from one thread.
-#[derive(Debug, Default)]
-struct Done {
-    given: Vec<EgressRecord>,
-    taken: Vec<IngressRecord>,
-    refused: Refusals,
-}
-
-/// The running threads.
-struct Link {
-    threads: Vec<Background<anyhow::Result<Done>>>,
-    /// Answers planners' questions on a host without a worker.
-    questions: Option<PlanServer>,
-    /// The worker lock of a host without a worker. Released after the threads that need it have
-    /// ended.
-    lock: Option<Arc<WorkerLock>>,
-}
-
-impl Link {
-    /// Starts all threads. `None` if a stop is requested before the router answers.
-    fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
-        let mut link = Self { threads: Vec::new(), questions: None, lock: None };
-        let (fleet, name) = (config.fleet(), settings.name.as_str());
-        if let Side::Other { follow, .. } = &settings.side {
-            if follow.is_some() {
-                link.questions = Some(PlanServer::start(config)?);
-            }
-            link.lock = Some(Arc::new(WorkerLock::acquire(&config.domain()?)?));
-        }
-        let takes: Option<Vec<&str>> = match &settings.side {
-            Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
-            Side::Other { .. } => None,
-        };
-        let Some(network) = open(config, settings, takes.as_deref(), stop)? else {
-            return Ok(None);
-        };
-        let network = Arc::new(network);
-        match &settings.side {
-            Side::Worker(takes) => link.start_worker_side((config, settings), takes, &network)?,
-            Side::Other { samples, follow } => {
-                if let Some(follow) = follow {
-                    link.start_following((config, settings), follow, &network)?;
-                }
-                if let Some(to) = samples {
-                    link.start_forwarding((config, settings), to, &network)?;
-                }
-            }
-        }
-        if let Some(questions) = &link.questions {
-            questions.serve();
-        }
-        say(&format!("link {name} of fleet {fleet} is open"));
-        Ok(Some(link))
-    }
-
-    fn start_worker_side(
-        &mut self,
-        (config, settings): (&Config, &Settings),
-        takes: &[crate::config::Take],
-        network: &Arc<Network>,
-    ) -> anyhow::Result<()> {
-        let leadership = match &settings.standby {
-            Some(standby) => Some(self.start_standby((config, settings), standby, network)?),
-            None => None,
-        };
-        let (of, over) = (config.clone(), Arc::clone(network));
-        let fleet = settings.fleet(config);
-        self.spawn("joulebus-outputs", move |thread| {
-            let over = (&over, leadership.as_deref());
-            let (given, refused) = outputs::run((&of, fleet), over, thread)?;
-            Ok(Done { given, refused, ..Done::default() })
-        })?;
-        if takes.is_empty() {
-            return Ok(());
-        }
-        let (of, over, takes) = (config.clone(), Arc::clone(network), takes.to_vec());
-        let with = settings.clone();
-        self.spawn("joulebus-intake", move |thread| {
-            let taken = intake::run((&of, &with, &takes), &over, thread)?;
-            Ok(Done { taken, ..Done::default() })
-        })
-    }
-
-    /// Starts the threads that decide whether this host's worker leads.
-    fn start_standby(
-        &mut self,
-        (config, settings): (&Config, &Settings),
-        standby: &crate::config::Standby,
-        network: &Arc<Network>,
-    ) -> anyhow::Result<Arc<Leadership>> {
-        let (leadership, permit) = Leadership::resume(Places::of(config))?;
-        let leadership = Arc::new(leadership);
-        let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
-        let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
-        self.spawn("joulebus-standby", move |thread| {
-            let taken = standby::follow((&of, &with, &of_shard), (&over, &its), thread)?;
-            Ok(Done { taken, ..Done::default() })
-        })?;
-        if let Some(lease) = standby.lease.clone() {
-            let (of, with) = (config.clone(), settings.clone());
-            let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
-            self.spawn("joulebus-lease", move |thread| {
-                let by = (&of_shard, &lease);
-                standby::hold((&of, &with), by, (&its, permit), thread)?;
-                Ok(Done::default())
-            })?;
-        }
-        Ok(leadership)
-    }
-
-    fn start_following(
-        &mut self,
-        (config, settings): (&Config, &Settings),
-        follow: &crate::config::Follow,
-        network: &Arc<Network>,
-    ) -> anyhow::Result<()> {
-        let (of, over, follow) = (config.clone(), Arc::clone(network), follow.clone());
-        let with = settings.clone();
-        let lock = self.lock.clone().context("the lock is taken first")?;
-        self.spawn("joulebus-follow", move |thread| {
-            let taken = follow::run((&of, &with, &follow), (&over, &lock), thread)?;
-            Ok(Done { taken, ..Done::default() })
-        })
-    }
-
-    fn start_forwarding(
-        &mut self,
-        (config, settings): (&Config, &Settings),
-        to: &[String],
-        network: &Arc<Network>,
-    ) -> anyhow::Result<()> {
-        let (of, over, to) = (config.clone(), Arc::clone(network), to.to_vec());
-        let with = settings.clone();
-        let lock = self.lock.clone().context("the lock is taken first")?;
-        self.spawn("joulebus-forward", move |thread| {
-            let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), thread)?;
-            Ok(Done { given, refused, ..Done::default() })
-        })
-    }
-
-    /// Starts a thread, and waits until it has joined the fleet.
-    fn spawn(
-        &mut self,
-        name: &str,
-        work: impl FnOnce(&Running) -> anyhow::Result<Done> + Send + 'static,
-    ) -> anyhow::Result<()> {
-        let (thread, ()) = Background::run(name, work)?;
-        self.threads.push(thread);
-        Ok(())
-    }
-
-    fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<LinkReport> {
-        self.threads.iter().for_each(Background::stop);
-        if let Some(questions) = self.questions.take() {
-            let _ = questions.finish();
-        }
-        let mut report = LinkReport {
-            fleet: config.fleet().to_owned(),
-            link: settings.name.clone(),
-            given: Vec::new(),
-            taken: Vec::new(),
-            refused: Refusals::default(),
-        };
-        let ended: Vec<_> = self.threads.drain(..).map(Background::join).collect();
-        for done in ended {
-            let done = done?;
-            report.given.extend(done.given);
-            report.taken.extend(done.taken);
-            report.refused.add(&done.refused);
-        }
-        Ok(report)
-    }
 }
 
 impl LinkReport {

@@ -19,7 +19,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::config::{Mode, NetworkSettings};
-use crate::protocol::carried::Carried;
+use crate::protocol::carried::Kind;
 use crate::wall_clock::WallClock;
 
 /// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
@@ -34,40 +34,6 @@ const PEER_TIMEOUT_MS: u64 = 1_000;
 const SEND_TIMEOUT_US: u64 = 50_000;
 /// Timeout of a client's attempt to reach a router, ms.
 const ROUTER_TIMEOUT_MS: i64 = 1_000;
-/// Maximum size of a message's and its frame's headers, bytes.
-const MAX_HEADER_BYTES: usize = 4_096;
-
-/// Maximum message size in a fleet of that capacity, bytes.
-pub(crate) fn max_message_bytes(capacity: usize) -> usize {
-    let rows = Carried::all().map(|service| service.sizes().1);
-    let longest = rows.max().unwrap_or_default();
-    MAX_HEADER_BYTES + capacity.saturating_mul(longest)
-}
-
-/// Same as [`max_message_bytes`], including a worker's state.
-pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
-    let state = MAX_HEADER_BYTES.saturating_add(Carried::STATE.most(capacity));
-    state.max(max_message_bytes(capacity))
-}
-
-/// What a stream carries. It is a part of the keys, so that access rules can distinguish the
-/// streams.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// Frames that a worker writes.
-    Outputs,
-    /// Samples that sources write.
-    Samples,
-}
-
-impl Kind {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Outputs => "outputs",
-            Self::Samples => "samples",
-        }
-    }
-}
 
 /// An event of the network.
 #[derive(Debug)]

@@ -1,27 +1,27 @@
 //! The thread of the worker's host that reads as a planner, and sends the frames to other hosts.
 
 use std::fmt::Display;
-use std::os::unix::fs::MetadataExt as _;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{Bus, Reader, Running, clock, process_id};
+use joulebus_bus::{Bus, Reader, Rounds, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_consumer::{
     Budgets, Diagnostics, Event, Feed, Outlooks, PlanStates, ReadError, Subscriber, WorkerState,
 };
+use joulebus_files::disk;
 use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
 
-use crate::egress::{Egress, EgressRecord};
+use crate::egress::Egress;
 use crate::leadership::Leadership;
-use crate::network::{Kind, Network};
-use crate::protocol::carried::Carried;
-use crate::protocol::message::{FleetId, LeaderStatus, Worker};
+use crate::protocol::carried::{Carried, Kind};
+use crate::protocol::message::{LeaderStatus, Worker};
 use crate::protocol::stream::LocalFrame;
-use crate::refusals::Refusals;
+use crate::report::Done;
+use crate::shared::Shared;
 
 /// Maximum sleep: the delay until a request or a stop is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -46,30 +46,46 @@ const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
 /// without `--standby`. A worker whose permit has ended sends for 50 ms at most.
 const UNPERMITTED: u32 = 100;
 
-/// Sends until it is told to end. Says when the fleet is joined.
-///
-/// # Errors
-/// The fleet cannot be joined, its files were removed, or the network is refused.
-pub(crate) fn run(
-    (config, fleet): (&Config, FleetId),
-    (network, leadership): (&Arc<Network>, Option<&Leadership>),
-    thread: &Running,
-) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
-    let mut planner = Subscriber::with_config(config, "link")?;
-    let mut egress = Egress::open(network, Kind::Outputs, None, fleet)?;
-    let mut feeds = Feeds::new(config);
-    let mut state = leadership.map(StateFeed::new);
-    thread.joined(());
-    let mut wait = POLL_INTERVAL;
-    let mut unpermitted = 0_u32;
-    while !thread.is_stopping() {
+/// Sends the frames of this host's worker.
+pub(crate) struct Outputs {
+    shared: Arc<Shared>,
+    planner: Subscriber,
+    egress: Egress,
+    feeds: Feeds,
+    state: StateFeed,
+    wait: Duration,
+    /// Consecutive frames without a permit.
+    unpermitted: u32,
+}
+
+impl Outputs {
+    /// # Errors
+    /// The fleet cannot be joined, or the network is refused.
+    pub(crate) fn open(shared: Arc<Shared>) -> anyhow::Result<Self> {
+        Ok(Self {
+            planner: Subscriber::with_config(&shared.config, "link")?,
+            egress: Egress::open(Arc::clone(&shared), Kind::Outputs, None)?,
+            feeds: Feeds::new(),
+            state: StateFeed::default(),
+            wait: POLL_INTERVAL,
+            unpermitted: 0,
+            shared,
+        })
+    }
+}
+
+impl Rounds<Done, anyhow::Error> for Outputs {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let Self { shared, planner, egress, wait, unpermitted, .. } = self;
+        let leadership = shared.leadership.as_deref();
         let before = egress.leader;
-        wait = match planner.wait_next(wait) {
+        let mut pause = Duration::ZERO;
+        *wait = match planner.wait_next(*wait) {
             Ok(Event::Frame(frame)) => {
                 egress.leader = leader_status(Worker::Alive, leadership);
                 let is_permitted = leadership.is_none() || egress.leader.term > 0;
-                unpermitted = if is_permitted { 0 } else { unpermitted + 1 };
-                if unpermitted == UNPERMITTED {
+                *unpermitted = if is_permitted { 0 } else { *unpermitted + 1 };
+                if *unpermitted == UNPERMITTED {
                     tracing::error!(
                         "the worker of this host serves without a permit, and other hosts ignore it: start it with --standby"
                     );
@@ -101,7 +117,7 @@ pub(crate) fn run(
             // Failed connections are made again.
             Err(ReadError::Receive(error)) => {
                 tracing::debug!(%error, "forecasts cannot be read");
-                std::thread::sleep(POLL_INTERVAL);
+                pause = POLL_INTERVAL;
                 POLL_INTERVAL
             }
             Err(error) => return Err(error.into()),
@@ -115,10 +131,10 @@ pub(crate) fn run(
         egress.leader = leader_status(worker, leadership);
         egress.poll()?;
         if leadership.is_none() || egress.leader.term > 0 {
-            feeds.give(&planner, &mut egress)?;
+            self.feeds.give(&shared.config, planner, egress)?;
         }
-        if let Some(state) = &mut state {
-            state.give(&mut egress);
+        if let Some(leadership) = leadership {
+            self.state.give(leadership, egress);
         }
         let is_over = |leader: LeaderStatus| {
             leader.worker == Worker::Gone || (leadership.is_some() && leader.term == 0)
@@ -126,8 +142,12 @@ pub(crate) fn run(
         if is_over(egress.leader) && !is_over(before) {
             egress.send_status();
         }
+        Ok(pause)
     }
-    Ok((egress.records(), egress.refused))
+
+    fn finish(self) -> anyhow::Result<Done> {
+        Ok(self.egress.finish())
+    }
 }
 
 /// The status of this host's worker for its receivers. A worker that may not lead now has no term,
@@ -141,30 +161,25 @@ fn leader_status(worker: Worker, leadership: Option<&Leadership>) -> LeaderStatu
 }
 
 /// The worker's state, for the standbys.
-struct StateFeed<'a> {
-    leadership: &'a Leadership,
+#[derive(Default)]
+struct StateFeed {
     look_ns: u64,
-    /// The file that was sent last: its inode, and its time of modification, s and ns.
-    sent: Option<(u64, i64, i64)>,
+    /// The file that was sent last.
+    sent: Option<disk::Version>,
     is_logged: bool,
 }
 
-impl<'a> StateFeed<'a> {
-    const fn new(leadership: &'a Leadership) -> Self {
-        Self { leadership, look_ns: 0, sent: None, is_logged: false }
-    }
-
-    fn give(&mut self, egress: &mut Egress) {
+impl StateFeed {
+    fn give(&mut self, leadership: &Leadership, egress: &mut Egress) {
         let now_ns = clock::monotonic_ns();
         if now_ns < self.look_ns || egress.leader.term == 0 || !egress.wants(Carried::STATE) {
             return;
         }
         self.look_ns = now_ns + STATE_POLL_INTERVAL_NS;
-        let path = &self.leadership.places().keyframe;
-        let Ok(about) = joulebus_files::look(path) else {
+        let path = &leadership.places().keyframe;
+        let Ok(file) = disk::version(path) else {
             return;
         };
-        let file = (about.ino(), about.mtime(), about.mtime_nsec());
         if self.sent == Some(file) {
             return;
         }
@@ -201,8 +216,7 @@ impl<'a> StateFeed<'a> {
 
 /// The services that the worker writes after its forecasts. They are read only while a receiver
 /// requests them.
-struct Feeds<'a> {
-    config: &'a Config,
+struct Feeds {
     diagnostics: Wanted<Feed<Diagnostics>>,
     budgets: Wanted<Feed<Budgets>>,
     plan_states: Wanted<Feed<PlanStates>>,
@@ -213,10 +227,9 @@ struct Feeds<'a> {
     sent: [Place; 4],
 }
 
-impl<'a> Feeds<'a> {
-    const fn new(config: &'a Config) -> Self {
+impl Feeds {
+    const fn new() -> Self {
         Self {
-            config,
             diagnostics: Wanted::new("diagnostics"),
             budgets: Wanted::new("budgets"),
             plan_states: Wanted::new("plan states"),
@@ -226,7 +239,12 @@ impl<'a> Feeds<'a> {
         }
     }
 
-    fn give(&mut self, planner: &Subscriber, egress: &mut Egress) -> anyhow::Result<()> {
+    fn give(
+        &mut self,
+        config: &Config,
+        planner: &Subscriber,
+        egress: &mut Egress,
+    ) -> Result<(), ReadError> {
         let [of_diagnostics, of_budgets, of_plan_states, of_outlooks] = &mut self.sent;
         let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
         pass(feed, of_diagnostics, egress, planner)?;
@@ -236,12 +254,11 @@ impl<'a> Feeds<'a> {
         pass(feed, of_plan_states, egress, planner)?;
         let feed = (Carried::OUTLOOKS, &mut self.outlooks);
         pass(feed, of_outlooks, egress, planner)?;
-        self.ticks(egress);
+        self.ticks(config, egress);
         Ok(())
     }
 
-    fn ticks(&mut self, egress: &mut Egress) {
-        let config = self.config;
+    fn ticks(&mut self, config: &Config, egress: &mut Egress) {
         self.ticks.keep(egress.wants(Carried::TICKS), || {
             let bus = join(config, "link-journal")?;
             let reader = bus.reader::<Ticks>(&config.limits())?;

@@ -4,26 +4,27 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
-use std::thread;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use joulebus_bus::{Domain, Running, WorkerLock, clock};
-use joulebus_config::Config;
+use joulebus_bus::{Domain, Rounds, WorkerLock, clock};
+use joulebus_files::disk;
 use joulebus_standby::{Permit, SavedState};
 use joulebus_wire::StateHeader;
 
-use crate::config::{LeaseSettings, Settings, Standby};
+use crate::config::{LeaseSettings, Standby};
 use crate::etcd::Etcd;
-use crate::ingress::{Ingress, IngressRecord};
+use crate::ingress::{self, Ingress};
 use crate::leadership::Leadership;
-use crate::network::{Event, Inbox, Kind, Network, max_state_message_bytes};
-use crate::protocol::carried::Carried;
+use crate::network::{Event, Inbox, NetworkError};
+use crate::protocol::carried::{Carried, Kind, max_state_message_bytes};
 use crate::protocol::lease::{Candidate, LeaderLease, Next};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
+use crate::report::Done;
+use crate::shared::Shared;
 
 /// Maximum sleep: the delay until a stop, a request or a later term is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -37,61 +38,85 @@ const HANG_TIMEOUT_TICKS: u64 = 5;
 /// Nanoseconds in a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// Holds the lease, or waits for it, until it is told to end.
-///
-/// # Errors
-/// A file that the settings name cannot be read.
-pub(crate) fn hold(
-    (config, settings): (&Config, &Settings),
-    (standby, lease): (&Standby, &LeaseSettings),
-    (leadership, permit): (&Leadership, Option<Permit>),
-    thread: &Running,
-) -> anyhow::Result<()> {
-    let mut etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
-    let leader_lease = permit.and_then(|permit| {
-        let until_ns = permit.until_ns?;
-        let (term, lease) = (permit.term, permit.lease);
-        Some(LeaderLease { term, until_ns, lease })
-    });
-    if leader_lease.is_none() {
-        // An operator's permit, from a time without a lease.
-        leadership.withdraw()?;
+/// Holds the lease, or waits for it.
+pub(crate) struct Candidacy {
+    leadership: Arc<Leadership>,
+    shard: String,
+    etcd: Etcd,
+    candidate: Candidate,
+    permit_writer: PermitWriter,
+    /// The holder that was logged last.
+    holder: Option<String>,
+    worker: LocalWorker,
+}
+
+impl Candidacy {
+    /// # Errors
+    /// A file that the settings name cannot be read.
+    pub(crate) fn open(
+        shared: &Shared,
+        leadership: Arc<Leadership>,
+        (standby, lease): &(Standby, LeaseSettings),
+        permit: Option<Permit>,
+    ) -> anyhow::Result<Self> {
+        let Shared { config, settings, .. } = shared;
+        let etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
+        let leader_lease = permit.and_then(|permit| {
+            let until_ns = permit.until_ns?;
+            let (term, lease) = (permit.term, permit.lease);
+            Some(LeaderLease { term, until_ns, lease })
+        });
+        if leader_lease.is_none() {
+            // An operator's permit, from a time without a lease.
+            leadership.withdraw()?;
+        }
+        let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
+        let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
+        Ok(Self {
+            leadership,
+            shard: standby.shard.clone(),
+            etcd,
+            candidate: Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease),
+            permit_writer: PermitWriter { leader_lease },
+            holder: None,
+            worker: LocalWorker::new(config.domain()?, hang_timeout_ns),
+        })
     }
-    let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
-    let mut candidate = Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease);
-    let mut permit_writer = PermitWriter { leadership, leader_lease };
-    let mut holder = None;
-    let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
-    let mut worker = LocalWorker::new(config.domain()?, hang_timeout_ns);
-    thread.joined(());
-    while !thread.is_stopping() {
+}
+
+impl Rounds<Done, anyhow::Error> for Candidacy {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let Self { leadership, shard, etcd, candidate, permit_writer, holder, worker } = self;
         candidate.observe_term(leadership.highest_term());
         candidate.is_able(worker.is_able(leadership));
         // Boot time counts suspension: a lease also ends while this host is suspended.
         let now_ns = clock::boot_ns();
-        match candidate.next(now_ns) {
+        let pause = match candidate.next(now_ns) {
             Next::Wait(until_ns) => {
-                thread::sleep(
-                    POLL_INTERVAL.min(Duration::from_nanos(until_ns.saturating_sub(now_ns))),
-                );
+                POLL_INTERVAL.min(Duration::from_nanos(until_ns.saturating_sub(now_ns)))
             }
             Next::Call(call) => {
                 let asked_ns = clock::boot_ns();
                 let reply = etcd.call(&call);
                 candidate.answered(&call, reply, (asked_ns, clock::boot_ns()));
+                Duration::ZERO
             }
-        }
-        permit_writer.follow(candidate.leader_lease(clock::boot_ns()));
+        };
+        permit_writer.follow(leadership, candidate.leader_lease(clock::boot_ns()));
         let found = candidate.holder().map(|it| it.name.clone());
-        if found != holder {
+        if found != *holder {
             match &found {
-                Some(name) => tracing::info!("etcd: shard {} is held by {name}", standby.shard),
-                None => tracing::info!("etcd: shard {} is held by nobody", standby.shard),
+                Some(name) => tracing::info!("etcd: shard {shard} is held by {name}"),
+                None => tracing::info!("etcd: shard {shard} is held by nobody"),
             }
-            holder = found;
+            *holder = found;
         }
+        Ok(pause)
     }
-    Ok(())
+
+    fn finish(self) -> anyhow::Result<Done> {
+        Ok(Done::default())
+    }
 }
 
 /// Whether the worker of this host can lead.
@@ -134,23 +159,22 @@ impl LocalWorker {
 }
 
 /// Writes the worker's permit as the lease changes.
-struct PermitWriter<'a> {
-    leadership: &'a Leadership,
+struct PermitWriter {
     leader_lease: Option<LeaderLease>,
 }
 
-impl PermitWriter<'_> {
-    fn follow(&mut self, leader_lease: Option<LeaderLease>) {
+impl PermitWriter {
+    fn follow(&mut self, leadership: &Leadership, leader_lease: Option<LeaderLease>) {
         if leader_lease == self.leader_lease {
             return;
         }
         let done = match leader_lease {
-            Some(leader_lease) => self.leadership.grant(&Permit {
+            Some(leader_lease) => leadership.grant(&Permit {
                 term: leader_lease.term,
                 until_ns: Some(leader_lease.until_ns),
                 lease: leader_lease.lease,
             }),
-            None => self.leadership.withdraw(),
+            None => leadership.withdraw(),
         };
         match (done, self.leader_lease, leader_lease) {
             // The permit is written again with the next renewal.
@@ -173,49 +197,13 @@ impl PermitWriter<'_> {
     }
 }
 
-/// Follows the other candidates until it is told to end.
+/// Follows the other candidates.
 ///
 /// It keeps the leader's state for this host's worker and notices leaders of later terms. Without a
 /// lease it executes the operator's requests.
-///
-/// # Errors
-/// The network is refused.
-pub(crate) fn follow(
-    (config, settings, standby): (&Config, &Settings, &Standby),
-    (network, leadership): (&Arc<Network>, &Leadership),
-    thread: &Running,
-) -> anyhow::Result<Vec<IngressRecord>> {
-    let capacity = config.limits().capacity;
-    let mut inbox = Inbox::new(max_state_message_bytes(capacity));
-    let mut others = Vec::new();
-    for (rank, other) in &standby.others {
-        let of_fleet = (settings.fleet(config), capacity);
-        let selection = Selection::new(0, 1, Vec::new());
-        let from = (Kind::Outputs, other.as_str());
-        let ingress = Ingress::open(network, from, of_fleet, selection, &mut inbox)?;
-        others.push((*rank, ingress));
-    }
-    let mut following = Following {
-        leadership,
-        others,
-        rank: standby.rank,
-        is_by_hand: standby.lease.is_none(),
-        claim: 0,
-    };
-    thread.joined(());
-    while !thread.is_stopping() {
-        following.poll(&inbox)?;
-    }
-    let records = following.others.iter().map(|(_, ingress)| ingress.record());
-    let mut records: Vec<IngressRecord> = records.collect();
-    if let Some(first) = records.first_mut() {
-        first.received.lost += inbox.overflowed();
-    }
-    Ok(records)
-}
-
-struct Following<'a> {
-    leadership: &'a Leadership,
+pub(crate) struct Rivals {
+    leadership: Arc<Leadership>,
+    inbox: Inbox,
     /// The other candidates' streams with their ranks.
     others: Vec<(usize, Ingress)>,
     rank: usize,
@@ -226,8 +214,8 @@ struct Following<'a> {
     claim: u64,
 }
 
-impl Following<'_> {
-    fn poll(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
+impl Rounds<Done, anyhow::Error> for Rivals {
+    fn round(&mut self) -> anyhow::Result<Duration> {
         let services = match self.leadership.term() {
             0 => Carried::STATE.bit(),
             _ => 0,
@@ -236,9 +224,9 @@ impl Following<'_> {
             ingress.receiver().select(services);
             ingress.request_if_due();
         }
-        match inbox.next(POLL_INTERVAL) {
+        match self.inbox.next(POLL_INTERVAL) {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
-                let leadership = self.leadership;
+                let leadership = &self.leadership;
                 let ingress = self.others.iter_mut().find(|(_, it)| *it.from() == *from);
                 if let Some((rank, ingress)) = ingress {
                     ingress.message(&bytes, arrived_ns, |accepted| {
@@ -267,7 +255,33 @@ impl Following<'_> {
         if self.is_by_hand {
             self.obey()?;
         }
-        Ok(())
+        Ok(Duration::ZERO)
+    }
+
+    fn finish(self) -> anyhow::Result<Done> {
+        Ok(ingress::finish(self.others.iter().map(|(_, ingress)| ingress), &self.inbox))
+    }
+}
+
+impl Rivals {
+    /// # Errors
+    /// The network is refused.
+    pub(crate) fn open(
+        shared: &Shared,
+        leadership: Arc<Leadership>,
+        standby: &Standby,
+    ) -> Result<Self, NetworkError> {
+        let capacity = shared.config.limits().capacity;
+        let mut inbox = Inbox::new(max_state_message_bytes(capacity));
+        let mut others = Vec::new();
+        for (rank, other) in &standby.others {
+            let selection = Selection::new(0, 1, Vec::new());
+            let from = (Kind::Outputs, other.as_str());
+            let ingress = Ingress::open(shared, from, capacity, selection, &mut inbox)?;
+            others.push((*rank, ingress));
+        }
+        let (rank, is_by_hand) = (standby.rank, standby.lease.is_none());
+        Ok(Self { leadership, inbox, others, rank, is_by_hand, claim: 0 })
     }
 
     /// Handles what the candidate of this rank reports: `term`, in which it leads (0 if it does
@@ -294,7 +308,7 @@ impl Following<'_> {
     /// A candidate out of reach may still lead for the hosts beside it. Only a lease prevents that.
     fn obey(&mut self) -> anyhow::Result<()> {
         let request = &self.leadership.places().request;
-        if !request.exists() {
+        if !disk::exists(request) {
             self.claim = 0;
             return Ok(());
         }
@@ -326,7 +340,7 @@ impl Following<'_> {
 }
 
 fn remove(request: &Path) -> anyhow::Result<()> {
-    std::fs::remove_file(request).with_context(|| format!("{request:?}"))
+    disk::remove_file(request).with_context(|| format!("{request:?}"))
 }
 
 /// Saves the leader's state for the worker of this host.

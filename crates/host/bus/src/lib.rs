@@ -53,7 +53,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
-pub use os::background::{Background, Panicked, Running, Steps};
+pub use os::background::{Background, Panicked, Rounds, Running, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;

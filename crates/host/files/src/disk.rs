@@ -58,3 +58,14 @@ pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
         Err(error) => Err(error),
     }
 }
+
+/// What distinguishes a file from one that has replaced it: inode, and time of modification.
+pub type Version = (u64, i64, i64);
+
+/// The version of the file of that name.
+///
+/// # Errors
+/// That of the system.
+pub fn version(path: &Path) -> io::Result<Version> {
+    std::fs::metadata(path).map(|it| (it.ino(), it.mtime(), it.mtime_nsec()))
+}

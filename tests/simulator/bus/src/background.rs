@@ -1,22 +1,19 @@
 //! Threads of a process, driven by the simulator.
 
+use std::cell::RefCell;
 use std::io;
-use std::time::Duration;
+use std::rc::Rc;
 
 use joulebus_simulated_host as host;
 
 use crate::Panicked;
+pub use joulebus_bus::{Rounds, Steps};
 
-/// Work that is done step by step.
-pub trait Steps {
-    /// Does what is due; see `joulebus-bus`.
-    fn step(&mut self, last: bool) -> Option<Duration>;
-}
-
-/// A thread that the simulator drives; stopped when dropped.
+/// A thread that the simulator drives; stopped when dropped. It ends with a `T`.
 #[derive(Debug)]
-pub struct Background {
+pub struct Background<T = ()> {
     number: u64,
+    ended: Rc<RefCell<Option<T>>>,
 }
 
 impl Background {
@@ -31,13 +28,63 @@ impl Background {
         host::operation();
         let mut steps = open()?;
         let number = host::start_thread(Box::new(move |last| steps.step(last)));
-        Ok(Self { number })
+        Ok(Self { number, ended: Rc::default() })
+    }
+}
+
+impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
+    /// Starts a thread that repeats its rounds.
+    ///
+    /// # Errors
+    /// That of `open`.
+    pub fn repeat<W: Rounds<T, E> + 'static, J>(
+        _name: &str,
+        open: impl FnOnce() -> Result<(W, J), E>,
+    ) -> Result<(Self, J), E> {
+        host::operation();
+        let number = host::number();
+        let (work, joined) = host::as_thread(number, open)?;
+        let ended = Rc::new(RefCell::new(None));
+        let (mut work, result) = (Some(work), Rc::clone(&ended));
+        let round = move |last: bool| {
+            let failed = match work.as_mut().filter(|_| !last).map(W::round) {
+                Some(Ok(pause)) => return Some(pause),
+                Some(Err(error)) => Some(error),
+                None => None,
+            };
+            let work = work.take()?;
+            *result.borrow_mut() = Some(failed.map_or_else(|| work.finish(), Err));
+            None
+        };
+        host::start_numbered(number, Box::new(round));
+        Ok((Self { number, ended }, joined))
+    }
+
+    /// Stops the thread, and returns what it ended with.
+    ///
+    /// # Errors
+    /// That of its work.
+    pub fn join(mut self) -> Result<T, E> {
+        let _ = self.finish();
+        let ended = self.ended.take();
+        ended.unwrap_or_else(|| Err(io::Error::other("the process was killed").into()))
+    }
+}
+
+impl<T> Background<T> {
+    /// True if the thread has ended by itself.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.ended.borrow().is_some()
     }
 
     /// Ends the pause of the thread.
     pub fn wake(&self) {
         host::wake_thread(self.number);
     }
+
+    /// The simulator lets a thread end only while somebody waits for it.
+    pub const fn stop(&self) {}
 
     /// Lets the thread do its last step.
     ///
@@ -54,7 +101,7 @@ impl Background {
     }
 }
 
-impl Drop for Background {
+impl<T> Drop for Background<T> {
     fn drop(&mut self) {
         // No thread is left that could panic.
         let _ = self.finish();

@@ -15,7 +15,7 @@ mod query;
 mod queues;
 mod wait;
 
-pub use background::{Background, Steps};
+pub use background::{Background, Rounds, Steps};
 pub use begin::{begin, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
@@ -27,8 +27,8 @@ pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILE
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
-    Frame, IncomingFrame, KeptFrame, Loan, Reader, SampleReader, SampleWriter, Taken, Writer,
-    taken_frames,
+    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, Reader, SampleReader, SampleWriter, Taken,
+    Writer, taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use wait::{Poller, Readiness, Waiter, Waker};

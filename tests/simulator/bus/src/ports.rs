@@ -434,6 +434,20 @@ pub struct SampleReader {
 }
 
 impl SampleReader {
+    /// Copies the next frame. False if there is none.
+    ///
+    /// # Errors
+    /// [`ReceiveError`].
+    pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
+        let Some(mut incoming) = self.next(frame.samples.capacity())? else {
+            return Ok(false);
+        };
+        frame.header = *incoming.header();
+        frame.samples.clear();
+        incoming.copy_part(&mut frame.samples);
+        Ok(true)
+    }
+
     /// The next frame.
     ///
     /// # Errors
@@ -450,6 +464,30 @@ impl SampleReader {
             copied: 0,
             reader: PhantomData,
         }))
+    }
+}
+
+/// A private copy of a frame of samples.
+#[derive(Debug)]
+pub struct FrameBuf {
+    header: SampleHeader,
+    samples: Vec<Sample>,
+}
+
+impl FrameBuf {
+    /// A buffer for frames of up to `capacity` samples.
+    pub fn new(capacity: usize) -> Self {
+        Self { header: SampleHeader::default(), samples: Vec::with_capacity(capacity) }
+    }
+
+    /// The header.
+    pub const fn header(&self) -> &SampleHeader {
+        &self.header
+    }
+
+    /// The samples, at most the capacity.
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
     }
 }
 

@@ -131,6 +131,8 @@ impl Waiter {
             now_ns
         };
         host::sleep_until(until_ns);
+        // A thread's round must end: it sleeps after it.
+        woken.interrupted = host::thread() != 0 && woken.is_nothing() && until_ns > now_ns;
         Ok(woken)
     }
 }

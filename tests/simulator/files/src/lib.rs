@@ -4,7 +4,7 @@
 use std::io;
 use std::path::Path;
 
-pub use joulebus_files::{Refused, foreign, look, open, read_to_string};
+pub use joulebus_files::{Refused, foreign, look, open, read_secret, read_to_string};
 pub use joulebus_simulated_host::disk;
 
 /// All bytes of a file of at most `max_bytes`.

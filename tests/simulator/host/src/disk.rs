@@ -327,6 +327,18 @@ pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
     })
 }
 
+/// What distinguishes a file from one that has replaced it.
+pub type Version = u64;
+
+/// The version of the file of that name.
+///
+/// # Errors
+/// There is none, or the disk fails.
+pub fn version(path: &Path) -> io::Result<Version> {
+    access(false)?;
+    with(|disk| disk.names.get(path).copied()).ok_or_else(not_found)
+}
+
 /// Makes the names in a directory durable.
 ///
 /// # Errors

@@ -16,10 +16,10 @@ pub mod time;
 
 pub use current::{FIRST_PID, current};
 pub use processes::{
-    Killed, USUAL_COST_NS, Work, begin_life, below, bury, end_life, enter, fill_memory,
+    Killed, USUAL_COST_NS, Work, as_thread, begin_life, below, bury, end_life, enter, fill_memory,
     has_descriptors, is_dead, kill_at_disk, kill_in, leave, life, memory_is_full, next_thread,
-    number, once_in, operation, remove_threads, run_thread, sleep_until, spare_all, start_thread,
-    take_descriptors, take_thread, take_woken, thread, wake, wake_thread,
+    number, once_in, operation, remove_threads, run_thread, sleep_until, spare_all, start_numbered,
+    start_thread, take_descriptors, take_thread, take_woken, thread, wake, wake_thread,
 };
 
 /// Begins a new host: nothing runs, the disk is empty, the machine has run for `uptime_ns`.

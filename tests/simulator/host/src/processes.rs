@@ -242,9 +242,23 @@ pub fn has_descriptors(pid: u32) -> bool {
     WITHOUT_DESCRIPTORS.with_borrow(|pids| !pids.contains(&pid))
 }
 
+/// Runs `work` as the thread `number`, which begins with it.
+pub fn as_thread<T>(number: u64, work: impl FnOnce() -> T) -> T {
+    let before = THREAD.replace(number);
+    let done = work();
+    THREAD.set(before);
+    done
+}
+
 /// Starts a thread of the current process; returns its number.
 pub fn start_thread(work: Work) -> u64 {
     let number = number();
+    start_numbered(number, work);
+    number
+}
+
+/// Starts the thread `number` of the current process.
+pub fn start_numbered(number: u64, work: Work) {
     let thread = Thread {
         pid: current(),
         number,
@@ -253,7 +267,6 @@ pub fn start_thread(work: Work) -> u64 {
         work: Some(work),
     };
     memory::outside(|| THREADS.with_borrow_mut(|threads| threads.push(thread)));
-    number
 }
 
 /// Removes a thread, and returns its work unless that has ended.

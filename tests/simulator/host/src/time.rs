@@ -118,6 +118,16 @@ pub fn suspend(ns: u64) {
     });
 }
 
+/// The host is suspended for `ns` of simulated time, as one of several whose time goes on.
+pub fn sleep(ns: u64) {
+    change(|clocks| {
+        clocks.of_ns = clocks.monotonic_ns();
+        clocks.now_ns += ns;
+        clocks.at_ns = clocks.now_ns;
+        clocks.suspended_ns = clocks.suspended_ns.saturating_add(ns);
+    });
+}
+
 /// From now on the monotonic clock runs `ppm` millionths too fast.
 pub fn drift(ppm: i64) {
     change(|clocks| {

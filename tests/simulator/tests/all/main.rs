@@ -3,5 +3,6 @@
 
 mod channels;
 mod clocks;
+mod hosts;
 mod saves;
 mod seeds;

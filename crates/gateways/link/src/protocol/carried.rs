@@ -104,6 +104,41 @@ impl Carried {
     }
 }
 
+/// Maximum size of a message's and its frame's headers, bytes.
+const MAX_HEADER_BYTES: usize = 4_096;
+
+/// Maximum message size in a fleet of that capacity, bytes.
+pub(crate) fn max_message_bytes(capacity: usize) -> usize {
+    let rows = Carried::all().map(|service| service.sizes().1);
+    let longest = rows.max().unwrap_or_default();
+    MAX_HEADER_BYTES + capacity.saturating_mul(longest)
+}
+
+/// Same as [`max_message_bytes`], including a worker's state.
+pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
+    let state = MAX_HEADER_BYTES.saturating_add(Carried::STATE.most(capacity));
+    state.max(max_message_bytes(capacity))
+}
+
+/// What a stream carries. It is a part of the keys, so that access rules can distinguish the
+/// streams.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Frames that a worker writes.
+    Outputs,
+    /// Samples that sources write.
+    Samples,
+}
+
+impl Kind {
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Outputs => "outputs",
+            Self::Samples => "samples",
+        }
+    }
+}
+
 /// A received frame with checked sizes and unchecked contents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RawFrame<'a> {

@@ -348,4 +348,6 @@ fn until(asked_ns: u64, ttl_ns: u64) -> u64 {
 }
 
 #[cfg(test)]
+mod store;
+#[cfg(test)]
 mod tests;

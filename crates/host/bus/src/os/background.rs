@@ -16,6 +16,22 @@ pub trait Steps {
     fn step(&mut self, last: bool) -> Option<Duration>;
 }
 
+/// Work that is done in rounds, until it is told to end, with a `T`, or fails.
+pub trait Rounds<T, E> {
+    /// Does what is due, and waits for more. Returns a pause before the next round; zero after a
+    /// round that has waited.
+    ///
+    /// # Errors
+    /// The work ends with it.
+    fn round(&mut self) -> Result<Duration, E>;
+
+    /// Ends the work after its last round.
+    ///
+    /// # Errors
+    /// The work ends with it.
+    fn finish(self) -> Result<T, E>;
+}
+
 /// A running thread that has opened its ports; stopped when dropped. It ends with a `T`.
 ///
 /// Belongs to the process that started it: a child made by `fork` has no such thread, and waits for
@@ -67,9 +83,9 @@ impl Background {
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
     ) -> Result<Self, E> {
         let work = move |running: &Running<_>| match open() {
-            Ok(steps) => {
+            Ok(mut steps) => {
                 running.joined(Ok(()));
-                repeat(steps, running);
+                repeat(|last| steps.step(last), running);
             }
             Err(error) => running.joined(Err(error)),
         };
@@ -96,6 +112,28 @@ impl<T: Send + 'static, E: From<io::Error> + Send + 'static> Background<Result<T
         Err(match background.finish() {
             Ok(Some(Err(error))) => error,
             _ => early(name).into(),
+        })
+    }
+
+    /// Starts a thread of the name `name`, waits until `open` has returned in it, and lets it
+    /// repeat its rounds. Returns what `open` adds, too.
+    ///
+    /// # Errors
+    /// That of `open`, or that of the system if the thread could not be started.
+    pub fn repeat<W: Rounds<T, E>, J: Send + 'static>(
+        name: &str,
+        open: impl FnOnce() -> Result<(W, J), E> + Send + 'static,
+    ) -> Result<(Self, J), E> {
+        Self::run(name, |running| {
+            let (mut work, joined) = open()?;
+            running.joined(joined);
+            let mut ended = Ok(());
+            let round = |last: bool| {
+                let round = (!last).then(|| work.round())?;
+                round.map_err(|error| ended = Err(error)).ok()
+            };
+            repeat(round, running);
+            ended.and_then(|()| work.finish())
         })
     }
 
@@ -182,10 +220,10 @@ fn early(name: &str) -> io::Error {
     io::Error::other(format!("the thread {name} died at its start"))
 }
 
-fn repeat<J>(mut steps: impl Steps, running: &Running<J>) {
+fn repeat<J>(mut step: impl FnMut(bool) -> Option<Duration>, running: &Running<J>) {
     loop {
         let last = running.is_stopping();
-        match steps.step(last) {
+        match step(last) {
             // Even a pause of nothing would last as long as the kernel's timer slack, 50 µs.
             Some(Duration::ZERO) if !last => {}
             Some(pause) if !last => std::thread::park_timeout(pause),
@@ -250,6 +288,29 @@ mod tests {
         assert_eq!(early(|| Err(io::Error::other("not today"))), "not today");
         assert!(early(|| Ok(())).contains("thread ends died"));
         assert!(early(|| panic!("at the start")).contains("thread ends died"));
+    }
+
+    struct Failing(u32);
+
+    impl Rounds<u32, io::Error> for Failing {
+        fn round(&mut self) -> io::Result<Duration> {
+            self.0 += 1;
+            if self.0 == 3 { Err(io::Error::other("not today")) } else { Ok(Duration::ZERO) }
+        }
+
+        fn finish(self) -> io::Result<u32> {
+            Ok(self.0)
+        }
+    }
+
+    #[test]
+    fn rounds_are_repeated_until_one_fails_or_the_thread_is_to_end() {
+        let (background, ()) = Background::repeat("fails", || Ok((Failing(0), ()))).unwrap();
+        assert_eq!(background.join().unwrap_err().to_string(), "not today");
+        let (background, joined) = Background::repeat("ends", || Ok((Failing(3), 7))).unwrap();
+        assert!(joined == 7 && background.join().unwrap() >= 3);
+        let refused = Background::repeat("refused", || Err::<(Failing, ()), _>(early("it")));
+        assert!(refused.unwrap_err().to_string().contains("it died"));
     }
 
     #[test]

@@ -54,6 +54,15 @@ impl WorkerLock {
         Ok(Self { owner, path })
     }
 
+    /// Holder of the lock of the domain, if any.
+    ///
+    /// # Errors
+    /// None.
+    pub fn owner(_domain: &Domain) -> io::Result<Option<u32>> {
+        host::operation();
+        Ok(FILE.get().filter(|(_, is_held)| *is_held).map(|(owner, _)| owner.pid))
+    }
+
     /// The owner that the lock's file names, holding it or not.
     pub(crate) fn named_owner(_path: &Path) -> Option<Owner> {
         host::operation();

@@ -1,76 +1,15 @@
 //! Simulated candidates with clocks of their own, a store with its clock, and a network that
 //! delays, loses and partitions.
 
-use std::collections::BTreeMap;
-
 use proptest::prelude::*;
 
+use super::store::Store;
 use super::*;
 
 const TTL_NS: u64 = 3_000_000_000;
 const STEP_NS: u64 = 10_000_000;
 /// Timeout of a call, as the link's client has it.
 const CALL_NS: u64 = 400_000_000;
-
-/// A store like etcd. A lease ends by the store's clock when its time has passed, or somewhat
-/// later.
-#[derive(Debug, Default)]
-struct Store {
-    leases: BTreeMap<u64, u64>,
-    holder: Option<Holder>,
-    term: u64,
-    term_revision: u64,
-    requested: Option<String>,
-    revision: u64,
-    next_lease: u64,
-}
-
-impl Store {
-    fn expire(&mut self, now_ns: u64) {
-        self.leases.retain(|_, until_ns| now_ns < *until_ns);
-        let leases = &self.leases;
-        self.holder = self.holder.take().filter(|it| leases.contains_key(&it.lease));
-    }
-
-    fn answer(&mut self, name: &str, call: &Call, now_ns: u64) -> Reply {
-        self.expire(now_ns);
-        match call {
-            Call::Grant => {
-                self.next_lease += 1;
-                self.leases.insert(self.next_lease, now_ns + TTL_NS);
-                Reply::Granted { lease: self.next_lease, ttl_ns: TTL_NS }
-            }
-            Call::Look => Reply::StoreView(StoreView {
-                holder: self.holder.clone(),
-                term: self.term,
-                term_revision: self.term_revision,
-                requested: self.requested.clone(),
-            }),
-            Call::Acquire { lease, term, term_revision } => {
-                let is_free = self.holder.is_none() && self.term_revision == *term_revision;
-                // etcd answers with an error if the lease has ended.
-                if !self.leases.contains_key(lease) {
-                    return Reply::Failed;
-                }
-                if is_free {
-                    self.revision += 1;
-                    (self.term, self.term_revision) = (*term, self.revision);
-                    self.requested = None;
-                    self.holder =
-                        Some(Holder { name: name.to_owned(), term: *term, lease: *lease });
-                }
-                Reply::Acquired(is_free)
-            }
-            Call::Renew { lease } => match self.leases.get_mut(lease) {
-                Some(until_ns) => {
-                    *until_ns = (*until_ns).max(now_ns + TTL_NS);
-                    Reply::Renewed { ttl_ns: TTL_NS }
-                }
-                None => Reply::Renewed { ttl_ns: 0 },
-            },
-        }
-    }
-}
 
 /// Conditions of a candidate for a span of time.
 #[derive(Debug, Clone, Copy)]
@@ -112,12 +51,12 @@ impl Host {
             && true_ns >= *arrives_ns
             && !weather.is_cut
         {
-            *reply = Some(store.answer(&self.name, call, store_ns));
+            *reply = Some(store.answer(&self.name, call, store_ns, TTL_NS));
         }
         if !weather.is_cut {
             for (call, _) in self.given_up.extract_if(.., |(_, arrives_ns)| true_ns >= *arrives_ns)
             {
-                store.answer(&self.name, &call, store_ns);
+                store.answer(&self.name, &call, store_ns, TTL_NS);
             }
         }
         if weather.is_paused {
@@ -468,7 +407,7 @@ fn a_lease_that_the_store_no_longer_knows_is_followed_by_another() {
             };
             let reply = match of_lease {
                 Some(lease) if !store.leases.contains_key(&lease) => Reply::Gone,
-                _ => store.answer("base", &call, now_ns),
+                _ => store.answer("base", &call, now_ns, TTL_NS),
             };
             candidate.answered(&call, reply, (now_ns, now_ns));
             calls.push(call);
