@@ -13,7 +13,7 @@ pub const COMBINED_TERMS: usize = 5;
 ///
 /// The terms are 1; |v|, v², |v|/(|v| + v₀); |ω|, ω², |ω|/(|ω| + ω₀); |vω|; the products of v and
 /// of ω with their derivatives where positive (power to accelerate); the absolute derivatives.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandModel {
     /// Weight of each term, W per unit of the term, not negative.

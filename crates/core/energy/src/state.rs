@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::{ErrorBounds, NewErrors, PARTS, PULL, PlatformErrors, class_of};
-use crate::command::Motion;
+use crate::command::{CommandModel, Motion};
 use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
 use crate::model::EnergyModel;
 use crate::quantiles;
@@ -146,7 +146,7 @@ impl Metered {
 
     /// Takes a sample. Without branches.
     #[inline(always)]
-    pub fn advance(&mut self, model: &EnergyModel, sample: &EnergySample) {
+    pub fn advance(&mut self, model: &CommandModel, sample: &EnergySample) {
         let elapsed_s = sample.elapsed_s;
         let counted = (elapsed_s > 0.0) & elapsed_s.is_finite();
         let elapsed_s = if counted { elapsed_s } else { 0.0 };
@@ -175,11 +175,11 @@ impl Metered {
 
     /// The sample's command is in force from now on.
     #[inline(always)]
-    fn command_to(&mut self, model: &EnergyModel, sample: &EnergySample) {
+    fn command_to(&mut self, model: &CommandModel, sample: &EnergySample) {
         let command = (sample.v_mps, sample.omega_radps);
         let before = (self.v_mps, self.omega_radps);
         let motion = Motion::new(command, before, sample.elapsed_s);
-        self.command_w = model.command.power_w(&motion);
+        self.command_w = model.power_w(&motion);
         (self.v_mps, self.omega_radps) = command;
     }
 
@@ -224,9 +224,20 @@ impl Metered {
     /// Creates it from [`Metered::to_array`].
     #[inline(always)]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
-        let levels = |at: usize| std::array::from_fn(|level| numbers[at + level]);
+        // Loops, because calls of `from_fn` are not always inlined.
+        let levels = |at: usize| {
+            let mut levels = [0.0; LEVELS];
+            for level in 0..LEVELS {
+                levels[level] = numbers[at + level];
+            }
+            levels
+        };
         let shadows = |group: usize| {
-            std::array::from_fn(|place| numbers[3 * LEVELS + 3 + group * SHADOWS + place])
+            let mut shadows = [0.0; SHADOWS];
+            for place in 0..SHADOWS {
+                shadows[place] = numbers[3 * LEVELS + 3 + group * SHADOWS + place];
+            }
+            shadows
         };
         Self {
             energy_j: levels(0),
@@ -320,7 +331,13 @@ impl Learned {
     /// Creates it from [`Learned::to_array`].
     #[inline(always)]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
-        let group = |group: usize| std::array::from_fn(|place| numbers[group * SHADOWS + place]);
+        let group = |group: usize| {
+            let mut shadows = [0.0; SHADOWS];
+            for place in 0..SHADOWS {
+                shadows[place] = numbers[group * SHADOWS + place];
+            }
+            shadows
+        };
         Self {
             shadow_factor: group(0),
             shadow_added_w: group(1),
@@ -380,7 +397,7 @@ impl EnergyState {
         platform: &PlatformErrors,
         sample: &EnergySample,
     ) -> NewErrors {
-        self.metered.advance(model, sample);
+        self.metered.advance(&model.command, sample);
         let ended = self.metered.has_ended();
         if ended { self.compare(model, platform, sample.power_w) } else { NewErrors::default() }
     }
@@ -582,14 +599,14 @@ pub(crate) fn contradictions(
         is_known[level] = (metered.time_s[level] > 0.0) & (metered.command_j[level] > 0.0);
     }
     let mut contradictions = [0.0; LEVELS];
-    for (level, contradiction) in contradictions.iter_mut().enumerate().skip(1) {
-        for (newer, spread) in spreads.iter().enumerate().take(level) {
+    for level in 1..LEVELS {
+        for newer in 0..NEWEST.min(level) {
             let size_w = (power_w[newer] + power_w[level]).max(MIN * mean_w);
-            let deviation_w = 0.5 * HALF * size_w * spread;
+            let deviation_w = 0.5 * HALF * size_w * spreads[newer];
             let deviations = (above_w[newer] - above_w[level]) / deviation_w;
             let square = deviations * deviations;
             let known = is_known[newer] & is_known[level];
-            *contradiction += if known { square * square } else { 0.0 };
+            contradictions[level] += if known { square * square } else { 0.0 };
         }
     }
     contradictions
@@ -611,9 +628,9 @@ pub(crate) fn weighted(
     // Without the shortest level nothing may be left.
     let is_left = (kept > f32::MIN_POSITIVE) & kept.is_finite();
     let per_kept = 1.0 / kept;
-    for (level, weight) in weights.iter_mut().enumerate() {
+    for level in 0..LEVELS {
         let alone = if level == 0 { 1.0 } else { 0.0 };
-        *weight = if is_left { *weight * per_kept } else { alone };
+        weights[level] = if is_left { weights[level] * per_kept } else { alone };
     }
     (weights, if is_left { (1.0 - kept).clamp(0.0, 1.0) } else { 1.0 })
 }

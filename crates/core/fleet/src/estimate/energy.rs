@@ -57,9 +57,13 @@ impl Block for EnergyLanes {
                 ahead[part][shadow] = self.ahead[part][shadow][lane];
             }
         }
+        let mut learned = [0.0; Learned::FLOATS];
+        for place in 0..Learned::FLOATS {
+            learned[place] = self.learned[place][lane];
+        }
         EnergyState {
             metered: self.metered.get(lane),
-            learned: Learned::from_array(&std::array::from_fn(|place| self.learned[place][lane])),
+            learned: Learned::from_array(&learned),
             ahead: Ahead::from_array(ahead),
             bounds: ErrorBounds::TRAINED,
         }
@@ -151,16 +155,14 @@ impl EnergyLanes {
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
     ) {
-        // A copy, so that the compiler knows that it is not aliased.
-        let mut copy = self.metered;
+        let (command, learns) = (model.command, errors.is_some());
         let mut ended = [false; LANES];
         for lane in 0..LANES {
-            let mut metered = copy.get(lane);
-            metered.advance(model, &samples.get(lane));
-            ended[lane] = errors.is_some() & mask[lane] & metered.has_ended();
-            copy.set(lane, mask[lane], &metered);
+            let mut metered = self.metered.get(lane);
+            metered.advance(&command, &samples.get(lane));
+            ended[lane] = learns & mask[lane] & metered.has_ended();
+            self.metered.set(lane, mask[lane], &metered);
         }
-        self.metered = copy;
         if let Some(errors) = errors.filter(|_| lanes::any(&ended)) {
             self.compare(model, errors, &ended, samples.power_w);
         }

@@ -71,6 +71,17 @@ impl Hedge {
         each(raw, |raw| raw * share)
     }
 
+    /// The weights of the last reading and the confident stack where no other member takes part:
+    /// the same bits as [`Hedge::weights`], in which an absent member has an infinite loss.
+    #[inline(always)]
+    pub(crate) fn weights_of_two(&self) -> [f32; 2] {
+        let (rate, last) = (self.log() / self.cost, self.above[0]);
+        let (least, absent) = (last.min(0.0), exp(f32::NEG_INFINITY));
+        let raw = [exp(-rate * (last - least)), exp(-rate * -least)];
+        let share = 1.0 / ((raw[0] + absent) + (raw[1] + absent));
+        [raw[0] * share, raw[1] * share]
+    }
+
     /// Learns each member's error, W; of one that does not take part it must only be finite.
     /// `floor`: Δ is at least this, W², above 0.
     #[inline(always)]
@@ -250,6 +261,10 @@ mod tests {
                 account.take(&hedge, error, 2.0);
                 hedge.learn(error, 2.0);
                 account.check(&hedge)?;
+                let [last, _, stack, _] = hedge.weights();
+                if !of_all {
+                    prop_assert_eq!(hedge.weights_of_two().map(f32::to_bits), [last, stack].map(f32::to_bits));
+                }
             }
         }
 

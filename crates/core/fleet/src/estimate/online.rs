@@ -163,10 +163,7 @@ impl Members {
     /// What the initial losses of a robot of this mean power depend on.
     #[inline(always)]
     pub(crate) fn start(&self, mean_w: f32) -> Start {
-        Start {
-            unlike: !((self.least_w <= mean_w) & (mean_w <= self.most_w)),
-            sceptic_loss: self.sceptic_loss,
-        }
+        Start::of([self.least_w, self.most_w], self.sceptic_loss, mean_w)
     }
 
     /// Whether the training had no readings like the robot's first ones, newest first, W.
@@ -193,7 +190,37 @@ pub(crate) struct Start {
 }
 
 impl Start {
-    pub(crate) const NONE: Self = Self { unlike: false, sceptic_loss: LOSS_SCEPTIC };
+    /// For a robot of this mean power. `range_w`: the mean powers that the network knows.
+    #[inline(always)]
+    fn of([least_w, most_w]: [f32; 2], sceptic_loss: f32, mean_w: f32) -> Self {
+        Self { unlike: !((least_w <= mean_w) & (mean_w <= most_w)), sceptic_loss }
+    }
+}
+
+/// What a [`Start`] depends on, of a block.
+pub(crate) struct StartLanes {
+    least_w: Lanes<f32>,
+    most_w: Lanes<f32>,
+    sceptic_loss: Lanes<f32>,
+}
+
+impl StartLanes {
+    pub(crate) const NONE: Self =
+        Self { least_w: [0.0; LANES], most_w: [0.0; LANES], sceptic_loss: [LOSS_SCEPTIC; LANES] };
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, members: &Members) {
+        self.least_w[lane] = members.least_w;
+        self.most_w[lane] = members.most_w;
+        self.sceptic_loss[lane] = members.sceptic_loss;
+    }
+
+    /// Of the robot in a lane, of this mean power.
+    #[inline(always)]
+    pub(crate) fn of(&self, lane: usize, mean_w: f32) -> Start {
+        let range_w = [self.least_w[lane], self.most_w[lane]];
+        Start::of(range_w, self.sceptic_loss[lane], mean_w)
+    }
 }
 
 /// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from
@@ -224,17 +251,57 @@ pub struct Learned {
     pub level_w: f32,
 }
 
-impl Learned {
-    /// Of a robot that does not learn: all NaN.
+/// [`Learned`] of a block.
+pub(crate) struct LearnedColumns {
+    network_w: Lanes<f32>,
+    mean_w: Lanes<f32>,
+    change_w: Lanes<f32>,
+    weights: [Lanes<f32>; 3],
+    held_weights: [Lanes<f32>; 2],
+    gains: [Lanes<f32>; 3],
+    level_w: Lanes<f32>,
+}
+
+impl LearnedColumns {
+    /// Of robots that do not learn: all NaN.
     pub(crate) const NONE: Self = Self {
-        network_w: f32::NAN,
-        mean_w: f32::NAN,
-        change_w: f32::NAN,
-        weights: [f32::NAN; 3],
-        held_weights: [f32::NAN; 2],
-        gains: [f32::NAN; 3],
-        level_w: f32::NAN,
+        network_w: [f32::NAN; LANES],
+        mean_w: [f32::NAN; LANES],
+        change_w: [f32::NAN; LANES],
+        weights: [[f32::NAN; LANES]; 3],
+        held_weights: [[f32::NAN; LANES]; 2],
+        gains: [[f32::NAN; LANES]; 3],
+        level_w: [f32::NAN; LANES],
     };
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, mask: bool, learned: &Learned) {
+        put(&mut self.network_w[lane], mask, learned.network_w);
+        put(&mut self.mean_w[lane], mask, learned.mean_w);
+        put(&mut self.change_w[lane], mask, learned.change_w);
+        for member in 0..3 {
+            put(&mut self.weights[member][lane], mask, learned.weights[member]);
+            put(&mut self.gains[member][lane], mask, learned.gains[member]);
+        }
+        for member in 0..2 {
+            put(&mut self.held_weights[member][lane], mask, learned.held_weights[member]);
+        }
+        put(&mut self.level_w[lane], mask, learned.level_w);
+    }
+
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> Learned {
+        let ([a, b, c], [d, e], [f, g, h]) = (&self.weights, &self.held_weights, &self.gains);
+        Learned {
+            network_w: self.network_w[lane],
+            mean_w: self.mean_w[lane],
+            change_w: self.change_w[lane],
+            weights: [a[lane], b[lane], c[lane]],
+            held_weights: [d[lane], e[lane]],
+            gains: [f[lane], g[lane], h[lane]],
+            level_w: self.level_w[lane],
+        }
+    }
 }
 
 /// Weights as in [`Learned`], with and without a new measurement due, and the confident stack's
@@ -244,11 +311,6 @@ pub(crate) struct Weights {
     pub due: [f32; 3],
     pub held: [f32; 2],
     pub confidence: f32,
-}
-
-impl Weights {
-    pub(crate) const NONE: Self =
-        Self { due: [f32::NAN; 3], held: [f32::NAN; 2], confidence: f32::NAN };
 }
 
 /// One robot's.
@@ -525,13 +587,12 @@ impl Online {
     /// Weights of the members now.
     #[inline(always)]
     pub(crate) fn weights(&self, start: Start) -> Weights {
-        let [held_last, _, held_stack, _] = self.hedge(start, false).weights();
         let hedge = self.hedge(start, true);
         let [last, network, confident, sceptic] = hedge.weights();
         Weights {
             // A rounded sum may exceed 1.
             due: [last, network, (confident + sceptic).min(1.0)],
-            held: [held_last, held_stack],
+            held: self.hedge(start, false).weights_of_two(),
             confidence: hedge.confidence(),
         }
     }
@@ -572,6 +633,39 @@ pub(crate) struct OnlineLanes {
 }
 
 impl OnlineLanes {
+    /// Stores what [`Online::update_weights`] changes.
+    #[inline(always)]
+    pub(crate) fn set_losses(&mut self, lane: usize, mask: bool, robot: &Online) {
+        for member in 0..MEMBERS - 1 {
+            put(&mut self.due_above[member][lane], mask, robot.due_above[member]);
+        }
+        put(&mut self.due_cost[lane], mask, robot.due_cost);
+        put(&mut self.held_above[lane], mask, robot.held_above);
+        put(&mut self.held_cost[lane], mask, robot.held_cost);
+    }
+
+    /// Stores what [`Online::update_rls`] changes.
+    #[inline(always)]
+    pub(crate) fn set_stacks(&mut self, lane: usize, mask: bool, robot: &Online) {
+        for stack in 0..STACKS {
+            let (theta, covariance) = (robot.theta[stack], robot.covariance[stack]);
+            for term in 0..TERMS {
+                put(&mut self.theta[stack][term][lane], mask, theta[term]);
+            }
+            for pair in 0..PAIRS {
+                put(&mut self.covariance[stack][pair][lane], mask, covariance[pair]);
+            }
+        }
+    }
+
+    /// Stores what [`Online::read`] changes.
+    #[inline(always)]
+    pub(crate) fn set_sizes(&mut self, lane: usize, mask: bool, robot: &Online) {
+        put(&mut self.mean_w[lane], mask, robot.mean_w);
+        put(&mut self.change_w[lane], mask, robot.change_w);
+        put(&mut self.seen[lane], mask, robot.seen);
+    }
+
     /// Whether [`Online::judge_first`] is due.
     #[inline(always)]
     pub(crate) fn is_first_full(&self, lane: usize) -> bool {
@@ -611,25 +705,10 @@ impl Block for OnlineLanes {
 
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: Online) {
-        for stack in 0..STACKS {
-            let (theta, covariance) = (robot.theta[stack], robot.covariance[stack]);
-            for term in 0..TERMS {
-                put(&mut self.theta[stack][term][lane], mask, theta[term]);
-            }
-            for pair in 0..PAIRS {
-                put(&mut self.covariance[stack][pair][lane], mask, covariance[pair]);
-            }
-        }
+        self.set_stacks(lane, mask, &robot);
+        self.set_losses(lane, mask, &robot);
+        self.set_sizes(lane, mask, &robot);
         put(&mut self.network_w[lane], mask, robot.network_w);
-        put(&mut self.mean_w[lane], mask, robot.mean_w);
-        put(&mut self.change_w[lane], mask, robot.change_w);
-        for member in 0..MEMBERS - 1 {
-            put(&mut self.due_above[member][lane], mask, robot.due_above[member]);
-        }
-        put(&mut self.due_cost[lane], mask, robot.due_cost);
-        put(&mut self.held_above[lane], mask, robot.held_above);
-        put(&mut self.held_cost[lane], mask, robot.held_cost);
-        put(&mut self.seen[lane], mask, robot.seen);
         put(&mut self.unseen[lane], mask, robot.unseen);
     }
 }

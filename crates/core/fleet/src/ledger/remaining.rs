@@ -1,5 +1,6 @@
 //! Energy left in the battery, and time to empty.
 
+use joulebus_predictor::nan::canonical;
 use joulebus_settings::Battery;
 
 use crate::layout::lanes::{LANES, block};
@@ -61,8 +62,8 @@ impl Remaining {
         let longest_s = if hi_j > 0.0 { longest_s } else { 0.0 };
         // Between empty and full lies every battery.
         let charge = (lo > 0.0) | (hi < 1.0);
-        let known = |value: f32| if charge { value } else { f32::NAN };
-        let lasting = |seconds: f32| if draws & charge { seconds } else { f32::NAN };
+        let known = |value: f32| if charge { canonical(value) } else { f32::NAN };
+        let lasting = |seconds: f32| if draws & charge { canonical(seconds) } else { f32::NAN };
         Self {
             battery: true,
             left_j: known((capacity_j * estimate.soc) as f32),
@@ -83,7 +84,7 @@ block! {
     /// Energy left of the robots of a block.
     #[derive(Debug, Clone, Copy)]
     pub(crate) struct RemainingLanes of Remaining {
-        battery: bool,
+        pub battery: bool,
         left_j: f32,
         usable_j: f32,
         usable_lo_j: f32,

@@ -4,7 +4,7 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::INPUTS;
+use joulebus_predictor::{INPUTS, LAGS};
 use joulebus_wire::sample_flag;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
@@ -12,7 +12,7 @@ use crate::estimate::interval::IntervalLanes;
 use crate::estimate::online::{Members, OnlineLanes, RlsUpdateLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
 use crate::ingest::last_sample::LastLanes;
-use crate::ingest::pending::{PendingBlock, PendingState};
+use crate::ingest::pending::{PendingBlock, PendingLanes, PendingState};
 use crate::layout::lanes::{Block as _, LANES, Lanes, put};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
@@ -29,6 +29,9 @@ pub(crate) struct InSequence<'a> {
 }
 
 /// Takes the samples in sequence of a block, and adds the rows for the next forecasts.
+///
+/// What loops read beside the columns that they write is copied first. The copies are small, and
+/// the compiler knows that no write changes them: otherwise it would not vectorise the loops.
 #[inline(always)]
 pub(crate) fn step_block(
     context: &PlatformContext,
@@ -37,9 +40,10 @@ pub(crate) fn step_block(
     next: &InSequence<'_>,
     batch: &mut Batch,
 ) {
-    let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
+    let (first, mask) = (block * LANES, *next.mask);
+    let samples = columns.pending[block].samples;
+    let windows = &mut columns.windows[block];
     let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
-    let (first, mask) = (block * LANES, next.mask);
     // Every lane is computed, and the mask selects those that are stored: a branch for each lane
     // would keep the loops from being vectorised.
     let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
@@ -55,19 +59,18 @@ pub(crate) fn step_block(
             let known = !forecast_w[lane].is_nan();
             put(&mut network_w[lane], known, online.network_w[lane]);
         }
-        learn(members, online, &windows.closed, pending, mask);
+        learn(members, online, &windows.closed, &samples, mask);
     }
-    read_lasts(lasts, pending, mask, &elapsed_s, &network_w);
+    read_lasts(lasts, &samples, mask, &elapsed_s, &network_w);
     let mut steps = StepLanes::NONE;
-    let closed = &mut windows.closed;
-    read_windows(context.required, closed, pending, mask, &elapsed_s, &mut steps);
-    qualify(context.required, lasts, pending, mask, windows, &steps);
-    store_expected(pending, mask, &steps);
-    adapt_intervals(context, intervals, pending, &steps);
-    observe_energy(context, &mut columns.energy[block], pending, mask, &elapsed_s);
+    read_windows(context.required, &mut windows.closed, &samples, mask, &elapsed_s, &mut steps);
+    qualify(context.required, lasts, &samples, mask, windows, &steps);
+    store_expected(&mut columns.pending[block], mask, &steps);
+    adapt_intervals(context, intervals, &samples, &steps);
+    observe_energy(context, &mut columns.energy[block], &samples, mask, &elapsed_s);
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
-        columns.admissions[first + lane].accept(&pending.samples.get(lane));
+        columns.admissions[first + lane].accept(&samples.get(lane));
     }
     batch.push_block(first, &steps.ready, &steps.rows);
 }
@@ -78,41 +81,50 @@ fn learn(
     members: &Members,
     online: &mut OnlineLanes,
     windows: &ClosedLanes,
-    pending: &PendingBlock,
-    mask: &Lanes<bool>,
+    samples: &PendingLanes,
+    mask: Lanes<bool>,
 ) {
-    // Copies, so that the compiler sees that nothing else writes to them.
-    let (members, mut copy) = (*members, *online);
-    let (mut updates, mut scored) = (RlsUpdateLanes::NONE, [false; LANES]);
+    let members = *members;
+    let mut lags_w = [[0.0; LANES]; LAGS];
+    let (mut last_w, mut due) = ([0.0; LANES], [false; LANES]);
+    let mut scored = [false; LANES];
     for lane in 0..LANES {
-        let (window, mut robot) = (windows.get(lane), copy.get(lane));
-        let reading_w = pending.samples.power_w[lane];
-        let update = robot.update_weights(&members, &window.lags_w(), window.due(), reading_w);
-        updates.set(lane, &update);
+        let window = windows.get(lane);
+        let lag_w = window.lags_w();
+        for lag in 0..LAGS {
+            lags_w[lag][lane] = lag_w[lag];
+        }
+        (last_w[lane], due[lane]) = (window.last_w(), window.due());
         scored[lane] = mask[lane] & window.is_scored();
-        copy.set(lane, scored[lane], robot);
+    }
+    let mut updates = RlsUpdateLanes::NONE;
+    for lane in 0..LANES {
+        let [a, b, c, d, e] = &lags_w;
+        let lag_w = [a[lane], b[lane], c[lane], d[lane], e[lane]];
+        let mut robot = online.get(lane);
+        let update = robot.update_weights(&members, &lag_w, due[lane], samples.power_w[lane]);
+        updates.set(lane, &update);
+        online.set_losses(lane, scored[lane], &robot);
     }
     for lane in 0..LANES {
-        let mut robot = copy.get(lane);
+        let mut robot = online.get(lane);
         robot.update_rls(&updates.get(lane));
-        copy.set(lane, scored[lane], robot);
+        online.set_stacks(lane, scored[lane], &robot);
     }
     for lane in 0..LANES {
-        let (window, mut robot) = (windows.get(lane), copy.get(lane));
-        let reading_w = pending.samples.power_w[lane];
-        robot.read(&members, window.last_w(), window.due(), reading_w);
-        copy.set(lane, mask[lane], robot);
+        let mut robot = online.get(lane);
+        robot.read(&members, last_w[lane], due[lane], samples.power_w[lane]);
+        online.set_sizes(lane, mask[lane], &robot);
     }
     // Once in a robot's life, so this loop may branch.
     for lane in 0..LANES {
-        if !(mask[lane] & copy.is_first_full(lane)) {
+        if !(mask[lane] & online.is_first_full(lane)) {
             continue;
         }
-        let mut robot = copy.get(lane);
-        robot.judge_first(&members, pending.samples.power_w[lane], &windows.get(lane).lags_w());
-        copy.set(lane, true, robot);
+        let mut robot = online.get(lane);
+        robot.judge_first(&members, samples.power_w[lane], &windows.get(lane).lags_w());
+        online.set(lane, true, robot);
     }
-    *online = copy;
 }
 
 /// Advances the energy states of a block.
@@ -120,47 +132,44 @@ fn learn(
 fn observe_energy(
     context: &PlatformContext,
     energy: &mut EnergyLanes,
-    pending: &PendingBlock,
-    mask: &Lanes<bool>,
+    samples: &PendingLanes,
+    mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
     let mut working_s = *elapsed_s;
     for lane in 0..LANES {
-        let sample = pending.samples.get(lane);
+        let sample = samples.get(lane);
         put(&mut working_s[lane], sample.has(sample_flag::CHARGING) & energy.is_settled(lane), 0.0);
         let command = sample.command();
         put(&mut v_mps[lane], command.is_some(), sample.v_mps);
         put(&mut omega_radps[lane], command.is_some(), sample.omega_radps);
     }
     let samples = EnergySamples {
-        power_w: &pending.samples.power_w,
+        power_w: &samples.power_w,
         elapsed_s: &working_s,
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };
-    energy.observe(&context.energy, context.learned_errors(), mask, &samples);
+    energy.observe(&context.energy, context.learned_errors(), &mask, &samples);
 }
 
 /// Replaces the last samples of a block by the next.
 #[inline(always)]
 fn read_lasts(
     lasts: &mut LastLanes,
-    pending: &PendingBlock,
-    mask: &Lanes<bool>,
+    samples: &PendingLanes,
+    mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
     forecast_w: &Lanes<f32>,
 ) {
-    // A copy, so that the compiler knows that it is not aliased.
-    let mut copy = *lasts;
     for lane in 0..LANES {
-        let mut last = copy.get(lane);
-        let pending = pending.samples.get(lane);
-        last.seq = pending.seq;
-        last.read(&pending, forecast_w[lane], elapsed_s[lane]);
-        copy.set(lane, mask[lane], last);
+        let mut last = lasts.get(lane);
+        let sample = samples.get(lane);
+        last.seq = sample.seq;
+        last.read(&sample, forecast_w[lane], elapsed_s[lane]);
+        lasts.set(lane, mask[lane], last);
     }
-    *lasts = copy;
 }
 
 /// Advances the windows of a block by their readings and commands.
@@ -168,18 +177,17 @@ fn read_lasts(
 fn read_windows(
     required: RequiredInputs,
     windows: &mut ClosedLanes,
-    pending: &PendingBlock,
-    mask: &Lanes<bool>,
+    samples: &PendingLanes,
+    mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
     steps: &mut StepLanes,
 ) {
-    // A copy, so that the compiler knows that it is not aliased.
+    // A copy: in place, this loop is not vectorised.
     let mut copy = *windows;
     for lane in 0..LANES {
         let mut window = copy.get(lane);
         let forecast_w = (window.close(Gap::None), true);
-        let pending = pending.samples.get(lane);
-        let step = read(required, &mut window, &pending, forecast_w, elapsed_s[lane]);
+        let step = read(required, &mut window, &samples.get(lane), forecast_w, elapsed_s[lane]);
         copy.put(lane, mask[lane], &window);
         steps.set(lane, mask[lane], &step);
     }
@@ -191,21 +199,21 @@ fn read_windows(
 fn qualify(
     required: RequiredInputs,
     lasts: &mut LastLanes,
-    pending: &PendingBlock,
-    mask: &Lanes<bool>,
+    samples: &PendingLanes,
+    mask: Lanes<bool>,
     windows: &WindowLanes,
     steps: &StepLanes,
 ) {
     for lane in 0..LANES {
-        let (pending, have) = (pending.samples.get(lane), windows.have(lane));
-        let quality = quality(required, &pending, have, steps.ready[lane]);
+        let (sample, have) = (samples.get(lane), windows.have(lane));
+        let quality = quality(required, &sample, have, steps.ready[lane]);
         lasts.set_quality(lane, mask[lane], quality);
     }
 }
 
 /// Stores the forecasts of a block's readings.
 #[inline(always)]
-fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
+fn store_expected(pending: &mut PendingBlock, mask: Lanes<bool>, steps: &StepLanes) {
     for lane in 0..LANES {
         pending.mark(lane, mask[lane], PendingState::Absorbed);
         put(&mut pending.expected_w[lane], mask[lane], steps.expected_w[lane]);
@@ -217,19 +225,16 @@ fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLa
 fn adapt_intervals(
     context: &PlatformContext,
     intervals: &mut IntervalLanes,
-    pending: &PendingBlock,
+    samples: &PendingLanes,
     steps: &StepLanes,
 ) {
     let (floor_w, quantile_step) = (context.platform.power_resolution_w, context.quantile_step);
-    // A copy, so that the compiler knows that it is not aliased.
-    let mut copy = *intervals;
     for lane in 0..LANES {
-        let mut interval = copy.get(lane);
-        let residual_w = pending.samples.power_w[lane] - steps.expected_w[lane];
+        let mut interval = intervals.get(lane);
+        let residual_w = samples.power_w[lane] - steps.expected_w[lane];
         interval.observe(residual_w, steps.due[lane], floor_w, quantile_step);
-        copy.set(lane, steps.scored[lane], interval);
+        intervals.set(lane, steps.scored[lane], interval);
     }
-    *intervals = copy;
 }
 
 /// [`Step`]s of a block.

@@ -68,7 +68,7 @@ pub(crate) fn step(
     let idle = pending.has(sample_flag::CHARGING) && columns.energy[block].is_settled(lane);
     let working_s = if idle { 0.0 } else { elapsed_s };
     let sample = energy_sample(pending, working_s, on_time);
-    energy.metered.advance(&context.energy, &sample);
+    energy.metered.advance(&context.energy.command, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
         errors.count(&energy.compare(&context.energy, errors.platform(), sample.power_w));
     }

@@ -16,19 +16,44 @@ use crate::tick::write::flag::flag;
 pub(crate) struct Budgets<'a> {
     block: BlockRef<'a>,
     remaining: RemainingLanes,
+    mean_power_w: Lanes<f32>,
+    sensor_bias: Lanes<f32>,
+    sensor_bias_sd: Lanes<f32>,
+    sensor_covariance: Lanes<f32>,
 }
 
 impl<'a> Budgets<'a> {
     #[inline(always)]
     pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
-        let remaining = remaining(tick, &block);
-        Self { block, remaining }
+        const UNKNOWN: Lanes<f32> = [f32::NAN; LANES];
+        let mut budgets = Self {
+            remaining: RemainingLanes::UNKNOWN,
+            block,
+            mean_power_w: UNKNOWN,
+            sensor_bias: UNKNOWN,
+            sensor_bias_sd: UNKNOWN,
+            sensor_covariance: UNKNOWN,
+        };
+        fill_remaining(tick, &block, &mut budgets.remaining);
+        for lane in 0..LANES {
+            budgets.mean_power_w[lane] = canonical(block.lasts.mean_power_w[lane]);
+        }
+        if let Some(batteries) = block.batteries {
+            for lane in 0..LANES {
+                let (known, battery) = (budgets.remaining.battery[lane], batteries.get(lane));
+                let value = |value: f64| if known { canonical(value as f32) } else { f32::NAN };
+                budgets.sensor_bias[lane] = value(battery.bias);
+                budgets.sensor_bias_sd[lane] = value(battery.bias_var.sqrt());
+                budgets.sensor_covariance[lane] = value(battery.covariance);
+            }
+        }
+        budgets
     }
 
     /// The budget of the robot in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Budget {
-        let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
+        let admission = &self.block.admissions[lane];
         let platform = &tick.platforms[usize::from(admission.platform)].platform;
         let ledger = self.block.ledgers.get(lane);
         let charge_state = match (admission.accepted, admission.charging) {
@@ -41,9 +66,6 @@ impl<'a> Budgets<'a> {
         let battery = (self.block.batteries)
             .filter(|_| remaining.battery)
             .map(|batteries| batteries.get(lane));
-        let of_battery = |value: fn(&BatteryState) -> f64| {
-            canonical(battery.as_ref().map_or(f32::NAN, |battery| value(battery) as f32))
-        };
         Budget {
             robot: admission.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
@@ -63,30 +85,29 @@ impl<'a> Budgets<'a> {
             stamp_ns: stamp_ns.unwrap_or(0),
             valid_until_ns: stamp_ns
                 .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
-            mean_power_w: canonical(last.mean_power_w),
-            left_j: canonical(remaining.left_j),
-            usable_j: canonical(remaining.usable_j),
-            usable_lo_j: canonical(remaining.usable_lo_j),
-            soc: canonical(remaining.soc),
-            soc_lo: canonical(remaining.soc_lo),
-            time_to_empty_s: canonical(remaining.time_to_empty_s),
-            time_to_empty_lo_s: canonical(remaining.time_to_empty_lo_s),
-            time_to_empty_hi_s: canonical(remaining.time_to_empty_hi_s),
-            soc_hi: canonical(remaining.soc_hi),
-            soc_sd: canonical(remaining.soc_sd),
-            sensor_bias: of_battery(|battery| battery.bias),
-            sensor_bias_sd: of_battery(|battery| battery.bias_var.sqrt()),
-            sensor_covariance: of_battery(|battery| battery.covariance),
+            mean_power_w: self.mean_power_w[lane],
+            left_j: remaining.left_j,
+            usable_j: remaining.usable_j,
+            usable_lo_j: remaining.usable_lo_j,
+            soc: remaining.soc,
+            soc_lo: remaining.soc_lo,
+            time_to_empty_s: remaining.time_to_empty_s,
+            time_to_empty_lo_s: remaining.time_to_empty_lo_s,
+            time_to_empty_hi_s: remaining.time_to_empty_hi_s,
+            soc_hi: remaining.soc_hi,
+            soc_sd: remaining.soc_sd,
+            sensor_bias: self.sensor_bias[lane],
+            sensor_bias_sd: self.sensor_bias_sd[lane],
+            sensor_covariance: self.sensor_covariance[lane],
         }
     }
 }
 
 /// Energy left of the robots of a block.
 #[inline(always)]
-fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
-    let mut left = RemainingLanes::UNKNOWN;
+fn fill_remaining(tick: &TickContext, block: &BlockRef<'_>, left: &mut RemainingLanes) {
     let Some(batteries) = block.batteries else {
-        return left;
+        return;
     };
     let (mut known, mut platform) = ([false; LANES], [0; LANES]);
     let mut silent_ns = [0; LANES];
@@ -104,10 +125,9 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
             mask[lane] &= usize::from(platform[lane]) == number;
         }
         if lanes::any(&mask) {
-            fill(&mut left, (&battery, context), (block, batteries), &mask, &silent_ns);
+            fill(left, (&battery, context), (block, batteries), &mask, &silent_ns);
         }
     }
-    left
 }
 
 /// A battery as it is now: after the sample of the robot in a lane, and the time for which the next

@@ -25,6 +25,11 @@ pub(crate) struct Diagnostics<'a, 'b> {
     skill: Lanes<f64>,
     coverage: Lanes<f32>,
     coverage_recent: Lanes<f32>,
+    residual_w: Lanes<f32>,
+    bias_w: Lanes<f32>,
+    cusum_up: Lanes<f32>,
+    cusum_down: Lanes<f32>,
+    noise_ratio: Lanes<f32>,
     learned: &'b LearnedLanes,
 }
 
@@ -40,6 +45,11 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             skill: [0.0; LANES],
             coverage: [0.0; LANES],
             coverage_recent: [0.0; LANES],
+            residual_w: [0.0; LANES],
+            bias_w: [0.0; LANES],
+            cusum_up: [0.0; LANES],
+            cusum_down: [0.0; LANES],
+            noise_ratio: [0.0; LANES],
             learned,
         };
         for lane in 0..LANES {
@@ -49,8 +59,17 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             diagnostics.persistence_mae_w[lane] = scores.persistence_mae_w();
             diagnostics.persistence_r2[lane] = scores.persistence_r2();
             diagnostics.skill[lane] = scores.skill();
-            let coverage = block.intervals.get(lane).coverage(scores.share());
-            (diagnostics.coverage[lane], diagnostics.coverage_recent[lane]) = coverage;
+            let (over_all, recent) = block.intervals.get(lane).coverage(scores.share());
+            diagnostics.coverage[lane] = canonical(over_all);
+            diagnostics.coverage_recent[lane] = canonical(recent);
+        }
+        let detectors = block.detectors;
+        for lane in 0..LANES {
+            diagnostics.residual_w[lane] = canonical(block.lasts.residual_w[lane]);
+            diagnostics.bias_w[lane] = canonical(detectors.bias_w[lane]);
+            diagnostics.cusum_up[lane] = canonical(detectors.cusum_up[lane]);
+            diagnostics.cusum_down[lane] = canonical(detectors.cusum_down[lane]);
+            diagnostics.noise_ratio[lane] = canonical(detectors.noise_ratio[lane]);
         }
         diagnostics
     }
@@ -66,7 +85,7 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         let raised = detectors.raised(lane).and(AlarmSet(of_battery | of_level));
         let alarms = if tick.is_stale(admission) { raised.with(Alarm::NoData) } else { raised };
         let (level, first) = most_important(alarms);
-        let (learns, learned) = self.learned.get(&self.block, lane);
+        let (learns, learned) = self.learned.get(lane);
         let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =
             (learned.weights, learned.held_weights);
         let [gain_last, gain_network, gain_mean] = learned.gains;
@@ -78,14 +97,14 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             level,
             alarm: first,
             alarms: alarms.0,
-            residual_w: canonical(last.residual_w),
+            residual_w: self.residual_w[lane],
             residual_z: canonical(last.residual_w * context.per_sigma),
-            bias_w: canonical(detectors.bias_w[lane]),
-            cusum_up: canonical(detectors.cusum_up[lane]),
-            cusum_down: canonical(detectors.cusum_down[lane]),
-            noise_ratio: canonical(detectors.noise_ratio[lane]),
-            coverage: canonical(self.coverage[lane]),
-            coverage_recent: canonical(self.coverage_recent[lane]),
+            bias_w: self.bias_w[lane],
+            cusum_up: self.cusum_up[lane],
+            cusum_down: self.cusum_down[lane],
+            noise_ratio: self.noise_ratio[lane],
+            coverage: self.coverage[lane],
+            coverage_recent: self.coverage_recent[lane],
             scored,
             mae_w: self.mae_w[lane],
             r2: self.r2[lane],

@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::nan::canonical;
+use joulebus_predictor::simd::SimdTask;
 use joulebus_wire::{
     Budget, InvalidReason, OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, Quality, budget_flag, outlook_flag,
 };
@@ -15,6 +16,19 @@ use crate::tick::write::flag::flag;
 use crate::tick::write::forecasts::quality_of;
 
 const INVALID: u16 = Quality::Invalid(InvalidReason::Stale).encode().0;
+
+/// Computes the outlooks of a block.
+struct Fill<'a, 'b> {
+    tick: &'a TickContext,
+    all: &'a mut Outlooks<'b>,
+}
+
+impl SimdTask for Fill<'_, '_> {
+    #[inline(always)]
+    fn run(self) {
+        Outlooks::fill(self.all, self.tick);
+    }
+}
 
 type Joules = [Lanes<f32>; OUTLOOK_HORIZONS];
 
@@ -31,6 +45,14 @@ impl<'a> Outlooks<'a> {
     pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
         const UNKNOWN: Joules = [[f32::NAN; LANES]; OUTLOOK_HORIZONS];
         let mut all = Self { block, energy_j: UNKNOWN, lo_j: UNKNOWN, hi_j: UNKNOWN };
+        // A task of its own: within that of all accounts, the compiler vectorises it or not.
+        tick.simd_level.run(Fill { tick, all: &mut all });
+        all
+    }
+
+    #[inline(always)]
+    fn fill(all: &mut Self, tick: &TickContext) {
+        let block = all.block;
         for (number, context) in tick.platforms.iter().enumerate() {
             let mut mask = [false; LANES];
             for lane in 0..LANES {
@@ -52,7 +74,6 @@ impl<'a> Outlooks<'a> {
                 }
             }
         }
-        all
     }
 
     /// The outlook of the robot in a lane, whose budget of the same tick is `budget`. Energy is

@@ -32,7 +32,7 @@ impl<'a, 'b> PlanStates<'a, 'b> {
         let energy = self.block.energy.state(lane, errors);
         let shown = (start.power_w, start.steps);
         let (quality, quality_detail) = quality_of(tick, &self.block, lane, shown);
-        let (learns, learned) = self.learned.get(&self.block, lane);
+        let (learns, learned) = self.learned.get(lane);
         let [weight_last, weight_network, weight_stack] = learned.weights;
         let [_, held_weight_stack] = learned.held_weights;
         let [gain_last, gain_network, gain_mean] = learned.gains;

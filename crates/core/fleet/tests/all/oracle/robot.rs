@@ -349,7 +349,7 @@ impl Robot {
     pub(crate) fn absorb(&mut self, errors: &mut Errors) {
         let Some(sample) = self.waiting.take() else { return };
         if !self.platform.energy_online {
-            self.energy.metered.advance(&errors.model, &sample);
+            self.energy.metered.advance(&errors.model.command, &sample);
             return;
         }
         let platform = errors.calibration.platform();
