@@ -88,7 +88,8 @@ impl Intake {
         });
         if let Some(robot) = foreign.filter(|_| reported.insert(Arc::clone(from))) {
             tracing::warn!(
-                "{from} sends samples of robot {robot}, which is not among its `robots` in this link's file: such are left out"
+                "{from} sends samples of robot {robot}, which is not among its `robots` in \
+                    this link's file: these samples are left out"
             );
         }
         ended
