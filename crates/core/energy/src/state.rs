@@ -224,19 +224,16 @@ impl Metered {
     /// Creates it from [`Metered::to_array`].
     #[inline(always)]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
-        // Loops, because calls of `from_fn` are not always inlined.
+        // Copies, because calls of `from_fn` are not always inlined.
         let levels = |at: usize| {
             let mut levels = [0.0; LEVELS];
-            for level in 0..LEVELS {
-                levels[level] = numbers[at + level];
-            }
+            levels.copy_from_slice(&numbers[at..at + LEVELS]);
             levels
         };
         let shadows = |group: usize| {
             let mut shadows = [0.0; SHADOWS];
-            for place in 0..SHADOWS {
-                shadows[place] = numbers[3 * LEVELS + 3 + group * SHADOWS + place];
-            }
+            let at = 3 * LEVELS + 3 + group * SHADOWS;
+            shadows.copy_from_slice(&numbers[at..at + SHADOWS]);
             shadows
         };
         Self {

@@ -20,6 +20,7 @@ mod leadership;
 mod network;
 #[path = "../../../../crates/gateways/link/src/outputs.rs"]
 mod outputs;
+mod process;
 #[path = "../../../../crates/gateways/link/src/protocol/mod.rs"]
 mod protocol;
 #[path = "../../../../crates/gateways/link/src/refusals.rs"]
@@ -41,52 +42,6 @@ mod wall_clock;
 #[path = "../../../../crates/gateways/link/src/worker_ports.rs"]
 mod worker_ports;
 
-use std::path::Path;
-
-use joulebus_config::Config;
-
 pub use etcd::{Access, SharedStore, reach};
 pub use network::{Packet, deliver, lose, take_sent};
-
-/// The checked file of a link.
-#[derive(Debug, Clone)]
-pub struct LinkFile(config::Settings);
-
-impl LinkFile {
-    /// Reads and checks the file.
-    ///
-    /// # Errors
-    /// The problems of the file.
-    pub fn load(path: &Path, config: &Config) -> anyhow::Result<Self> {
-        Ok(Self(config::Settings::load(path, config)?))
-    }
-}
-
-/// A running link.
-#[allow(missing_debug_implementations, reason = "its ports have none")]
-pub struct Link(threads::Threads);
-
-impl Link {
-    /// Starts a link.
-    ///
-    /// # Errors
-    /// Those of the program.
-    pub fn start(config: &Config, LinkFile(settings): &LinkFile) -> anyhow::Result<Self> {
-        let place = threads::Place::take(config, settings)?;
-        let network = network::Network::new(&settings.name);
-        Ok(Self(threads::Threads::start(config, settings, place, network)?))
-    }
-
-    /// Whether a thread has ended by itself.
-    pub fn has_ended(&self) -> bool {
-        self.0.have_ended()
-    }
-
-    /// Ends the link; the reason if a thread has failed.
-    ///
-    /// # Errors
-    /// That of a thread.
-    pub fn finish(self) -> anyhow::Result<()> {
-        self.0.finish().map(drop)
-    }
-}
+pub use process::{Link, LinkFile};

@@ -12,7 +12,7 @@ use simulated_host::{self as host, disk, time};
 use simulated_link::{self as link, Link, LinkFile, Packet};
 use simulated_worker::Worker;
 
-use super::{BASES, Fault, Part, SECOND};
+use super::fault::{BASES, Fault, Part, SECOND};
 use crate::check::{Checked, failure};
 use crate::process::{self, PlannerProgram, SourceProgram, Stepped, power_w};
 use crate::scenario::Setup;

@@ -5,6 +5,7 @@
 //! thread, and they take turns: none runs further ahead than a message takes at least. A seed
 //! determines everything.
 
+mod fault;
 mod machine;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -19,12 +20,9 @@ use simulated_link::{Access, Packet, SharedStore, lose, reach};
 use crate::check::{Checked, Failure};
 use crate::scenario::Setup;
 use crate::world::Outcome;
+use fault::{BASES, Fault, MS, Part, SECOND};
 use machine::{Machine, Report, Seen};
 
-const MS: u64 = 1_000_000;
-const SECOND: u64 = 1_000 * MS;
-/// Hosts with a worker.
-const BASES: [&str; 2] = ["base-1", "base-2"];
 /// All hosts, by number.
 const HOSTS: [&str; 3] = ["edge", BASES[0], BASES[1]];
 const EDGE: usize = 0;
@@ -39,48 +37,6 @@ const WATCH_NS: u64 = 10 * SECOND;
 const PEER_TIMEOUT_NS: u64 = SECOND;
 /// Frames of workers that are remembered.
 const REMEMBERED: usize = 4_096;
-
-/// A kind of process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
-    Worker,
-    Source,
-    Planner,
-    Link,
-}
-
-/// A fault of a host.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Fault {
-    /// A process dies in its n-th operation from then.
-    Kill(Part, u64),
-    /// A process dies in its n-th access to the disk from then.
-    KillAtDisk(Part, u64),
-    /// A process is asked to end.
-    End(Part),
-    /// A process is stopped, for a time.
-    Pause(Part, u64),
-    /// The host is suspended, for a time.
-    Suspend(u64),
-    /// The host stands still, for a time that its clocks leave out by a jump.
-    Jump(u64),
-    /// The wall clock is set, forward or back.
-    WallClock(i64),
-    /// The monotonic clock is adjusted by so many millionths.
-    Drift(i64),
-    /// The disk fails, for a time.
-    Disk(disk::Fault, u64),
-    /// Shared memory is full, for a time.
-    MemoryFull(u64),
-    /// The power fails, and the host starts again after a time.
-    PowerLoss(u64),
-    /// This host and another do not reach each other, for a time.
-    Cut(usize, u64),
-    /// It reaches the store so, for a time.
-    Store(Access, u64),
-    /// Messages of all hosts are lost and repeated (per mille), and take up to so long, for a time.
-    Weather([usize; 2], u64, u64),
-}
 
 type Work = Box<dyn FnOnce(&mut Machine) + Send>;
 

@@ -159,6 +159,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "plan-server/src/acknowledgements.rs",
         // Times that other hosts are told.
         "bridge/src/outbound.rs",
+        // Times in messages, which are compared with those of a simulation.
+        "bridge/src/mapping/ros/incoming.rs",
         // Captures and their names contain their creation time.
         "capture/recorder/src/attachments.rs",
         "cli/src/demo/capture.rs",

@@ -59,7 +59,7 @@ fn robot(step: u64, planted: &str) -> [f64; 4] {
     let v = 0.2 + 0.05 * (0.3 * at).sin();
     match planted {
         "a monitor at 2^15 − 1" if step % 7 < 4 => load_a = 3.2767,
-        "−999 in every tenth reading" if step % 10 == 0 => load_a = -999.0,
+        "−999 in every tenth reading" if step.is_multiple_of(10) => load_a = -999.0,
         "a current of 0 in every reading" => load_a = 0.0,
         _ => {}
     }
