@@ -1,12 +1,12 @@
 //! `joulebus recover`: rewrites a damaged file as a complete one.
 
 use std::fmt;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::Seek as _;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::recover::{RecoverError, Recovery, recover};
 use joulebus_program::exit::Outcome;
@@ -49,13 +49,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         joulebus_files::open(&args.input).with_context(|| args.input.display().to_string())?;
     let input_bytes = input.metadata()?.len();
     let started = Instant::now();
-    let (recovery, duration_s) = write(input, args, started)?;
+    let Written { recovery, duration_s, output_bytes } = write(input, args, started)?;
     let is_whole = recovery.is_lossless();
     output.report(&RecoverReport {
         input: args.input.display().to_string(),
         output: args.out.display().to_string(),
         input_bytes,
-        output_bytes: fs::metadata(&args.out)?.len(),
+        output_bytes,
         duration_s,
         rate_mb_s: input_bytes as f64 / 1e6 / duration_s.max(1e-9),
         recovery,
@@ -63,34 +63,43 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-/// Writes and checks the result, which has no name before both are done. Returns the time of the
-/// first, too.
-fn write(input: File, args: &Args, started: Instant) -> anyhow::Result<(Recovery, f64)> {
-    joulebus_files::create::<_, anyhow::Error>(&args.out, |result| {
-        let (recovery, result) = recover(input, result).map_err(|error| {
-            let is_input = matches!(error, RecoverError::Read(_));
-            let file = if is_input { &args.input } else { &args.out };
-            anyhow::Error::from(error).context(file.display().to_string())
-        })?;
-        result.sync_all()?;
-        let duration_s = started.elapsed().as_secs_f64();
-        check(result, &recovery)?;
-        Ok((recovery, duration_s))
-    })
-    .with_context(|| format!("cannot write {}", args.out.display()))
+/// The result.
+struct Written {
+    recovery: Recovery,
+    /// Time until it was written, without its check.
+    duration_s: f64,
+    output_bytes: u64,
 }
 
-/// Reads the result again: it must be complete and contain what was counted.
-fn check(mut result: &File, recovery: &Recovery) -> anyhow::Result<()> {
-    result.rewind()?;
-    let found = inspect(result.try_clone()?).context("the result cannot be read again")?;
+/// Writes and checks the result, which has no name before both are done.
+fn write(input: File, args: &Args, started: Instant) -> anyhow::Result<Written> {
+    let written = joulebus_files::create(&args.out, |result| {
+        let (recovery, result) = recover(input, result)?;
+        result.sync_all()?;
+        let duration_s = started.elapsed().as_secs_f64();
+        check(result, &recovery).map_err(|reason| RecoverError::Write { reason })?;
+        Ok(Written { recovery, duration_s, output_bytes: result.metadata()?.len() })
+    });
+    written.map_err(|error| {
+        let file = match &error {
+            RecoverError::Read(_) => &args.input,
+            _ => &args.out,
+        };
+        anyhow::Error::from(error).context(file.display().to_string())
+    })
+}
+
+/// Reads the result again: it must be complete and contain what was counted. Otherwise the reason.
+fn check(mut result: &File, recovery: &Recovery) -> Result<(), String> {
+    result.rewind().map_err(|error| error.to_string())?;
+    let found = inspect(result).map_err(|error| error.to_string())?;
     let (wanted, messages) = (recovery.messages.recovered, found.messages);
-    if !found.is_sound() || !found.complete || messages != wanted {
-        let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
-        let findings = findings.join(", ");
-        bail!("the result is wrong: {messages} of {wanted} messages. {findings}");
+    if found.is_sound() && found.complete && messages == wanted {
+        return Ok(());
     }
-    Ok(())
+    let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
+    let findings = findings.join(", ");
+    Err(format!("the result is wrong: {messages} of {wanted} messages. {findings}"))
 }
 
 impl fmt::Display for RecoverReport {

@@ -525,7 +525,7 @@ fn a_command_expires_as_in_the_bridge() {
 /// One unit for all readings: 1 % is not full.
 #[test]
 fn percentages_are_read_as_such_in_all_readings() {
-    let bag = |charge: fn(u64) -> f32| {
+    let imported = |charge: &dyn Fn(u64) -> f32| {
         let mut bag = Bag::new();
         bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
         for step in 0..60_u64 {
@@ -536,26 +536,17 @@ fn percentages_are_read_as_such_in_all_readings() {
         }
         bag.import("").unwrap().robots.remove(0)
     };
-    let percent = bag(|step| 60.0 - step as f32);
+    let percent = imported(&|step| 60.0 - step as f32);
     assert_eq!(percent.rows[0].soc, 0.6);
     assert!((percent.rows[59].soc - 0.01).abs() < 1e-9);
     says(&percent.notes.join("\n"), ["0 to 100"]);
-    let share = bag(|step| if step == 7 { 7.0 } else { 0.5 });
+    let share = imported(&|step| if step == 7 { 7.0 } else { 0.5 });
     assert!(share.rows[7].soc.is_nan() && share.rows[8].soc == 0.5);
     says(&share.notes.join("\n"), ["1 of 60 readings have a percentage outside", "left out"]);
     // The last one is that of mavros. Drivers that measure nothing else leave it at 0.
     for unknown in [-1.0, f32::NAN, -0.01] {
         for (known, expected) in [(0.5, 0.5), (60.0, 0.6), (0.0, f64::NAN)] {
-            let charge = |step| [unknown, known][usize::from(step % 2 == 0)];
-            let mut bag = Bag::new();
-            bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
-            for step in 0..60_u64 {
-                let now_ns = START_NS + step * TENTH_NS;
-                let mut state = battery(now_ns, 12.0, -1.0);
-                state.percentage = charge(step);
-                bag.message("/battery", now_ns, &state);
-            }
-            let robot = bag.import("").unwrap().robots.remove(0);
+            let robot = imported(&|step| [unknown, known][usize::from(step % 2 == 0)]);
             assert_eq!((robot.row_count, robot.battery.refused.len()), (60, 0));
             let [even, odd] = [robot.rows[8].soc, robot.rows[7].soc];
             assert!(odd.is_nan() && even.total_cmp(&expected).is_eq(), "{unknown} {known}: {even}");
