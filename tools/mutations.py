@@ -93,7 +93,7 @@ MUTATIONS = [
     ("a false number panics", "fleet/src/ingest/sources.rs",
      "header.samples_before.saturating_add(samples)", "(header.samples_before + samples)"),
     # Of questions.
-    ("connections of clients that left are kept", "bus/src/ports/worn.rs",
+    ("connections of clients that left are kept", "bus/src/ports/connection_leak.rs",
      "self.left >= MAX_LEFT || (self.left > 0", "self.left >= usize::MAX || (self.left == usize::MAX"),
     ("answers state another tick", "planner/src/planner.rs",
      "answer.tick = states.tick;", "answer.tick = states.tick + 1_000;"),

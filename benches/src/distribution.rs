@@ -29,7 +29,7 @@ pub struct Distribution {
 
 impl Distribution {
     /// Of measured values; `None` if there are none, or if one is not finite.
-    pub fn of(values: &[f64]) -> Option<Self> {
+    pub fn new(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
             return None;
         }
@@ -68,7 +68,7 @@ impl Distribution {
 
     /// Of one value, measured or counted once.
     pub fn once(value: f64) -> Option<Self> {
-        Self::of(&[value])
+        Self::new(&[value])
     }
 
     /// Whether the interquartile ranges are disjoint, so that the difference exceeds noise.
@@ -84,7 +84,7 @@ mod tests {
     #[test]
     fn quantiles_are_measured_values() {
         let values: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
-        let all = Distribution::of(&values).expect("there are values");
+        let all = Distribution::new(&values).expect("there are values");
         let found = [all.min, all.p25, all.p50, all.p75, all.p99, all.p999, all.max];
         assert_eq!(found, [1.0, 250.0, 500.0, 750.0, 990.0, 999.0, 1000.0]);
         let one = Distribution::once(7.0).expect("there is a value");
@@ -93,8 +93,8 @@ mod tests {
 
     #[test]
     fn no_values_or_values_that_are_not_finite_give_no_figure() {
-        assert_eq!(Distribution::of(&[]), None);
-        assert_eq!(Distribution::of(&[1.0, f64::NAN]), None);
+        assert_eq!(Distribution::new(&[]), None);
+        assert_eq!(Distribution::new(&[1.0, f64::NAN]), None);
         assert_eq!(Distribution::once(f64::INFINITY), None);
     }
 
@@ -106,7 +106,7 @@ mod tests {
             histogram.saturating_record(*value as u64);
         }
         let (binned, exact) =
-            (Distribution::of_histogram(&histogram, 1.0), Distribution::of(&values));
+            (Distribution::of_histogram(&histogram, 1.0), Distribution::new(&values));
         assert_eq!(binned, exact);
     }
 
@@ -114,7 +114,7 @@ mod tests {
     fn touching_interquartile_ranges_do_not_differ() {
         let of = |from: i32, to: i32| {
             let values: Vec<f64> = (from..=to).map(f64::from).collect();
-            Distribution::of(&values).expect("there are values")
+            Distribution::new(&values).expect("there are values")
         };
         assert!(!of(0, 100).differs_from(&of(50, 150)));
         assert!(of(0, 100).differs_from(&of(80, 180)));

@@ -221,7 +221,7 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
         let title = format!("{kernel}_ns_per_robot");
         report.push(Figure::less, &title, case, "ns", measurement.values());
         let place = isas.iter().position(|other| Some(*other) == *isa);
-        let peak = place.and_then(|place| Distribution::of(peaks[place].values()));
+        let peak = place.and_then(|place| Distribution::new(peaks[place].values()));
         let Some(peak) = peak else { continue };
         let of_peak = |ns: &f64| sum / ns / peak.p50;
         let values: Vec<f64> = measurement.values().iter().map(of_peak).collect();

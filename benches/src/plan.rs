@@ -53,7 +53,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         let [asked, rolled] = &measured;
         let us: Vec<f64> = asked.values().iter().map(|ns| ns * 1e-3).collect();
         report.push(Figure::less, "what_if_us", &case, "µs", &us);
-        if let Some(rollout_ns) = Distribution::of(rolled.values()) {
+        if let Some(rollout_ns) = Distribution::new(rolled.values()) {
             let over: Vec<f64> = asked.values().iter().map(|ns| ns / rollout_ns.p50).collect();
             report.push(Figure::less, "what_if_over_rollout", &case, "1", &over);
         }

@@ -187,7 +187,7 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
     let figure = |spread| Figure::less("raw_two_hops_us", &case, "µs", spread);
     report.figures.extend(distribution(&raw).map(figure));
     if let (Some(through), Some(here)) =
-        (Distribution::of(&times.through_us), Distribution::of(&times.here_us))
+        (Distribution::new(&times.through_us), Distribution::new(&times.here_us))
     {
         let ratio = (through.p50 - here.p50) / raw.p50_us;
         report.push(Figure::less, "way_p50_over_raw_hops", &case, "1", &[ratio]);
@@ -274,7 +274,7 @@ fn ticks(report: &mut Report, options: &BenchOptions, robots: usize) -> anyhow::
     let [without, with] = &us;
     report.push(Figure::less, "tick_without_questions_us", &case, "µs", without);
     report.push(Figure::less, "tick_with_questions_us", &case, "µs", with);
-    if let (Some(without), Some(with)) = (Distribution::of(without), Distribution::of(with)) {
+    if let (Some(without), Some(with)) = (Distribution::new(without), Distribution::new(with)) {
         report.push(
             Figure::less,
             "tick_p999_with_over_without",

@@ -63,7 +63,7 @@ impl Report {
         unit: &str,
         values: &[f64],
     ) {
-        let spread = Distribution::of(values);
+        let spread = Distribution::new(values);
         self.figures.extend(spread.map(|spread| figure(name, case, unit, spread)));
     }
 
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     fn suite() -> Suite {
-        let spread = Distribution::of(&[150.0, 151.0, 180.0]).expect("there are values");
+        let spread = Distribution::new(&[150.0, 151.0, 180.0]).expect("there are values");
         let mut report = Report::new("kernel").with_input("seed", 7);
         report.figures = vec![
             Figure::less("avx512_ns_per_robot", "1 robot", "ns", spread),

@@ -150,7 +150,7 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &B
     let mut measurements = vec![Measurement::new(bare)];
     measurements.extend(works.iter_mut().map(|work| Measurement::new(|| work.run())));
     interleave(&mut measurements, options.repetitions(), options.each());
-    let Some(kernel_ns) = Distribution::of(measurements[0].values()) else {
+    let Some(kernel_ns) = Distribution::new(measurements[0].values()) else {
         return;
     };
     let scaled = |measurement: &Measurement<'_>, scale: f64| -> Vec<f64> {

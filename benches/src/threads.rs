@@ -123,7 +123,7 @@ pub(crate) fn compare<W: Send>(
     for _ in 0..turns {
         let one_us = side_by_side(whole, call, repetitions);
         let several_us = side_by_side(parts, call, repetitions);
-        let median = |values: &[f64]| Distribution::of(values).map_or(f64::NAN, |all| all.p50);
+        let median = |values: &[f64]| Distribution::new(values).map_or(f64::NAN, |all| all.p50);
         let speed_up = median(&one_us) / median(&several_us);
         compared.one_us.extend(one_us);
         compared.several_us.extend(several_us);

@@ -173,7 +173,7 @@ fn push_several(
     let title = format!("tick_{threads}_threads_ns_per_robot");
     report.push(Figure::less, &title, &case, "ns", &each);
     let median = |rounds: &[Round], of: fn(&Round) -> f64| {
-        crate::Distribution::of(&values(rounds, of)).map_or(f64::NAN, |all| all.p50)
+        crate::Distribution::new(&values(rounds, of)).map_or(f64::NAN, |all| all.p50)
     };
     for (name, of) in [
         ("tick", Round::tick as fn(&Round) -> f64),

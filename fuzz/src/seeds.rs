@@ -279,7 +279,7 @@ fn captures() -> Vec<(String, Vec<u8>)> {
         .into_iter()
         .map(|kind| named(&kind.name.replace(' ', "-"), damaged::file(kind)))
         .collect();
-    let settings = CaptureSettings::of(Preset::ZstdSmall);
+    let settings = CaptureSettings::new(Preset::ZstdSmall);
     let mut writer = Writer::new(Vec::new(), settings, &Attachments::default()).expect("memory");
     for step in 0..3 {
         let header = SampleHeader { samples_before: step, ..Source::new(1, 10).header };

@@ -12,7 +12,7 @@ use crate::{Child, Ended, ForecastFrame, PATIENCE, ReaderLine, Source};
 pub type Answers = BTreeMap<(u32, u64), ((u16, u16), [u32; 4])>;
 
 /// Interval of checking whether a source has exited.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A planner or recorder in a separate process.
 #[derive(Debug)]
@@ -70,7 +70,7 @@ impl Planner {
                 None => self.fetch(left) == 0,
                 Some(source) => {
                     assert!(source.is_running(), "without a source: {what}; {}", source.tail());
-                    self.fetch(left.min(LOOK_EVERY)) == 0 && !self.child.is_running()
+                    self.fetch(left.min(POLL_INTERVAL)) == 0 && !self.child.is_running()
                 }
             };
             if left.is_zero() || is_over {

@@ -261,11 +261,11 @@ impl Seen {
 
     fn figures(&self) -> Figures {
         Figures {
-            end_to_end_us: Spread::of(&self.end_to_end),
-            sent_to_readable_us: Spread::of(&self.sent_to_readable),
-            source_us: Spread::of(&self.source),
-            one_way_us: Spread::of(&self.one_way),
-            compute_us: Spread::of(&self.compute),
+            end_to_end_us: Spread::new(&self.end_to_end),
+            sent_to_readable_us: Spread::new(&self.sent_to_readable),
+            source_us: Spread::new(&self.source),
+            one_way_us: Spread::new(&self.one_way),
+            compute_us: Spread::new(&self.compute),
             missed: self.missed,
             tick_us: Spread::default(),
             worker_bytes: 0,

@@ -42,6 +42,6 @@ impl<'a> Alone<'a> {
     }
 
     pub(super) fn finish(self) -> Spread {
-        Spread::of(&self.times)
+        Spread::new(&self.times)
     }
 }

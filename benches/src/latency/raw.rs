@@ -171,7 +171,7 @@ pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> an
             let header = frame.user_header();
             let (intended_ns, sent_ns) = (header.first_intended_ns, header.first_sent_ns);
             if intended_ns == 0 {
-                println!("\n{}", serde_json::to_string(&Spread::of(&times))?);
+                println!("\n{}", serde_json::to_string(&Spread::new(&times))?);
                 return Ok(());
             }
             seen += 1;

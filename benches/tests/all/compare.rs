@@ -7,7 +7,7 @@ use joulebus_testkit::says;
 
 fn spread(median: f64, half_width: f64) -> Distribution {
     let values: Vec<f64> = (-2..=2).map(|step| median + f64::from(step) * half_width).collect();
-    Distribution::of(&values).expect("there are values")
+    Distribution::new(&values).expect("there are values")
 }
 
 fn figure(name: &str, better: Better, median: f64) -> Figure {

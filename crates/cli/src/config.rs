@@ -135,7 +135,7 @@ impl Checked {
     /// Checks a file of the kind that its keys tell. Of a fleet's also what it names.
     fn load(path: &Path) -> Self {
         let name = path.display().to_string();
-        let kind = File::of(path);
+        let kind = File::new(path);
         if kind == File::Fleet {
             return Self::new(name, Config::load(path));
         }

@@ -59,7 +59,7 @@ pub struct AlarmChange {
     pub at_ns: u64,
     /// When it was raised, ns; later than that if it already was in the first frame.
     pub raised_ns: u64,
-    /// Who has acknowledged it, if anybody has: it is of this raise, not of an earlier one.
+    /// The acknowledgement of this raise, if there is one. Earlier raises do not count.
     pub acknowledged: Option<Acknowledgement>,
 }
 
@@ -220,7 +220,7 @@ impl AlarmHistory {
         }
     }
 
-    /// Who has acknowledged an alarm since it was raised.
+    /// The acknowledgement of an alarm since it was raised.
     #[must_use]
     pub fn acknowledged(&self, robot: u32, alarm: Alarm) -> Option<&Acknowledgement> {
         let of_it = |listed: &&Listed| {

@@ -30,7 +30,7 @@ pub struct FleetAlarm {
     pub at_ns: u64,
     /// When it was raised, monotonic ns; later than that if it was when the program began.
     pub raised_ns: u64,
-    /// Who has acknowledged it since it was raised.
+    /// The acknowledgement since it was raised.
     pub acknowledged: Option<Acknowledgement>,
 }
 

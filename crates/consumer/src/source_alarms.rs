@@ -9,7 +9,7 @@ use joulebus_connect::findings::implausible_robots;
 use crate::alarms::Change;
 
 /// Interval at which findings are looked for, ns.
-const LOOK_EVERY_NS: u64 = 1_000_000_000;
+const POLL_INTERVAL_NS: u64 = 1_000_000_000;
 
 /// A raise or an end of the alarm of a robot.
 ///
@@ -44,7 +44,7 @@ pub struct SourceAlarms {
 }
 
 impl SourceAlarms {
-    /// Of the sources of a fleet.
+    /// Watches the sources of a fleet.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         Self { config: config.clone(), raised: BTreeMap::new(), look_at_ns: 0 }
@@ -56,7 +56,7 @@ impl SourceAlarms {
         if now_ns < self.look_at_ns {
             return;
         }
-        self.look_at_ns = now_ns + LOOK_EVERY_NS;
+        self.look_at_ns = now_ns + POLL_INTERVAL_NS;
         let found = implausible_robots(&self.config);
         let mut pass_on = |robot, change, raised_ns| {
             each(SourceChange { robot, change, at_ns: now_ns, raised_ns });

@@ -52,14 +52,14 @@ pub struct Subscriber {
 }
 
 /// Longest time between two looks.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Longest time between two looks in which nothing that the worker sends to `config`'s fleet is
 /// overwritten unread: at most a quarter of what is buffered arrives between them.
 pub(crate) fn look_every(config: &Config) -> Duration {
     let frames = config.limits().forecast_frames as u64;
     let buffered_ns = config.tick_period_ns().saturating_mul(frames);
-    LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4))
+    POLL_INTERVAL.min(Duration::from_nanos(buffered_ns / 4))
 }
 
 /// A subscriber's means of waiting.
@@ -304,7 +304,7 @@ impl Subscriber {
     #[must_use]
     pub fn look_within(&self) -> Duration {
         let left_ns = self.next_look_ns().saturating_sub(clock::monotonic_ns());
-        LOOK_EVERY.min(Duration::from_nanos(left_ns))
+        POLL_INTERVAL.min(Duration::from_nanos(left_ns))
     }
 
     /// The state of the worker now, as seen by the last call to [`Subscriber::wait_next`] or

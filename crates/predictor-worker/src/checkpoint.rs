@@ -148,7 +148,7 @@ impl Checkpoint {
                 charged: budget.flags & budget_flag::CHARGED != 0,
                 battery: silent
                     .and_then(|known| known.battery)
-                    .or_else(|| SavedBattery::of(budget)),
+                    .or_else(|| SavedBattery::new(budget)),
             };
             self.robots.insert(budget.robot, account);
         }

@@ -116,7 +116,7 @@ impl Checkpointer {
                 &bus,
                 &limits,
                 config.settings(),
-                (orders, Places::of(config).keyframe),
+                (orders, Places::new(config).keyframe),
             )?,
             _bus: bus,
             failures,

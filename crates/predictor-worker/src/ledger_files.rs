@@ -640,7 +640,7 @@ mod tests {
         let number = |place: usize| (place >= 2).then(|| place as i64 + 2);
         for places in (0..125).map(|code| [code / 25, code / 5 % 5, code % 5]) {
             let [newest, older, new] = places;
-            // Of two whole files, `older` is the older one, at whatever step a save is cut off.
+            // If both files are whole, `older` is the older one, wherever a save was cut off.
             let is_older = |one: usize, other: usize| one < 2 || other < 2 || one < other;
             if !is_older(older, newest) || !is_older(newest, new) || !is_older(older, new) {
                 continue;

@@ -58,7 +58,7 @@ pub struct Parts {
 }
 
 impl Parts {
-    pub(crate) fn of(ticks: u64, intake_ns: u64, spent: StageTimes) -> Self {
+    pub(crate) fn new(ticks: u64, intake_ns: u64, spent: StageTimes) -> Self {
         let mean_us = |ns: u64| ns as f64 * 1e-3 / ticks.max(1) as f64;
         let of = |stage: Stage| mean_us(spent.0[stage as usize]);
         Self {

@@ -160,7 +160,7 @@ impl Worker {
         let mut worker = Self::open_as(config, Arc::new(CurrentPermit::not_yet()))?;
         let following = Following::new(config.settings(), worker.header.period_ns);
         worker.standby = Some(Standby {
-            places: Places::of(config),
+            places: Places::new(config),
             follows: Some((following, 0)),
             renewal: None,
         });
@@ -464,8 +464,8 @@ impl Worker {
             frames_unsent: self.failures.unsent.load(Ordering::Relaxed),
             receive_errors: self.failures.receive.load(Ordering::Relaxed),
             ledger_unsaved: self.failures.unsaved.load(Ordering::Relaxed),
-            tick: Spread::of(&self.ticks_ns),
-            parts: Parts::of(self.header.tick, self.intake_ns, self.pool.spent()),
+            tick: Spread::new(&self.ticks_ns),
+            parts: Parts::new(self.header.tick, self.intake_ns, self.pool.spent()),
         }
     }
 

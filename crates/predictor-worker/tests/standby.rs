@@ -64,7 +64,7 @@ impl Scene {
         );
         let config = Config::parse(&text, &root.join("nowhere")).unwrap();
         Self {
-            places: Places::of(&config),
+            places: Places::new(&config),
             root,
             config,
             stop: AtomicBool::new(false),

@@ -238,7 +238,7 @@ mod tests {
             for robot in 0..5 {
                 let mut state = RobotState::new(robot);
                 state.power_w = Some(40.0 + (step as f32 * 0.7).sin());
-                // Of the last robot from the beginning, of the first after its first turn.
+                // The last robot from the beginning, the first one after its first round.
                 let is_percent = robot == 4 || (robot == 0 && step > 5_000);
                 let soc = if is_percent { 96.0 } else { 0.5 };
                 judgement.take(&state, Some(soc), step * 100_000_000);

@@ -182,7 +182,7 @@ fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Fa
         let failed = failure.map(|failure| Failed { seed, failure, planned, left, command });
         return (outcome, failed);
     }
-    let whole = Scenario::of(seed, campaign.duration_ns);
+    let whole = Scenario::new(seed, campaign.duration_ns);
     let planned = whole.faults.len();
     let whole = match campaign.until_ns {
         Some(until_ns) => whole.until(until_ns),

@@ -473,7 +473,7 @@ impl Checker {
                 format!("robot {robot}: {before:?}, then {row:?}")
             })?;
         } else {
-            // Of the earlier worker's account at most the last `every_s` is lost.
+            // At most the last `every_s` of the earlier worker's account is lost.
             let ended_ns = account.ended_ns;
             let promised_ns = ended_ns.saturating_sub(self.setup.save_every_ns + slack_ns);
             let floor = account.history.iter().rev().find(|(at_ns, _)| *at_ns <= promised_ns);

@@ -69,7 +69,7 @@ pub(crate) struct Learned {
 }
 
 /// Longest time between two looks of a planner, ns.
-pub(crate) const LOOK_EVERY_NS: u64 = 50_000_000;
+pub(crate) const POLL_INTERVAL_NS: u64 = 50_000_000;
 
 /// Marks a false frame: the worker never has such a robot.
 pub(crate) const FALSE_ROBOT: u32 = 0x00BA_DBAD;
@@ -231,7 +231,7 @@ impl PlannerProgram {
         Some(Self {
             polls: looks.is_some(),
             every_ns: looks
-                .map_or(LOOK_EVERY_NS.max(setup.period_ns / 2), |every| every.as_nanos() as u64),
+                .map_or(POLL_INTERVAL_NS.max(setup.period_ns / 2), |every| every.as_nanos() as u64),
             diagnostics: planner.diagnostics().ok()?,
             budgets: planner.budgets().ok()?,
             plan_states: planner.plan_states().ok()?,
@@ -394,7 +394,7 @@ pub(crate) fn is_possible(reply: &Reply) -> bool {
 /// Starts a recorder whose files begin with `path`.
 pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
     let options =
-        Options { settings: CaptureSettings::of(Preset::FastWrite), ..Options::default() };
+        Options { settings: CaptureSettings::new(Preset::FastWrite), ..Options::default() };
     let target = Target::File(PathBuf::from(format!("{path}.mcap")));
     let attachments = Attachments::default();
     let started = Recorder::start(config, Vec::new(), host_clock(), attachments, target, &options);

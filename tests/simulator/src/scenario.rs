@@ -121,7 +121,7 @@ pub struct Scenario {
     pub duration_ns: u64,
     /// The duration for which the faults were planned, ns.
     pub whole_ns: u64,
-    /// That duration, if it was asked for, ns.
+    /// The duration that was asked for, ns.
     pub asked_ns: Option<u64>,
     /// The faults in order, each with its number in the whole plan.
     pub faults: Vec<(usize, Planned)>,
@@ -218,7 +218,7 @@ impl Setup {
 
 impl Scenario {
     /// The simulation that a seed means; `duration_ns` instead of its own.
-    pub fn of(seed: u64, asked_ns: Option<u64>) -> Self {
+    pub fn new(seed: u64, asked_ns: Option<u64>) -> Self {
         let mut noise = Noise::new(seed, 0);
         let drawn_ns = (1 + noise.below(30)) as u64 * MAX_DURATION_NS / 30;
         let duration_ns = asked_ns.unwrap_or(drawn_ns);

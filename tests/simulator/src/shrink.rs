@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn of_all_faults_those_that_are_needed_are_left() {
-        let whole = (1..).map(|seed| Scenario::of(seed, None));
+        let whole = (1..).map(|seed| Scenario::new(seed, None));
         let whole =
             whole.into_iter().find(|scenario| scenario.faults.len() > 200).expect("there are many");
         for needed in [&[][..], &[0], &[3, 17], &[5, 6, 150], &[199]] {

@@ -59,7 +59,7 @@ fn files_in(folder: &Path) -> usize {
 }
 
 impl Held {
-    fn of(arena: &Arena, members: &[&Child]) -> Self {
+    fn new(arena: &Arena, members: &[&Child]) -> Self {
         let pids: Vec<u32> = members.iter().map(|child| child.pid()).collect();
         let objects = arena.stale_files();
         Self {
@@ -159,7 +159,7 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
         remove_old(&arena);
         let mut members = vec![&worker, &recorder, &view, &source, &planner];
         members.extend(page.as_ref().map(|(server, _)| server));
-        let held = Held::of(&arena, &members);
+        let held = Held::new(&arena, &members);
         if begin.elapsed() > length / 4 {
             first.get_or_insert(held.clone());
         }

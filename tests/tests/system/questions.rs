@@ -411,7 +411,7 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
         let passed = std::cell::Cell::new(0);
         let place = std::cell::Cell::new(0);
         spoilt(&file, &to, |message| {
-            // Of candidates, whose last command counts, for a robot that has been read: not a path,
+            // Candidates, whose last command counts, for a robot that has been read: not a path,
             // nor one whose answer is always unknown.
             let query = message.get_mut::<Query>();
             let is_known =

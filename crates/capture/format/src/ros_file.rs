@@ -42,7 +42,7 @@ impl RosTopic<'_> {
     #[must_use]
     pub fn is_imported(&self) -> bool {
         let (encoding, definition) = (self.definition_encoding, self.definition);
-        RosType::of(self.encoding, self.type_name, encoding, definition).is_ok()
+        RosType::new(self.encoding, self.type_name, encoding, definition).is_ok()
     }
 }
 

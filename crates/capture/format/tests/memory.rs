@@ -26,7 +26,7 @@ fn a_long_capture_is_read_in_bounded_memory() {
     let bytes = megabytes.map_or(100, |text| text.parse().unwrap()) << 20;
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.mcap");
-    let settings = CaptureSettings::of(Preset::FastWrite);
+    let settings = CaptureSettings::new(Preset::FastWrite);
     let mut writer =
         Writer::new(fs::File::create_new(&path).unwrap(), settings, &Attachments::default())
             .unwrap();

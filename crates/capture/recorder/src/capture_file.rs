@@ -60,7 +60,7 @@ impl CaptureFile {
     /// A watch over the file.
     ///
     /// # Errors
-    /// That of the system.
+    /// The system's error.
     pub(crate) fn watch(&self) -> io::Result<Watch> {
         Ok(Watch {
             path: self.path.clone(),
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn at_any_capacity_of_the_disk_the_file_contains_what_is_counted_as_written() {
         for preset in Preset::ALL {
-            let settings = CaptureSettings::of(preset);
+            let settings = CaptureSettings::new(preset);
             let mut whole = Vec::new();
             assert_eq!(write(&mut whole, settings), (GIVEN, 0, true));
             let step = if preset == Preset::ZstdFast { 1 } else { 7 };

@@ -13,7 +13,7 @@ use crate::shared::Shared;
 use joulebus_capture_format::{Clock, Message, MessageKind, Times};
 
 /// Maximum interval between two drains.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
 /// Minimum interval between two log lines of receive failures, ns.
 const SAY_EVERY_NS: u64 = 1_000_000_000;
 
@@ -67,7 +67,7 @@ impl Drain {
             shared,
             fleet: Arc::from(config.fleet()),
             clock,
-            look_every: LOOK_EVERY.min(Duration::from_nanos(most_ns)),
+            look_every: POLL_INTERVAL.min(Duration::from_nanos(most_ns)),
             // What was sent before is logged now: a false time long ago would begin the file there,
             // and end it.
             log_ns: clock.unix_ns(clock::monotonic_ns()),

@@ -23,7 +23,7 @@ pub struct Value {
 
 impl Value {
     /// The number in a field of shared memory.
-    fn of(field: FieldType, bytes: &[u8]) -> Self {
+    fn new(field: FieldType, bytes: &[u8]) -> Self {
         let mut word = [0; 8];
         let count = bytes.len().min(word.len());
         word[..count].copy_from_slice(&bytes[..count]);
@@ -124,16 +124,16 @@ fn values(field: &FieldLayout, recorded: &[u8], computed: &[u8], differs: Differ
             FieldType::Struct("DropCounts") => {
                 let reason = DropReason::ALL.get(place);
                 let name = reason.map_or(field.name, |reason| reason.name());
-                let value = |bytes| Value::of(FieldType::U64, bytes);
+                let value = |bytes| Value::new(FieldType::U64, bytes);
                 differs(None, (name, value(recorded), value(computed)));
             }
             // It begins with the robot.
             FieldType::Struct("Refusal") => {
-                let value = |bytes| Value::of(FieldType::U32, bytes);
+                let value = |bytes| Value::new(FieldType::U32, bytes);
                 let (was, is) = (value(recorded), value(computed));
                 differs(Some(is.bits as u32), ("refused robots", was, is));
             }
-            of => differs(None, (field.name, Value::of(of, recorded), Value::of(of, computed))),
+            of => differs(None, (field.name, Value::new(of, recorded), Value::new(of, computed))),
         }
     }
 }

@@ -88,7 +88,7 @@ impl Verifier {
         self
     }
 
-    /// Of a recording whose answers about plans were computed by the rules of this number
+    /// A recording whose answers about plans were computed by the rules of this number
     /// ([`joulebus_wire::ANSWER_RULES`]), `None` if by several: those of other rules are counted,
     /// and not compared.
     #[must_use]

@@ -60,7 +60,7 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
     })
 }
 
-/// Who acknowledges: as given, or the user.
+/// Name of the person who acknowledges: as given, or the user.
 fn name(by: Option<&str>) -> Result<String, UsageError> {
     let variables = ["USER", "LOGNAME"].into_iter();
     let user = || variables.filter_map(|name| std::env::var(name).ok()).find(|it| !it.is_empty());

@@ -30,7 +30,7 @@ struct Episode {
     lasted_s: Option<f64>,
     /// `cleared`, `left`, or `raised` at the end of the recording.
     end: &'static str,
-    /// Who acknowledged it.
+    /// Name of the person who acknowledged it.
     #[serde(skip_serializing_if = "Option::is_none")]
     acknowledged: Option<AcknowledgedRecord>,
 }

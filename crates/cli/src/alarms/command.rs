@@ -19,7 +19,7 @@ const MAX_WAITING: usize = 256;
 /// Time that a command may take.
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// Interval between two looks at a running command.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Runs a command for each change, in a thread of its own, so that its caller never waits.
 pub(super) struct OnAlarm {
@@ -114,7 +114,7 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
     loop {
         match child.try_wait() {
             Ok(Some(status)) => return taken(status),
-            Ok(None) if Instant::now() < until => std::thread::sleep(LOOK_EVERY),
+            Ok(None) if Instant::now() < until => std::thread::sleep(POLL_INTERVAL),
             Ok(None) => {
                 kill(&mut child);
                 return Err(format!("killed after {} s", most.as_secs_f64()));
@@ -189,7 +189,7 @@ mod tests {
             Err(_) => true,
         };
         while !ended() {
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 

@@ -17,7 +17,7 @@ use serde::Serialize;
 /// Pause before the diagnostics are opened again.
 const OPEN_EVERY: Duration = Duration::from_secs(1);
 /// Interval of checking whether the worker is open.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Counts of logged alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -112,7 +112,7 @@ impl Logging {
 impl Steps for Logging {
     fn step(&mut self, last: bool) -> Option<Duration> {
         if !self.worker_is_open.load(Ordering::Relaxed) {
-            return (!last).then_some(LOOK_EVERY);
+            return (!last).then_some(POLL_INTERVAL);
         }
         let mut report = *self.report.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(feed) = self.feed() else {

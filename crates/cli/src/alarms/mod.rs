@@ -101,7 +101,7 @@ struct Line(AlarmRecord);
 
 impl fmt::Display for Line {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Utc { hour, minute, second, millisecond, .. } = Utc::of(self.0.stamp_ns);
+        let Utc { hour, minute, second, millisecond, .. } = Utc::new(self.0.stamp_ns);
         write!(out, "{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z ")?;
         match self.0.robot {
             Some(robot) => write!(out, "robot {robot}: ")?,

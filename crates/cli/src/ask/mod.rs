@@ -178,8 +178,8 @@ impl Args {
         Ok(self.report(config, of, &answered.reply, missing))
     }
 
-    /// Of several robots the question about those that are there, and the others. Asked about none
-    /// that is there, the question stays as it is and is refused.
+    /// Splits several robots into a question about those that are there, and the others. If none
+    /// is there, the question stays as it is and is refused.
     fn among(
         &self,
         mut question: Question,

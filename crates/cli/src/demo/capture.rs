@@ -29,7 +29,7 @@ pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
 
 /// Named after the time, so that no file is overwritten.
 fn usual() -> PathBuf {
-    let Utc { year, month, day, hour, minute, second, .. } = Utc::of(clock::unix_ns());
+    let Utc { year, month, day, hour, minute, second, .. } = Utc::new(clock::unix_ns());
     PathBuf::from(format!(
         "joulebus-demo-{year}{month:02}{day:02}T{hour:02}{minute:02}{second:02}Z.mcap"
     ))

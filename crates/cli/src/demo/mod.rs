@@ -38,7 +38,7 @@ const START_LIMIT_NS: u64 = 15_000_000_000;
 const DRAIN_LIMIT_NS: u64 = 5_000_000_000;
 /// Time for each process to exit.
 const GRACE: Duration = Duration::from_secs(5);
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Run a simulated fleet, a worker, a planner and a recorder, and show their state
 #[derive(Debug, clap::Args)]
@@ -225,7 +225,7 @@ impl Demo<'_> {
                 "the worker has sent nothing for {} s. See the output of the processes above",
                 START_LIMIT_NS / 1_000_000_000
             );
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         Ok(())
     }
@@ -247,7 +247,7 @@ impl Demo<'_> {
             if line.is_some() || self.events.iter().any(died) {
                 return line;
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         None
     }
@@ -277,7 +277,7 @@ impl Demo<'_> {
             if drained || clock::monotonic_ns() >= give_up_ns {
                 break;
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         let planner = self.supervisor.end(PLANNER, GRACE, &mut self.events);
         self.supervisor.end(PAGE, GRACE, &mut self.events);

@@ -50,7 +50,7 @@ impl Place {
         let root = PathBuf::from(format!("{}-{}", stem(), std::process::id()));
         let demo =
             Demo { fleet: FLEET.to_owned(), root: root.clone(), prefix: PREFIX.to_owned(), robots };
-        // That of a killed demo with this process id would have been removed: it belongs to a live
+        // A killed demo's folder with this process id would be gone: this one belongs to a live
         // one.
         fs::DirBuilder::new()
             .mode(0o700)

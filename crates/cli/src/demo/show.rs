@@ -8,7 +8,7 @@ use joulebus_config::Config;
 use joulebus_program::output::{say, text};
 use joulebus_program::stop::Stop;
 
-use super::{Demo, LOOK_EVERY};
+use super::{Demo, POLL_INTERVAL};
 use crate::supervisor::Event;
 use crate::view::{Screen, line, show};
 
@@ -39,7 +39,7 @@ impl Demo<'_> {
         began_ns: u64,
     ) -> anyhow::Result<()> {
         let selected = self.planted.first().map(|planted| planted.robot);
-        let mut screen = Screen::new("demo", Platforms::of(config.settings()), selected);
+        let mut screen = Screen::new("demo", Platforms::new(config.settings()), selected);
         show(feed, &mut screen, stop, || {
             self.look_after(feed);
             let seconds = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
@@ -73,7 +73,7 @@ impl Demo<'_> {
                     say(&line);
                 }
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         Ok(())
     }

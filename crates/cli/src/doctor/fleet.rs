@@ -214,7 +214,7 @@ pub(super) fn other_users(domain: &Domain, inspection: &Inspection) -> Option<Ch
 pub(super) fn permit(config: &Config) -> Option<Check> {
     let name = "permit";
     let now_ns = clock::boot_ns();
-    match Permit::read(&Places::of(config).permit) {
+    match Permit::read(&Places::new(config).permit) {
         Ok(permit) => permit.map(|Permit { term, until_ns, .. }| match until_ns {
             None => Check::ok(name, format!("to serve in term {term}, until it is withdrawn")),
             Some(until_ns) if now_ns < until_ns => {

@@ -1,8 +1,8 @@
 //! `joulebus doctor`: checks of this host and a fleet.
 
+mod fix;
 mod fleet;
 mod host;
-mod mend;
 mod rights;
 
 use std::fmt;
@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let config = args.config.load()?;
     let domain = config.domain()?;
-    let (mended, trouble) = match args.fix.then(|| mend::mend(&domain)) {
+    let (mended, trouble) = match args.fix.then(|| fix::fix(&domain)) {
         None => (Vec::new(), None),
         Some(Ok(mended)) => (mended, None),
         Some(Err(error)) => (Vec::new(), Some(error)),

@@ -31,7 +31,7 @@ pub(crate) use recorder_process::RecorderProcess;
 use report::RecordReport;
 
 /// Interval of checking whether to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of progress lines, ns.
 const PROGRESS_EVERY_NS: u64 = 5_000_000_000;
 /// Maximum memory of a snapshot, bytes.
@@ -183,7 +183,7 @@ fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Optio
             tell_ns = now_ns.saturating_add(PROGRESS_EVERY_NS);
             say(&progress(&recorder.summary(), now_ns - begin_ns));
         }
-        if !stop.sleep_until(now_ns + LOOK_EVERY.as_nanos() as u64) {
+        if !stop.sleep_until(now_ns + POLL_INTERVAL.as_nanos() as u64) {
             return;
         }
     }
@@ -224,7 +224,7 @@ impl Args {
             return Err(UsageError("--snapshot 0 keeps nothing".to_owned()).into());
         }
         Ok(Options {
-            settings: CaptureSettings::of(self.preset),
+            settings: CaptureSettings::new(self.preset),
             per_robot: self.per_robot,
             choose: Arc::new(move |topic| choice.has(topic)),
             max_file_bytes: or_never(self.max_bag_size),

@@ -26,7 +26,7 @@ const DEFAULT_WINDOW: usize = 4;
 /// Timeout for the worker's answers to the last frames, ns.
 const SETTLE_NS: u64 = 5_000_000_000;
 /// Interval at which a worker is looked for, ns.
-const LOOK_EVERY_NS: u64 = 50_000_000;
+const POLL_INTERVAL_NS: u64 = 50_000_000;
 /// Largest factor by which the announced period is stretched.
 const MAX_STRETCH: f64 = 1e3;
 
@@ -325,13 +325,13 @@ impl Player {
 /// Waits until a worker answers; false at a signal.
 fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let mut said = false;
-    let patience_ns = clock::monotonic_ns() + 10 * LOOK_EVERY_NS;
+    let patience_ns = clock::monotonic_ns() + 10 * POLL_INTERVAL_NS;
     while !flow.has_seen_worker()? {
         if !said && clock::monotonic_ns() > patience_ns {
             say("no worker runs, waiting for one (`joulebus run` starts it)");
             said = true;
         }
-        if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {
+        if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
             return Ok(false);
         }
     }

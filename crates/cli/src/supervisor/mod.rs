@@ -23,7 +23,7 @@ use restart_policy::{RestartPolicy, Step};
 /// Hidden flag of every subcommand: exit when stdin is closed.
 const EXIT_WITH_STDIN: &str = "--exit-with-stdin";
 /// Polling interval for exits while waiting for a process.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Time to exit after SIGTERM when all processes are stopped.
 const GRACE: Duration = Duration::from_secs(3);
 
@@ -153,7 +153,7 @@ impl Supervisor {
             events.extend(self.poll());
             let job = self.jobs.iter_mut().find(|job| job.task.name == name);
             match job {
-                Some(job) if !job.policy.is_stopped() => std::thread::sleep(LOOK_EVERY),
+                Some(job) if !job.policy.is_stopped() => std::thread::sleep(POLL_INTERVAL),
                 Some(job) => return job.ended.take().unwrap_or(Ended::NEVER),
                 None => return Ended::NEVER,
             }
@@ -166,7 +166,7 @@ impl Supervisor {
         self.request_stop(|_| true, GRACE);
         while !self.jobs.iter().all(|job| job.policy.is_stopped()) {
             events.extend(self.poll());
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         events.extend(self.poll());
         events
@@ -269,7 +269,7 @@ mod tests {
             if done(&events) {
                 return events;
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         panic!("not within 10 s: {events:?}");
     }

@@ -166,7 +166,7 @@ fn a_robot_without_a_battery_in_the_config_names_the_missing_key() {
         assert_eq!(table(board, Some(robot)).contains(key), shown.contains(key));
         shown.contains(key)
     };
-    // Of the second nobody has counted energy yet.
+    // Nobody has counted energy of the second one yet.
     assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, false]);
     board.budgets(&[Budget { robot: 9, flags: budget_flag::LEDGER, ..Budget::default() }]);
     assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, true]);

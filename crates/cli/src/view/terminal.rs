@@ -14,7 +14,7 @@ use super::screen::Screen;
 use crate::keys::{PATIENCE, pressed};
 
 /// Interval at which the processes and the end are checked.
-const LOOK_EVERY: Duration = Duration::from_millis(30);
+const POLL_INTERVAL: Duration = Duration::from_millis(30);
 /// Interval between redraws.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
 
@@ -68,7 +68,7 @@ pub(crate) fn show(
             }
             result.context("cannot draw")?;
         }
-        if is_closed(LOOK_EVERY)? {
+        if is_closed(POLL_INTERVAL)? {
             return Ok(());
         }
         // All waiting events: with one per redraw, a repeating key would outpace the drawing.

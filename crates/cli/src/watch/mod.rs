@@ -25,7 +25,7 @@ const COUNTS_WITHIN_NS: u64 = 500_000_000;
 const PATIENCE_NS: u64 = 3_000_000_000;
 /// Interval between plain lines, ns.
 const LINE_EVERY_NS: u64 = 1_000_000_000;
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Show the forecasts of a fleet's worker, live, as lines or as JSON
 #[derive(Debug, clap::Args)]
@@ -163,7 +163,7 @@ impl Args {
         let began_ns = clock::monotonic_ns();
         if !self.plain && std::io::stdout().is_terminal() && std::io::stdin().is_terminal() {
             let mut screen =
-                Screen::new(config.fleet(), Platforms::of(config.settings()), self.robot);
+                Screen::new(config.fleet(), Platforms::new(config.settings()), self.robot);
             show(&feed, &mut screen, stop, || {
                 let now_ns = clock::monotonic_ns();
                 let seconds = (now_ns - began_ns) as f64 * 1e-9;
@@ -173,7 +173,7 @@ impl Args {
             let mut reporter = LinkReporter::default();
             let mut next_ns = began_ns + LINE_EVERY_NS;
             while !stop.is_asked() && feed.is_reading() && clock::monotonic_ns() < end_ns {
-                std::thread::sleep(LOOK_EVERY);
+                std::thread::sleep(POLL_INTERVAL);
                 let now_ns = clock::monotonic_ns();
                 reporter.report_changes(&feed.board());
                 if now_ns >= next_ns {

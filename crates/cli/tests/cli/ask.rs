@@ -111,7 +111,7 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
         answers.iter().map(|answer| number(&answer["energy"]["mean_j"])).collect();
     assert!(costs.is_sorted(), "one verdict, the cheapest first: {ranked}");
 
-    // Of several robots, one that is not there is named beside the others' answers.
+    // A robot that is not there is named beside the others' answers.
     for through in ["", " --through worker"] {
         let ranked = ask(&fleet, &format!("--rank 0,9,2 --path FILE{through}"));
         assert_eq!(ranked["missing"], serde_json::json!([9]), "{ranked}");

@@ -39,7 +39,7 @@ pub struct Spread {
 impl Spread {
     /// Summarises a histogram of ns.
     #[must_use]
-    pub fn of(histogram: &Histogram<u64>) -> Self {
+    pub fn new(histogram: &Histogram<u64>) -> Self {
         let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
         Self {
             count: histogram.len(),

@@ -28,7 +28,7 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Of a time, with nothing known.
+    /// An observation at a time, with nothing known.
     #[must_use]
     pub const fn at(time_s: f64) -> Self {
         Self {

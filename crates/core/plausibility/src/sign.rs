@@ -178,7 +178,7 @@ impl Sign {
         self.current_against_power += u64::from(product < 0.0);
     }
 
-    /// Of power; `whole`: nothing more will come, so that a few readings count.
+    /// Judges power; `whole`: nothing more will come, so that a few readings count.
     pub(crate) fn power(&self, whole: bool) -> Option<WrongSign> {
         let wrong = |severity, signs: Signs, why| {
             Some(WrongSign { severity, readings: signs.negative, of: signs.count(), why })
@@ -229,7 +229,7 @@ impl Sign {
         }
     }
 
-    /// Of the current, where power has the other sign: readings, of so many.
+    /// The current, where power has the other sign: readings, out of so many.
     pub(crate) fn current(&self) -> Option<(u64, u64)> {
         let share = self.current_against_power as f64 / self.currents.max(1) as f64;
         let is_turned = self.currents >= MIN_READINGS && share >= NEGATIVE;

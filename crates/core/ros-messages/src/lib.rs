@@ -261,7 +261,7 @@ impl RosType {
     ///
     /// # Errors
     /// [`RosError`]: another type, another encoding, or a definition with other fields.
-    pub fn of(
+    pub fn new(
         message_encoding: &str,
         type_name: &str,
         schema_encoding: &str,

@@ -385,7 +385,7 @@ pub struct ResidualQuantiles {
 
 impl ResidualQuantiles {
     /// Quantiles of residuals in any order, W. Those that are not finite are ignored.
-    pub fn of(residuals_w: impl IntoIterator<Item = f64>) -> Self {
+    pub fn new(residuals_w: impl IntoIterator<Item = f64>) -> Self {
         Self::of_sorted(&sorted(residuals_w))
     }
 

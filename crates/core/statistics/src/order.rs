@@ -9,7 +9,7 @@ use crate::metrics::ResidualQuantiles;
 /// Values of half an f32.
 const HALVES: usize = 1 << 16;
 
-/// Quantiles of residuals, W, equal to [`ResidualQuantiles::of`] of all numbers that `each` gives,
+/// Quantiles of residuals, W, equal to [`ResidualQuantiles::new`] of all numbers that `each` gives,
 /// to the bit. `each` is called twice and gives the same finite numbers both times, in any order.
 ///
 /// # Errors
@@ -23,7 +23,7 @@ pub fn residual_quantiles<E>(
     let Some(last) = count.checked_sub(1) else {
         return Ok(ResidualQuantiles::of_sorted(&[]));
     };
-    let ranks = ResidualQuantiles::SHARES.map(|share| Place::of(share, last));
+    let ranks = ResidualQuantiles::SHARES.map(|share| Place::new(share, last));
     let mut wanted: Vec<Bucket> = Vec::new();
     for rank in ranks.iter().flat_map(|place| [place.below, place.above]) {
         let (half, _) = bucket(&upper, rank);
@@ -61,7 +61,7 @@ struct Place {
 }
 
 impl Place {
-    fn of(share: f64, last: u64) -> Self {
+    fn new(share: f64, last: u64) -> Self {
         let place = share * last as f64;
         let below = (place.floor() as u64).min(last);
         Self { below, above: (below + 1).min(last), part: place - below as f64 }

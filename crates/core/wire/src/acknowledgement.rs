@@ -50,8 +50,8 @@ rows! {
 }
 
 impl Acknowledgement {
-    /// Of one alarm. `None` if the name is empty, longer than [`MAX_NAME_BYTES`] or has control
-    /// characters.
+    /// An acknowledgement of one alarm. `None` if the name is empty, longer than
+    /// [`MAX_NAME_BYTES`] or has control characters.
     #[must_use]
     pub fn new(robot: u32, alarm: Alarm, at_ns: u64, name: &str) -> Option<Self> {
         let mut by = [0; MAX_NAME_BYTES];

@@ -22,12 +22,12 @@ pub struct AlarmCard {
 }
 
 impl AlarmCard {
-    /// Of every alarm: those of robots in the order of their codes, then those of the worker.
+    /// All cards: those of robots in the order of their codes, then those of the worker.
     pub fn all() -> impl Iterator<Item = &'static Self> {
         OF_ROBOTS.iter().chain(&[Self::IMPLAUSIBLE, Self::WORKER_GONE, Self::WORKER_STALE])
     }
 
-    /// Of the alarm of this name, in any case.
+    /// The card of the alarm of this name, in upper or lower case.
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         Self::all().find(|card| card.name.eq_ignore_ascii_case(name))

@@ -76,20 +76,20 @@ rows! {
         pub change_w: f32,
         /// Weight of the last reading where a new measurement is due, 0 to 1.
         pub weight_last: f32,
-        /// That of the network.
+        /// Weight of the network there.
         pub weight_network: f32,
-        /// That of the stack.
+        /// Weight of the stack there.
         pub weight_stack: f32,
         /// Weight of the last reading where the measurement will be held.
         pub held_weight_last: f32,
-        /// That of the stack.
+        /// Weight of the stack there.
         pub held_weight_stack: f32,
         /// Gain of the last reading within the stack: signed, on its deviation from the model's
         /// autoregression.
         pub gain_last: f32,
-        /// That of the network.
+        /// Gain of the network.
         pub gain_network: f32,
-        /// That of the mean of the readings.
+        /// Gain of the mean of the readings.
         pub gain_mean: f32,
         /// Level that the stack adds, W.
         pub level_w: f32,

@@ -77,7 +77,7 @@ bits! {
         pub const RETURN: u32 = 1 << 0;
         /// `heading_rad` is the heading at the first point; without it, towards the second.
         pub const HEADING: u32 = 1 << 1;
-        /// Of one robot: the power of every step is wanted.
+        /// One robot's: the power of every step is wanted.
         pub const POWER: u32 = 1 << 2;
         /// All bits that this version knows.
         pub const ALL: u32 = RETURN | HEADING | POWER;

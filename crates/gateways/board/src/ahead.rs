@@ -1,6 +1,6 @@
 //! How right the outlooks were: shadow forecasts that are compared with the metered energy.
 //!
-//! Of each robot and horizon one shadow forecast is open at a time. It is made from the robot's
+//! One shadow forecast is open at a time for each robot and horizon. It is made from the robot's
 //! outlook, from its last reading, and from its mean power over 5 s. As soon as the ledger has
 //! metered the horizon without a gap, the energy that was drawn is known to the µJ.
 
@@ -29,7 +29,7 @@ struct Metered {
 }
 
 impl Metered {
-    const fn of(budget: &Budget) -> Self {
+    const fn new(budget: &Budget) -> Self {
         Self {
             drawn_uj: budget.drawn_uj,
             metered_ns: budget.metered_ns,
@@ -155,7 +155,7 @@ impl Ahead {
         if !is_one_tick || budget.flags & budget_flag::LEDGER == 0 {
             return;
         }
-        let now = Metered::of(budget);
+        let now = Metered::new(budget);
         let robot = self.robots.entry(outlook.robot).or_default();
         let mean_w = robot.mean_w(now);
         let is_read = forecast.flags & forecast_flag::READING != 0;

@@ -21,7 +21,7 @@ pub struct AlarmRecord {
     pub change: &'static str,
     /// Time from the raise to the clearance, s. Null while it is raised.
     pub lasted_s: Option<f64>,
-    /// Who has acknowledged it since it was raised.
+    /// The acknowledgement since it was raised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acknowledged: Option<AcknowledgedRecord>,
     /// What it means and what to do. Only of a raise.
@@ -29,7 +29,7 @@ pub struct AlarmRecord {
     pub card: Option<CardRecord>,
 }
 
-/// Who has acknowledged an alarm, and when, as JSON.
+/// An acknowledgement (by whom, when) as JSON.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AcknowledgedRecord {
     /// The person's name.
@@ -39,7 +39,7 @@ pub struct AcknowledgedRecord {
 }
 
 impl AcknowledgedRecord {
-    /// Of a row; `unix_of` converts its time to Unix time, ns.
+    /// Makes it from a row; `unix_of` converts its time to Unix time, ns.
     #[must_use]
     pub fn new(row: &Acknowledgement, unix_of: impl Fn(u64) -> u64) -> Self {
         Self { by: row.by().to_owned(), at_unix_ns: unix_of(row.at_ns) }

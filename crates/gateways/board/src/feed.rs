@@ -55,7 +55,7 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, ConnectError> {
-        let mut reading = Self::of(Subscriber::with_config(config, name)?)?;
+        let mut reading = Self::new(Subscriber::with_config(config, name)?)?;
         if taps {
             reading.tap = Some(Tap::open(config)?);
         }
@@ -69,11 +69,11 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
-        let reading = Self::of(Subscriber::polling(config, name, every)?)?;
+        let reading = Self::new(Subscriber::polling(config, name, every)?)?;
         Ok(Self { polls: true, ..reading })
     }
 
-    fn of(planner: Subscriber) -> Result<Self, ConnectError> {
+    fn new(planner: Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,

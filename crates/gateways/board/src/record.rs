@@ -101,7 +101,7 @@ pub struct OutlookRecord {
 impl OutlookRecord {
     /// An outlook; what is unknown is none.
     #[must_use]
-    pub fn of(outlook: &Outlook) -> Self {
+    pub fn new(outlook: &Outlook) -> Self {
         let joules = |of: [f32; OUTLOOK_HORIZONS]| of.map(|joules| known(joules.into()));
         Self {
             mean_w: known(outlook.mean_w.into()),
@@ -131,7 +131,7 @@ pub struct LearnedRecord {
 }
 
 impl LearnedRecord {
-    fn of(diagnostic: &Diagnostic) -> Self {
+    fn new(diagnostic: &Diagnostic) -> Self {
         Self {
             weight_last: diagnostic.weight_last.into(),
             weight_network: diagnostic.weight_network.into(),
@@ -158,8 +158,8 @@ impl FrameRecord {
             .iter()
             .filter(|(robot, _)| only.is_none_or(|only| only == **robot))
             .map(|(robot, row)| RobotRecord {
-                outlook: board.outlooks.get(robot).map(OutlookRecord::of),
-                ..RobotRecord::of(*robot, &row.newest())
+                outlook: board.outlooks.get(robot).map(OutlookRecord::new),
+                ..RobotRecord::new(*robot, &row.newest())
             })
             .collect();
         Some(Self {
@@ -184,7 +184,7 @@ impl FrameRecord {
 impl RobotRecord {
     /// The rows of `robot`.
     #[must_use]
-    pub fn of(robot: u32, newest: &Newest) -> Self {
+    pub fn new(robot: u32, newest: &Newest) -> Self {
         let forecast = &newest.forecast;
         let quality = forecast.quality();
         let heard = forecast.flags & forecast_flag::SAMPLE != 0;
@@ -215,7 +215,7 @@ impl RobotRecord {
             residual_w: residual.and_then(|d| known(d.residual_w.into())),
             bias_w: scores.and_then(|d| known(d.bias_w.into())),
             network_w: learned.and_then(|d| known(d.network_w.into())),
-            learned: learned.map(LearnedRecord::of),
+            learned: learned.map(LearnedRecord::new),
             scored: diagnostic.map_or(0, |d| d.scored),
             mae_w: score(|d| d.mae_w),
             persistence_mae_w: score(|d| d.persistence_mae_w),

@@ -18,7 +18,7 @@ pub struct Platforms {
 impl Platforms {
     /// The platforms of a fleet.
     #[must_use]
-    pub fn of(settings: &FleetSettings) -> Self {
+    pub fn new(settings: &FleetSettings) -> Self {
         let mut platforms = Self::default();
         for (place, platform) in settings.platforms.iter().enumerate() {
             platforms.names.push(platform.name.clone());

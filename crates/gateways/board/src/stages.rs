@@ -90,9 +90,9 @@ impl Stages {
     #[must_use]
     pub fn latency(&self) -> Latency {
         let [sent_to_taken, taken_to_compute, compute, compute_to_sent, sent_to_readable] =
-            self.parts.each_ref().map(Spread::of);
+            self.parts.each_ref().map(Spread::new);
         Latency {
-            total: Spread::of(&self.total),
+            total: Spread::new(&self.total),
             sent_to_taken,
             taken_to_compute,
             compute,

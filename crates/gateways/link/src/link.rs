@@ -56,7 +56,7 @@ struct CheckReport {
     /// Number of the config's robots in each shard.
     shards: BTreeMap<String, usize>,
     /// The shard that this host's worker may lead.
-    speaks_for: Option<String>,
+    leads: Option<String>,
     /// Links whose samples are taken, or whose outputs are followed.
     takes: Vec<String>,
     /// Links that get the samples published here.
@@ -135,7 +135,7 @@ fn checked(
         ),
     };
     let mut robots = BTreeMap::new();
-    let mut speaks_for = None;
+    let mut leads = None;
     if let Some(map) = settings.shards.as_deref() {
         let name = |shard: usize| map.all()[shard].name.clone();
         robots.extend(map.all().iter().map(|shard| (shard.name.clone(), 0)));
@@ -145,13 +145,13 @@ fn checked(
                 *robots.entry(name(shard)).or_default() += 1;
             }
         }
-        speaks_for = map.of_worker(&settings.name).map(name);
+        leads = map.of_worker(&settings.name).map(name);
     }
     CheckReport {
         fleet: config.fleet().to_owned(),
         link: settings.name.clone(),
         shards: robots,
-        speaks_for,
+        leads,
         mode: network.mode.name(),
         connect: network.connect.clone(),
         listen: network.listen.clone(),
@@ -279,7 +279,7 @@ impl fmt::Display for CheckReport {
         }
         for (shard, robots) in &self.shards {
             let own =
-                if self.speaks_for.as_ref() == Some(shard) { ", whose worker this is" } else { "" };
+                if self.leads.as_ref() == Some(shard) { ", whose worker this is" } else { "" };
             writeln!(out, "shard {shard}: {robots} robots{own}")?;
         }
         for (what, list) in [

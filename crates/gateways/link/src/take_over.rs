@@ -29,7 +29,7 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
             settings.name
         );
     };
-    let places = Places::of(config);
+    let places = Places::new(config);
     if WorkerLock::owner(&config.domain()?)?.is_none() {
         bail!("this host has no worker: start `joulebus run --standby` first");
     }

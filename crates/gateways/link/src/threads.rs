@@ -61,7 +61,7 @@ impl Threads {
         Place { questions, lock }: Place,
         network: Network,
     ) -> anyhow::Result<Self> {
-        let places = Places::of(config);
+        let places = Places::new(config);
         let resumed = settings.standby.is_some().then(|| Leadership::resume(places)).transpose()?;
         let (leadership, permit) = match resumed {
             Some((leadership, permit)) => (Some(Arc::new(leadership)), permit),
@@ -143,7 +143,7 @@ impl Threads {
     /// Ends all threads.
     ///
     /// # Errors
-    /// That of a thread that has failed.
+    /// The error of a thread that has failed.
     pub(crate) fn finish(mut self) -> anyhow::Result<Done> {
         self.running.iter().for_each(Background::stop);
         if let Some(questions) = self.questions.take() {

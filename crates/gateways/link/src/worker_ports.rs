@@ -150,7 +150,7 @@ mod tests {
     use super::*;
     use crate::protocol::carried::RawFrame;
 
-    /// Of a channel that this crate does not name.
+    /// A channel that this crate does not name.
     #[test]
     fn a_frame_of_any_channel_is_written_with_the_times_and_the_place_of_this_host() {
         let root = format!("/dev/shm/joulebus-test-{}-signals", std::process::id());

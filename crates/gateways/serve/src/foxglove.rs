@@ -76,7 +76,7 @@ impl Foxglove {
         let attachments = attach(std::slice::from_ref(config), clock)?;
         let (reader, writer) = io::pipe().context("cannot make a pipe")?;
         let options = Options {
-            settings: CaptureSettings::of(Preset::FastWrite),
+            settings: CaptureSettings::new(Preset::FastWrite),
             per_robot: args.per_robot,
             max_file_ns: u64::MAX,
             queue_bytes: QUEUE_BYTES,

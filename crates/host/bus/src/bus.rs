@@ -26,7 +26,7 @@ use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLo
 
 /// Timeout of retries of creating a node.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
-const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
+const NODE_RETRY_AFTER: Duration = Duration::from_millis(10);
 
 /// Names of the members that have places of their own in every channel: the worker with its
 /// threads, recorders, and links.
@@ -153,7 +153,7 @@ fn create_node(domain: &Domain, config: &Config, name: &NodeName) -> Result<Node
             return Err(JoinError::Node { root: domain.directory(), reason: reason.to_string() });
         }
         tracing::info!(%reason, "creating a node again");
-        std::thread::sleep(NODE_AGAIN_AFTER);
+        std::thread::sleep(NODE_RETRY_AFTER);
     }
 }
 

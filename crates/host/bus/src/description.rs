@@ -37,7 +37,7 @@ use crate::cleanup::incomplete::has_ports;
 
 const SUFFIX: &[u8] = b".service";
 /// A claim is held for microseconds, unless its holder is stopped or makes the service.
-const CLAIM_AGAIN_AFTER: Duration = Duration::from_millis(1);
+const CLAIM_RETRY_AFTER: Duration = Duration::from_millis(1);
 const MAX_TRIES: u32 = 50;
 
 /// A description of a service; also of a node, its ports and services, whose names are unique.
@@ -65,7 +65,7 @@ fn claim(path: &std::path::Path) -> Option<Claim> {
         if claim.is_some() || !path.exists() {
             return claim;
         }
-        sleep(CLAIM_AGAIN_AFTER);
+        sleep(CLAIM_RETRY_AFTER);
     }
     None
 }
@@ -376,7 +376,7 @@ mod tests {
         assert!(clean());
         assert!(!path.exists());
 
-        // Who leaves removes its own, not another's that is being made.
+        // A leaving process removes its own, not another's that is being made.
         let another = begin();
         creating.acquire_ownership();
         drop(creating);

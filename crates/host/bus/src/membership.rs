@@ -98,7 +98,7 @@ impl Membership {
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
             if crate::directory::check(domain)? != this_boot() {
-                // Of an earlier boot, on a disk: recreated, if it contains nothing else.
+                // Left on a disk by an earlier boot: recreated, if it contains nothing else.
                 Marked::fleet(domain).remove();
             }
         }

@@ -45,7 +45,7 @@ use crate::os::memory::{SHM_DIR, reserve};
 use crate::preflight::{check_memory, shared_memory};
 
 /// Polling interval for an object without a length.
-const LOOK_EVERY: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 thread_local! {
     /// What was lacking in this thread's last failed attempt.
@@ -106,7 +106,7 @@ impl<T: Shareable> Builder<'_, T> {
             if begin.elapsed() >= self.timeout {
                 return Err(DynamicStorageOpenError::InitializationNotYetFinalized);
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         posix::Builder::new(&self.name)
             .config(&self.config)

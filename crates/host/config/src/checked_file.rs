@@ -44,7 +44,7 @@ impl File {
     /// The kind that knows most of the file's names outside of sections. A fleet's file if it
     /// cannot be read as TOML.
     #[must_use]
-    pub fn of(path: &Path) -> Self {
+    pub fn new(path: &Path) -> Self {
         let text = files::read(path).unwrap_or_default();
         let Ok(document) = DeTable::parse(&text) else { return Self::Fleet };
         let known = |file: &Self| {
@@ -56,7 +56,7 @@ impl File {
                 |path: &String| keys().any(|key| file.allows(key) && key.below(path).is_some());
             names.filter(below).count()
         };
-        // Of several the last one is the maximum.
+        // The last of several is the maximum.
         Self::ALL.into_iter().rev().max_by_key(known).unwrap_or(Self::Fleet)
     }
 }

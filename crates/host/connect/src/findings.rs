@@ -42,7 +42,7 @@ pub struct FindingsFile {
 }
 
 impl FindingsFile {
-    /// Of a source of the fleet of `config`, without findings.
+    /// Opens the file of a source of the fleet of `config`, without findings.
     #[must_use]
     pub fn new(config: &Config, source: &str) -> Self {
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(found(), [9]);
         drop(other);
         assert_eq!(found(), []);
-        // Of a source that was killed.
+        // Left by a source that was killed.
         one.say([(7, "sign")]).expect("written");
         let file = fs::File::open(&one.path).expect("it is there");
         let written = file.metadata().and_then(|metadata| metadata.modified());

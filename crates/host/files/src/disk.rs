@@ -23,7 +23,7 @@ pub fn is_file(path: &Path) -> bool {
 /// Writes a directory's list of names to the disk: without it a power failure may undo renames.
 ///
 /// # Errors
-/// That of the system.
+/// The system's error.
 pub fn sync_directory(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
@@ -42,7 +42,7 @@ pub fn create_to_append(path: &Path) -> io::Result<File> {
 /// The id of an open file.
 ///
 /// # Errors
-/// That of the system.
+/// The system's error.
 pub fn id(file: &File) -> io::Result<FileId> {
     file.metadata().map(|found| (found.dev(), found.ino()))
 }
@@ -50,7 +50,7 @@ pub fn id(file: &File) -> io::Result<FileId> {
 /// The file of that name and its length; `None` if there is none.
 ///
 /// # Errors
-/// That of the system.
+/// The system's error.
 pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
     match std::fs::metadata(path) {
         Ok(found) => Ok(Some(((found.dev(), found.ino()), found.len()))),
@@ -65,7 +65,7 @@ pub type Version = (u64, i64, i64);
 /// The version of the file of that name.
 ///
 /// # Errors
-/// That of the system.
+/// The system's error.
 pub fn version(path: &Path) -> io::Result<Version> {
     std::fs::metadata(path).map(|it| (it.ino(), it.mtime(), it.mtime_nsec()))
 }

@@ -22,7 +22,7 @@ pub struct Utc {
 impl Utc {
     /// Converts Unix time, ns.
     #[must_use]
-    pub fn of(unix_ns: u64) -> Self {
+    pub fn new(unix_ns: u64) -> Self {
         let seconds = unix_ns / 1_000_000_000;
         let (year, month, day) = date(seconds / 86_400);
         Self {
@@ -85,7 +85,7 @@ mod tests {
             (47_540, "2100-02-28"),
             (47_541, "2100-03-01"),
         ] {
-            assert_eq!(Utc::of(days * 86_400_000_000_000).date(), shown);
+            assert_eq!(Utc::new(days * 86_400_000_000_000).date(), shown);
         }
     }
 }

@@ -24,7 +24,7 @@ pub struct Places {
 impl Places {
     /// The paths of the fleet of `config` on this host.
     #[must_use]
-    pub fn of(config: &Config) -> Self {
+    pub fn new(config: &Config) -> Self {
         let directory = config.root().join(config.fleet());
         let [permit, keyframe, replica, request] = STANDBY_FILES.map(|name| directory.join(name));
         Self { permit, keyframe, replica, request }

@@ -176,7 +176,7 @@ struct Seen {
 }
 
 impl Seen {
-    fn of(recording: &Recording, contents: &Contents, lags: usize) -> Self {
+    fn new(recording: &Recording, contents: &Contents, lags: usize) -> Self {
         let Contents { trial, rows, .. } = contents;
         Self {
             info: SourceInfo {
@@ -188,7 +188,7 @@ impl Seen {
             },
             rows: trial.rows(),
             held: trial.notes().held_readings,
-            sums: LagSums::of(trial, lags),
+            sums: LagSums::new(trial, lags),
             has_velocities: rows.rows.iter().any(|row| velocities_known(&row.features)),
         }
     }
@@ -203,7 +203,7 @@ fn analyze_series(
     let (mut seen, mut left_out) = (Vec::new(), Vec::new());
     let mut is_left_out = vec![false; view.recordings().len()];
     view.each_that_fits(
-        |at, contents| Seen::of(view.recordings()[at], contents, settings.lags),
+        |at, contents| Seen::new(view.recordings()[at], contents, settings.lags),
         |at, found| match found {
             Ok(found) => seen.push(found),
             Err(reason) => {

@@ -182,7 +182,7 @@ struct Intervals {
 }
 
 impl Intervals {
-    fn of(scored: &[Scored], interval_j: impl Fn(&Scored) -> Option<[f64; 2]>) -> Self {
+    fn new(scored: &[Scored], interval_j: impl Fn(&Scored) -> Option<[f64; 2]>) -> Self {
         let (mut count, mut inside, mut below) = (0.0, 0.0, 0.0);
         let (mut width_j, mut missed_j) = (0.0, 0.0);
         for one in scored {
@@ -203,8 +203,8 @@ fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
     let count = scored.len() as f64;
     let energy_j: f64 = scored.iter().map(|one| one.energy_j.abs()).sum();
     let mean_j = energy_j / count;
-    let plans = Intervals::of(scored, |one| one.interval_j);
-    let outlooks = Intervals::of(scored, |one| one.outlook_interval_j);
+    let plans = Intervals::new(scored, |one| one.interval_j);
+    let outlooks = Intervals::new(scored, |one| one.outlook_interval_j);
     let mut residuals: Vec<f64> =
         scored.iter().map(|one| one.energy_j - one.forecasts_j[0]).collect();
     residuals.sort_by(f64::total_cmp);

@@ -71,7 +71,7 @@ pub enum Forecast {
 impl Forecast {
     /// The published forecast of a model's platform. `online` states that it learns online
     /// ([`Platform::online`]).
-    pub const fn of(model: &Model, online: bool) -> Self {
+    pub const fn new(model: &Model, online: bool) -> Self {
         match (model, online) {
             (Model::Persistence(_), _) => Self::Persistence,
             (Model::Network(_), true) => Self::Online,
@@ -227,7 +227,7 @@ pub fn evaluate_trial(
         notes: trial.notes().clone(),
         platform: settings.platforms[kind].name.clone(),
         model: models[kind].name().to_owned(),
-        forecast: Forecast::of(&models[kind], settings.platforms[kind].online),
+        forecast: Forecast::new(&models[kind], settings.platforms[kind].online),
         steps,
         scores: fleet.scores(robot).unwrap_or_default(),
         coverage: coverage.unwrap_or(f32::NAN),

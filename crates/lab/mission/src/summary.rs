@@ -83,7 +83,7 @@ pub struct Comparison {
 impl Summary {
     /// Summarises the missions of each policy, all of the same seeds, joulebus last. The oracle is
     /// no baseline.
-    pub fn of(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
+    pub fn new(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
         let last = runs.last().map(|runs| runs.outcomes.as_slice());
         let policies = runs.iter().map(|own| summary(own, last.unwrap_or_default(), &scenario));
         let policies: Vec<PolicySummary> = policies.collect();

@@ -76,12 +76,12 @@ fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
         runs(CHOSEN[2], 120, 1),
         runs(CHOSEN[3], 110, 0),
     ];
-    let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
+    let verdict = Summary::new(short(), 1, &all).verdict.unwrap();
     assert_eq!(verdict.baseline, Some("distance"));
     let more = verdict.more.unwrap();
     assert!((more.value - 0.1).abs() < 1e-12 && more.lo <= more.value, "{more:?}");
     let all = [runs(CHOSEN[2], 120, 1), runs(CHOSEN[3], 110, 0)];
-    assert_eq!(Summary::of(short(), 1, &all).verdict.unwrap().baseline, None);
+    assert_eq!(Summary::new(short(), 1, &all).verdict.unwrap().baseline, None);
 }
 
 #[test]
@@ -95,6 +95,6 @@ fn with_true_energies_nobody_strands_robots_charge_later_and_the_oracle_is_no_ba
     let runs =
         |policy: Policy, outcome: &Outcome| Runs { policy, outcomes: vec![outcome.clone(); 10] };
     let all = [runs(Policy::Oracle, &more), runs(CHOSEN[1], &joulebus), runs(CHOSEN[3], &joulebus)];
-    let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
+    let verdict = Summary::new(short(), 1, &all).verdict.unwrap();
     assert_eq!(verdict.baseline, Some("distance"));
 }

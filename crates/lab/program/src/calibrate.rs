@@ -236,7 +236,7 @@ fn left_out(file: &Path, robots: usize) {
 
 /// The date, in UTC.
 fn today() -> String {
-    Utc::of(clock::unix_ns()).date()
+    Utc::new(clock::unix_ns()).date()
 }
 
 /// False alarms an hour of a text like `1/day`.

@@ -52,7 +52,7 @@ pub(super) fn levels(
             if let Some(design) = design {
                 design.restrict(at, contents, &mut robot);
             }
-            let series = Series::of(&robot);
+            let series = Series::new(&robot);
             let (mut live, mut fixed) = (CoverageTally::default(), CoverageTally::default());
             for at in 0..series.len() {
                 let (reading_w, forecast_w) = (series.reading_w[at], series.forecast_w[at]);
@@ -205,7 +205,7 @@ fn promise(levels: &[Level]) -> Panel {
 fn means(material: &Material<'_>) -> Panel {
     let unit = material.unit;
     let pairs = material.live().iter().flat_map(|robot| {
-        let series = Series::of(robot);
+        let series = Series::new(robot);
         let residuals_w: Vec<f64> = series.residuals_w().collect();
         series.forecast_w.into_iter().zip(residuals_w).collect::<Vec<_>>()
     });

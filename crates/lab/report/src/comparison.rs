@@ -41,7 +41,7 @@ struct Line {
 }
 
 impl Numbers {
-    pub(super) fn of(draw: &Draw) -> Self {
+    pub(super) fn new(draw: &Draw) -> Self {
         let mut paper = Vec::new();
         power_numbers(&mut paper, draw);
         network_numbers(&mut paper, draw);

@@ -95,7 +95,7 @@ impl Recordings {
         let (alone, together) = (scored(&self.trials)?, scored(&self.robots)?);
         let plain = |recordings: &[Recording]| -> Vec<Plain> {
             let contents = recordings.iter().filter_map(Recording::in_memory);
-            contents.map(|one| Plain::of(network, one)).collect()
+            contents.map(|one| Plain::new(network, one)).collect()
         };
         Ok(Draw {
             plain_alone: plain(&self.trials),
@@ -127,7 +127,7 @@ pub(super) struct Plain {
 }
 
 impl Plain {
-    fn of(network: &Network, contents: &Contents) -> Self {
+    fn new(network: &Network, contents: &Contents) -> Self {
         let rows = &contents.rows.rows;
         let inputs: Vec<_> = rows.iter().map(|row| row.features).collect();
         let mut forecasts_w = vec![0.0; rows.len()];

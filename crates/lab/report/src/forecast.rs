@@ -178,7 +178,7 @@ fn window(material: &Material<'_>, series: &Series) -> Panel {
 fn residuals(material: &Material<'_>, series: &Series, name: &str) -> Table {
     let unit = material.unit;
     let found = tally(&series.reading_w, &series.forecast_w, f64::NAN);
-    let quantiles = ResidualQuantiles::of(series.residuals_w());
+    let quantiles = ResidualQuantiles::new(series.residuals_w());
     let with = material.beside_paper;
     let mut rows = Vec::new();
     let mut row = |what: &str, here: Cell, paper: Option<Cell>| {

@@ -78,7 +78,7 @@ impl<'a> Material<'a> {
     pub(super) fn series(&self, name: &str) -> Option<Series> {
         let mut robots = self.live().iter();
         let robot = robots.find(|robot| robot.path.display().to_string() == name)?;
-        Some(Series::of(robot))
+        Some(Series::new(robot))
     }
 
     /// Adds the note to a figure.

@@ -29,13 +29,13 @@ struct Readings {
 }
 
 impl Readings {
-    /// Of recordings in memory.
+    /// Recordings in memory.
     fn of_all(recordings: &[Recording]) -> impl Iterator<Item = Self> + '_ {
         let in_memory = recordings.iter();
-        in_memory.filter_map(|recording| Some(Self::of(&recording.name, recording.in_memory()?)))
+        in_memory.filter_map(|recording| Some(Self::new(&recording.name, recording.in_memory()?)))
     }
 
-    fn of(name: &str, contents: &Contents) -> Self {
+    fn new(name: &str, contents: &Contents) -> Self {
         let trial = &contents.trial;
         let power_w: Vec<f64> = readings_w(trial).collect();
         let (mean_w, std_w) = mean_and_std(&power_w);

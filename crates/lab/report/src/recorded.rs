@@ -69,7 +69,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     let material = Material {
         recordings,
         scored: &scored,
-        unit: Unit::of(scored.report.all.reading_mean_w),
+        unit: Unit::new(scored.report.all.reading_mean_w),
         note: note.as_deref(),
         beside_paper: published,
     };

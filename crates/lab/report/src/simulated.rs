@@ -59,7 +59,7 @@ pub fn simulated(
         let recordings = Recordings::simulated(experiment, seed);
         let trained = recordings.train(experiment, |epoch| progress(seed, epoch))?;
         let draw = recordings.score(&trained.network, settings, &scores_only())?;
-        draws.push(Numbers::of(&draw));
+        draws.push(Numbers::new(&draw));
         networks.push(trained);
     }
     let shown = comparison::most_typical(&draws);

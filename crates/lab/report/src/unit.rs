@@ -11,7 +11,7 @@ pub(super) enum Unit {
 
 impl Unit {
     /// Milliwatt if the mean is below 20 W.
-    pub(super) fn of(mean_power_w: f64) -> Self {
+    pub(super) fn new(mean_power_w: f64) -> Self {
         if mean_power_w.abs() < 20.0 { Self::Milliwatt } else { Self::Watt }
     }
 

@@ -55,18 +55,18 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         own.map(|(_, run)| run).collect()
     });
     let all: Vec<&Run> = runs.iter().collect();
-    let commands = [CommandFit::of(&halves[0], period_s)?, CommandFit::of(&halves[1], period_s)?];
+    let commands = [CommandFit::new(&halves[0], period_s)?, CommandFit::new(&halves[1], period_s)?];
     let (prior_s, crossed) = crossed(&halves, &commands, period_s)?;
     let known: Vec<&Crossed> = crossed.iter().map_while(Option::as_ref).collect();
     let longest = known.len().checked_sub(1)?;
-    let command = CommandFit::of(&all, period_s)?;
+    let command = CommandFit::new(&all, period_s)?;
     let mean_w = command.model.mean_w.into();
     let mean_share = mean_share(&known, mean_w);
     let known: Vec<Known> = known
         .iter()
         .zip(HORIZONS_S)
         .map(|(crossed, horizon_s)| {
-            let origins = Origins::of(&all, &command, horizon_s.into(), period_s);
+            let origins = Origins::new(&all, &command, horizon_s.into(), period_s);
             Known {
                 added_share: crossed.with.added as f32,
                 weights: origins.weights(&crossed.with).map(|weight| weight as f32),
@@ -110,7 +110,7 @@ fn crossed(
         let at = |horizon_s: f32| {
             let of = |added| {
                 let with = With { prior_s, added };
-                Crossed::of(halves, commands, (horizon_s.into(), period_s), &with)
+                Crossed::new(halves, commands, (horizon_s.into(), period_s), &with)
             };
             let all = ADDED_SHARES.map(of).into_iter().filter(Crossed::enough);
             all.min_by(|a, b| a.loss().total_cmp(&b.loss()))
@@ -205,7 +205,7 @@ impl CommandFit {
     /// Least squares with non-negative weights. Each block of a run has its own level, because a
     /// robot's level is measured live: differences between robots and floors must not be attributed
     /// to commands. `None` without a mean power above 0.
-    fn of(runs: &[&Run], period_s: f64) -> Option<Self> {
+    fn new(runs: &[&Run], period_s: f64) -> Option<Self> {
         let rows: usize = runs.iter().map(|run| run.power_w.len()).sum();
         let sum_w: f64 = runs.iter().flat_map(|run| &run.power_w).sum();
         let mean_w = sum_w / rows as f64;
@@ -224,7 +224,7 @@ impl CommandFit {
         let mut weights = [0.0; TERMS];
         weights[0] = mean_w;
         for _ in 0..8 {
-            weights = Normal::of(&blocks, &weights, &scales, mean_w).solve(&weights);
+            weights = Normal::new(&blocks, &weights, &scales, mean_w).solve(&weights);
             let fitted: f64 = blocks
                 .iter()
                 .flat_map(|block| &block.rows)
@@ -301,7 +301,7 @@ struct Normal {
 
 impl Normal {
     /// Scales each block by its level under the weights so far.
-    fn of(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
+    fn new(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
         /// Against terms that vary together, in shares of the mean square.
         const RIDGE: f64 = 1e-3;
         let mut normal = Self { left: [[0.0; TERMS]; TERMS], right: [0.0; TERMS] };
@@ -377,7 +377,7 @@ struct Origins {
 }
 
 impl Origins {
-    fn of(runs: &[&Run], command: &CommandFit, horizon_s: f64, period_s: f64) -> Self {
+    fn new(runs: &[&Run], command: &CommandFit, horizon_s: f64, period_s: f64) -> Self {
         let steps = (horizon_s / period_s).round().max(1.0) as usize;
         let candidates = |run: &&Run| (run.power_w.len() + 1).saturating_sub(steps);
         let total: usize = runs.iter().map(candidates).sum();
@@ -497,7 +497,7 @@ struct Crossed {
 }
 
 impl Crossed {
-    fn of(
+    fn new(
         halves: &[Vec<&Run>; 2],
         commands: &[CommandFit; 2],
         (horizon_s, period_s): (f64, f64),
@@ -506,8 +506,8 @@ impl Crossed {
         let mut found = Self { with: *with, pairs: Vec::new(), runs: 0, duration_s: 0.0 };
         for (own, other) in [(0, 1), (1, 0)] {
             let command = &commands[own];
-            let weights = Origins::of(&halves[own], command, horizon_s, period_s).weights(with);
-            let scored = Origins::of(&halves[other], command, horizon_s, period_s);
+            let weights = Origins::new(&halves[own], command, horizon_s, period_s).weights(with);
+            let scored = Origins::new(&halves[other], command, horizon_s, period_s);
             found.runs += scored.runs;
             found.duration_s = scored.duration_s;
             found.pairs.extend(scored.origins.iter().map(|origin| Pair {

@@ -62,7 +62,7 @@ impl Terms {
     }
 
     /// The features at these positions in [`Features`]. Other positions are ignored.
-    pub fn of(features: &[usize]) -> Terms {
+    pub fn new(features: &[usize]) -> Terms {
         let known = features.iter().filter(|feature| **feature < FEATURES);
         Terms(known.fold(0, |bits, feature| bits | 1 << feature))
     }
@@ -509,7 +509,7 @@ impl KnownFeatures {
     pub const NONE: KnownFeatures = KnownFeatures(Terms(0));
 
     /// The known features of some rows. Only those of `asked` are checked.
-    pub fn of(rows: &[Row], asked: Terms) -> KnownFeatures {
+    pub fn new(rows: &[Row], asked: Terms) -> KnownFeatures {
         let is_known = |feature: &usize| {
             let mut rows = rows.iter();
             rows.any(|row| row.features[*feature].is_finite())
@@ -532,7 +532,7 @@ impl KnownFeatures {
 
 /// The terms that are finite in any row of some parts, and the positions of the others.
 pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
-    let each = parts.iter().map(|rows| KnownFeatures::of(rows, terms));
+    let each = parts.iter().map(|rows| KnownFeatures::new(rows, terms));
     let known = each.fold(KnownFeatures::NONE, KnownFeatures::or);
     known.split(terms)
 }

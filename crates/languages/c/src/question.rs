@@ -93,7 +93,7 @@ impl<'a> Places<'a> {
     /// # Safety
     /// The pointers of `of` point to as many elements as its capacities say.
     #[allow(unsafe_code, reason = "memory of the caller")]
-    pub(crate) unsafe fn of(
+    pub(crate) unsafe fn new(
         of: &joulebus_answers,
         question: &joulebus_question,
     ) -> Result<Self, Failure> {

@@ -84,7 +84,7 @@ impl Predictor {
             ));
         }
         let (v, omega) = (Numbers::read("v", v)?, Numbers::read("omega", omega)?);
-        let shape = Shape::of(&v, &omega)?;
+        let shape = Shape::new(&v, &omega)?;
         let starts = starts(shape.robots, readings_w, before.as_ref())?;
         let (energy_j, power_w) =
             py.detach(|| shape.roll(&model, &starts, &v.values, &omega.values, step_s))?;
@@ -193,7 +193,7 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(v: &Numbers, omega: &Numbers) -> PyResult<Self> {
+    fn new(v: &Numbers, omega: &Numbers) -> PyResult<Self> {
         if v.shape != omega.shape {
             let allowed = format!("{}, that of v", v.shape_text());
             return Err(shape_error("omega", &omega.shape, &allowed));

@@ -241,7 +241,7 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    pub(crate) fn of((columns, current, accepted): Given) -> PyResult<Self> {
+    pub(crate) fn new((columns, current, accepted): Given) -> PyResult<Self> {
         let refused = |error: String| PyValueError::new_err(error);
         let columns = columns.iter().map(|column| column.parse::<MappedColumn>());
         let columns = columns.collect::<Result<Vec<_>, _>>();
@@ -305,7 +305,7 @@ pub(crate) fn read_trials<'py>(
     path: PathBuf,
     reading: Given,
 ) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
-    let reading = Reading::of(reading)?;
+    let reading = Reading::new(reading)?;
     let trials = py.detach(|| Trial::read_mapped(&path, &reading.map));
     let trials = trials.map_err(|error| refused_trial(&error))?;
     py.detach(|| reading.judge_trials(&trials))?;
@@ -335,7 +335,7 @@ pub(crate) fn write_trial(
     accepted: Vec<String>,
 ) -> PyResult<()> {
     let trial = trial(&path, robot, columns)?;
-    Reading::of((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
+    Reading::new((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
     py.detach(|| trial.to_table().write(&path))
         .map_err(|error| RecordingError::new_err(error.to_string()))
 }
@@ -348,7 +348,7 @@ pub(crate) fn trial_rows<'py>(
     accepted: Vec<String>,
 ) -> PyResult<(Floats<'py>, Floats<'py>)> {
     let trial = trial(Path::new("the trial"), "", columns)?;
-    Reading::of((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
+    Reading::new((Vec::new(), None, accepted))?.judge_trials(std::slice::from_ref(&trial))?;
     let found = py.detach(|| rows_of(&trial)).rows;
     let features: Vec<f32> = found.iter().flat_map(|row| row.features).collect();
     let targets_w: Vec<f32> = found.iter().map(|row| row.target_w).collect();

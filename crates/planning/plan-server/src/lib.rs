@@ -208,11 +208,11 @@ impl Steps for Answering {
             // The worker learns it too, and ends.
             self.shared.serves.store(false, Ordering::Release);
         }
-        let is_worn = served.is_ok() && server.is_worn();
-        if is_worn || served.is_err() {
+        let needs_reopen = served.is_ok() && server.needs_reopen();
+        if needs_reopen || served.is_err() {
             self.table = server.table();
         }
-        match (served, self.server.take_if(|_| is_worn)) {
+        match (served, self.server.take_if(|_| needs_reopen)) {
             (Ok(()), None) => return Some(Duration::ZERO),
             (Ok(()), Some(worn)) => match worn.renewed() {
                 Ok(server) => {

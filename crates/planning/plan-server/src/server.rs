@@ -114,8 +114,8 @@ impl Server {
     }
 
     /// Whether connections of clients that have left may be kept.
-    pub(crate) fn is_worn(&self) -> bool {
-        self.server.is_worn(self.jobs.is_empty())
+    pub(crate) fn needs_reopen(&self) -> bool {
+        self.server.needs_reopen(self.jobs.is_empty())
     }
 
     /// With a new port for questions. Clients whose questions are dropped send them again.

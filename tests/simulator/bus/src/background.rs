@@ -20,7 +20,7 @@ impl Background {
     /// Starts a thread.
     ///
     /// # Errors
-    /// That of `open`.
+    /// The error of `open`.
     pub fn start<S: Steps + 'static, E: From<io::Error> + Send + 'static>(
         _name: &str,
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
@@ -36,7 +36,7 @@ impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
     /// Starts a thread that repeats its rounds.
     ///
     /// # Errors
-    /// That of `open`.
+    /// The error of `open`.
     pub fn repeat<W: Rounds<T, E> + 'static, J>(
         _name: &str,
         open: impl FnOnce() -> Result<(W, J), E>,
@@ -63,7 +63,7 @@ impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
     /// Stops the thread, and returns what it ended with.
     ///
     /// # Errors
-    /// That of its work.
+    /// The error of its work.
     pub fn join(mut self) -> Result<T, E> {
         let _ = self.finish();
         let ended = self.ended.take();

@@ -16,9 +16,9 @@ use crate::{
     Waiter, Waker, clock,
 };
 
-#[path = "../../../../crates/host/bus/src/ports/worn.rs"]
-mod worn;
-use worn::Wear;
+#[path = "../../../../crates/host/bus/src/ports/connection_leak.rs"]
+mod connection_leak;
+use connection_leak::ConnectionLeak;
 
 /// Connections at which iceoryx2 panics.
 const MAX_KEPT: usize = 128;
@@ -95,7 +95,7 @@ pub struct QueryServer {
     server: Rc<Server>,
     asked: Waiter,
     answered: Waker,
-    wear: Wear,
+    leak: ConnectionLeak,
     bus: Bus,
 }
 
@@ -126,7 +126,7 @@ impl QueryServer {
             }
         })?;
         let _ = answered.wake(WakeEvent::Frame);
-        Ok(Self { server, asked, answered, wear: Wear::default(), bus: bus.clone() })
+        Ok(Self { server, asked, answered, leak: ConnectionLeak::default(), bus: bus.clone() })
     }
 
     /// The next waiting question.
@@ -184,12 +184,12 @@ impl QueryServer {
     /// Number of clients.
     pub fn clients(&mut self) -> usize {
         let now = with(|state| state.clients.iter().map(|(port, _)| *port).collect());
-        self.wear.look(now, clock::monotonic_ns())
+        self.leak.look(now, clock::monotonic_ns())
     }
 
     /// Whether the port is to be opened again.
-    pub fn is_worn(&self, is_idle: bool) -> bool {
-        self.wear.is_worn(is_idle, clock::monotonic_ns())
+    pub fn needs_reopen(&self, is_idle: bool) -> bool {
+        self.leak.needs_reopen(is_idle, clock::monotonic_ns())
     }
 }
 

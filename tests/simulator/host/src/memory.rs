@@ -25,7 +25,7 @@ impl Account {
         Self(byte % ACCOUNTS as u8)
     }
 
-    const fn of(pid: u32) -> Self {
+    const fn new(pid: u32) -> Self {
         let first = FIRST_PID;
         match pid.checked_sub(first) {
             Some(place) if place + 1 < ACCOUNTS as u32 => Self(place as u8 + 1),
@@ -44,7 +44,7 @@ thread_local! {
 pub fn allocated(bytes: usize) -> Account {
     // Locals are gone while a thread ends.
     let is_outside = IS_OUTSIDE.try_with(Cell::get).unwrap_or(true);
-    let account = if is_outside { Account(0) } else { Account::of(current()) };
+    let account = if is_outside { Account(0) } else { Account::new(current()) };
     add(account, bytes as i64);
     account
 }
@@ -63,7 +63,7 @@ fn add(account: Account, bytes: i64) {
 
 /// Bytes that the process `pid`, and earlier ones with its pid, have allocated and not freed.
 pub fn live(pid: u32) -> i64 {
-    LIVE.with(|live| live[usize::from(Account::of(pid).0)].get())
+    LIVE.with(|live| live[usize::from(Account::new(pid).0)].get())
 }
 
 /// Runs `work`, whose allocations are not the process's, but the disk's or shared memory's.

@@ -44,7 +44,7 @@ impl Link {
     /// Ends the link; the reason if a thread has failed.
     ///
     /// # Errors
-    /// That of a thread.
+    /// A thread's error.
     pub fn finish(self) -> anyhow::Result<()> {
         self.0.finish().map(drop)
     }

@@ -30,7 +30,7 @@ pub(super) struct Seen {
     pub run: u64,
     pub tick: u64,
     pub robots: usize,
-    /// Of its rows, without times.
+    /// A hash of its rows, without times.
     pub digest: u64,
 }
 

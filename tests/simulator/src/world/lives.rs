@@ -9,7 +9,7 @@ use super::state::{PIDS, SECOND, World};
 use crate::check::{Checked, Ending, failure};
 use crate::ledger::newest_whole;
 use crate::process::{
-    self, ClientProgram, Finished, LOOK_EVERY_NS, PlannerProgram, Program, SourceProgram,
+    self, ClientProgram, Finished, POLL_INTERVAL_NS, PlannerProgram, Program, SourceProgram,
 };
 use crate::scenario::Role;
 
@@ -213,7 +213,7 @@ impl World<'_> {
                 && !slot.is_warned
                 && slot.follows.is_some_and(|(_, run, _)| run == ended)
             {
-                slot.learn_until_ns = now_ns + 3 * period_ns + 4 * LOOK_EVERY_NS;
+                slot.learn_until_ns = now_ns + 3 * period_ns + 4 * POLL_INTERVAL_NS;
                 slot.wake_ns = slot.wake_ns.min(now_ns + 50_000);
             }
         }

@@ -9,7 +9,7 @@ use simulated_host::{self as host, disk, time};
 use super::state::{FOREIGN, SECOND, World};
 use crate::check::{Checked, failure};
 use crate::ledger::LEDGER;
-use crate::process::{LOOK_EVERY_NS, Program};
+use crate::process::{POLL_INTERVAL_NS, Program};
 use crate::scenario::Role;
 
 /// The robot of the source that joins last.
@@ -61,7 +61,7 @@ impl World<'_> {
     }
 
     fn planners_are_fresh(&self) -> Checked {
-        let most_ns = 2 * self.scenario.setup.period_ns + 2 * LOOK_EVERY_NS + SECOND / 10;
+        let most_ns = 2 * self.scenario.setup.period_ns + 2 * POLL_INTERVAL_NS + SECOND / 10;
         for slot in &self.slots {
             let Some(Program::Planner(planner)) = &slot.program else {
                 if matches!(slot.role, Some(Role::Planner(_))) {

@@ -17,7 +17,7 @@ const ACCESSES: u64 = 3 + 5 + 7 + 1;
 
 /// A small fleet to which nothing happens but `faults`.
 fn scenario(seed: u64, faults: &[(u64, Fault)]) -> Scenario {
-    let drawn = Scenario::of(seed, Some(40 * SECOND)).only(&[]);
+    let drawn = Scenario::new(seed, Some(40 * SECOND)).only(&[]);
     Scenario {
         setup: Setup {
             robots: 1,

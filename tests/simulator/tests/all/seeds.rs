@@ -107,7 +107,7 @@ fn seeds_of_the_environment() {
 /// A seed means one run, to the nanosecond, in any thread and after any other.
 #[test]
 fn a_seed_is_played_again_exactly() {
-    let scenarios = [1, 4, 11].map(|seed| Scenario::of(seed, Some(2 * MINUTES_NS)));
+    let scenarios = [1, 4, 11].map(|seed| Scenario::new(seed, Some(2 * MINUTES_NS)));
     let one = scenarios.each_ref().map(whole);
     let again = std::thread::scope(|scope| {
         scope.spawn(|| scenarios.iter().rev().map(whole).collect::<Vec<_>>()).join().unwrap()
@@ -123,7 +123,7 @@ fn a_seed_is_played_again_exactly() {
 fn every_kind_of_fault_is_planned() {
     let mut kinds = BTreeSet::new();
     for seed in 1..=60 {
-        for (_, (_, fault)) in Scenario::of(seed, Some(10 * MINUTES_NS)).faults {
+        for (_, (_, fault)) in Scenario::new(seed, Some(10 * MINUTES_NS)).faults {
             let text = format!("{fault:?}");
             kinds.insert(text.split('(').next().unwrap_or_default().to_owned());
         }

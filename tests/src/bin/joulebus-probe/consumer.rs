@@ -9,7 +9,7 @@ use joulebus_tests::ReaderLine;
 
 use crate::{Done, print_line, stop_with_stdin};
 
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(config: &Config) -> Done {
     let stop = stop_with_stdin();
@@ -17,7 +17,7 @@ pub(crate) fn run(config: &Config) -> Done {
     print_line(&ReaderLine::Ready)?;
     while !stop.load(Ordering::Relaxed) {
         let gaps = planner.counts().gaps;
-        let line = match planner.wait_next(LOOK_EVERY)? {
+        let line = match planner.wait_next(POLL_INTERVAL)? {
             Event::Frame(frame) => ReaderLine::Given {
                 worker_epoch: frame.header().worker_epoch,
                 tick: frame.header().tick,

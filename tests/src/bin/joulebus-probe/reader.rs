@@ -9,7 +9,7 @@ use joulebus_wire::{Budgets, Diagnostics, Forecasts};
 
 use crate::{Done, print_line, stop_with_stdin};
 
-const LOOK_EVERY_NS: u64 = 20_000_000;
+const POLL_INTERVAL_NS: u64 = 20_000_000;
 
 /// A planner; with `holds` it keeps its first frame until it is killed.
 pub(crate) fn plan(config: &Config, holds: bool) -> Done {
@@ -28,7 +28,7 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
     }
     let mut worker: Option<(u32, PeerWatch)> = None;
     while !stop.load(Ordering::Relaxed) {
-        let until_ns = clock::monotonic_ns() + LOOK_EVERY_NS;
+        let until_ns = clock::monotonic_ns() + POLL_INTERVAL_NS;
         let watched = worker.as_ref().map(|(_, watch)| watch);
         let woken = waiter.wait_until(Some(until_ns), watched)?;
         let now_ns = clock::monotonic_ns();
@@ -106,7 +106,7 @@ pub(crate) fn record(config: &Config) -> Done {
     let mut frame = FrameBuf::new(limits.capacity);
     print_line(&ReaderLine::Ready)?;
     while !stop.load(Ordering::Relaxed) {
-        waiter.wait_until(Some(clock::monotonic_ns() + LOOK_EVERY_NS), None)?;
+        waiter.wait_until(Some(clock::monotonic_ns() + POLL_INTERVAL_NS), None)?;
         loop {
             match samples.take(&mut frame) {
                 Ok(true) => {}

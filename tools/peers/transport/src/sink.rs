@@ -34,7 +34,7 @@ impl Sink {
         let stamps = stamps(frame);
         let mut stdout = io::stdout();
         if stamps.due_ns == 0 {
-            writeln!(stdout, "\n{}", serde_json::to_string(&Spread::of(&self.times))?)?;
+            writeln!(stdout, "\n{}", serde_json::to_string(&Spread::new(&self.times))?)?;
             return Ok(true);
         }
         self.seen += 1;

@@ -197,7 +197,7 @@ pub(super) fn choose(
     mapping: &Mapping,
     channels: &[Channel],
 ) -> Result<Vec<RobotMapping>, ImportError> {
-    let search = Search::of(channels);
+    let search = Search::new(channels);
     if !mapping.robots.is_empty() {
         let mut robots = mapping.robots.clone();
         for robot in &mut robots {
@@ -306,7 +306,7 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn of(channels: &'a [Channel]) -> Self {
+    fn new(channels: &'a [Channel]) -> Self {
         let of_kind = |kinds: &[RosType]| -> Vec<&str> {
             let used = channels.iter().filter(|channel| {
                 channel.messages > 0 && channel.kind.as_ref().is_ok_and(|kind| kinds.contains(kind))

@@ -106,7 +106,7 @@ fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>
                 let empty = (String::new(), String::new(), Vec::new());
                 let (type_name, encoding, data) = schemas.get(&channel.schema_id).unwrap_or(&empty);
                 let found = Channel {
-                    kind: RosType::of(&channel.message_encoding, type_name, encoding, data),
+                    kind: RosType::new(&channel.message_encoding, type_name, encoding, data),
                     topic: channel.topic,
                     type_name: type_name.clone(),
                     encoding: channel.message_encoding,
@@ -142,7 +142,7 @@ fn read_tracks(
                 let Some((type_name, encoding, data)) = schemas.get(&channel.schema_id) else {
                     return Ok(());
                 };
-                if let Ok(kind) = RosType::of(&channel.message_encoding, type_name, encoding, data)
+                if let Ok(kind) = RosType::new(&channel.message_encoding, type_name, encoding, data)
                 {
                     kinds.insert(channel.id, (channel.topic, kind));
                 }

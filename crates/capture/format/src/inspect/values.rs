@@ -163,7 +163,7 @@ impl Channel {
                 Err(why) => How::Unknown(why),
             },
             "json" => How::Json,
-            other => match ros::RosType::of(other, &schema.name, &schema.encoding, &schema.data) {
+            other => match ros::RosType::new(other, &schema.name, &schema.encoding, &schema.data) {
                 Ok(kind) => How::Ros(kind),
                 Err(error) => How::Unknown(error.to_string()),
             },

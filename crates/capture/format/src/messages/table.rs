@@ -106,7 +106,7 @@ pub(super) enum Number {
 }
 
 impl Number {
-    fn of(memory: FieldType, encoded: Type) -> Option<Self> {
+    fn new(memory: FieldType, encoded: Type) -> Option<Self> {
         Some(match (memory, encoded) {
             (FieldType::U16, Type::Uint32) => Self::U16,
             (FieldType::U16, Type::Enum) => Self::Code16,
@@ -183,7 +183,7 @@ impl Table {
         let mut described: Vec<&FieldDescriptorProto> = message.field.iter().collect();
         described.retain(|field| !parts.contains(&field.name()));
         described.sort_by_key(|field| field.number());
-        let elements = Elements::of(layout, &described);
+        let elements = Elements::new(layout, &described);
         let mut left: Vec<FieldLayout> = match &elements {
             Some(elements) => elements.0.clone(),
             None => layout.fields.to_vec(),
@@ -324,7 +324,7 @@ fn form(
     if field.type_name() == ".google.protobuf.Timestamp" {
         return (memory.of == FieldType::U64).then(|| Form::Time(slot(2)));
     }
-    let of = Number::of(memory.of, field.r#type())?;
+    let of = Number::new(memory.of, field.r#type())?;
     if is_repeated {
         let slot = slot(1);
         return Some(Form::Numbers { of, elements, slot });
@@ -340,7 +340,7 @@ struct Elements(Vec<FieldLayout>);
 
 impl Elements {
     /// None unless the message names them.
-    fn of(layout: &StructLayout, described: &[&FieldDescriptorProto]) -> Option<Self> {
+    fn new(layout: &StructLayout, described: &[&FieldDescriptorProto]) -> Option<Self> {
         let [array] = layout.fields else {
             return None;
         };

@@ -4,7 +4,7 @@ use mcap::records::op;
 
 #[derive(Debug, Clone, Copy)]
 enum Field {
-    /// Of fixed length.
+    /// A record of fixed length.
     Fixed(usize),
     /// Text: a length of four bytes, then so many bytes.
     Counted,

@@ -54,14 +54,14 @@ pub struct CaptureSettings {
 
 impl Default for CaptureSettings {
     fn default() -> Self {
-        Self::of(Preset::default())
+        Self::new(Preset::default())
     }
 }
 
 impl CaptureSettings {
     /// The settings of a preset.
     #[must_use]
-    pub const fn of(preset: Preset) -> Self {
+    pub const fn new(preset: Preset) -> Self {
         Self { preset, chunk_ns: preset.chunk().as_nanos() as u64 }
     }
 

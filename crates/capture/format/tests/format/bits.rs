@@ -305,7 +305,7 @@ fn a_file_round_trips_in_every_preset() {
         let mut attachments = Attachments::default();
         attachments.add("lab/config.toml".to_owned(), "application/toml", b"x = 1".to_vec());
         let mut writer =
-            Writer::new(Vec::new(), CaptureSettings::of(preset), &attachments).unwrap();
+            Writer::new(Vec::new(), CaptureSettings::new(preset), &attachments).unwrap();
         for (number, message) in written.iter().enumerate() {
             let times = Times {
                 log_ns: 1_000_000_000 + number as u64 * 7_000_000,

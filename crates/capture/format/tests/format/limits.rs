@@ -46,7 +46,7 @@ fn write(
     all: &[Message],
     flushed: &mut Vec<(u64, usize)>,
 ) -> Result<Written, WriteError> {
-    let mut writer = Writer::new(disk, CaptureSettings::of(preset), &attachments())?;
+    let mut writer = Writer::new(disk, CaptureSettings::new(preset), &attachments())?;
     for (number, message) in all.iter().enumerate() {
         let times = Times { log_ns: number as u64, publish_ns: number as u64 };
         let written = writer.write("lab", times, message);

@@ -22,7 +22,7 @@ pub(crate) struct AlarmInputs {
 
 impl AlarmInputs {
     #[inline(always)]
-    pub(crate) fn of(admission: &AdmissionState, last: &Last) -> Self {
+    pub(crate) fn new(admission: &AdmissionState, last: &Last) -> Self {
         Self {
             stamp_ns: admission.stamp_ns,
             measured_ns: last.measured_ns,

@@ -95,7 +95,11 @@ pub(crate) struct LevelRules {
 
 impl LevelRules {
     /// `None` if the energy model states no errors.
-    pub(crate) fn of(energy: &EnergyModel, alarms: &AlarmSettings, period_ns: u64) -> Option<Self> {
+    pub(crate) fn new(
+        energy: &EnergyModel,
+        alarms: &AlarmSettings,
+        period_ns: u64,
+    ) -> Option<Self> {
         (energy.calibrated > 0).then(|| Self {
             limit: alarms.level_limit,
             period_s: period_ns as f32 * 1e-9,

@@ -163,7 +163,7 @@ impl Members {
     /// What the initial losses of a robot of this mean power depend on.
     #[inline(always)]
     pub(crate) fn start(&self, mean_w: f32) -> Start {
-        Start::of([self.least_w, self.most_w], self.sceptic_loss, mean_w)
+        Start::new([self.least_w, self.most_w], self.sceptic_loss, mean_w)
     }
 
     /// Whether the training had no readings like the robot's first ones, newest first, W.
@@ -192,7 +192,7 @@ pub(crate) struct Start {
 impl Start {
     /// For a robot of this mean power. `range_w`: the mean powers that the network knows.
     #[inline(always)]
-    fn of([least_w, most_w]: [f32; 2], sceptic_loss: f32, mean_w: f32) -> Self {
+    fn new([least_w, most_w]: [f32; 2], sceptic_loss: f32, mean_w: f32) -> Self {
         Self { unlike: !((least_w <= mean_w) & (mean_w <= most_w)), sceptic_loss }
     }
 }
@@ -219,7 +219,7 @@ impl StartLanes {
     #[inline(always)]
     pub(crate) fn of(&self, lane: usize, mean_w: f32) -> Start {
         let range_w = [self.least_w[lane], self.most_w[lane]];
-        Start::of(range_w, self.sceptic_loss[lane], mean_w)
+        Start::new(range_w, self.sceptic_loss[lane], mean_w)
     }
 }
 

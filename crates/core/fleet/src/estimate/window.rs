@@ -300,7 +300,7 @@ pub(crate) struct RequiredInputs {
 }
 
 impl RequiredInputs {
-    pub(crate) fn of(set: FeatureSet) -> Self {
+    pub(crate) fn new(set: FeatureSet) -> Self {
         Self { command: set.needs_command(), freshness: set.needs_freshness() }
     }
 }
@@ -313,7 +313,7 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step), step % 3 == 0);
-            window.next_row(10e-9, Some((0.1, 0.0)), RequiredInputs::of(FeatureSet::Freshness));
+            window.next_row(10e-9, Some((0.1, 0.0)), RequiredInputs::new(FeatureSet::Freshness));
         }
         window.closed.forecast_w = 4.5;
         window

@@ -112,7 +112,7 @@ impl Fleet {
         let last = lanes::get(&self.columns.lasts, slot);
         let scored = lanes::get(&self.columns.scores, slot).count;
         let mut detector = lanes::get(&self.columns.detectors, slot);
-        let inputs = AlarmInputs::of(admission, &last);
+        let inputs = AlarmInputs::new(admission, &last);
         let (alarms, missed) = (&context.alarms, self.tick.deadline_missed);
         let platform = &context.platform;
         let conditions = judge(alarms, platform, &inputs, scored, &detector, missed);

@@ -268,33 +268,33 @@ impl Fleet {
     /// writes those of all robots faster.
     pub fn forecast(&self, place: usize) -> Forecast {
         let (block, lane) = self.block_of(place);
-        Forecasts::of(block).get(&self.tick, lane)
+        Forecasts::new(block).get(&self.tick, lane)
     }
 
     /// The diagnostics of the robot at `place`, as of the last tick.
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
         let (block, lane) = self.block_of(place);
-        let learned = LearnedLanes::of(&self.tick, &block);
-        Diagnostics::of(block, &learned).get(&self.tick, lane)
+        let learned = LearnedLanes::new(&self.tick, &block);
+        Diagnostics::new(block, &learned).get(&self.tick, lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.
     pub fn budget(&self, place: usize) -> Budget {
         let (block, lane) = self.block_of(place);
-        Budgets::of(&self.tick, block).get(&self.tick, lane)
+        Budgets::new(&self.tick, block).get(&self.tick, lane)
     }
 
     /// The outlook of the robot at `place`, as of the last tick.
     pub fn outlook(&self, place: usize) -> Outlook {
         let (block, lane) = self.block_of(place);
-        Outlooks::of(&self.tick, block).get(&self.tick, lane, &self.budget(place))
+        Outlooks::new(&self.tick, block).get(&self.tick, lane, &self.budget(place))
     }
 
     /// The start of a plan of the robot at `place`, in the last tick.
     pub fn plan_state(&self, place: usize) -> PlanState {
         let (block, lane) = self.block_of(place);
-        let learned = LearnedLanes::of(&self.tick, &block);
-        PlanStates::of(block, &learned).get(&self.tick, lane)
+        let learned = LearnedLanes::new(&self.tick, &block);
+        PlanStates::new(block, &learned).get(&self.tick, lane)
     }
 
     /// The block of the robot at a place, and its lane.

@@ -42,7 +42,7 @@ pub(crate) struct Counting {
 
 impl Counting {
     #[inline(always)]
-    pub(crate) fn of(battery: &Battery, platform: &Platform) -> Self {
+    pub(crate) fn new(battery: &Battery, platform: &Platform) -> Self {
         Self {
             per_joule: 1.0 / battery.capacity_j,
             sd: battery.counting_sd,
@@ -65,7 +65,7 @@ pub(crate) struct At {
 
 impl At {
     #[inline(always)]
-    pub(crate) fn of(ledger: &Ledger) -> Self {
+    pub(crate) fn new(ledger: &Ledger) -> Self {
         Self {
             drawn_uj: ledger.drawn_uj,
             metered_ns: ledger.metered_ns,
@@ -374,7 +374,7 @@ impl BatteryState {
         mean_w: f32,
         seen: Seen,
     ) {
-        let counting = Counting::of(battery, platform);
+        let counting = Counting::new(battery, platform);
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
         if seen.broken || unmetered_ns > platform.stale_after_ns || self.measured_ns == 0 {
             self.interrupted_ns = seen.stamp_ns;
@@ -424,7 +424,7 @@ impl BatteryState {
 
     /// A battery that an earlier run wrote down.
     fn restored(saved: &SavedBattery, battery: &Battery, ledger: &Ledger) -> Self {
-        let at = At { unmetered_ns: saved.unmetered_ns, ..At::of(ledger) };
+        let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
         let Some(estimate) = saved.estimate() else {
             return Self::unknown(battery, at);
         };
@@ -452,7 +452,7 @@ impl BatteryState {
             Known::Kept(kept) => kept,
             Known::Saved(saved) => Self::restored(&saved, battery, ledger),
             // Charged by an earlier version, which did not meter it, or its account was given up.
-            Known::Nothing if used => Self::unknown(battery, At::of(ledger)),
+            Known::Nothing if used => Self::unknown(battery, At::new(ledger)),
             Known::Nothing => Self::new(battery),
         };
         // Stamps of before are of another run, or of another boot.
@@ -505,7 +505,7 @@ pub struct SavedBattery {
 
 impl SavedBattery {
     /// The battery in a budget; `None` if it has none.
-    pub fn of(budget: &Budget) -> Option<Self> {
+    pub fn new(budget: &Budget) -> Option<Self> {
         let has = |flag| budget.flags & flag != 0;
         let (soc, soc_lo, soc_hi, soc_sd) = match has(budget_flag::CHARGE) {
             true => (budget.soc, budget.soc_lo, budget.soc_hi, budget.soc_sd),

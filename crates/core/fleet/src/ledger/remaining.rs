@@ -30,7 +30,7 @@ impl Remaining {
     /// The bounds of the time allow for both: the square of their distance from the estimate is the
     /// sum of the squares by the energy alone and by the power alone.
     #[inline(always)]
-    pub(crate) fn of(
+    pub(crate) fn new(
         battery: &Battery,
         estimate: &Estimate,
         mean_w: f32,

@@ -38,7 +38,7 @@ pub struct FleetState {
     pub(crate) lost: Vec<u64>,
     pub(crate) sources: Vec<Source>,
     pub(crate) refused: Refused,
-    /// Of each platform.
+    /// One entry a platform.
     pub(crate) errors: Vec<SavedErrors>,
 }
 

@@ -71,7 +71,7 @@ impl PlatformContext {
         let alarms = settings.alarms.of(&platform);
         let energy = model.energy_or_untrained(platform.power_max_w);
         Self {
-            levels: LevelRules::of(&energy, &alarms, platform.period_ns),
+            levels: LevelRules::new(&energy, &alarms, platform.period_ns),
             alarms,
             errors: SharedErrors::new(&energy),
             lasting: energy.lasting(),
@@ -84,7 +84,7 @@ impl PlatformContext {
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,
-            required: RequiredInputs::of(model.feature_set()),
+            required: RequiredInputs::new(model.feature_set()),
             platform,
             model,
         }

@@ -259,17 +259,17 @@ fn follow(
                 broken: absorbed.broken[lane],
             };
             let mut robot = batteries.get(lane);
-            let at = At::of(&ledgers.get(lane));
+            let at = At::new(&ledgers.get(lane));
             robot.take((battery, platform), at, absorbed.mean_power_w[lane], seen);
             batteries.set(lane, true, robot);
         }
     }
-    let counting = Counting::of(battery, platform);
+    let counting = Counting::new(battery, platform);
     // The anchors of robots on their chargers are at this sample.
     let driving = Charging { metered: false, unmetered: false };
     for lane in 0..LANES {
         let robot = batteries.get(lane);
-        let (at, mean_w) = (At::of(&ledgers.get(lane)), absorbed.mean_power_w[lane]);
+        let (at, mean_w) = (At::new(&ledgers.get(lane)), absorbed.mean_power_w[lane]);
         let estimate = robot.after(&counting, at, mean_w.into(), driving);
         let raised = levels::judge(robot.raised, battery, &estimate, robot.return_j);
         lanes::put(&mut batteries.raised[lane], mask[lane], raised);

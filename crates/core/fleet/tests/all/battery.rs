@@ -243,7 +243,7 @@ fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
             budget.unmetered_ns,
             budget.stamp_ns,
         );
-        assert!(after.restore(budget.robot, ledger, true, SavedBattery::of(&budget)));
+        assert!(after.restore(budget.robot, ledger, true, SavedBattery::new(&budget)));
     }
     after
 }
@@ -584,7 +584,7 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     nonsense.soc_lo = 0.99;
     let mut fleet = fleet(battery(), 1);
     let ledger = bench.fleet.ledger(0).expect("it has one");
-    fleet.restore(0, ledger, false, SavedBattery::of(&nonsense));
+    fleet.restore(0, ledger, false, SavedBattery::new(&nonsense));
     let mut source = Source::new(1, 3);
     let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
     source.tick(&mut fleet, &[sample], sample.stamp_ns);

@@ -267,7 +267,7 @@ fn each_reading_of_a_unit_is_named() {
         (1e3, 1.0, stated, 0.85, &["--map voltage_mV=x"]),
         (1.0, 1e6, stated, 0.85, &["--map current_uA=x"]),
         (1.0, 1e-3, stated, 0.85, &["--map current_A=x"]),
-        // Of a size that a robot has, so that the voltage tells.
+        // A robot may have this size, so the voltage decides.
         (1.0, 1e-3, stated, 20.0, &["--map current_A=x"]),
         (1.0, 1e3, stated, 0.25, &["--map current_mA=x"]),
     ];

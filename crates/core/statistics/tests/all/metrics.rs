@@ -150,7 +150,7 @@ fn quantiles_interpolate_between_neighbours() {
     for (share, wanted) in [(0.0, 1.0), (1.0 / 3.0, 2.0), (0.5, 3.0), (0.95, 7.4), (1.0, 8.0)] {
         assert!((quantile(&ascending, share) - wanted).abs() < 1e-12, "{share}");
     }
-    let quantiles = ResidualQuantiles::of([f64::NAN, 8.0, 1.0, 4.0, 2.0, f64::INFINITY]);
+    let quantiles = ResidualQuantiles::new([f64::NAN, 8.0, 1.0, 4.0, 2.0, f64::INFINITY]);
     assert_eq!((quantiles.min_w, quantiles.max_w, quantiles.q50_w), (1.0, 8.0, 3.0));
 }
 

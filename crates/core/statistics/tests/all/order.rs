@@ -35,7 +35,7 @@ proptest! {
     fn quantiles_of_two_passes_are_those_of_sorted_numbers(
         residuals_w in prop::collection::vec(residual(), 0..300)
     ) {
-        let sorted = ResidualQuantiles::of(residuals_w.iter().copied().map(f64::from));
+        let sorted = ResidualQuantiles::new(residuals_w.iter().copied().map(f64::from));
         prop_assert_eq!(bits(&read_twice(&residuals_w)), bits(&sorted));
     }
 }

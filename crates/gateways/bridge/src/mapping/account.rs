@@ -43,7 +43,7 @@ pub(crate) enum Reason {
     OutOfRange,
     /// A charge that its sender says not to know: NaN or −1.
     Unknown,
-    /// Of another clock than `/clock`, or from before a reset of the simulation.
+    /// Stamped by another clock than `/clock`, or before a reset of the simulation.
     WrongStamp,
     /// Retained by the broker, so of unknown age.
     Retained,

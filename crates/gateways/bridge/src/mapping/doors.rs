@@ -168,7 +168,7 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
             };
             let received = Received::new([0, 1], &encode(&state).unwrap());
             let (mut seen, _) = route.read("r7", &received, account).unwrap_or_default();
-            // Of another topic.
+            // Another topic's.
             seen.v_mps = commands.then_some(v as f32);
             seen
         }

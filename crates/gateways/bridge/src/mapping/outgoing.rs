@@ -233,7 +233,7 @@ pub(crate) fn values(
     unix_ns: impl Fn(u64) -> u64,
 ) -> Object {
     // A record is a struct with named fields, so it serialises to an object.
-    let record = serde_json::to_value(RobotRecord::of(robot, newest));
+    let record = serde_json::to_value(RobotRecord::new(robot, newest));
     let mut values = match record {
         Ok(Value::Object(values)) => values,
         _ => Object::new(),

@@ -230,7 +230,7 @@ fn a_check_says_which_robots_each_shard_has_and_for_which_the_link_speaks() {
     assert_eq!(checked.code(), Some(0), "{checked:?}");
     let report = checked.json();
     assert_eq!(report["shards"], serde_json::json!({"north": 3, "south": 7}));
-    assert_eq!(report["speaks_for"], "south");
+    assert_eq!(report["leads"], "south");
 }
 
 #[test]

@@ -121,7 +121,7 @@ impl Scene {
 
     /// Waits until a standby host has a state of the leader that was taken after this call.
     fn state_crosses_to(&self, at: usize) {
-        let replica = Places::of(&Config::load(self.bases[at].config()).unwrap()).replica;
+        let replica = Places::new(&Config::load(self.bases[at].config()).unwrap()).replica;
         let now_ns = clock::monotonic_ns();
         eventually("a state has crossed", || {
             SavedState::read(&replica)
@@ -206,7 +206,7 @@ struct Account {
 
 impl Account {
     /// Reads an account. `None` while its budget is missing.
-    fn of(robot: &Value) -> Option<Self> {
+    fn new(robot: &Value) -> Option<Self> {
         Some(Self {
             stamp_s: robot["stamp_ns"].as_f64()? * 1e-9,
             drawn_j: robot["drawn_j"].as_f64()?,
@@ -222,7 +222,7 @@ fn accounts(host: &Host) -> Vec<Account> {
     eventually("the accounts of all robots", || {
         let report = host.watched().unwrap_or_default();
         let robots = report["robots"].as_array().into_iter().flatten();
-        accounts = robots.filter_map(Account::of).collect();
+        accounts = robots.filter_map(Account::new).collect();
         accounts.len() == ROBOTS as usize
     });
     accounts

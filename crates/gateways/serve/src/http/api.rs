@@ -240,7 +240,7 @@ async fn outlook(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer 
         Some(_) => ApiError::busy("no outlook of the worker within 1 s: ask again"),
         None => no_robot(robot),
     };
-    Ok(json(&OutlookRecord::of(found.first().ok_or_else(missing)?)))
+    Ok(json(&OutlookRecord::new(found.first().ok_or_else(missing)?)))
 }
 
 /// The outlooks of one robot, or of all. The worker computes them for some time from now on.

@@ -97,7 +97,8 @@ impl Connections {
         let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
         let is_reserved = !make_room(&mut open.usual, MAX_CONNECTIONS, is_idle);
         if is_reserved {
-            // Who has not asked yet before who waits for an answer, which is made at once.
+            // Clients that have not asked go first. A client that waits for an answer gets it at
+            // once.
             let _ = make_room(&mut open.reserved, RESERVED, is_idle)
                 || make_room(&mut open.reserved, RESERVED, |_| true);
         }

@@ -97,7 +97,7 @@ pub(super) struct Distributions {
 }
 
 impl Distributions {
-    pub(super) fn of(board: &Board) -> Self {
+    pub(super) fn new(board: &Board) -> Self {
         let latency = board.stages.latency();
         let (tick, total) = (latency.compute, latency.total);
         let seconds = |count: u64, us: f64| (count > 0).then_some(us * 1e-6);
@@ -138,7 +138,7 @@ pub(super) struct Around<'a> {
 }
 
 impl FleetRecord {
-    pub(super) fn of(board: &Board, around: &Around<'_>) -> Self {
+    pub(super) fn new(board: &Board, around: &Around<'_>) -> Self {
         let header = board.header();
         let mut tick_s = around.distributions.tick_s.clone();
         tick_s.last = header.map(|header| {
@@ -147,7 +147,7 @@ impl FleetRecord {
         Self {
             fleet: around.fleet.to_owned(),
             now_unix_ns: around.now_unix_ns,
-            worker: WorkerRecord::of(board, around),
+            worker: WorkerRecord::new(board, around),
             tick: header.map(|header| header.tick),
             period_s: around.period_ns as f64 * 1e-9,
             tick_s,
@@ -161,7 +161,7 @@ impl FleetRecord {
             questions_refused: board.questions_refused_by_name(),
             model_hash: header.map(|header| format!("{:016x}", header.model_hash)),
             model_warnings: around.model_warnings.to_vec(),
-            totals: Totals::of(board),
+            totals: Totals::new(board),
             recorders: around.recorders.clone(),
             ahead: board.ahead(),
         }
@@ -169,7 +169,7 @@ impl FleetRecord {
 }
 
 impl WorkerRecord {
-    fn of(board: &Board, around: &Around<'_>) -> Self {
+    fn new(board: &Board, around: &Around<'_>) -> Self {
         let header = board.header();
         let age_ns = header.map(|header| around.now_ns.saturating_sub(header.sent_ns));
         let age_s = age_ns.map(|age_ns| age_ns as f64 * 1e-9);
@@ -201,7 +201,7 @@ impl WorkerRecord {
 }
 
 impl Totals {
-    fn of(board: &Board) -> Self {
+    fn new(board: &Board) -> Self {
         let [ok, warn, error, stale] = board.levels();
         let rows = || board.rows.values();
         let read = rows().filter(|row| row.forecast.flags & forecast_flag::READING != 0);

@@ -75,7 +75,7 @@ impl History {
                 first: step,
                 last: step,
             });
-            track.points[place] = Point::of(row);
+            track.points[place] = Point::new(row);
             track.last = step;
         }
         if self.tracks.len() > board.rows.len() {
@@ -113,7 +113,7 @@ impl History {
 }
 
 impl Point {
-    fn of(row: &Row) -> Self {
+    fn new(row: &Row) -> Self {
         let battery = row.budget.filter(|budget| budget.flags & budget_flag::BATTERY != 0);
         let soc = battery.map_or(f32::NAN, |budget| budget.soc);
         let Some(point) = row.point else {

@@ -483,7 +483,7 @@ mod tests {
         };
         Arc::new(Snapshot::new(
             board,
-            FleetRecord::of(board, &around),
+            FleetRecord::new(board, &around),
             Arc::<Alarms>::default(),
             &mut Accumulator::default(),
             SECOND_NS,

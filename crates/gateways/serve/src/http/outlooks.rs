@@ -21,7 +21,7 @@ pub(super) struct OutlookRequests {
 }
 
 impl OutlookRequests {
-    /// Of one robot, or at once those of all that are there. The next request finds them.
+    /// One robot's, or those of all robots that are there. The next request finds them.
     pub(super) fn ask(&mut self, robot: Option<u32>, reply: Reply, now_ns: u64) {
         self.wanted_until_ns = now_ns + LEAVE_AFTER_NS;
         self.waiting.push((robot, reply, now_ns + PATIENCE_NS));

@@ -47,7 +47,7 @@ const MAX_QUEUED: usize = 64;
 pub(super) enum Ask {
     History(u32, oneshot::Sender<Option<HistoryRecord>>),
     Rows(Vec<u32>, oneshot::Sender<Result<Vec<RobotRows>, RowsError>>),
-    /// Of one robot, or of all.
+    /// One robot's, or all robots'.
     Outlooks(Option<u32>, outlooks::Reply),
 }
 
@@ -131,7 +131,7 @@ impl Work {
         let now_ns = clock::monotonic_ns();
         let board = Board::new(now_ns);
         let (mut accumulator, distributions) = (Accumulator::default(), Distributions::default());
-        let platforms = Arc::new(Platforms::of(config.settings()));
+        let platforms = Arc::new(Platforms::new(config.settings()));
         let alarms = AlarmLog::default();
         // A model that cannot be loaded is the worker's to report.
         let models = load_models(config).unwrap_or_default();
@@ -149,7 +149,7 @@ impl Work {
         };
         let first = Snapshot::new(
             &board,
-            FleetRecord::of(&board, &around),
+            FleetRecord::new(&board, &around),
             alarms.newest(),
             &mut accumulator,
             now_ns,
@@ -215,7 +215,7 @@ impl Work {
         let board = self.board.borrow();
         if now_ns >= self.distribute_at_ns {
             self.distribute_at_ns = now_ns + DISTRIBUTE_EVERY_NS;
-            self.distributions = Distributions::of(&board);
+            self.distributions = Distributions::new(&board);
         }
         let around = Around {
             fleet: self.config.fleet(),
@@ -229,7 +229,7 @@ impl Work {
         };
         let snapshot = Snapshot::new(
             &board,
-            FleetRecord::of(&board, &around),
+            FleetRecord::new(&board, &around),
             self.alarms.newest(),
             &mut self.accumulator,
             now_ns,

@@ -124,7 +124,7 @@ impl Snapshot {
         let entry = &self.entries[place];
         let record = entry.record.get_or_init(|| {
             object(&ShownRecord {
-                record: RobotRecord::of(robot, &entry.newest),
+                record: RobotRecord::new(robot, &entry.newest),
                 sample_age_s: entry
                     .sample_age_ns(self.at_ns)
                     .map(|age_ns| (age_ns / 100_000_000) as f64 * 0.1),

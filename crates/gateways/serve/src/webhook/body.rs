@@ -15,7 +15,7 @@ pub(super) const PLACEHOLDERS: [&str; 12] = [
 
 /// Time as in RFC 3339, to the millisecond.
 pub(super) fn rfc3339(unix_ns: u64) -> String {
-    let utc = Utc::of(unix_ns);
+    let utc = Utc::new(unix_ns);
     let Utc { hour, minute, second, millisecond, .. } = utc;
     format!("{}T{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z", utc.date())
 }
@@ -25,7 +25,7 @@ pub(super) fn link(page: &str, robot: Option<u32>) -> String {
     robot.map_or_else(|| format!("{page}/"), |robot| format!("{page}/?robot={robot}"))
 }
 
-/// Who has the alarm.
+/// The robot or worker that has the alarm.
 pub(super) fn of(robot: Option<u32>) -> String {
     robot.map_or_else(|| "worker".to_owned(), |robot| format!("robot {robot}"))
 }

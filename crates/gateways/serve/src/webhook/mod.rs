@@ -260,7 +260,7 @@ struct Sending {
     receiver: Receiver,
     shared: Arc<Shared>,
     counts: Arc<Counts>,
-    /// Of the process and its thread: ids of requests begin with it.
+    /// Begins the ids of requests: names the process and its thread.
     start_ns: u64,
     requests: AtomicU64,
 }

@@ -42,7 +42,7 @@ pub(super) struct Receiver {
 }
 
 impl Receiver {
-    /// That of `--webhook`: an address, or `@FILE` with one (mode 0600).
+    /// The value of `--webhook`: an address, or `@FILE` with one (mode 0600).
     ///
     /// The receiver's certificate is checked against those of the file `authorities`, or against
     /// Mozilla's list.
@@ -76,7 +76,7 @@ impl Receiver {
         let mut receivers = Vec::new();
         if problems.is_empty() {
             for section in root.list("webhook") {
-                match Self::of(&section) {
+                match Self::new(&section) {
                     Ok(receiver) => receivers.push(receiver),
                     Err(problem) => problems.push(*problem),
                 }
@@ -85,7 +85,7 @@ impl Receiver {
         if problems.is_empty() { Ok(receivers) } else { Err(ConfigError::Refused(problems)) }
     }
 
-    fn of(section: &Section<'_>) -> Result<Self, Box<Problem>> {
+    fn new(section: &Section<'_>) -> Result<Self, Box<Problem>> {
         let refuse =
             |key: &str, what: String, remedy: &str| Box::new(section.problem(key, what, remedy));
         let broken = |key: &'static str, remedy: &'static str| {

@@ -102,7 +102,7 @@ impl Steps for Rounds {
         if last {
             return None;
         }
-        // Who joins has just cleaned up.
+        // A joining process has just cleaned up.
         if self.round > 0
             && let Err(error) = self.clean()
         {

@@ -140,7 +140,7 @@ impl WorkerLock {
                     path,
                 });
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         if !is_same(&file, &path).map_err(failed)? {
             return Ok(None);
@@ -181,8 +181,8 @@ fn release(file: &File) {
 
 /// Maximum number of looks at a lock whose holder the file does not name, and their interval.
 const LOOKS: u32 = 50;
-const LOOKS_AT_SEEN: u32 = 500;
-const LOOK_EVERY: Duration = Duration::from_millis(2);
+const POLLS_WHILE_SEEN: u32 = 500;
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 /// Looks at a held lock whose file names nobody.
 #[derive(Debug, Default)]
@@ -202,7 +202,7 @@ impl Looks {
         } else {
             self.unseen += 1;
         }
-        self.seen >= LOOKS_AT_SEEN || self.unseen >= LOOKS
+        self.seen >= POLLS_WHILE_SEEN || self.unseen >= LOOKS
     }
 }
 /// A file that is longer than this is not a lock's, bytes.
@@ -305,7 +305,7 @@ impl WorkerOwner {
                 return Ok(owner);
             }
             seen = owner.pid.map(|_| owner).or(seen);
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         let (last, _) = Self::look(file)?;
         Ok(last.pid.map(|_| last).or(seen).unwrap_or(last))
@@ -434,7 +434,7 @@ mod tests {
     fn a_holder_is_invisible_only_if_many_looks_in_a_row_have_not_seen_it() {
         let mut looks = Looks::default();
         // Each forty-ninth look sees it.
-        for look in 1..LOOKS_AT_SEEN * (LOOKS - 1) {
+        for look in 1..POLLS_WHILE_SEEN * (LOOKS - 1) {
             let pid = look.is_multiple_of(LOOKS - 1).then_some(7);
             assert!(!looks.are_enough(found(pid)), "look {look}");
         }

@@ -77,7 +77,7 @@ impl Background {
     /// repeat its steps.
     ///
     /// # Errors
-    /// That of `open`, or that of the system if the thread could not be started.
+    /// The error of `open`, or the system's if the thread could not be started.
     pub fn start<S: Steps, E: From<io::Error> + Send + 'static>(
         name: &str,
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
@@ -100,7 +100,7 @@ impl<T: Send + 'static, E: From<io::Error> + Send + 'static> Background<Result<T
     /// [joined](Running::joined). Returns what it has joined with, too.
     ///
     /// # Errors
-    /// That of `work` if it ends before, or that of the system if the thread could not be started.
+    /// The error of `work` if it ends before, or the system's if the thread could not be started.
     pub fn run<J: Send + 'static>(
         name: &str,
         work: impl FnOnce(&Running<J>) -> Result<T, E> + Send + 'static,
@@ -119,7 +119,7 @@ impl<T: Send + 'static, E: From<io::Error> + Send + 'static> Background<Result<T
     /// repeat its rounds. Returns what `open` adds, too.
     ///
     /// # Errors
-    /// That of `open`, or that of the system if the thread could not be started.
+    /// The error of `open`, or the system's if the thread could not be started.
     pub fn repeat<W: Rounds<T, E>, J: Send + 'static>(
         name: &str,
         open: impl FnOnce() -> Result<(W, J), E> + Send + 'static,
@@ -140,7 +140,7 @@ impl<T: Send + 'static, E: From<io::Error> + Send + 'static> Background<Result<T
     /// Stops the thread, and returns what it ended with.
     ///
     /// # Errors
-    /// That of its work, or [`Panicked`] in an [`io::Error`].
+    /// The error of its work, or [`Panicked`] in an [`io::Error`].
     pub fn join(mut self) -> Result<T, E> {
         match self.finish().map_err(io::Error::other)? {
             Some(ended) => ended,

@@ -1,5 +1,6 @@
 //! Ports: how a member opens a service.
 
+mod connection_leak;
 mod degradation;
 mod places;
 mod poll;
@@ -10,7 +11,6 @@ mod repair;
 mod samples;
 mod service;
 mod wait;
-mod worn;
 mod writer;
 
 use joulebus_wire::{Channel, Forecasts, Service};

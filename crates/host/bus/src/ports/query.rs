@@ -7,7 +7,7 @@
 //! iceoryx2 0.10 never gives back the connection of a client that left while its question was
 //! unread: `Server::receive` finds no port for the answer, and does not release the request. That
 //! costs two descriptors and the client's memory, and 128 such connections are a panic. So the
-//! server's port is opened again before that ([`QueryServer::is_worn`]), and clients send an
+//! server's port is opened again before that ([`QueryServer::needs_reopen`]), and clients send an
 //! unanswered question again.
 
 use std::rc::Rc;
@@ -24,12 +24,12 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
 
+use super::connection_leak::ConnectionLeak;
 use super::degradation::Failures;
 use super::places::Open;
 use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
-use super::worn::Wear;
 use super::{ReceiveError, SendError, Sent};
 use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
@@ -49,7 +49,7 @@ type Pending = PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
 /// A worker may take this long to open its port, ns.
 const OPENS_WITHIN_NS: u64 = 1_000_000_000;
 /// Pause before a question is sent again.
-const SEND_AGAIN_AFTER: Duration = Duration::from_millis(1);
+const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
 
 /// The worker's port for questions. A fleet has one.
 #[derive(Debug)]
@@ -60,7 +60,7 @@ pub struct QueryServer {
     answered: Waker,
     failures: Arc<Failures>,
     repair: Repair,
-    wear: Wear,
+    leak: ConnectionLeak,
     member: Rc<Membership>,
 }
 
@@ -104,7 +104,7 @@ impl QueryServer {
             answered,
             failures,
             repair: Repair::default(),
-            wear: Wear::default(),
+            leak: ConnectionLeak::default(),
             member: Rc::clone(&bus.member),
         })
     }
@@ -177,14 +177,14 @@ impl QueryServer {
             now.push(client.client_id.value());
             CallbackProgression::Continue
         });
-        self.wear.look(now, clock::monotonic_ns())
+        self.leak.look(now, clock::monotonic_ns())
     }
 
     /// True if connections of clients that have left may be kept for nothing: drop all questions
     /// and the port, and open it again. `is_idle`: no question waits.
     #[must_use]
-    pub fn is_worn(&self, is_idle: bool) -> bool {
-        self.wear.is_worn(is_idle, clock::monotonic_ns())
+    pub fn needs_reopen(&self, is_idle: bool) -> bool {
+        self.leak.needs_reopen(is_idle, clock::monotonic_ns())
     }
 }
 
@@ -298,7 +298,7 @@ impl QueryClient {
                     let has_answered = worker.is_some() && self.answered_by == worker;
                     let until_ns = if has_answered { u64::MAX } else { opens_ns };
                     if clock::monotonic_ns() < header.deadline_ns.min(until_ns) {
-                        std::thread::sleep(SEND_AGAIN_AFTER);
+                        std::thread::sleep(SEND_RETRY_AFTER);
                         continue;
                     }
                 }

@@ -34,7 +34,7 @@ use joulebus_domain::ACTIVE_QUERIES;
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
 /// Timeout of retries of opening a service, ns.
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
-const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
+const OPEN_RETRY_AFTER: Duration = Duration::from_millis(20);
 
 /// The factory of a channel's ports.
 pub(super) type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
@@ -174,7 +174,7 @@ fn retry<S, E: Debug>(
             + abandoned.remove(bus.domain(), name.as_str());
         drop(section);
         tracing::info!(service = name.as_str(), ?error, ?report, "opening a service again");
-        std::thread::sleep(OPEN_AGAIN_AFTER);
+        std::thread::sleep(OPEN_RETRY_AFTER);
     }
 }
 
@@ -182,7 +182,7 @@ fn retry<S, E: Debug>(
 /// nodes. If no place is left that is done at once, as long as there are such nodes.
 ///
 /// # Errors
-/// That of iceoryx2.
+/// The error of iceoryx2.
 pub(super) fn create<P, E>(
     bus: &Bus,
     port: impl Fn() -> Result<P, E>,
@@ -200,7 +200,7 @@ pub(super) fn create<P, E>(
             // Another member may have removed them meanwhile.
             return port();
         }
-        std::thread::sleep(OPEN_AGAIN_AFTER);
+        std::thread::sleep(OPEN_RETRY_AFTER);
     }
 }
 
@@ -379,7 +379,7 @@ pub enum OpenError {
         service: &'static str,
         /// Places that planners and views may have.
         allowed: usize,
-        /// Who has them: names and pids.
+        /// The holders: names and pids.
         holders: String,
     },
     /// iceoryx2 refused.

@@ -109,7 +109,7 @@ fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
         )));
     };
     let (bytes, crc) = beginning(file, stated.bytes)?;
-    let found = Sum::of(bytes, crc, value(about, HEAD_KEY).unwrap_or_default());
+    let found = Sum::new(bytes, crc, value(about, HEAD_KEY).unwrap_or_default());
     if found == stated {
         return Ok(());
     }

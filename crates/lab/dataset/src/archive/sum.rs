@@ -19,7 +19,7 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    pub(super) fn of(bytes: u64, mut crc: Hasher, head: &str) -> Self {
+    pub(super) fn new(bytes: u64, mut crc: Hasher, head: &str) -> Self {
         crc.update(head.as_bytes());
         Self { bytes, crc32: crc.finalize() }
     }

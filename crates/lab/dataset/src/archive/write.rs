@@ -81,7 +81,7 @@ pub fn write<W: Write + Send>(
     }
     writer.flush()?;
     let before = writer.inner();
-    let sum = Sum::of(before.bytes, before.crc.clone(), &head_text);
+    let sum = Sum::new(before.bytes, before.crc.clone(), &head_text);
     writer.append_key_value_metadata(KeyValue::new(SUM_KEY.to_owned(), sum.to_string()));
     let mut out = writer.into_inner()?;
     out.flush()?;

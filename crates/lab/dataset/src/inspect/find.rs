@@ -155,7 +155,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 pub fn is_recording(path: &Path) -> bool {
     let endings = ["parquet", "mat"];
     let is_other = || path.extension().is_some_and(|found| endings.iter().any(|one| found == *one));
-    ((Form::of(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
+    ((Form::new(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.

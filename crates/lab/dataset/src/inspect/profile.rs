@@ -48,7 +48,7 @@ pub struct Profile {
 pub struct Profiler {
     readings: Vec<f64>,
     periods: Vec<u64>,
-    /// Of each trial, with its name.
+    /// One profile a trial, with the trial's name.
     holds: Vec<([f64; 2], String)>,
     /// Sum of the squared differences of readings, and their number.
     differences: (f64, u64),

@@ -21,7 +21,7 @@ pub struct Source {
 
 impl Source {
     /// A trial, with names derived from its file. Robots that share a file belong to one group.
-    pub fn of(trial: &Trial) -> Self {
+    pub fn new(trial: &Trial) -> Self {
         let file = trial.path().file_name().and_then(|name| name.to_str());
         let file = file.unwrap_or_default();
         Self {

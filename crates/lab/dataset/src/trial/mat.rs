@@ -133,7 +133,7 @@ impl Variables {
             2 => Some("a struct"),
             4 => Some("a text"),
             5 => Some("a sparse matrix"),
-            // Of an opaque object no dimensions follow.
+            // No dimensions follow an opaque object.
             17 => {
                 self.others.push("a table, timetable or other object".to_owned());
                 return Some(());

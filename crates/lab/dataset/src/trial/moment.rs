@@ -118,7 +118,7 @@ impl Midnights {
     /// row that was written late, minutes after a midnight, belongs to the day before.
     pub(super) fn take(&mut self, time_s: f64) -> f64 {
         let step_s = time_s - self.before_s;
-        // Of a day, with a leap second: a time that elapsed may be longer.
+        // A time of day, with a leap second. An elapsed time may be longer.
         if step_s < -DAY_S / 2.0 && self.before_s < DAY_S + 1.0 {
             self.days += 1;
         } else if step_s > DAY_S - LATE_S && self.days > 0 {

@@ -121,7 +121,7 @@ struct Spans {
 }
 
 impl Spans {
-    fn of(timestamp_s: &[f64]) -> Self {
+    fn new(timestamp_s: &[f64]) -> Self {
         let offset_ns = note::offsets_ns(timestamp_s);
         let period_ns = note::median_step_ns(&offset_ns).unwrap_or(1);
         let longest_ns = (period_ns + period_ns / 2).cast_signed();
@@ -183,7 +183,7 @@ fn resample(
     if !(rate_hz > 0.0 && rate_hz <= MAX_RATE_HZ) {
         return Err(ResampleError::Rate { rate_hz });
     }
-    let spans = Spans::of(timestamp_s);
+    let spans = Spans::new(timestamp_s);
     let duration_s = spans.end_s();
     let wanted = duration_s * rate_hz;
     if wanted + 2.0 > MAX_ROWS as f64 {

@@ -404,11 +404,11 @@ struct Times {
     form: Option<TimeForm>,
     /// Whether they are numbers of a unit that their size tells, when all are known.
     is_epoch: bool,
-    /// That unit, with its number in a second.
+    /// This unit, and how many make a second.
     unit: Option<(&'static str, f64)>,
     /// Whether they are whole numbers, and nothing states their unit.
     is_unstated: bool,
-    /// Of times of day, over all robots.
+    /// State of the times of day, over all robots.
     midnights: Midnights,
 }
 

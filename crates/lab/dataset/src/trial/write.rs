@@ -110,7 +110,7 @@ impl Form {
     }
 
     /// The format of a file name's extension, if it is one of these.
-    pub fn of(path: &Path) -> Option<Self> {
+    pub fn new(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?;
         Self::ALL.into_iter().find(|form| name.ends_with(form.ending()))
     }
@@ -177,7 +177,7 @@ impl Table {
     /// # Errors
     /// [`WriteError`]: what the format cannot represent is refused, never dropped.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
-        let written = match Form::of(path) {
+        let written = match Form::new(path) {
             None => {
                 return Err(WriteError::Ending { path: path.to_owned() });
             }

@@ -112,7 +112,7 @@ pub(crate) struct Figure {
 
 impl Figure {
     /// The figure of a line of [`PAPER`].
-    fn of(line: &str, found: f64) -> Self {
+    fn new(line: &str, found: f64) -> Self {
         let cells: Vec<&str> = line.split(" | ").collect();
         let number = |text: &str| text.parse::<f64>().expect("a number");
         let band = cells[2].split_once("..");
@@ -177,7 +177,7 @@ fn column(trial: &Trial, column: Column) -> &[f64] {
 
 impl Basics {
     /// Measures trials, and their rows in the same order.
-    pub(crate) fn of(trials: &[Trial], rows: &[Vec<Row>]) -> Self {
+    pub(crate) fn new(trials: &[Trial], rows: &[Vec<Row>]) -> Self {
         let all = |kind: Column| -> Vec<f64> {
             let values = trials.iter().flat_map(|trial| column(trial, kind));
             values.copied().collect()
@@ -310,7 +310,7 @@ pub(crate) fn measure(
         score(&network, &rows, step_s)
     });
     Ok(Measured {
-        basics: Basics::of(&trials, &rows),
+        basics: Basics::new(&trials, &rows),
         trials: rows.iter().map(|rows| score(&network, rows, step_s)).collect(),
         robots: robots.collect(),
         robots_w: run
@@ -328,7 +328,7 @@ impl Measured {
         let lines: Vec<&str> = PAPER.trim().lines().collect();
         assert_eq!(lines.len(), found.len(), "every figure is measured");
         let figures = lines.iter().zip(found);
-        figures.map(|(line, found)| Figure::of(line, found)).collect()
+        figures.map(|(line, found)| Figure::new(line, found)).collect()
     }
 
     fn of_power(&self) -> Vec<f64> {

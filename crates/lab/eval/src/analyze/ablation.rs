@@ -184,7 +184,7 @@ impl Rows<'_> {
 
     /// Moments of the rows to fit on, and the number of those that are unusable.
     fn fitted(&self, wanted: &[Terms]) -> Result<(Moments, usize), AnalyzeError> {
-        let any = wanted.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let any = wanted.iter().fold(Terms::new(&[]), |any, terms| any.or(*terms));
         let (mut moments, mut unusable) = (Moments::new(any), 0);
         self.view.each(
             |at, contents| {
@@ -262,15 +262,15 @@ fn member(name: String, [new, held]: Tallies) -> Member {
     let total_w2 = gain_w2[0] + gain_w2[1];
     Member {
         name,
-        all: Part::of(&all),
-        held: Part::of(&held),
-        new: Part::of(&new),
+        all: Part::new(&all),
+        held: Part::new(&held),
+        new: Part::new(&new),
         held_share_of_gain: if total_w2 > 0.0 { gain_w2[1] / total_w2 } else { f64::NAN },
     }
 }
 
 impl Part {
-    fn of(tally: &Tally) -> Self {
+    fn new(tally: &Tally) -> Self {
         Self { rows: tally.count(), r2: tally.r2(), mae_w: tally.mae_w(), rmse_w: tally.rmse_w() }
     }
 }

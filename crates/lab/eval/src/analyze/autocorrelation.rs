@@ -22,14 +22,14 @@ pub struct Autocorrelation {
 
 /// Autocorrelation at lags from 1 to `lags`.
 pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
-    LagSums::of(trial, lags).alone()
+    LagSums::new(trial, lags).alone()
 }
 
 /// Autocorrelation over all trials: deviations from the mean of all readings, pairs within trials.
 /// It includes the variance between trials, so it exceeds the autocorrelation within a trial;
 /// scores over many trials depend on it.
 pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
-    let each = trials.iter().map(|trial| LagSums::of(trial, lags));
+    let each = trials.iter().map(|trial| LagSums::new(trial, lags));
     LagSums::pooled(&each.collect::<Vec<_>>(), lags)
 }
 
@@ -56,7 +56,7 @@ struct Pairs {
 }
 
 impl LagSums {
-    pub(super) fn of(trial: &Trial, lags: usize) -> Self {
+    pub(super) fn new(trial: &Trial, lags: usize) -> Self {
         let power_w = trial.column(Column::Power).unwrap_or_default();
         let known = || power_w.iter().copied().filter(|value| !value.is_nan());
         let readings = known().count();

@@ -42,7 +42,7 @@ impl<'a> View<'a> {
         };
         let (trial, _) = contents.trial.resampled(grid)?;
         drop(contents);
-        Ok(Arc::new(Contents::of(trial)))
+        Ok(Arc::new(Contents::new(trial)))
     }
 
     /// Calls `take` with the result of `of` for each trial, in order.

@@ -76,7 +76,7 @@ pub(super) fn extrapolated(
 ) -> Result<[Chosen; KINDS], CalibrateError> {
     let mut chosen = before.map(kept);
     for (kind, chosen) in chosen.iter_mut().enumerate() {
-        let Some(tail) = Tail::of(first, kind, request.confidence) else {
+        let Some(tail) = Tail::new(first, kind, request.confidence) else {
             continue;
         };
         check(&tail, second, kind)?;

@@ -43,7 +43,7 @@ pub struct Delay {
 
 impl Delay {
     /// Summarises the time until the fault was found, in each recording.
-    pub(super) fn of(times_s: &[Option<f64>]) -> Self {
+    pub(super) fn new(times_s: &[Option<f64>]) -> Self {
         let found = times_s.iter().flatten().count() as f64 / times_s.len() as f64;
         // A fault that was not found counts as later than all others.
         let times_s = times_s.iter().map(|time_s| time_s.unwrap_or(f64::MAX));
@@ -77,7 +77,7 @@ pub struct Thresholds {
 impl Thresholds {
     /// The thresholds beyond which as many recordings of the first half go as the calibrated limits
     /// raised alarms on them.
-    pub(super) fn of(first: &[Vec<Sample>], second: &[Vec<Sample>], alarms: u64) -> Self {
+    pub(super) fn new(first: &[Vec<Sample>], second: &[Vec<Sample>], alarms: u64) -> Self {
         // The alarms' extremes, ascending.
         let beyond = |extremes: Vec<f64>| {
             let last = extremes.len().saturating_sub(1);
@@ -144,7 +144,7 @@ pub(super) struct Faulty<'a>(Vec<(&'a [Sample], u64)>);
 impl<'a> Faulty<'a> {
     /// Keeps recordings whose residuals have settled before two fifths of the rows, where faults
     /// begin.
-    pub(super) fn of(recordings: &'a [Vec<Sample>], settle_samples: usize) -> Self {
+    pub(super) fn new(recordings: &'a [Vec<Sample>], settle_samples: usize) -> Self {
         let begins = |samples: &'a Vec<Sample>| {
             let row = samples.len() / 5 * 2;
             let (from_ns, last_ns) = (samples.get(row)?.stamp_ns, samples.last()?.stamp_ns);
@@ -204,7 +204,7 @@ impl<'a> Faulty<'a> {
             Ok(found_ns.map(|found_ns| since_s(*from_ns, found_ns)))
         });
         let times_s: Vec<Option<f64>> = times_s.collect::<Result<_, SettingsError>>()?;
-        Ok(Delay::of(&times_s))
+        Ok(Delay::new(&times_s))
     }
 }
 

@@ -50,7 +50,7 @@ pub(super) struct Curve {
 impl Curve {
     /// Plays a recording at the steps of the grid from the lowest on, up to the first step without
     /// an alarm. The chosen limits are later played separately.
-    fn of(robot: &Robot, samples: &[Sample]) -> Result<Self, SettingsError> {
+    fn new(robot: &Robot, samples: &[Sample]) -> Result<Self, SettingsError> {
         let (mut raised, mut hours) = (Vec::new(), 0.0);
         for step in 0..STEPS {
             let at = limits(std::array::from_fn(|kind| limit(kind, step)));
@@ -79,8 +79,8 @@ impl Curve {
 pub(super) struct Curves(pub Vec<Curve>);
 
 impl Curves {
-    pub(super) fn of(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
-        let curves = recordings.par_iter().map(|it| Curve::of(robot, it));
+    pub(super) fn new(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
+        let curves = recordings.par_iter().map(|it| Curve::new(robot, it));
         Ok(Self(curves.collect::<Result<_, _>>()?))
     }
 

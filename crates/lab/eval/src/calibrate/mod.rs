@@ -48,11 +48,11 @@ pub fn calibrate(
     let robot = Robot::new(settings, platform, model);
     let recordings = halves(trials)?;
     let [first, second] = &recordings;
-    let curves = [Curves::of(&robot, first)?, Curves::of(&robot, second)?];
+    let curves = [Curves::new(&robot, first)?, Curves::new(&robot, second)?];
     let before = grid::values(robot.limits());
     let chosen = choose(&curves, before, request)?;
     let calibrated = robot.limited(grid::limits(chosen.map(|chosen| chosen.value)));
-    let [chosen_on, stated_on] = [Half::of(&calibrated, first)?, Half::of(&calibrated, second)?];
+    let [chosen_on, stated_on] = [Half::new(&calibrated, first)?, Half::new(&calibrated, second)?];
     let bound = stated_on.at_most(request.confidence);
     let is_shown = chosen.iter().any(|chosen| chosen.basis == Basis::Shown);
     let is_extrapolated = bound > request.per_robot_h();
@@ -60,9 +60,9 @@ pub fn calibrate(
         return Err(stated_on.too_many(bound, request));
     }
     let textbook = robot.textbook();
-    let alone = Half::of(&textbook, second)?;
-    let thresholds = Thresholds::of(first, second, chosen_on.evidence().alarms);
-    let faulty = Faulty::of(second, robot.settle_samples());
+    let alone = Half::new(&textbook, second)?;
+    let thresholds = Thresholds::new(first, second, chosen_on.evidence().alarms);
+    let faulty = Faulty::new(second, robot.settle_samples());
     Ok(Calibration {
         robots: request.robots,
         wanted_per_robot_h: request.per_robot_h(),
@@ -140,7 +140,7 @@ struct Half {
 }
 
 impl Half {
-    fn of(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
+    fn new(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
         let played = recordings.par_iter().map(|it| robot.play(it, None));
         Ok(Self {
             played: played.collect::<Result<_, _>>()?,

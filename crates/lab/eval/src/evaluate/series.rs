@@ -19,7 +19,7 @@ pub struct Series {
 
 impl Series {
     /// The scored readings of a trial.
-    pub fn of(robot: &RobotEvaluation) -> Self {
+    pub fn new(robot: &RobotEvaluation) -> Self {
         let mut series = Self::default();
         let mut interval = [f64::NAN; 2];
         for step in robot.steps.iter().filter(|step| step.accepted) {

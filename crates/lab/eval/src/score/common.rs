@@ -55,7 +55,7 @@ pub struct BaselineReport {
 }
 
 impl Common {
-    pub(super) fn of(
+    pub(super) fn new(
         subject: Subject<'_>,
         options: &Options,
         lines: &Lines,
@@ -68,11 +68,11 @@ impl Common {
         };
         let platform = subject.platform.map(|platform| platform.name.clone());
         let evaluated = 0..models.len();
-        let recognised = Recognised::of(recordings, models)?;
+        let recognised = Recognised::new(recordings, models)?;
         Ok(Self {
             platform: platform.unwrap_or_else(|| "recorded".to_owned()),
             settings: settings.fingerprint(),
-            models: evaluated.map(|at| Evaluated::of(at, subject, &names, &recognised)).collect(),
+            models: evaluated.map(|at| Evaluated::new(at, subject, &names, &recognised)).collect(),
             scored_rows: design.scored_rows(&recognised),
             design: design.report(),
             baselines: baselines(options, lines),
@@ -81,7 +81,7 @@ impl Common {
             origins_every: options.origins_every,
             energy: options.energy,
             bootstrap: options.bootstrap,
-            recordings: recordings.iter().map(Listed::of).collect(),
+            recordings: recordings.iter().map(Listed::new).collect(),
         })
     }
 
@@ -99,7 +99,7 @@ impl Common {
 }
 
 impl Evaluated {
-    fn of(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> Self {
+    fn new(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> Self {
         let model = &subject.models[at];
         let card = match model {
             Model::Network(network) => Some(network.card()),
@@ -147,7 +147,7 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
         .extend(members.map(|(at, member)| format!("{} ({})", base(&models[at]), member.name())));
     Names {
         forecasters,
-        open_loop: of(&|model| Forecast::of(model, false)),
+        open_loop: of(&|model| Forecast::new(model, false)),
         models: models.len(),
         baselines,
         intervals,

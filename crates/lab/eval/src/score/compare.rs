@@ -151,7 +151,7 @@ impl fmt::Display for Verdict {
 }
 
 impl Verdict {
-    fn of(skill: &Estimate) -> Self {
+    fn new(skill: &Estimate) -> Self {
         if skill.is_above(0.0) {
             Self::Better
         } else if skill.is_below(0.0) {
@@ -245,7 +245,7 @@ fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference
         rmse_w: estimates[2],
         skill: estimates[3],
         coverage: estimates[4],
-        verdict: Verdict::of(&estimates[3]),
+        verdict: Verdict::new(&estimates[3]),
     }
 }
 

@@ -328,7 +328,7 @@ pub(super) fn fit_lines(
     recordings: &[Recording],
     baselines: &[Terms],
 ) -> Result<Vec<Vec<Option<Linear>>>, ScoreError> {
-    let fitted = Fitted::of(design, recordings)?;
+    let fitted = Fitted::new(design, recordings)?;
     let terms = fitted.terms(baselines)?;
     let moments = fitted.map(!baselines.is_empty(), |rows, part| -> Vec<Moments> {
         let each = terms.iter().map(|(known, _)| Moments::of(&rows.rows[part.clone()], *known));
@@ -360,7 +360,7 @@ pub(super) fn fit_references(
     recordings: &[Recording],
     references: &[Reference],
 ) -> Result<Vec<Vec<Learned>>, ScoreError> {
-    let fitted = Fitted::of(design, recordings)?;
+    let fitted = Fitted::new(design, recordings)?;
     let parts = |fold: &Fold| -> Vec<usize> {
         fold.fitted.iter().filter_map(|part| fitted.place(part)).collect()
     };
@@ -385,7 +385,7 @@ pub(super) fn fit_references(
                 design.folds.iter().map(of_fold).collect()
             }
             Reference::Seasonal => {
-                let found = fitted.map(true, Differences::of)?;
+                let found = fitted.map(true, Differences::new)?;
                 let of_fold = |fold| {
                     let mut all = Differences::none();
                     parts(fold).iter().for_each(|at| all.merge(&found[*at]));
@@ -414,7 +414,7 @@ struct Fitted<'a> {
 
 impl<'a> Fitted<'a> {
     /// Parts are computed once, because folds share most of them.
-    fn of(design: &'a Design, recordings: &'a [Recording]) -> Result<Self, ScoreError> {
+    fn new(design: &'a Design, recordings: &'a [Recording]) -> Result<Self, ScoreError> {
         design.check(recordings)?;
         let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
         parts.sort_unstable_by_key(|part| key(part));
@@ -424,9 +424,9 @@ impl<'a> Fitted<'a> {
 
     /// The known ones of some terms, and the positions of the others.
     fn terms(&self, asked: &[Terms]) -> Result<Vec<(Terms, Vec<usize>)>, ScoreError> {
-        let any = asked.iter().fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let any = asked.iter().fold(Terms::new(&[]), |any, terms| any.or(*terms));
         let known =
-            self.map(any.count() > 0, |rows, part| KnownFeatures::of(&rows.rows[part], any))?;
+            self.map(any.count() > 0, |rows, part| KnownFeatures::new(&rows.rows[part], any))?;
         let known = known.into_iter().fold(KnownFeatures::NONE, KnownFeatures::or);
         Ok(asked.iter().map(|terms| known.split(*terms)).collect())
     }

@@ -69,6 +69,6 @@ impl Subject<'_> {
     pub(super) fn forecast(&self, model: &Model) -> Forecast {
         // A platform taken from a recording learns online.
         let online = self.platform.is_none_or(|platform| platform.online);
-        Forecast::of(model, online)
+        Forecast::new(model, online)
     }
 }

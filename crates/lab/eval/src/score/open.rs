@@ -76,7 +76,7 @@ fn read(id: u32, place: &Stored, left: &AtomicU64) -> Result<Vec<Recording>, Tri
     })?;
     let mut named = Vec::with_capacity(recordings.len());
     let several = recordings.len() > 1 || place.is_one_of_several();
-    // Of several robots all stay: the file would be read for each.
+    // Keep all robots of a file: otherwise it would be read once for each.
     let mut waits = waits.filter(|_| recordings.len() == 1);
     for mut recording in recordings {
         if several {

@@ -67,7 +67,7 @@ pub struct Contents {
 
 impl Contents {
     /// The rows of a trial.
-    pub fn of(trial: Trial) -> Self {
+    pub fn new(trial: Trial) -> Self {
         let rows = trial_rows(&trial);
         let offset_ns = trial.offset_ns();
         // Sample k carries the reading of row k. Its forecast is for the reading of row k + 1.
@@ -82,7 +82,7 @@ impl Contents {
 impl Recording {
     /// A trial in memory, with names derived from its file.
     pub fn new(id: u32, trial: Trial) -> Self {
-        Self::with(id, Contents::of(trial))
+        Self::with(id, Contents::new(trial))
     }
 
     fn with(id: u32, contents: Contents) -> Self {
@@ -142,7 +142,7 @@ impl Recording {
             Held::Memory(contents) => return Ok(Arc::clone(contents)),
             Held::Stored(place) => place,
         };
-        let contents = Contents::of(place.read_again()?);
+        let contents = Contents::new(place.read_again()?);
         let found = contents.trial.rows();
         if found != self.trial_rows || digest(&contents.rows) != self.digest {
             return Err(TrialError::Changed {

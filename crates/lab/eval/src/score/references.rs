@@ -206,8 +206,8 @@ impl Differences {
         Self { readings: [0.0; 3], at: vec![[0.0; 2]; MAX_SEASON] }
     }
 
-    /// Of some rows of a trial.
-    pub(super) fn of(rows: &TrialRows, part: Range<usize>) -> Self {
+    /// Those of some rows of a trial.
+    pub(super) fn new(rows: &TrialRows, part: Range<usize>) -> Self {
         let mut found = Self::none();
         for later in part.clone() {
             let later_w = f64::from(rows.rows[later].target_w);
@@ -266,8 +266,8 @@ mod tests {
             ..TrialRows::default()
         };
         let season = |rows: &TrialRows| {
-            let mut all = Differences::of(rows, 0..1_000);
-            all.merge(&Differences::of(rows, 1_000..2_000));
+            let mut all = Differences::new(rows, 0..1_000);
+            all.merge(&Differences::new(rows, 1_000..2_000));
             all.season()
         };
         let wave = rows(&|at| 50.0 + (at as f64 * std::f64::consts::TAU / 90.0).sin());

@@ -151,7 +151,7 @@ impl<'a> Prepared<'a> {
         }
         let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
         let learned = fit_references(subject.design, subject.recordings, &options.references)?;
-        let common = Common::of(subject, options, &lines)?;
+        let common = Common::new(subject, options, &lines)?;
         Ok(Self { subject, options, common, lines, learned })
     }
 

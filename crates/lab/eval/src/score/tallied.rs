@@ -61,7 +61,7 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    pub(crate) fn of(recording: &Recording) -> Self {
+    pub(crate) fn new(recording: &Recording) -> Self {
         Self {
             name: recording.name.clone(),
             robot: recording.robot.clone(),

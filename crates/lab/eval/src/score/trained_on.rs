@@ -49,7 +49,7 @@ pub(super) struct Recognised {
 type OfModel = Vec<Vec<Range<usize>>>;
 
 impl Recognised {
-    pub(super) fn of(recordings: &[Recording], models: &[Model]) -> Result<Self, ScoreError> {
+    pub(super) fn new(recordings: &[Recording], models: &[Model]) -> Result<Self, ScoreError> {
         let stated = models.iter().map(|model| match model {
             Model::Persistence(_) => None,
             Model::Network(network) => network.card().trained_rows.as_ref(),
@@ -136,7 +136,7 @@ impl Design {
         recordings: &[Recording],
         models: &[Model],
     ) -> Result<Self, ScoreError> {
-        let recognised = Recognised::of(recordings, models)?;
+        let recognised = Recognised::new(recordings, models)?;
         let before = self.folds.clone();
         for fold in &mut self.folds {
             let mut evaluated = Vec::new();

@@ -44,7 +44,7 @@ fn the_fit_holds_for_other_seeds() {
     let all: Vec<Basics> = (201..209)
         .map(|seed| {
             let (trials, rows) = six_trials(Parts::default(), seed);
-            Basics::of(&trials, &rows)
+            Basics::new(&trials, &rows)
         })
         .collect();
     let average = |figure: fn(&Basics) -> f64| mean(all.iter().map(figure));

@@ -104,9 +104,9 @@ impl Data {
     /// Mean and deviation of each feature, and of the readings that are forecast.
     pub(super) fn spreads(&self) -> (Vec<Spread>, Spread) {
         let of = |feature: usize| {
-            Spread::of(self.rows.iter().map(move |row| f64::from(row.features[feature])))
+            Spread::new(self.rows.iter().map(move |row| f64::from(row.features[feature])))
         };
-        let target = Spread::of(self.rows.iter().map(|row| f64::from(row.target_w)));
+        let target = Spread::new(self.rows.iter().map(|row| f64::from(row.target_w)));
         ((0..FEATURES).map(of).collect(), target)
     }
 

@@ -193,7 +193,7 @@ impl Args {
 fn file_name(path: &Path, (robot, run): (Option<&str>, usize), form: Form) -> String {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.unwrap_or("recording");
-    let stem = match Form::of(path) {
+    let stem = match Form::new(path) {
         Some(form) => name.strip_suffix(form.ending()).unwrap_or(name),
         None => name.strip_suffix(".mcap").unwrap_or(name),
     };

@@ -63,14 +63,14 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             Ok::<_, TrialError>(())
         })?;
     }
-    let sums = Sums::of(&trials);
+    let sums = Sums::new(&trials);
     let (columns, short) = (args.columns, args.short);
     output.report(&DataInfoReport { trials, sums, columns, short })?;
     Ok(Outcome::Done)
 }
 
 impl Sums {
-    fn of(trials: &[TrialReport]) -> Self {
+    fn new(trials: &[TrialReport]) -> Self {
         let robots = trials.iter().filter_map(|trial| trial.robot_name.clone());
         let groups = trials.iter().map(|trial| trial.group.clone());
         let count = |of: fn(&TrialReport) -> usize| trials.iter().map(of).sum();

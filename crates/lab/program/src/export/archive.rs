@@ -306,7 +306,7 @@ impl Adding<'_> {
         let unix_ns = stamps.and_then(|stamps| stamps.first());
         let unix_ns = unix_ns.map(|stamp| stamp.unix_ns);
         let robot = head.robot.as_deref();
-        let partition = Partition::of(fleet, unix_ns, robot);
+        let partition = Partition::new(fleet, unix_ns, robot);
         let levels = self.archive.levels(&self.name, partition.levels())?;
         let folder = partition.folder(levels);
         let (ordinal, trial) = (head.ordinal, head.trial);

@@ -114,7 +114,7 @@ fn levels(file: &Path, map: &ColumnMap) -> Option<Levels> {
     // None: no further table is wanted.
     let read: Result<(), Option<TrialError>> =
         Table::each(file, &map.clone().in_parts_of(FIRST_ROWS), |table| {
-            first = Some(Partition::of(None, None, table.robot_name()).levels());
+            first = Some(Partition::new(None, None, table.robot_name()).levels());
             Err(None)
         });
     first.filter(|_| matches!(read, Err(None)))

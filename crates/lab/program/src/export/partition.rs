@@ -47,9 +47,9 @@ pub(crate) struct Partition([Option<String>; 3]);
 
 impl Partition {
     /// `unix_ns`: when the first reading was recorded.
-    pub(crate) fn of(fleet: Option<&str>, unix_ns: Option<u64>, robot: Option<&str>) -> Self {
+    pub(crate) fn new(fleet: Option<&str>, unix_ns: Option<u64>, robot: Option<&str>) -> Self {
         let escaped = |value: Option<&str>| value.filter(|value| !value.is_empty()).map(escape);
-        let day = unix_ns.map(|unix_ns| Utc::of(unix_ns).date());
+        let day = unix_ns.map(|unix_ns| Utc::new(unix_ns).date());
         Self([escaped(fleet), day, escaped(robot)])
     }
 
@@ -90,14 +90,14 @@ mod tests {
 
     #[test]
     fn no_name_leaves_its_partition_and_what_is_unknown_has_no_folder() {
-        let named = Partition::of(Some("a/../b"), Some(0), Some("../ü=1 %"));
+        let named = Partition::new(Some("a/../b"), Some(0), Some("../ü=1 %"));
         let wanted = "fleet=a%2F..%2Fb/day=1970-01-01/robot=..%2F%C3%BC%3D1%20%25";
         assert_eq!(named.folder(named.levels()), PathBuf::from(wanted));
         assert_eq!(Levels::of_file(Path::new(wanted)), Levels::ALL);
-        let robot = Partition::of(None, None, Some("7"));
+        let robot = Partition::new(None, None, Some("7"));
         assert_eq!(robot.folder(robot.levels()), PathBuf::from("robot=7"));
         assert_eq!(robot.levels().names(), "robot");
-        let nothing = Partition::of(None, None, Some(""));
+        let nothing = Partition::new(None, None, Some(""));
         assert_eq!(nothing.folder(nothing.levels()), PathBuf::new());
         assert_eq!(nothing.levels(), Levels::of_file(Path::new("000000-0000.parquet")));
         let folder = nothing.folder(Levels::ALL);

@@ -43,7 +43,7 @@ pub(super) fn write(
     let fleet = TrialFleet::new(trials, playback)?;
     let of = (config.fleet(), clock, start_unix_ns);
     let written = joulebus_files::create(path, |file| {
-        let settings = CaptureSettings::of(Preset::ZstdSmall);
+        let settings = CaptureSettings::new(Preset::ZstdSmall);
         let writer = Writer::new(file, settings, &attachments)?;
         samples(of, fleet, writer)
     });

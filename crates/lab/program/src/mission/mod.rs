@@ -37,7 +37,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Exit> {
         say(&format!("written: {}", file.display()));
     }
     let runs = all(&scenario, &policies, first_seed, args.seeds)?;
-    let summary = Summary::of(scenario, first_seed, &runs);
+    let summary = Summary::new(scenario, first_seed, &runs);
     output.report(&summary)?;
     Ok(Exit::Done)
 }

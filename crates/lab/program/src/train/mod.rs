@@ -113,7 +113,7 @@ pub(crate) fn train_recordings(
     count: usize,
 ) -> anyhow::Result<Option<Split>> {
     let features = if full { FeatureChoice::Full } else { FeatureChoice::Power };
-    trials::Args::of(paths, columns, out, features, count).train()
+    trials::Args::new(paths, columns, out, features, count).train()
 }
 
 /// Path of the checkpoint of an unfinished run: beside the model.

@@ -103,7 +103,7 @@ const WHOLE_FROM: usize = 4;
 
 impl Args {
     /// Arguments for the default recipe, and recordings that were judged before.
-    pub(super) fn of(
+    pub(super) fn new(
         paths: &[PathBuf],
         columns: &ColumnArguments,
         out: &Path,

@@ -65,7 +65,7 @@ proptest! {
     #[test]
     fn the_fit_equals_that_of_a_slow_solver(rows in rows(40..120), bits in 0u32..1 << FEATURES) {
         let chosen: Vec<usize> = (0..FEATURES).filter(|at| bits >> at & 1 == 1).collect();
-        let terms = Terms::of(&chosen);
+        let terms = Terms::new(&chosen);
         let linear = Linear::fit(&rows, terms).expect("more rows than columns");
         let wanted = slow_fit(&rows, terms);
         prop_assert!(linear.dropped().is_empty());
@@ -105,7 +105,7 @@ proptest! {
         let linear = Linear::fit(&told_twice, Terms::AR5_AND_VELOCITIES).expect("enough rows");
         prop_assert_eq!(linear.dropped(), [(2, Dropped::Constant), (NEWEST + 3, Dropped::Dependent)]);
         let rest: Vec<usize> = (0..FEATURES).filter(|at| ![2, NEWEST + 3].contains(at)).collect();
-        let without = Linear::fit(&told_twice, Terms::of(&rest)).expect("enough rows");
+        let without = Linear::fit(&told_twice, Terms::new(&rest)).expect("enough rows");
         for row in &told_twice {
             prop_assert!((linear.predict(&row.features) - without.predict(&row.features)).abs() < 1e-9);
         }
@@ -206,10 +206,10 @@ fn too_few_rows_and_features_without_moments_are_refused() {
     );
     let taken = Moments::of(&few, Terms::AR5);
     assert!(matches!(taken.fit(Terms::VELOCITIES), Err(LinearError::NotTaken { .. })));
-    let constant = taken.fit(Terms::of(&[])).expect("two rows have a mean");
+    let constant = taken.fit(Terms::new(&[])).expect("two rows have a mean");
     assert_eq!(constant.predict(&few[0].features), 1.5);
     assert_eq!(constant.terms().to_string(), "constant");
-    assert_eq!(Terms::of(&[0, NEWEST, 99]).to_string(), "v_mps + power_lag1_w");
+    assert_eq!(Terms::new(&[0, NEWEST, 99]).to_string(), "v_mps + power_lag1_w");
 }
 
 #[test]

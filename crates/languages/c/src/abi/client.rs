@@ -69,7 +69,7 @@ pub unsafe extern "C" fn joulebus_client_ask(
             let to = read("answers", answers.cast_const())?;
             // A copy: what is written may lie anywhere.
             let asked = question::read(&raw, !to.power_w.is_null())?;
-            (asked, to, Places::of(&to, &raw)?, out("answers", answers)?)
+            (asked, to, Places::new(&to, &raw)?, out("answers", answers)?)
         };
         let timeout = Duration::from_nanos(timeout_ns);
         let found = handles::with(client, |client: &mut PlanClient| {

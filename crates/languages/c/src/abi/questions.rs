@@ -195,7 +195,7 @@ pub unsafe extern "C" fn joulebus_questions_ask(
             let to = read("answers", answers.cast_const())?;
             // A copy: what is written may lie anywhere.
             let asked = question::read(&raw, !to.power_w.is_null())?;
-            (asked, to, Places::of(&to, &raw)?, out("answers", answers)?)
+            (asked, to, Places::new(&to, &raw)?, out("answers", answers)?)
         };
         handles::with(questions, |asker: &mut Questions| {
             let view = asker.planner.view().map_err(not_seen)?;

@@ -220,7 +220,7 @@ pub struct joulebus_event {
     pub end: joulebus_end,
     /// Time since the newest frame was sent, ns, of JOULEBUS_EVENT_KIND_STALE.
     pub age_ns: u64,
-    /// Of JOULEBUS_EVENT_KIND_FRAME.
+    /// For JOULEBUS_EVENT_KIND_FRAME.
     pub frame: joulebus_forecasts,
 }
 
@@ -283,9 +283,9 @@ pub struct joulebus_question {
     pub flags: u32,
     /// Coverage of the intervals, 0.5 to 0.999.
     pub coverage: f32,
-    /// Of WHAT_IF: time that each command is in force, s.
+    /// For WHAT_IF: time that each command is in force, s.
     pub period_s: f32,
-    /// Of IDLE: the time, s.
+    /// For IDLE: the time, s.
     pub duration_s: f32,
     /// 0.
     pub reserved: u32,
@@ -293,17 +293,17 @@ pub struct joulebus_question {
     pub robots: *const u32,
     /// How many; one of WHAT_IF.
     pub robot_count: usize,
-    /// Of WHAT_IF: number of candidates.
+    /// For WHAT_IF: number of candidates.
     pub candidates: usize,
-    /// Of WHAT_IF: steps of each.
+    /// For WHAT_IF: steps of each.
     pub steps: usize,
-    /// Of WHAT_IF: linear velocities, m/s, candidate by candidate.
+    /// For WHAT_IF: linear velocities, m/s, candidate by candidate.
     pub v_mps: *const f32,
-    /// Of WHAT_IF: angular velocities, rad/s, candidate by candidate.
+    /// For WHAT_IF: angular velocities, rad/s, candidate by candidate.
     pub omega_radps: *const f32,
-    /// Of FOLLOW: the path; the robots are at its first point.
+    /// For FOLLOW: the path; the robots are at its first point.
     pub path: *const joulebus_waypoint,
-    /// Of FOLLOW: its points.
+    /// For FOLLOW: its points.
     pub points: usize,
     /// Where to return to, m, with JOULEBUS_QUERY_RETURN.
     pub return_x_m: f64,

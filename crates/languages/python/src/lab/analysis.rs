@@ -20,7 +20,7 @@ pub(crate) fn analyze(
     given_models: &Bound<'_, PyAny>,
     remark: &Bound<'_, PyAny>,
 ) -> PyResult<String> {
-    let (inputs, reading) = (Inputs::of(recordings)?, Reading::of(reading)?);
+    let (inputs, reading) = (Inputs::new(recordings)?, Reading::new(reading)?);
     let asked: AnalysisSettings = settings(asked)?;
     let named = |model: Model| (format!("network {}", model.name()), model);
     let models: Vec<(String, Model)> = models(given_models)?.into_iter().map(named).collect();

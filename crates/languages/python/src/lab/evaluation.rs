@@ -73,7 +73,8 @@ pub(crate) fn evaluate<'py>(
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<(String, String, Vec<Bound<'py, PyDict>>)> {
-    let (inputs, fit, reading) = (Inputs::of(recordings)?, Inputs::of(fit)?, Reading::of(reading)?);
+    let (inputs, fit, reading) =
+        (Inputs::new(recordings)?, Inputs::new(fit)?, Reading::new(reading)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
@@ -115,7 +116,7 @@ fn series<'py>(
     robot: &RobotEvaluation,
     recordings: &[Recording],
 ) -> PyResult<Bound<'py, PyDict>> {
-    let (found, dict) = (Series::of(robot), PyDict::new(py));
+    let (found, dict) = (Series::new(robot), PyDict::new(py));
     let recording = recordings.iter().find(|one| one.id == robot.robot);
     dict.set_item("trial", recording.map(|one| one.name.clone()))?;
     dict.set_item("model", &robot.model)?;

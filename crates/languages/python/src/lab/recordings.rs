@@ -24,7 +24,7 @@ type Given<'py> = (PathBuf, Option<String>, Bound<'py, PyDict>);
 
 impl Inputs {
     /// The inputs in a list of paths and of trials.
-    pub(super) fn of(given: &Bound<'_, PyAny>) -> PyResult<Self> {
+    pub(super) fn new(given: &Bound<'_, PyAny>) -> PyResult<Self> {
         let mut found = Self::default();
         for given in given.try_iter()? {
             let given = given?;

@@ -83,7 +83,8 @@ pub(crate) fn report_recorded(
     asked: &str,
     remark: &Bound<'_, PyAny>,
 ) -> PyResult<Report> {
-    let (inputs, fit, reading) = (Inputs::of(recordings)?, Inputs::of(fit)?, Reading::of(reading)?);
+    let (inputs, fit, reading) =
+        (Inputs::new(recordings)?, Inputs::new(fit)?, Reading::new(reading)?);
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;

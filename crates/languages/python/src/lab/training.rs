@@ -101,9 +101,9 @@ pub(crate) fn train_recordings<'py>(
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
     let asked: Asked = settings(asked)?;
-    let (recipe, threads, reading) = (asked.recipe()?, asked.threads, Reading::of(reading)?);
-    let inputs = Inputs::of(recordings)?;
-    let parts = [Inputs::of(&parts.0)?, Inputs::of(&parts.1)?];
+    let (recipe, threads, reading) = (asked.recipe()?, asked.threads, Reading::new(reading)?);
+    let inputs = Inputs::new(recordings)?;
+    let parts = [Inputs::new(&parts.0)?, Inputs::new(&parts.1)?];
     let prepare = move |teller: &job::Teller<Told>| {
         let read = |inputs: Inputs| -> PyResult<Vec<Recording>> {
             let remark = |text| {

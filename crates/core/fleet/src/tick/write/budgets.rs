@@ -24,7 +24,7 @@ pub(crate) struct Budgets<'a> {
 
 impl<'a> Budgets<'a> {
     #[inline(always)]
-    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
+    pub(crate) fn new(tick: &TickContext, block: BlockRef<'a>) -> Self {
         const UNKNOWN: Lanes<f32> = [f32::NAN; LANES];
         let mut budgets = Self {
             remaining: RemainingLanes::UNKNOWN,
@@ -140,7 +140,7 @@ pub(crate) fn estimate(
     lane: usize,
     overdue_ns: u64,
 ) -> Estimate {
-    let mut at = At::of(&block.ledgers.get(lane));
+    let mut at = At::new(&block.ledgers.get(lane));
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
     // On a charger the anchor is at the last sample. The time since then counts as silence.
     let charging = Charging { metered: false, unmetered: robot.charging };
@@ -158,7 +158,7 @@ fn fill(
     silent_ns: &Lanes<u64>,
 ) {
     let platform = &context.platform;
-    let counting = Counting::of(battery, platform);
+    let counting = Counting::new(battery, platform);
     let mean_w = &block.lasts.mean_power_w;
     for lane in 0..LANES {
         let robot = batteries.get(lane);
@@ -169,12 +169,12 @@ fn fill(
                 let (longest, factors) = block.energy.longest_level(lane);
                 let power = lasting.of(longest, &context.errors.platform().plans, &factors);
                 let range_w = |seconds| power.range_w(seconds);
-                Remaining::of(battery, &estimate, power.mean_w, range_w, robot.charging)
+                Remaining::new(battery, &estimate, power.mean_w, range_w, robot.charging)
             }
             // What is known of the next reading, in place of hours.
             None => {
                 let (lo_w, hi_w) = block.intervals.get(lane).around(mean_w[lane], 0, true);
-                Remaining::of(battery, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
+                Remaining::new(battery, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
             }
         };
         left.set(lane, mask[lane], remaining);

@@ -35,7 +35,7 @@ pub(crate) struct Diagnostics<'a, 'b> {
 
 impl<'a, 'b> Diagnostics<'a, 'b> {
     #[inline(always)]
-    pub(crate) fn of(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
+    pub(crate) fn new(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
         let mut diagnostics = Self {
             block,
             mae_w: [0.0; LANES],
@@ -160,7 +160,7 @@ fn battery_levels(tick: &TickContext, block: &BlockRef<'_>, lane: usize) -> u32 
     if overdue_ns == 0 || !admission.accepted {
         return batteries.raised[lane];
     }
-    let (robot, counting) = (batteries.get(lane), Counting::of(battery, platform));
+    let (robot, counting) = (batteries.get(lane), Counting::new(battery, platform));
     let estimate = budgets::estimate(block, &robot, &counting, lane, overdue_ns);
     levels::judge(robot.raised, battery, &estimate, robot.return_j)
 }

@@ -22,7 +22,7 @@ pub(crate) struct Forecasts<'a> {
 
 impl<'a> Forecasts<'a> {
     #[inline(always)]
-    pub(crate) fn of(block: BlockRef<'a>) -> Self {
+    pub(crate) fn new(block: BlockRef<'a>) -> Self {
         let (mut power_w, mut open_steps) = ([0.0; LANES], [0; LANES]);
         let mut due = [false; LANES];
         for lane in 0..LANES {

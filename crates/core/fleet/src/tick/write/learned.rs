@@ -17,7 +17,7 @@ pub(crate) struct LearnedLanes {
 
 impl LearnedLanes {
     #[inline(always)]
-    pub(crate) fn of(tick: &TickContext, block: &BlockRef<'_>) -> Self {
+    pub(crate) fn new(tick: &TickContext, block: &BlockRef<'_>) -> Self {
         let mut all = Self { learns: [false; LANES], learned: LearnedColumns::NONE };
         let Some(online) = block.online else {
             return all;

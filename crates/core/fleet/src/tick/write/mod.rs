@@ -47,7 +47,7 @@ impl SimdTask for WriteForecasts<'_, '_, '_> {
         let (tick, columns) = (self.tick, self.columns);
         for (block, lanes) in slots::blocks(columns.words) {
             prefetch_ahead(self.places.as_slice());
-            let forecasts = Forecasts::of(columns.block(block));
+            let forecasts = Forecasts::new(columns.block(block));
             for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
                 *place = forecasts.get(tick, lane);
             }
@@ -82,12 +82,12 @@ impl SimdTask for WriteAccounts<'_, '_, '_> {
             prefetch_ahead(outlooks.as_slice());
             let block = columns.block(block);
             if budgets.len() + outlooks.len() > 0 {
-                let rows = Budgets::of(tick, block);
+                let rows = Budgets::new(tick, block);
                 for (lane, place) in slots::bits(lanes).zip(budgets.by_ref()) {
                     *place = rows.get(tick, lane);
                 }
                 if outlooks.len() > 0 {
-                    let ahead = Outlooks::of(tick, block);
+                    let ahead = Outlooks::new(tick, block);
                     for (lane, place) in slots::bits(lanes).zip(outlooks.by_ref()) {
                         *place = ahead.get(tick, lane, &rows.get(tick, lane));
                     }
@@ -96,15 +96,15 @@ impl SimdTask for WriteAccounts<'_, '_, '_> {
             if diagnostics.len() + plan_states.len() == 0 {
                 continue;
             }
-            let learned = LearnedLanes::of(tick, &block);
+            let learned = LearnedLanes::new(tick, &block);
             if diagnostics.len() > 0 {
-                let rows = Diagnostics::of(block, &learned);
+                let rows = Diagnostics::new(block, &learned);
                 for (lane, place) in slots::bits(lanes).zip(diagnostics.by_ref()) {
                     *place = rows.get(tick, lane);
                 }
             }
             if plan_states.len() > 0 {
-                let rows = PlanStates::of(block, &learned);
+                let rows = PlanStates::new(block, &learned);
                 for (lane, place) in slots::bits(lanes).zip(plan_states.by_ref()) {
                     *place = rows.get(tick, lane);
                 }

@@ -42,7 +42,7 @@ pub(crate) struct Outlooks<'a> {
 
 impl<'a> Outlooks<'a> {
     #[inline(always)]
-    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
+    pub(crate) fn new(tick: &TickContext, block: BlockRef<'a>) -> Self {
         const UNKNOWN: Joules = [[f32::NAN; LANES]; OUTLOOK_HORIZONS];
         let mut all = Self { block, energy_j: UNKNOWN, lo_j: UNKNOWN, hi_j: UNKNOWN };
         // A task of its own: within that of all accounts, the compiler vectorises it or not.

@@ -17,7 +17,7 @@ pub(crate) struct PlanStates<'a, 'b> {
 
 impl<'a, 'b> PlanStates<'a, 'b> {
     #[inline(always)]
-    pub(crate) fn of(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
+    pub(crate) fn new(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
         Self { block, learned }
     }
 

@@ -91,7 +91,7 @@ impl Experts {
         due: bool,
     ) -> Forecasts {
         let lag_w = [row[6], row[7], row[8], row[9], row[10]];
-        let known = Knowledge::of(platform, model, &self.readings);
+        let known = Knowledge::new(platform, model, &self.readings);
         let learns = known.is_some();
         let forecast_w = known.map_or(network_w, |known| {
             let (members_w, _, _) = known.members(model, &lag_w, network_w, due);
@@ -112,7 +112,7 @@ impl Experts {
 impl Experts {
     /// The diagnostics' values from `mean_w` to `level_w`. `None` if nothing is learned.
     pub(crate) fn learned(&self, platform: &Platform, model: &Model) -> Option<[f32; 11]> {
-        let known = Knowledge::of(platform, model, &self.readings)?;
+        let known = Knowledge::new(platform, model, &self.readings)?;
         let ([last, network, confident, sceptic], [held, _, held_stack, _]) =
             (known.shares(true), known.shares(false));
         let stack = (confident + sceptic).min(1.0);
@@ -159,7 +159,7 @@ impl Stack {
 
 impl Knowledge {
     /// `None` if nothing is learned.
-    fn of(platform: &Platform, model: &Model, readings: &[Reading]) -> Option<Self> {
+    fn new(platform: &Platform, model: &Model, readings: &[Reading]) -> Option<Self> {
         if !platform.online || !matches!(model, Model::Network(_)) {
             return None;
         }

@@ -79,7 +79,7 @@ fn only_brokers_of_the_named_authority_are_trusted_and_they_ask_for_a_certificat
         assert_eq!(ended.exit_code(), 1, "{cause}: {ended:?}");
         joulebus_testkit::says(&ended.errors(), [cause, remedy]);
     }
-    // Who speaks TLS to a port without it, or the other way round, gets no answer.
+    // TLS to a port without it gets no answer, nor does plain text to a port with it.
     for (port, tls) in [(plain, tls(&own, None)), (open, String::new())] {
         let mut bridge = Child::spawn("bridge", fleet.command(&at(&local(port), &tls)));
         bridge.wait_for_line("A port of TLS needs [mqtt.tls]");
@@ -109,7 +109,7 @@ fn renewed_certificates_are_used_without_a_restart() {
     let mut bridge = fleet.bridge(&text, "connected to ");
     broker.kill();
     bridge.wait_for_line("not connected to ");
-    // Of another authority.
+    // Signed by another authority.
     std::fs::rename(&used, folder.path().join("older")).unwrap();
     std::fs::rename(&newer, &used).unwrap();
     broker.restart();

@@ -204,7 +204,7 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
         stranger.announced.iter().for_each(|it| stranger.send(ports[0], it));
         std::thread::sleep(Duration::from_millis(50));
         stranger.receive();
-        // Of its own there are the peer's announcements.
+        // The peer announces itself.
         stranger.count(ACKNACK) > 0 && stranger.count(DATA) > 2 * stranger.announced.len() + 4
     });
     let limits = std::fs::read_to_string(format!("/proc/{}/limits", bridge.pid())).unwrap();
@@ -232,7 +232,7 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
     let ended = bridge.end();
     assert!(matches!(ended.exit_code(), 0 | 3), "{ended:?}");
     assert!(!ended.errors().contains("panicked"), "{}", ended.errors());
-    // Who comes later may not be found until the bridge starts again.
+    // A later participant may not be found until the bridge starts again.
     let mut bridge = fleet.bridge(&file(&domain), "in ROS domain");
     let mut late = Peer::start(&python, &domain);
     late.subscribe("/r2/joulebus/reading_w", "Float64");

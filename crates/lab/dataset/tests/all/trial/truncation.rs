@@ -45,7 +45,7 @@ fn a_truncated_array_keeps_its_whole_rows_on_request() {
             [format!("row {}", rows + 1), format!("{missing} of")],
         );
     }
-    // Of an array in Fortran order the last columns are missing.
+    // An array in Fortran order lacks its last columns.
     let columns = npy(&header("<f8", "True", 5), &[0; 54 * 8]);
     let path = files.write("columns.npy", &columns);
     let error = Trial::read_mapped(&path, &map).unwrap_err().to_string();

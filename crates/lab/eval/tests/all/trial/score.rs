@@ -220,7 +220,7 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
             let wanted = tally(&readings, &forecasts, 1.0);
             let found = &cell.forecasters[at];
             let pairs = readings.iter().zip(&forecasts);
-            let quantiles = ResidualQuantiles::of(pairs.map(|(reading, of)| reading - of));
+            let quantiles = ResidualQuantiles::new(pairs.map(|(reading, of)| reading - of));
             let energy = |powers: &[f64]| -> f64 {
                 let steps = powers.iter().zip(&rows);
                 steps.map(|(power, row)| power * row.1).sum()
@@ -612,7 +612,7 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
 
 fn sources(recordings: &[Recording]) -> Vec<Source> {
     let trials = recordings.iter().map(|one| &contents(one).trial);
-    trials.map(Source::of).collect()
+    trials.map(Source::new).collect()
 }
 
 fn rows_of(recordings: &[Recording]) -> usize {

@@ -46,7 +46,7 @@ fn scores_analysis_and_training_rows_do_not_depend_on_what_is_in_memory() {
     let files = Files::new();
     let paths = made_up(&files);
     let whole = ColumnMap::default();
-    // Of the long files parts are recordings.
+    // Parts of the long files are recordings.
     let in_parts = ColumnMap::default().in_parts_of(260);
     let model = [network(5, FeatureSet::Full, 20.0)];
     let found = |recordings: &[Recording]| {
