@@ -1249,7 +1249,7 @@ typedef struct joulebus_event {
      */
     uint64_t age_ns;
     /**
-     * Of JOULEBUS_EVENT_KIND_FRAME.
+     * For JOULEBUS_EVENT_KIND_FRAME.
      */
     struct joulebus_forecasts frame;
 } joulebus_event;
@@ -1416,11 +1416,11 @@ typedef struct joulebus_question {
      */
     float coverage;
     /**
-     * Of WHAT_IF: time that each command is in force, s.
+     * For WHAT_IF: time that each command is in force, s.
      */
     float period_s;
     /**
-     * Of IDLE: the time, s.
+     * For IDLE: the time, s.
      */
     float duration_s;
     /**
@@ -1436,27 +1436,27 @@ typedef struct joulebus_question {
      */
     size_t robot_count;
     /**
-     * Of WHAT_IF: number of candidates.
+     * For WHAT_IF: number of candidates.
      */
     size_t candidates;
     /**
-     * Of WHAT_IF: steps of each.
+     * For WHAT_IF: steps of each.
      */
     size_t steps;
     /**
-     * Of WHAT_IF: linear velocities, m/s, candidate by candidate.
+     * For WHAT_IF: linear velocities, m/s, candidate by candidate.
      */
     const float *v_mps;
     /**
-     * Of WHAT_IF: angular velocities, rad/s, candidate by candidate.
+     * For WHAT_IF: angular velocities, rad/s, candidate by candidate.
      */
     const float *omega_radps;
     /**
-     * Of FOLLOW: the path; the robots are at its first point.
+     * For FOLLOW: the path; the robots are at its first point.
      */
     const struct joulebus_waypoint *path;
     /**
-     * Of FOLLOW: its points.
+     * For FOLLOW: its points.
      */
     size_t points;
     /**
