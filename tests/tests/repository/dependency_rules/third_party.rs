@@ -1,4 +1,4 @@
-//! How many crates of others each program and each library of the SDK compiles.
+//! How many crates of others each program and each library of the SDK, in any language, compiles.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,9 +8,16 @@ use serde_json::Value;
 
 use super::crates;
 
-/// Libraries that a controller or a planner links.
-const SDK: [&str; 4] =
-    ["joulebus-consumer", "joulebus-plan", "joulebus-planner", "joulebus-publisher"];
+/// Libraries that a controller, a planner, Python or an evaluation of one's own links.
+const SDK: [&str; 7] = [
+    "joulebus-c",
+    "joulebus-consumer",
+    "joulebus-eval",
+    "joulebus-plan",
+    "joulebus-planner",
+    "joulebus-publisher",
+    "joulebus-python",
+];
 
 /// Cargo's output for these arguments, in the root of the workspace.
 fn cargo(arguments: &[&str]) -> String {
