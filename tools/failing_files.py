@@ -167,6 +167,13 @@ class Verb:
             return f"ends with {code} and says no reason"
         if code != 3 and os.path.isfile(self.new) and not is_ours:
             return f"ends with {code}, and a result stands there"
+        if code != 3 and self.line.startswith("export") and os.path.isdir(f"{self.new}/_joulebus"):
+            # Whole recordings stay, and nothing of the others.
+            found = content(self.new)
+            listed = {trial["file"] for name in found if name.endswith(".recording")
+                      for trial in json.load(open(f"{self.new}/{name}", encoding="utf-8"))["trials"]}
+            there = {name for name in found if name.endswith(".parquet")}
+            return None if listed == there else f"ends with {code}, lists {sorted(listed)} and has {sorted(there)}"
         if code != 3 and os.path.isdir(self.new) and not is_ours:
             # Part of a folder may stay, if the same call makes it whole.
             again = run(self.program, self.words, f"{self.scratch}/said")
@@ -212,7 +219,7 @@ def stopped(process):
                         with open(f"/proc/{pid}/status", encoding="utf-8") as again:
                             if re.search(r"State:\s+[Tt]", again.read()):
                                 return int(pid)
-        except FileNotFoundError:
+        except (FileNotFoundError, ProcessLookupError):
             pass
         time.sleep(0.005)
     return None

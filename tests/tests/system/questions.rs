@@ -286,7 +286,8 @@ fn a_calm_client_is_served_next_whatever_others_ask() {
     let queries = queries(&file);
     let (own, others): (Vec<&Query>, Vec<&Query>) =
         queries.iter().partition(|query| query.record.client == calm_pid);
-    assert!(own.len() as u64 > ASKED / 2 && others.len() > 10, "{} {}", own.len(), others.len());
+    // Each of the others has had an answer, if only its last one.
+    assert!(own.len() as u64 > ASKED / 2 && others.len() >= 3, "{} {}", own.len(), others.len());
     for query in own {
         let answer = &query.record.answer;
         assert_eq!(answer.refusal, 0);

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
+use joulebus_files::Several;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::Output;
@@ -100,8 +101,16 @@ impl fmt::Display for Written {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let sources = sources(args.sources.as_deref())?;
     let project = Project::new(args.kind, args.lang, &args.folder, sources.as_deref())?;
-    make_empty(&args.folder)?;
-    write_files(&args.folder, &project).inspect_err(|_| remove_files(&args.folder, &project))?;
+    let mut several = Several::default();
+    make_empty(&args.folder, &mut several)?;
+    for (name, text) in &project.files {
+        let path = args.folder.join(name);
+        let parent = path.parent().unwrap_or(&args.folder);
+        several.folder(parent).with_context(|| format!("cannot make {}", parent.display()))?;
+        write(&path, text.as_bytes())?;
+        several.file(&path);
+    }
+    several.keep();
     let files = project.files.iter().map(|(name, _)| PathBuf::from(name)).collect();
     output.report(&Written {
         folder: args.folder.clone(),
@@ -113,35 +122,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn write_files(folder: &Path, project: &Project) -> anyhow::Result<()> {
-    for (name, text) in &project.files {
-        let path = folder.join(name);
-        let parent = path.parent().unwrap_or(folder);
-        fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
-        write(&path, text.as_bytes())?;
-    }
-    Ok(())
-}
-
-/// Removes what [`write_files`] has written, since the next call refuses a folder that is not
-/// empty. What cannot be removed, that call names.
-fn remove_files(folder: &Path, project: &Project) {
-    for (name, _) in &project.files {
-        let path = folder.join(name);
-        let _ = fs::remove_file(&path);
-        for parent in path.ancestors().skip(1).take_while(|it| it.starts_with(folder)) {
-            let _ = fs::remove_dir(parent);
-        }
-    }
-}
-
 /// The folder is there and empty afterwards, or it is refused.
-fn make_empty(folder: &Path) -> anyhow::Result<()> {
+fn make_empty(folder: &Path, several: &mut Several) -> anyhow::Result<()> {
     let shown = folder.display();
     let refused = |why: &str| UsageError(format!("{shown} {why}: name a new or an empty folder"));
     match fs::metadata(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            fs::create_dir_all(folder).with_context(|| format!("cannot make {shown}"))
+            several.folder(folder).with_context(|| format!("cannot make {shown}"))
         }
         Err(error) => Err(error).with_context(|| format!("cannot read {shown}")),
         Ok(found) if !found.is_dir() => Err(refused("is not a folder").into()),

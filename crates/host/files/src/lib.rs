@@ -3,12 +3,13 @@
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
 //! Therefore only regular files are opened, also through symbolic links, and whole files are read
 //! into memory only up to a limit set by the reader. [`create`] and [`replace`] write files that a
-//! user names. [`foreign`] says what a file of another program is. [`disk`] writes files that must
+//! user names. [`Several`] removes the files of a result that did not become whole. [`foreign`] says what a file of another program is. [`disk`] writes files that must
 //! survive a crash.
 #![forbid(unsafe_code)]
 
 pub mod disk;
 pub mod foreign;
+mod several;
 mod whole;
 
 use std::fs::{File, Metadata, OpenOptions};
@@ -18,6 +19,7 @@ use std::path::Path;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
+pub use several::Several;
 pub use whole::{check_kind, create, replace};
 
 /// Reason that a file is refused, as the cause of an [`io::Error`].

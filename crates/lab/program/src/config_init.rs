@@ -10,6 +10,7 @@ use joulebus_dataset::inspect::{Profile, Profiler, is_short};
 use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
 use joulebus_eval::score::{Design, Options, Role, ScoreError, Subject, score_reported};
+use joulebus_files::Several;
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -171,6 +172,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let name = args.name()?;
     let places = Places::new(&args.out, &name);
     places.check(args.train)?;
+    let mut several = Several::default();
     for stuck in &recorded.stuck {
         let held = "its readings are held far longer than those of the others";
         say(&format!("warning: {stuck}: {held}. They set no hold_max_s"));
@@ -180,22 +182,23 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     check(&name, &platform(&name, &recorded, given.as_deref(), args), &fleet)?;
     let mut split = None;
     if args.train {
-        places.make(&places.models)?;
+        make(&places.models, &mut several)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
         split = train_recordings(&args.from, &args.columns, &places.model, full, count)?;
         if split.is_none() {
             return Ok(Outcome::Failed);
         }
+        several.file(&places.model);
     }
     let model = match args.train {
         true => Some(places.trained_model()),
         false => given,
     };
     let platform = platform(&name, &recorded, model.as_deref(), args);
-    places.write(&platform, &fleet)?;
+    places.write(&platform, &fleet, &mut several)?;
     if model.is_none() {
         // For the model of the next command.
-        places.make(&places.models)?;
+        make(&places.models, &mut several)?;
     }
     let config = Config::load(&places.fleet)?;
     let models = load_models(&config)?;
@@ -226,6 +229,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         warnings,
         next,
     };
+    several.keep();
     report(output, &written, implausible)?;
     Ok(Outcome::Done)
 }
@@ -234,7 +238,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
     let draft = tempfile::tempdir().context("cannot make a directory to check the files in")?;
     let places = Places::new(draft.path(), name);
-    places.write(platform, fleet)?;
+    let mut several = Several::default();
+    places.write(platform, fleet, &mut several)?;
     let refused = "recordings and options contradict each other. Nothing was written";
     let config = Config::load(&places.fleet).context(refused)?;
     load_models(&config).context(refused)?;
@@ -277,10 +282,13 @@ impl Places {
         }
     }
 
-    fn write(&self, platform: &str, fleet: &str) -> anyhow::Result<()> {
-        self.make(&self.platforms)?;
-        write(&self.platform, platform.as_bytes())?;
-        write(&self.fleet, fleet.as_bytes())
+    fn write(&self, platform: &str, fleet: &str, several: &mut Several) -> anyhow::Result<()> {
+        make(&self.platforms, several)?;
+        for (path, text) in [(&self.platform, platform), (&self.fleet, fleet)] {
+            write(path, text.as_bytes())?;
+            several.file(path);
+        }
+        Ok(())
     }
 
     /// The trained model's path as the platform's file writes it.
@@ -288,11 +296,12 @@ impl Places {
         let name = self.model.file_name().unwrap_or_default();
         format!("../models/{}", name.to_string_lossy())
     }
+}
 
-    fn make(&self, directory: &Path) -> anyhow::Result<()> {
-        std::fs::create_dir_all(directory)
-            .with_context(|| format!("cannot make the directory {}", directory.display()))
-    }
+fn make(folder: &Path, several: &mut Several) -> anyhow::Result<()> {
+    several
+        .folder(folder)
+        .with_context(|| format!("cannot make the directory {}", folder.display()))
 }
 
 /// True if a name of a platform may contain it.

@@ -153,9 +153,14 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted.
 pub fn is_recording(path: &Path) -> bool {
+    (has_ending(path) && path.is_file()) || is_capture(path)
+}
+
+/// Whether a file is named as a recording that is no capture.
+fn has_ending(path: &Path) -> bool {
     let endings = ["parquet", "mat"];
     let is_other = || path.extension().is_some_and(|found| endings.iter().any(|one| found == *one));
-    ((Form::new(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
+    Form::new(path).is_some() || is_other()
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.
@@ -174,7 +179,8 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
         let metadata = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
         if metadata.is_dir() {
             walk(&path, found)?;
-        } else if is_recording(&path) {
+        } else if (metadata.is_file() && has_ending(&path)) || is_recording(&path) {
+            // A regular file that is gone by now is an error of its reader, not another file.
             found.files.push(path);
         } else {
             found.others.push(path);

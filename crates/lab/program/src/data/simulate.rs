@@ -1,11 +1,11 @@
 //! `joulebus data simulate`: the simulated stand-in for the published dataset, as files.
 
 use std::fmt;
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::{MAX_ROWS, Trial};
+use joulebus_files::Several;
 use joulebus_plant::arena::STEP_S;
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::{Protocol, SAMPLES};
@@ -58,12 +58,15 @@ struct FileReport {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    fs::create_dir_all(&args.directory)
+    let mut several = Several::default();
+    several
+        .folder(&args.directory)
         .with_context(|| format!("{}: cannot be made", args.directory.display()))?;
     let mut files = Vec::new();
     let mut write = |trial: &Trial, stem: &str| -> anyhow::Result<()> {
         let path = args.directory.join(format!("{stem}.npy"));
         trial.to_table().write(&path)?;
+        several.file(&path);
         files.push(FileReport {
             file: path.display().to_string(),
             robot: trial.robot_name().unwrap_or_default().to_owned(),
@@ -80,6 +83,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for (trial, robot) in run.trials.iter().zip(1..) {
         write(trial, &scenario::file_stem(robot))?;
     }
+    several.keep();
     output.report(&SimulateReport {
         simulated: true,
         directory: args.directory.display().to_string(),

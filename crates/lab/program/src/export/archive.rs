@@ -221,6 +221,7 @@ impl Archive {
         let _ = self.take_stock();
         if self.recordings.is_empty() {
             let listings = self.folder.join(LISTINGS);
+            remove_empty(&self.folder);
             let _ = fs::remove_file(listings.join(MARK));
             let _ = fs::remove_dir(listings);
             if self.made_folder {
@@ -381,6 +382,17 @@ fn drafts(root: &Path, folder: &Path, left: &mut Vec<PathBuf>) -> std::io::Resul
         }
     }
     Ok(())
+}
+
+/// Removes the folders of partitions below `folder` that have no files.
+fn remove_empty(folder: &Path) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && entry.file_name().to_string_lossy().contains('=') {
+            remove_empty(&entry.path());
+            let _ = fs::remove_dir(entry.path());
+        }
+    }
 }
 
 /// Makes the folders of a partition below the archive itself: a link among them would lead
