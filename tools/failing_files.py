@@ -46,7 +46,7 @@ VERBS = (
     "train trials {}/trials --split time -o NEW",
     "eval {}/trials --model MODEL --partition 1/2 --resamples 20 -o NEW",
     "report {}/trials/robot1.npy {}/trials/robot2.npy --model MODEL --draws 20 -o NEW",
-    "calibrate {}/capture.mcap --false-alarms 1000000/hour --robots 1 -o NEW",
+    "calibrate {}/trials --false-alarms 1000000/hour --robots 1 -o NEW",
     "model import {}/exported.npz -o NEW",
     "model export MODEL --to npz -o NEW",
     "model export MODEL --python NEW",
@@ -200,7 +200,8 @@ def damage(path, how):
             with open(path + ".other", "wb") as other:
                 other.write(b"something else\n" * 10)
             os.replace(path + ".other", path)
-    except FileNotFoundError:
+    except (FileNotFoundError, FileExistsError, IsADirectoryError):
+        # Made again meanwhile, or gone.
         return False
     return True
 

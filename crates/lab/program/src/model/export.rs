@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
+use joulebus_files::Several;
 use joulebus_model_files::{to_arrays, to_npz, to_onnx, to_python};
 use joulebus_predictor::Network;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -128,23 +129,22 @@ fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<u
 /// them.
 fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
     let failed = || format!("cannot make the directory {}", folder.display());
-    fs::create_dir_all(folder).with_context(failed)?;
+    // Some of the arrays are no model.
+    let mut several = Several::default();
+    several.folder(folder).with_context(failed)?;
     let is_used = fs::read_dir(folder).with_context(failed)?.next().is_some();
     if is_used {
         let what = format!("{} is not empty", folder.display());
         return Err(UsageError(format!("{what}. Name a new directory")).into());
     }
-    let (mut written, mut paths) = (0, Vec::new());
+    let mut written = 0;
     for (name, bytes) in to_arrays(network)? {
         let path = folder.join(format!("{name}.npy"));
-        if let Err(error) = write(&path, &bytes) {
-            // Some of the arrays are no model; failing to remove them does not matter.
-            paths.iter().for_each(|path| drop(fs::remove_file(path)));
-            return Err(error);
-        }
-        paths.push(path);
+        write(&path, &bytes)?;
+        several.file(&path);
         written += bytes.len();
     }
+    several.keep();
     Ok(written)
 }
 

@@ -2,7 +2,6 @@
 
 mod arguments;
 
-use std::fs;
 use std::io::{IsTerminal as _, Write as _};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -11,6 +10,7 @@ use anyhow::Context as _;
 use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::{Design, Recording, check_apart, read_recordings};
+use joulebus_files::Several;
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
@@ -31,14 +31,22 @@ const SIMULATED_SEED: u64 = 1;
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Created first, so that an invalid directory fails before the evaluation.
     let pictures = args.out.join("figures");
-    fs::create_dir_all(&pictures)
+    let mut several = Several::default();
+    several
+        .folder(&pictures)
         .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
     let (document, implausible) =
         if args.simulated { (simulate(args)?, Vec::new()) } else { evaluate(args)? };
     say("rendering the report");
     for file in files(&document)? {
-        write(&args.out.join(&file.path), &file.bytes)?;
+        let path = args.out.join(&file.path);
+        let is_new = !path.exists();
+        write(&path, &file.bytes)?;
+        if is_new {
+            several.file(&path);
+        }
     }
+    several.keep();
     say(&format!("written: {}", args.out.join("report.html").display()));
     judgement::report(output, &document, implausible)?;
     Ok(Outcome::Done)
