@@ -14,7 +14,7 @@ use crate::mapping::route::State;
 use crate::mapping::simulated::SimulatedClock;
 
 /// Maximum number of states that wait to be passed on.
-const MAX_STATES: usize = 1_000;
+pub(crate) const MAX_STATES: usize = 1_000;
 
 /// The newest observations, the account of unmapped messages, and the stop flags.
 #[derive(Debug)]
@@ -104,12 +104,13 @@ impl Shared {
         }
     }
 
-    /// Adds states to pass on. Beyond the maximum the oldest are dropped: later ones replace them.
-    pub(crate) fn add_states(&self, new: Vec<State>) {
+    /// Adds states to pass on. Beyond the maximum the oldest are dropped. Returns their number.
+    pub(crate) fn add_states(&self, new: Vec<State>) -> usize {
         let mut states = lock(&self.states);
         states.extend(new);
         let excess = states.len().saturating_sub(MAX_STATES);
         states.drain(..excess);
+        excess
     }
 
     /// The states to pass on since the last call.

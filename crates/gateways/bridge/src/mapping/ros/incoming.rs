@@ -12,6 +12,8 @@ use crate::mapping::units::Unit;
 
 /// Maximum size of a message with its encapsulation header, bytes. An odometry has 720 and a name.
 pub(crate) const MAX_BYTES: usize = 65_536;
+/// Size of the header with which Cyclone DDS begins a request, bytes.
+const HEADER_BYTES: usize = 16;
 
 /// `power_supply_status` of `sensor_msgs/BatteryState`.
 pub(crate) const CHARGING: u8 = 1;
@@ -48,7 +50,8 @@ pub(crate) struct BatteryFields {
 pub(crate) struct Received {
     /// Its length, bytes.
     pub(crate) length: usize,
-    /// Its bytes with the encapsulation header. Empty if there are more than [`MAX_BYTES`].
+    /// Its bytes with the encapsulation header. If there are more than [`MAX_BYTES`], only the
+    /// first, by which a request that is too long is answered.
     pub(crate) bytes: Vec<u8>,
 }
 
@@ -56,19 +59,14 @@ impl Received {
     /// Creates a message from the encapsulation's code and the body.
     pub(crate) fn new(encapsulation: [u8; 2], body: &[u8]) -> Self {
         let length = 4 + body.len();
-        let mut bytes = Vec::new();
-        if length <= MAX_BYTES {
-            bytes.reserve_exact(length);
-            bytes.extend_from_slice(&[encapsulation[0], encapsulation[1], 0, 0]);
-            bytes.extend_from_slice(body);
-        }
-        Self { length, bytes }
+        let kept = if length <= MAX_BYTES { body } else { &body[..HEADER_BYTES] };
+        Self { length, bytes: [&[encapsulation[0], encapsulation[1], 0, 0], kept].concat() }
     }
 
     /// Takes the header off with which Cyclone DDS begins a request, and returns it in little
     /// endian: the client's id and the request's number.
-    pub(crate) fn split_header(&mut self) -> Option<[u8; 16]> {
-        let mut header: [u8; 16] = self.bytes.get(4..20)?.try_into().ok()?;
+    pub(crate) fn split_header(&mut self) -> Option<[u8; HEADER_BYTES]> {
+        let mut header: [u8; HEADER_BYTES] = self.bytes.get(4..20)?.try_into().ok()?;
         if self.bytes[1] == 0 {
             header[..8].reverse();
             header[8..].reverse();

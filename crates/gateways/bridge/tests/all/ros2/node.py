@@ -30,7 +30,7 @@ def fill(message, fields):
         elif isinstance(found, list) and found and isinstance(found[0], dict):
             setattr(message, name, [fill(Point(), point) for point in found])
         else:
-            setattr(message, name, found)
+            setattr(message, name, float(found) if found in ("nan", "inf", "-inf") else found)
     return message
 
 

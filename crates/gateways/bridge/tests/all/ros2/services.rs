@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_testkit::free_port;
+use joulebus_testkit::{Child, free_port};
 use serde_json::{Value, json};
 
 use super::peer::{Peer, RosDomain, cyclonedds, hash, ros2};
@@ -64,15 +64,24 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     });
     let response = call(peer, ask, &commands_of, |it| it["answers"][1]["energy_j"].is_number());
     assert_eq!(response["answers"].as_array().map(Vec::len), Some(2), "{response}");
+    let along = |path: Value| json!({"robots": ["r1"], "path": path});
+    let far = |x: &str| along(json!([point(0.0), {"x": 1.0, "y": x, "z": 0.0}]));
+    let long = |count: u32| along((0..count).map(|at| point(f64::from(at) * 0.1)).collect());
     for (request, expected) in [
         (json!({"robots": ["r9"], "idle_s": 1.0}), "there is no robot \"r9\""),
         (json!({"robots": ["r1"]}), "give one of path, idle_s"),
         (json!({"robots": ["r1"], "idle_s": 1.0, "coverage": 2.0}), "coverage"),
+        (json!({"robots": ["r1"], "idle_s": "nan"}), "a duration of NaN s"),
+        (far("nan"), "y_m of point 1 is NaN"),
+        (far("-inf"), "y_m of point 1 is -inf"),
+        (long(2_000), "6001 values: the worker answers at most 4096"),
+        (long(10_000), "the request is longer than 65536 bytes"),
     ] {
         let is_it = |it: &Value| it["refused"].as_str().unwrap().contains(expected);
         let refused = call(peer, ask, &request, is_it);
         assert_eq!(refused["answers"], json!([]), "{refused}");
     }
+    call(peer, ask, &idle, |it| it["answers"][0]["energy_j"].is_number());
 
     let acknowledge = ("/joulebus/acknowledge", "Acknowledge");
     let request = json!({"robot": "r1", "alarm": "NoData", "by": "Ada"});
@@ -85,6 +94,14 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     assert_eq!(taken["message"], "", "{taken}");
 }
 
+/// Ends a bridge. It has counted the request that was too long, and nothing else.
+fn end(bridge: &mut Child) {
+    let report = bridge.end().exits(3).json();
+    let unmapped = report["unmapped"].as_array().unwrap();
+    let reasons: Vec<Value> = unmapped.iter().map(|it| it["reason"].clone()).collect();
+    assert_eq!(json!([report["not_written"], reasons]), json!([0, ["too_long"]]), "{report}");
+}
+
 #[test]
 fn outlooks_questions_and_acknowledgements_are_exchanged_with_cyclone_dds() {
     let Some(python) = cyclonedds() else { return };
@@ -93,8 +110,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_with_cyclone_dds() {
     let mut bridge = fleet.bridge(&file(&keys(&domain)), "2 services");
     let mut peer = Peer::start(&python, &domain);
     outlook_questions_and_acknowledgement(&mut peer);
-    let report = bridge.stop().json();
-    assert_eq!(report["not_written"], 0, "{report}");
+    end(&mut bridge);
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
@@ -112,8 +128,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_with_nodes_of_ros_2() {
     let of = peer.wait_for("graph", 0, |it| it["writes"]["/r3/joulebus/outlook"].is_array());
     let kinds = &of["services"]["/joulebus/what_if"];
     assert_eq!(*kinds, json!(["joulebus_msgs/srv/WhatIf"]), "{of}");
-    let report = bridge.stop().json();
-    assert_eq!(report["not_written"], 0, "{report}");
+    end(&mut bridge);
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
@@ -131,8 +146,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_over_zenoh() {
         hash("WhatIf")
     );
     peer.wait_for("@", 0, |it| it["token"].as_str().unwrap().ends_with(&token));
-    let report = bridge.stop().json();
-    assert_eq!(report["not_written"], 0, "{report}");
+    end(&mut bridge);
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }

@@ -6,8 +6,10 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use joulebus_testkit::{Child, PATIENCE, eventually, free_port};
+use rustix::net::sockopt::set_socket_linger;
 use rustix::process::Signal;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -26,8 +28,8 @@ struct Receiver {
 }
 
 impl Receiver {
-    /// Starts a receiver. `answers` are its first answers, empty for a closed connection. Then it
-    /// answers 204.
+    /// Starts a receiver. `answers` are its first answers, empty for a closed connection,
+    /// [`HALF_READ`], or [`RESET`] before one. Then it answers 204.
     fn start(answers: &'static [&'static str]) -> Self {
         Self::with(answers, "http", |stream| stream)
     }
@@ -53,15 +55,26 @@ impl Receiver {
         std::thread::spawn(move || {
             let mut answers = answers.iter();
             for stream in listener.incoming() {
-                let mut reader = BufReader::new(open(stream.unwrap()));
-                let Some(request) = request(&mut reader) else {
+                let stream = stream.unwrap();
+                let same = stream.try_clone().unwrap();
+                let mut reader = BufReader::new(open(stream));
+                let is_half = answers.as_slice().first() == Some(&HALF_READ);
+                let Some(request) = request(&mut reader, if is_half { 2 } else { 1 }) else {
                     continue;
                 };
                 let answer = answers.next().unwrap_or(&"204 No Content");
+                let (reset, answer) = match answer.strip_prefix(RESET) {
+                    Some(answer) => (true, answer),
+                    None => (false, *answer),
+                };
+                if reset {
+                    // The client finds the connection reset, and not closed.
+                    set_socket_linger(&same, Some(Duration::ZERO)).unwrap();
+                }
                 if answer.starts_with('2') {
                     into.lock().unwrap().push(request);
                 }
-                if !answer.is_empty() {
+                if !answer.is_empty() && answer != HALF_READ {
                     let text = format!(
                         "HTTP/1.1 {answer}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
                     );
@@ -93,8 +106,9 @@ impl Receiver {
     }
 }
 
-/// A request. `None` if none comes, for instance because the client refuses a certificate.
-fn request(reader: &mut impl BufRead) -> Option<Request> {
+/// A request, with one of so many parts of its body. `None` if none comes, for instance because the
+/// client refuses a certificate.
+fn request(reader: &mut impl BufRead, parts: usize) -> Option<Request> {
     let mut lines = Vec::new();
     loop {
         let mut line = String::new();
@@ -111,7 +125,8 @@ fn request(reader: &mut impl BufRead) -> Option<Request> {
     };
     let headers: Vec<_> = lines.iter().filter_map(named).collect();
     let length = headers.iter().find(|(name, _)| name == "content-length");
-    let mut body = vec![0; length.map_or(0, |(_, length)| length.parse().unwrap())];
+    let length: usize = length.map_or(0, |(_, length)| length.parse().unwrap());
+    let mut body = vec![0; length / parts];
     reader.read_exact(&mut body).unwrap();
     Some((headers, body))
 }
@@ -224,8 +239,36 @@ fn publish(fleet: &Fleet) {
     fleet.joulebus("publish sim --robots 3 --duration 1").finish();
 }
 
+/// Closes the connection after one half of the body.
+const HALF_READ: &str = "half";
+/// Resets the connection after an answer, or before any.
+const RESET: &str = "reset ";
 /// Asks for a longer pause than the third attempt has by itself.
 const BUSY: &str = "429 Too Many Requests\r\nretry-after: 6";
+
+#[test]
+fn a_receiver_that_closes_or_resets_is_told_again_and_one_that_took_it_first_is_not() {
+    for (answers, failed) in [
+        (&[HALF_READ] as &[&str], 1),
+        (&[""], 1),
+        (&[RESET], 1),
+        (&["reset 200 OK"], 0),
+        (&["reset 503 Service Unavailable"], 1),
+    ] {
+        let fleet = Fleet::new();
+        let receiver = Receiver::start(answers);
+        let mut worker = fleet.worker();
+        let mut server = serve(&fleet, &receiver.address);
+        publish(&fleet);
+        eventually("the robots' silence is told", || {
+            (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
+        });
+        let report = end_delivered(&mut server);
+        assert_eq!(report[0]["failed"], failed, "{answers:?}: {report:?}");
+        assert_eq!(report[0]["told"], receiver.changes().len(), "{answers:?}: {report:?}");
+        worker.stop();
+    }
+}
 
 #[test]
 fn every_change_is_told_in_order_also_after_failures() {
