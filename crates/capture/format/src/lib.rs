@@ -2,26 +2,52 @@
 //! only crate that uses mcap. `joulebus-capture-recorder` records, `joulebus-capture-verify`
 //! recomputes.
 //!
-//! A capture is an MCAP file with protobuf messages; it contains the schemas, the config, the
-//! models and the build. Foxglove and PlotJuggler open it directly. One channel per fleet and
-//! service, `joulebus/<fleet>/samples` and so on, and optionally channels of single robots for
-//! plots, `joulebus/<fleet>/robot/<id>/forecast`.
+//! ```
+//! use joulebus_capture_format::{Attachments, CaptureSettings, Message, Reader, Times, Writer};
+//! use joulebus_wire::{Sample, SampleHeader, Samples};
 //!
-//! | part | purpose |
-//! |---|---|
-//! | [`Writer`] | writes messages to a file; written messages survive a crash |
-//! | [`Reader`] | reads messages from a file, in constant memory |
-//! | [`scan`], [`inspect`], [`recover`] | any MCAP file, damaged ones too |
-//! | [`import`] | recordings of ROS 2 |
-//! | [`Attachments`] | config, models and build, which make the file replayable on its own |
+//! let sample = Sample::new(7, 0, 1_000_000).reading(4.2, 1_000_000);
+//! let message = Message::of::<Samples>(SampleHeader::default(), vec![sample]);
+//! let mut writer =
+//!     Writer::new(Vec::new(), CaptureSettings::default(), &Attachments::default())?;
+//! writer.write("lab", Times { log_ns: 2_000_000, publish_ns: 1_000_000 }, &message)?;
+//! let (written, _, file) = writer.finish()?;
+//! assert_eq!(written.messages, 1);
+//!
+//! let mut reader = Reader::new(&file[..])?;
+//! let entry = reader.next_entry()?.ok_or("the file is empty")?;
+//! assert_eq!(&*entry.topic, "joulebus/lab/samples");
+//! let frame = entry.message.frame::<Samples>().ok_or("it is no frame of samples")?;
+//! assert_eq!(frame.rows[0].power_w, 4.2);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! **Three types to know.** A [`Writer`] writes messages to a file. Written messages survive a
+//! crash. A [`Reader`] reads them, in constant memory. [`Attachments`] are the config, the models
+//! and the build, which make the file replayable on its own. [`scan`], [`mod@inspect`] and
+//! [`mod@recover`] read any MCAP file, damaged ones too. [`import`] reads recordings of ROS 2.
+//!
+//! **The file** is MCAP with protobuf messages. Foxglove and PlotJuggler open it directly. It has
+//! one channel per fleet and service, `joulebus/<fleet>/samples` and so on, and optionally channels
+//! of single robots for plots, `joulebus/<fleet>/robot/<id>/forecast`.
 //!
 //! **Bits.** Every field of the payloads in [`joulebus_wire`] is in the message, and is restored
 //! with the same bits, −0 and NaN payloads included.
 //!
-//! **Time.** A message's log time is when the recorder received it, its publish time when it was
-//! sent; both are Unix ns, computed from the monotonic clock with a fixed offset per recording
+//! **Units.** A message's log time is when the recorder received it, its publish time when it was
+//! sent. Both are Unix ns, computed from the monotonic clock with a fixed offset per recording
 //! ([`Clock`]). So they are in order even if the wall clock jumps. The messages also contain the
 //! monotonic times.
+//!
+//! **Errors** state the place in the file, what was found and the remedy: [`ReadError`],
+//! [`WriteError`], [`ScanError`](scan::ScanError).
+//!
+//! **In the book**: [record everything, and replay it][1], [formats of recordings][2], [our own
+//! scanner reads captures][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/recordings.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/scanner.md
 #![forbid(unsafe_code)]
 
 mod attachments;

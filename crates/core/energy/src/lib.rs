@@ -1,20 +1,51 @@
 //! The energy of a robot over a sequence of commands, from one second to five minutes.
 //!
-//! Pure: no clock, file, thread or shared memory; nothing allocates except reading and writing a
-//! model's text. The same inputs give the same bits on every machine.
+//! Pure: no clock, file, thread or shared memory. The same inputs give the same bits on every
+//! machine. Nothing allocates but reading and writing a model's text.
 //!
-//! - [`EnergyState`] is what is known of a robot: a few means of its power, advanced by
-//!   [`EnergyState::observe`] with every sample.
-//! - [`EnergyModel`] is what is known of a platform: the power of a command, how far to trust which
-//!   mean at which horizon, and how large the errors were on held-out recordings.
-//! - [`Calibration`] is what all robots of a platform have shown of the model's errors since.
-//! - [`EnergyModel::forecast`] gives the energy of [`Commands`] as an [`EnergyForecast`].
-//! - [`EnergyModel::outlook`] gives the energy of a robot that goes on as it does.
+//! ```
+//! use joulebus_energy::{Commands, EnergyModel, EnergySample, EnergyState};
 //!
-//! **The forecast.** A robot's *level* is its power over the last seconds relative to what the
-//! command model says of the commands in that time. The energy of the plan is what the command
-//! model says of it, scaled by the level. Levels over several time constants, shrunk to the
-//! platform's while little was read, are weighted; weights depend on the horizon.
+//! let model = EnergyModel::untrained(4.0);
+//! let mut state = EnergyState::new(0);
+//! for _ in 0..600 {
+//!     // A robot at rest that draws 3 W, read thirty times a second for 20 s.
+//!     let (power_w, elapsed_s) = (3.0, 1.0 / 30.0);
+//!     state.observe(&model, &EnergySample { power_w, elapsed_s, v_mps: 0.0, omega_radps: 0.0 });
+//! }
+//! let plan = Commands { period_s: 1.0, v_mps: &[0.1; 10], omega_radps: &[0.0; 10] };
+//! let forecast = model.forecast(&state, plan);
+//! assert_eq!(forecast.duration_s, 10.0);
+//! assert!((29.9..30.1).contains(&forecast.energy_j));
+//! // A model without training knows no errors, and so no interval.
+//! assert_eq!(forecast.quantile_j(0.95), None);
+//! assert_eq!(EnergyModel::from_text(&model.to_text())?, model);
+//! # Ok::<(), joulebus_energy::EnergyModelError>(())
+//! ```
+//!
+//! **Three types to know.** An [`EnergyState`] is what is known of a robot: a few means of its
+//! power, which each sample advances. An [`EnergyModel`] is what is known of a platform. An
+//! [`EnergyForecast`] is the energy of [`Commands`], with the distribution of its error.
+//!
+//! **The forecast.** A robot's *level* is its recent power, relative to the power that the command
+//! model gives for the same time. The energy of a plan is the command model's energy, scaled by the
+//! level. Levels over several time constants are weighted by the horizon. A level that rests on few
+//! readings is drawn to that of the platform.
+//!
+//! **Beside it.** [`EnergyModel::outlook`] prepares the energy of robots that go on as they do. A
+//! [`Calibration`] is what the robots of a platform have shown of the model's errors.
+//! [`PlatformErrors`] adapts the intervals to them.
+//!
+//! **Units** are W, J, s, m/s and rad/s. Unknown values are NaN in samples, and `None` in results.
+//!
+//! **Errors** name the value of the model, what was found and what is allowed
+//! ([`EnergyModelError`]).
+//!
+//! **In the book**: [energy over a horizon][1], [outlooks][2], [a level times a command model][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/energy.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/outlooks.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plan-energy.md
 #![forbid(unsafe_code)]
 
 mod calibration;

@@ -3,6 +3,34 @@
 //! No clock, file, thread or shared memory: time is an argument, so that a live run, a replay and a
 //! simulation execute the same code.
 //!
+//! ```
+//! use joulebus_fleet::{OnlineForecasts, OnlineSettings};
+//! use joulebus_predictor::{Model, Persistence, ResidualStats};
+//! use joulebus_settings::IntervalSettings;
+//!
+//! let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
+//! let model = Model::Persistence(Persistence::new(residual)?);
+//! let mut forecasts = OnlineForecasts::new(
+//!     &model,
+//!     OnlineSettings {
+//!         interval: IntervalSettings { coverage: 0.9, rate: 0.2 },
+//!         online: false,
+//!         resolution_w: 0.01,
+//!         power_min_w: 0.0,
+//!         power_max_w: 20.0,
+//!         longest_steps: 15,
+//!     },
+//! );
+//! let robot = forecasts.add();
+//! for _ in 0..100 {
+//!     forecasts.read(robot, 4.0, 4.0, false);
+//! }
+//! let next = forecasts.forecast(Some(robot), 4.0);
+//! assert_eq!(next.power_w, 4.0);
+//! assert!(next.lo_w <= 4.0 && 4.0 <= next.hi_w);
+//! # Ok::<(), joulebus_predictor::ModelError>(())
+//! ```
+//!
 //! **Three types to know.** A [`Fleet`] [takes](Fleet::take) frames of samples, then
 //! [ticks](Fleet::tick). Then it writes [forecasts](Fleet::forecast),
 //! [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget), robot by robot, into the caller's
@@ -12,6 +40,10 @@
 //! After [`Fleet::new`] no fleet allocates.
 //!
 //! **Units** are those of `joulebus-wire`: SI, and ns for times.
+//!
+//! **Errors.** [`Fleet::new`] refuses settings that are inconsistent. A saved [`FleetState`] of
+//! another version or of another fleet is refused ([`StateError`]). Samples never fail a tick: a
+//! refused one is counted by reason and affects no other robot.
 //!
 //! **In the book**: [forecasts that learn online][1], [the same bits, live and offline][2], [tiles
 //! of 512 robots][3].

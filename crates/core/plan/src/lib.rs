@@ -4,6 +4,38 @@
 //! Pure: a [`Fleet`] with models and settings, and a [`Robot`] made from rows of any origin.
 //! `joulebus-planner` reads the rows of a running fleet.
 //!
+//! ```
+//! # use joulebus_energy::{EnergyModel, EnergySample, EnergyState};
+//! use joulebus_plan::{Fleet, Frames, Platform, Unknown, Verdict};
+//! # use joulebus_wire::{PlanState, PlanStateHeader, Quality, plan_state_flag};
+//! # let text = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:rover\"\nrobots = [7]\n";
+//! # let config = joulebus_config::Config::parse(text, std::path::Path::new("."))?;
+//! # let settings = config.settings().platforms[0].clone();
+//! # let model = EnergyModel::untrained(3.6);
+//! # let mut energy = EnergyState::new(0);
+//! # let sample = EnergySample { power_w: 3.6, elapsed_s: 0.1, v_mps: 0.0, omega_radps: 0.0 };
+//! # (0..200).for_each(|_| energy.observe(&model, &sample));
+//! # let (quality, quality_detail) = Quality::Fresh.encode();
+//! # let header = PlanStateHeader { period_ns: 100_000_000, sent_ns: 1, ..Default::default() };
+//! # let state = PlanState {
+//! #     robot: 7, quality, quality_detail, v_mps: 0.0, omega_radps: 0.0,
+//! #     flags: plan_state_flag::SAMPLE | plan_state_flag::LAGS | plan_state_flag::COMMAND,
+//! #     energy_j: energy.metered.energy_j, command_j: energy.metered.command_j,
+//! #     time_s: energy.metered.time_s, error_lower: energy.bounds.lower,
+//! #     error_upper: energy.bounds.upper, ..Default::default()
+//! # };
+//!
+//! // `header` and `state` are rows of robot 7, which has drawn 3.6 W for 20 s.
+//! let fleet = Fleet::of(vec![Platform::new(settings, model, 0)], 0);
+//! let robot = fleet.robot(&Frames { header: &header, state: &state, budget: None, now_ns: 2 });
+//! let answer = robot.ok_or("robot 7 is not in the fleet")?.idle(10.0, 0.9)?;
+//! let energy = answer.energy.ok_or("its energy is unknown")?;
+//! assert!((35.9..36.1).contains(&energy.mean_j));
+//! // Nobody knows what its battery has, so this is no yes.
+//! assert_eq!(answer.verdict, Verdict::Unknown(Unknown::NoBattery));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! **Three types to know.** A [`Plan`] is what a robot would do. A [`Robot`] answers questions
 //! about plans. An [`Answer`] has the energy, the verdict and what weakens it.
 //!
@@ -21,6 +53,10 @@
 //! best. Stale, invalid or unknown values give [`Verdict::Unknown`] with the reason.
 //!
 //! **Units**: W, J, s, m, rad.
+//!
+//! **Errors** name the value that is not allowed, and the allowed ones: [`AskError`] for a question
+//! to a robot, [`PathError`] for a path, [`QuestionError`] for a [`Question`]. [`Differs`] says
+//! that a worker runs with other settings or models.
 //!
 //! A process that cannot compute asks a thread of the worker instead. A [`Question`] is the same
 //! value for both.

@@ -1,9 +1,41 @@
 //! The ROS 2 messages with power and motion data, decoded from CDR, and the published messages,
 //! encoded.
 //!
-//! The `cdr-encoding` crate, which RustDDS and ros2-client use, reads the bytes. The definition of
-//! a type in a file is compared with the built-in one: a message with other fields is refused
-//! instead of misread.
+//! Pure: bytes in, values out, and back. The `cdr-encoding` crate, which RustDDS and ros2-client
+//! use, reads the bytes.
+//!
+//! ```
+//! use joulebus_ros_messages::{Float64, Message, RosType, encode};
+//!
+//! // Plain CDR begins with four bytes that state its byte order.
+//! let mut bytes = vec![0, 1, 0, 0];
+//! for value in [0.2, 0.0, 0.0, 0.0, 0.0, 1.5] {
+//!     bytes.extend(encode(&Float64 { data: value })?);
+//! }
+//! let twist = RosType::of("cdr", "geometry_msgs/msg/Twist", "ros2msg", b"")?;
+//! let Message::Twist(command) = twist.decode(&bytes)? else { panic!("it is a Twist") };
+//! assert_eq!((command.linear.x, command.angular.z), (0.2, 1.5));
+//! assert!(twist.decode(&bytes[..20]).is_err());
+//! # Ok::<(), joulebus_ros_messages::RosError>(())
+//! ```
+//!
+//! **Three types to know.** A [`RosType`] is a type that joulebus reads. A [`Message`] is a decoded
+//! one. [`WhatIfRequest`] is the request of joulebus' own service, with [`WhatIfResponse`] as its
+//! answer. [`DiagnosticArray`], [`Float64`] and [`Outlook`] are published.
+//!
+//! **Definitions.** [`RosType::of`] compares the definition in a file with the built-in one. A
+//! message with other fields is refused instead of misread. [`definitions`] has the text of
+//! joulebus' own types.
+//!
+//! **Units** are those of the ROS definitions: SI. [`Time`] has s and ns.
+//!
+//! **Errors** state what was found and what is allowed ([`RosError`]): another type, another
+//! encoding, another definition, or bytes that do not fit the type.
+//!
+//! **In the book**: [ROS 2 topics of a bridge][1], [from messages to samples][2].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/ros2.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/bridges.md
 #![forbid(unsafe_code)]
 
 mod hashes;

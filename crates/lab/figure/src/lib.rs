@@ -1,13 +1,39 @@
 //! Figures as data, and their drawing as SVG and PNG.
 //!
-//! A [`Figure`] is data: panels with labelled axes and marks on them. [`Figure::svg`] draws it with
-//! `plotters`; [`Figure::png`] rasterises that drawing with the font in this crate, so a figure
-//! depends on nothing of the machine and its bytes are the same everywhere.
+//! ```
+//! use joulebus_figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 //!
-//! Numbers that are NaN or infinite are not drawn: a line has a gap there, a bar is omitted. A
-//! panel without data shows a note instead of an empty axis.
+//! let points = vec![[0.0, 4.0], [1.0, 4.2], [2.0, f64::NAN], [3.0, 4.1]];
+//! let panel = Panel {
+//!     title: String::new(),
+//!     x: Axis::new("time (s)"),
+//!     y: Axis::new("power (W)"),
+//!     layers: vec![Layer::named("readings", Colour::Ink, Mark::Line { points, dashed: false })],
+//! };
+//! let figure = Figure::new("power", "Power", "Three readings with a gap.", vec![panel]);
+//! assert!(figure.svg()?.contains("power (W)"));
+//! assert_eq!(figure.svg()?, figure.svg()?);
+//! # Ok::<(), joulebus_figure::FigureError>(())
+//! ```
 //!
-//! As JSON, a figure can be drawn by another library: numbers that are not finite are null.
+//! **Three types to know.** A [`Figure`] is data: panels with labelled axes. [`Figure::svg`] draws
+//! it with `plotters`, and [`Figure::png`] rasterises that drawing with the font in this crate. So
+//! a figure depends on nothing of the machine, and its bytes are the same everywhere. A [`Panel`]
+//! is two axes and the layers between them. A [`Mark`] is what a layer draws.
+//!
+//! **Units** stand in the labels of the axes. Sizes are in CSS pixels.
+//!
+//! **Unknown values.** Numbers that are NaN or infinite are not drawn: a line has a gap there, a
+//! bar is omitted. A panel without data shows a note instead of an empty axis. In JSON they are
+//! null, so that another library can draw the figure.
+//!
+//! **Errors** ([`FigureError`]) name the figure: a layout out of range with the allowed one, or the
+//! failure of a drawing library.
+//!
+//! **In the book**: [figures and reports are data][1], [a report with one command][2].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/figures.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/report.md
 #![forbid(unsafe_code)]
 
 mod axis;

@@ -1,9 +1,50 @@
 //! Evaluation reports as one HTML file, as figures, as text and as JSON.
 //!
-//! [`recorded`] reports on recordings, [`simulated`] runs the paper's experiments on simulated
-//! robots. Both return a [`Document`], which is data: [`html`] renders it as one self-contained
-//! file, `Display` as text, `serde` as JSON, and [`files`] as all of them with the figures as
-//! files.
+//! ```
+//! use joulebus_report::{Cell, Column, Document, Part, Section, Table, html};
+//!
+//! let table = Table {
+//!     id: "errors".to_owned(),
+//!     caption: "Errors of a model".to_owned(),
+//!     columns: vec![Column::new("robot", "Robot"), Column::new("mae_mw", "MAE (mW)")],
+//!     rows: vec![vec![Cell::words("rover"), Cell::Number(12.34, 1)]],
+//!     folded: false,
+//! };
+//! let document = Document {
+//!     title: "A report".to_owned(),
+//!     warning: None,
+//!     summary: vec!["One model on one robot.".to_owned()],
+//!     sections: vec![Section {
+//!         id: "scores".to_owned(),
+//!         title: "Scores".to_owned(),
+//!         parts: vec![Part::Table(table)],
+//!     }],
+//! };
+//! assert!(html(&document)?.contains("12.3"));
+//! assert!(document.to_string().contains("MAE (mW)"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! **Three types to know.** A [`Document`] is a report as data. [`html`](html()) renders it as one
+//! self-contained file, `Display` as text, `serde` as JSON, and [`files`](files()) as all of them
+//! with the figures as files. [`Recorded`] has the inputs of a report on recordings
+//! ([`recorded`](recorded())). [`Simulated`] has those of the paper's experiments on simulated
+//! robots ([`simulated`](simulated())).
+//!
+//! **Units** stand in the titles of columns and axes. An unknown number is NaN, and shown as a
+//! dash.
+//!
+//! **Errors** ([`ReportError`]) are those of the evaluation, of the training and of the drawing, or
+//! an experiment that is too short.
+//!
+//! The program `joulebus-lab` has this crate as `joulebus report`.
+//!
+//! **In the book**: [a report with one command][1], [figures and reports are data][2], [the
+//! simulated robots beside the paper][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/report.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/figures.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/measured/plant.md
 #![forbid(unsafe_code)]
 
 mod ablation;
