@@ -91,7 +91,8 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
     /// NaN if unknown, and the mean of all that the robot drew. Their shares and the bounds are
     /// those that the platform's errors of outlooks lead to.
     ///
-    /// Without branches.
+    /// Without branches, in several short loops: the compiler unrolls a loop only up to a size, and
+    /// a loop that remains keeps the loop over robots around it from becoming vectors.
     #[inline(always)]
     pub fn of(
         &self,
@@ -106,6 +107,8 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
         for place in 0..HORIZONS {
             weights[place] = weighted(self.horizons[place].weights, &contradictions);
         }
+        let (mut squares, mut above_j, mut are_known) =
+            ([0.0; LEVELS], [0.0; LEVELS], [false; LEVELS]);
         for level in 0..LEVELS {
             let (time_s, energy_j) = (state.metered.time_s[level], state.metered.energy_j[level]);
             let command_j = state.metered.command_j[level];
@@ -116,12 +119,16 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
             let differs = (energy_j - command_j) / command_j;
             let started_s = (time_s + START_S) * (time_s + START_S);
             let is_level = time_s * time_s * time_s / (started_s * (time_s + prior_s));
-            let square = differs * differs * is_level;
-            let above_j = energy_j - self.mean_w * time_s;
-            for (place, horizon) in self.horizons.iter().enumerate() {
-                let sooner = 1.0 + square * horizon.per_variance;
-                let above_w = sooner * above_j / (sooner * time_s + prior_s);
-                let above_w = if known { above_w } else { 0.0 };
+            squares[level] = differs * differs * is_level;
+            above_j[level] = energy_j - self.mean_w * time_s;
+            are_known[level] = known;
+        }
+        for place in 0..HORIZONS {
+            for level in 0..LEVELS {
+                let time_s = state.metered.time_s[level];
+                let sooner = 1.0 + squares[level] * self.horizons[place].per_variance;
+                let above_w = sooner * above_j[level] / (sooner * time_s + self.prior_s[level]);
+                let above_w = if are_known[level] { above_w } else { 0.0 };
                 mean_w[place] += weights[place].0[level] * (self.mean_w + above_w);
             }
         }
@@ -131,15 +138,24 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
             hi_j: [0.0; HORIZONS],
         };
         let bounds = platform.outlooks.scaled(&state.ahead.error_factor);
-        for (place, horizon) in self.horizons.iter().enumerate() {
-            let (mut lower, mut upper, mut parts) = (0.0, 0.0, [0.0; PARTS]);
+        let (mut lower, mut upper) = ([0.0; HORIZONS], [0.0; HORIZONS]);
+        for place in 0..HORIZONS {
             for shadow in 0..SHADOWS {
-                lower += horizon.shares[shadow] * bounds.lower[shadow];
-                upper += horizon.shares[shadow] * bounds.upper[shadow];
+                lower[place] += self.horizons[place].shares[shadow] * bounds.lower[shadow];
+                upper[place] += self.horizons[place].shares[shadow] * bounds.upper[shadow];
+            }
+        }
+        let mut parts = [[0.0; PARTS]; HORIZONS];
+        for place in 0..HORIZONS {
+            for shadow in 0..SHADOWS {
                 for part in 0..PARTS {
-                    parts[part] += horizon.shares[shadow] * platform.shares[shadow][part];
+                    parts[place][part] +=
+                        self.horizons[place].shares[shadow] * platform.shares[shadow][part];
                 }
             }
+        }
+        for (place, horizon) in self.horizons.iter().enumerate() {
+            let (lower, upper, parts) = (lower[place], upper[place], parts[place]);
             let parts_w = outlook_parts(&state.metered, &contradictions, mean_w[place], last_w);
             let energy_j = mixed(&parts, &parts_w) * horizon.seconds;
             let mean_j = self.mean_w * horizon.seconds;
