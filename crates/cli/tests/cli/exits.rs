@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Command, Output};
 
 use crate::captures::capture;
 use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
@@ -217,6 +217,43 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert_eq!(fs::read_to_string(fleet.path("junk")).unwrap(), "hello\n");
     assert!(fleet.stale_files().is_empty());
+}
+
+/// `ulimit` with these words, and what the error names.
+const LIMITS: &[(&str, &[&str])] = &[
+    ("-v 100000", &["address space: ", " used, 102400000 allowed", "(`ulimit -v "]),
+    ("-v 400000", &["address space: ", " used, 409600000 allowed", "(`ulimit -v "]),
+    ("-s 64", &["stack: 524288 bytes needed, 65536 allowed", "(`ulimit -s 512`)"]),
+    ("-s 256", &["stack: 524288 bytes needed, 262144 allowed", "(`ulimit -s 512`)"]),
+];
+
+#[test]
+fn a_limit_of_address_space_or_stack_is_named_and_nobody_is_aborted() {
+    let fleet = Fleet::new();
+    let new = fleet.path("new");
+    let rows = ["run", "publish sim --robots 2", "record -o NEW", "serve --foxglove 127.0.0.1:1"];
+    for row in rows.into_iter().filter(|row| is_built(row)) {
+        let whole = format!("{row} --config FLEET");
+        let mut words = whole.split(' ').map(|word| file(&fleet, word, &new));
+        // `joulebus` itself would refuse the stack first.
+        let program = Path::new(env!("CARGO_BIN_EXE_joulebus"));
+        let (program, first) = match words.next() {
+            Some(verb) if verb == Path::new("serve") => {
+                (program.with_file_name("joulebus-serve"), None)
+            }
+            verb => (program.to_owned(), verb),
+        };
+        let words: Vec<PathBuf> = first.into_iter().chain(words).collect();
+        for (limit, says) in LIMITS {
+            let mut limited = Command::new("bash");
+            limited.args(["-c", &format!("ulimit {limit}; exec \"$@\""), "bash"]);
+            let ended = limited.arg(&program).args(&words).output().unwrap();
+            let said = stderr(&ended);
+            let is_named = says.iter().all(|part| said.contains(part));
+            assert!(is_named && ended.status.code() == Some(1), "{row}, {limit}: {ended:?}");
+        }
+    }
+    assert!(!new.exists() && fleet.stale_files().is_empty());
 }
 
 /// The subcommands of one, from its help: the names in its list, but `help`.

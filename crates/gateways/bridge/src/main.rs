@@ -17,7 +17,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
-    joulebus_program::verb::main("bridge", bridge::run)
+    joulebus_program::verb::main("bridge", joulebus_bus::check_stack(), bridge::run)
 }
 
 #[cfg(test)]

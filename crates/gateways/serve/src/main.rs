@@ -12,7 +12,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
-    joulebus_program::verb::main("serve", serve::run)
+    joulebus_program::verb::main("serve", joulebus_bus::check_stack(), serve::run)
 }
 
 #[cfg(test)]

@@ -21,7 +21,10 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_left, check_stack, check_start};
+use crate::preflight::{
+    PORT_BYTES, PROCESS_BYTES, check_left, check_stack, check_start, check_threads,
+};
+use crate::reserved::take_shortage;
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -59,10 +62,13 @@ impl Bus {
     /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
         check_stack()?;
+        check_threads()?;
         let _section = fork::enter();
+        let _ = take_shortage();
         // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {
             let full = check_start().and_then(|()| check_left(PROCESS_BYTES)).err();
+            let full = full.or_else(take_shortage);
             remove_unused(domain);
             match full {
                 Some(full) if error.may_be_shortage() => full.into(),

@@ -32,6 +32,9 @@ const PORT_DESCRIPTORS: u64 = 16;
 /// File descriptors of one connection, data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
 
+/// Address space that the threads of a process take beside its ports, bytes, with a margin: glibc
+/// reserves 64 MiB for the heap of each, and a process of which one is refused crawls or aborts.
+const THREADS_BYTES: u64 = 512 << 20;
 /// Stack that a thread needs to open ports, bytes, with a margin; the development build takes most.
 const STACK_BYTES: u64 = 512 * 1024;
 
@@ -86,7 +89,13 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
             limit: report.descriptors_limit,
         });
     }
+    check_address_space(report.needed_bytes.saturating_add(THREADS_BYTES))?;
     Ok(report)
+}
+
+/// Checks that address space is left for what a process of the fleet does.
+pub(crate) fn check_threads() -> Result<(), CapacityError> {
+    check_address_space(THREADS_BYTES)
 }
 
 /// Checks that the stack may be as large as ports need: a stack that is too small ends a process
@@ -153,6 +162,10 @@ pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
         return Err(CapacityError::Memory { needed, free });
     }
     check_files(1)?;
+    check_address_space(needed)
+}
+
+fn check_address_space(needed: u64) -> Result<(), CapacityError> {
     let Some(limit) = getrlimit(Resource::As).current else { return Ok(()) };
     let used = address_space().unwrap_or(0);
     if used.saturating_add(needed) > limit {
@@ -277,7 +290,8 @@ pub enum CapacityError {
     /// The process may not map more memory.
     #[error(
         "address space: {needed} bytes more needed, {used} used, {limit} allowed. Raise the limit \
-         (`ulimit -v`)"
+         (`ulimit -v {}`)",
+        needed.saturating_add(*used).div_ceil(1024)
     )]
     AddressSpace {
         /// Bytes to map.

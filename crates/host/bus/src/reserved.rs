@@ -10,7 +10,7 @@
 use std::cell::Cell;
 use std::fmt;
 use std::fs;
-use std::io;
+use std::io::ErrorKind;
 use std::mem::MaybeUninit;
 use std::os::fd::BorrowedFd;
 use std::ptr::NonNull;
@@ -42,7 +42,7 @@ use iceoryx2_cal::named_concept::{
 
 use crate::CapacityError;
 use crate::os::memory::{SHM_DIR, reserve};
-use crate::preflight::{check_memory, shared_memory};
+use crate::preflight::check_memory;
 
 /// Polling interval for an object without a length.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -157,12 +157,10 @@ impl<T: Shareable> Builder<'_, T> {
         // SAFETY: the descriptor is open while the memory is mapped, which outlives the call.
         let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
         let reserved = reserve(file, memory.size() as u64);
-        reserved.map_err(|error| match error.kind() {
-            io::ErrorKind::StorageFull => {
-                let free = shared_memory().map_or(0, |(free, _)| free);
-                shortage(CapacityError::Memory { needed: size as u64, free })
-            }
-            _ => shortage(CapacityError::Reserve { bytes: size as u64, error }),
+        reserved.map_err(|error| {
+            // A refusal for another reason, such as a quota, must not be told as lack of space.
+            let full = check_memory(size).err().filter(|_| error.kind() == ErrorKind::StorageFull);
+            shortage(full.unwrap_or(CapacityError::Reserve { bytes: size as u64, error }))
         })?;
         Ok(memory)
     }

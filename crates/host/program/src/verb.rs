@@ -10,12 +10,17 @@ use crate::options::GlobalOptions;
 use crate::output::Output;
 
 /// The `main` of `joulebus-VERB`: parses the arguments of this process, runs `work`, and returns
-/// the exit code. Help, errors and options are those of `joulebus VERB`.
+/// the exit code. Help, errors and options are those of `joulebus VERB`. `ready` says whether this
+/// process may begin: parsing needs a stack.
 #[must_use]
-pub fn main<A: clap::Args>(
+pub fn main<A: clap::Args, E: Into<anyhow::Error>>(
     verb: &'static str,
+    ready: Result<(), E>,
     work: impl FnOnce(&A, Output) -> anyhow::Result<Outcome>,
 ) -> ExitCode {
+    if let Err(error) = ready {
+        return exit::code(Err(error.into()));
+    }
     match parse(verb, std::env::args_os().skip(1)) {
         Ok((arguments, output)) => exit::code(work(&arguments, output)),
         Err(refused) => exit::refused(&refused),

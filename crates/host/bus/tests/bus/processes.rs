@@ -467,6 +467,30 @@ fn can_trace() -> bool {
     works
 }
 
+#[test]
+fn memory_that_cannot_be_allocated_is_written_or_the_cause_is_named() {
+    if !can_trace() {
+        return;
+    }
+    for (error, says) in [
+        ("ENOSYS", None),
+        ("EPERM", None),
+        ("EIO", Some("cannot be allocated: Input/output error")),
+        ("EDQUOT", Some("cannot be allocated: Disk quota exceeded")),
+    ] {
+        let place = Place::new();
+        let inject = format!("inject=fallocate:error={error}");
+        let options = ["-f", "-qq", "-e", "trace=fallocate", "-e", &inject, "-o", "/dev/null"];
+        let mut member = member_under(&place, "strace", &options);
+        member.send_line("join");
+        let answer = answer_of(&mut member);
+        let is_said = says.map_or(answer.starts_with("ok"), |says| answer.contains(says));
+        assert!(is_said && !answer.contains(" free"), "{error}: {answer}");
+        member.finish();
+        place.assert_nothing_left();
+    }
+}
+
 /// Kills a worker at the first, second, … of each of `calls`, until its start succeeds, with a
 /// source alive. Returns the number of kills; `None` if tracing is not possible.
 fn killed_at_every(calls: &[&str]) -> Option<u32> {
