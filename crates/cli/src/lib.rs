@@ -1,7 +1,31 @@
-//! The `joulebus` program as a library, so that other packages can build the same program.
+//! The program `joulebus` as a library, so that other packages can build the same program.
 //!
-//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab`
-//! for all verbs on recordings and models. `joulebus_program` has the code that all programs share.
+//! ```no_run
+//! fn main() -> std::process::ExitCode {
+//!     joulebus_cli::main()
+//! }
+//! ```
+//!
+//! **To know.** [`main`](main()) runs the program with the arguments of the process, and is all
+//! that this library exports. To use joulebus from a program of your own, take its SDKs:
+//! `joulebus-publisher`, `joulebus-consumer` and `joulebus-planner`.
+//!
+//! **Verbs.** Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and
+//! `joulebus-lab` for all verbs on recordings and models. `joulebus_program` has the code that all
+//! programs share.
+//!
+//! **Units** stand beside the numbers in reports, and in the names of keys in JSON.
+//!
+//! **Errors** go to stderr, with what was found, what is allowed and the remedy. The exit code says
+//! which kind of error it was.
+//!
+//! **In the book**: [programs and verbs][1], [every option][2], [the demo][3],
+//! [troubleshooting][4].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/commands.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/tutorial/demo.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/troubleshooting.md
 #![forbid(unsafe_code)]
 
 mod alarms;

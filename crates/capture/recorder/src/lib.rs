@@ -1,12 +1,44 @@
 //! Records fleets in captures: one thread drains shared memory into a bounded queue, another
 //! encodes, compresses and writes.
 //!
-//! A slow disk fills the queue; when it is full, messages are dropped and counted, without effect
-//! on the worker and its planners. A full disk ends the capture with an error, and the written part
-//! can be recovered.
+//! ```no_run
+//! use std::path::PathBuf;
 //!
-//! A recorder joins one fleet. Others are read from streams: captures that other processes write to
-//! a pipe. [`replay`] sends recorded frames again.
+//! use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
+//! use joulebus_config::Config;
+//!
+//! let config = Config::load("configs/fleet.toml")?;
+//! let (clock, target) = (host_clock(), Target::File(PathBuf::from("lab.mcap")));
+//! let files = attach(std::slice::from_ref(&config), clock)?;
+//! let recorder = Recorder::start(&config, Vec::new(), clock, files, target, &Options::default())?;
+//! std::thread::sleep(std::time::Duration::from_secs(60));
+//! let summary = recorder.finish();
+//! println!("{} messages in {} bytes", summary.messages(), summary.bytes());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The program `joulebus` has this crate as `joulebus record`, and [`replay`] as `joulebus replay`.
+//!
+//! **Three types to know.** A [`Recorder`] is a running recording. [`Options`] says what is
+//! recorded, and into how large files. A [`Summary`] has the files, and what was lost.
+//!
+//! **Slow and full disks.** A slow disk fills the queue. When it is full, messages are dropped and
+//! counted, without effect on the worker and its planners. A full disk ends the capture with an
+//! error, and the written part can be recovered.
+//!
+//! **Several fleets.** A recorder joins one fleet. Others are read from streams: captures that
+//! other processes write to a pipe. [`replay`] sends recorded frames again.
+//!
+//! **Units** are ns and bytes.
+//!
+//! **Errors** of the start state the remedy ([`StartError`], [`AttachError`]). Later ones do not
+//! stop the program: [`Summary::failure`] has them at the end.
+//!
+//! **In the book**: [record everything, and replay it][1], [the recorder polls][2], [limits][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/recorder.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/limits.md
 #![forbid(unsafe_code)]
 
 mod attachments;

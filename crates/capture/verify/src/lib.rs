@@ -1,9 +1,47 @@
 //! Verification: recomputes everything that a worker published from its samples, and compares it
 //! bit for bit.
 //!
-//! The worker's journal states which frames of samples each tick took at which time, and a keyframe
-//! the fleet's state before; from there the tick is a pure function. So a recording that begins in
-//! the middle, or has a gap, is verified from its next keyframe on.
+//! ```no_run
+//! use joulebus_capture_format::Reader;
+//! use joulebus_capture_verify::{Verification, Verifier};
+//! # use joulebus_predictor::Model;
+//! # use joulebus_settings::FleetSettings;
+//!
+//! // `settings` and `models` are the worker's: a capture has its config and its models.
+//! fn verified(
+//!     settings: FleetSettings,
+//!     models: Vec<Model>,
+//! ) -> Result<Verification, Box<dyn std::error::Error>> {
+//!     let mut verifier = Verifier::new(settings, models)?;
+//!     let mut reader = Reader::open("lab.mcap")?;
+//!     while let Some(entry) = reader.next_entry()? {
+//!         verifier.push(entry);
+//!     }
+//!     Ok(verifier.finish())
+//! }
+//! ```
+//!
+//! The worker's journal states which frames of samples each tick took at which time. A keyframe has
+//! the fleet's state before a tick. From there the tick is a pure function. So a recording that
+//! begins in the middle, or has a gap, is verified from its next keyframe on.
+//!
+//! The program `joulebus` has this crate as `joulebus replay --verify`.
+//!
+//! **Three types to know.** A [`Verifier`] takes the messages of a capture. A [`Verification`] says
+//! how many ticks were recomputed, what differs, and what could not be compared. [`WhatIf`]
+//! compares two models on the samples of a capture, and returns a [`Comparison`].
+//!
+//! **Units** are those of `joulebus-wire`: SI, and ns for times.
+//!
+//! **Errors.** Only the start can fail, for settings that are inconsistent. A loss, a refused
+//! keyframe and a difference are results: [`Verification::is_clean`] says whether there is none.
+//!
+//! **In the book**: [record everything, and replay it][1], [a journal of ticks and keyframes][2],
+//! [the same bits, live and offline][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/tick-journal.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/determinism.md
 #![forbid(unsafe_code)]
 
 mod assemble;

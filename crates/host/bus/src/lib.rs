@@ -1,8 +1,21 @@
 //! The bus: everything that happens in shared memory, and the only crate that names iceoryx2.
 //!
-//! A [`Domain`] is the location of a fleet's shared memory. A process joins it with [`Bus::join`],
-//! opens the ports it needs, and leaves by dropping them. Limits are the same for every process of
-//! a fleet; the first process to open a service creates it.
+//! Controllers and planners use it through `joulebus-publisher` and `joulebus-consumer`. No type of
+//! iceoryx2 is in its API.
+//!
+//! ```no_run
+//! use joulebus_bus::{Bus, Domain};
+//!
+//! let domain = Domain::new("lab", &Domain::default_root(), "jb_")?;
+//! let bus = Bus::join(&domain, "my-program")?;
+//! println!("a member of {}", bus.domain().directory().display());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! **Three types to know.** A [`Domain`] is the location of a fleet's shared memory. A [`Bus`] is
+//! the membership of a process: it joins with [`Bus::join`], opens the ports it needs, and leaves
+//! by dropping them. A [`WorkerLock`] makes a process the fleet's worker. [`Limits`] are the same
+//! for every process of a fleet. The first process to open a service creates it.
 //!
 //! | port | direction | payload |
 //! |---|---|---|
@@ -11,15 +24,28 @@
 //! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | questions and answers |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
-//! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
-//! cleanup thread that removes stale files of dead processes ([`Bus::housekeeping`]). The last
-//! member to leave removes all files of the domain, in `/dev/shm` and in the root directory. What
-//! joulebus did not make, by its marker and names, it neither changes nor removes. A member whose
-//! own files are removed gets [`FilesRemoved`] from every port.
+//! **Threads and processes.** Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made
+//! them. A process may join several domains, and may use iceoryx2 for itself: the global
+//! configuration and the logger of iceoryx2 are left to it.
 //!
-//! A process may join several domains, and may use iceoryx2 for itself: the global configuration
-//! and the logger of iceoryx2 are left to it. `docs/decisions/iceoryx2.md` lists the defects of
-//! iceoryx2 that this crate works around, each with a test.
+//! **Cleanup.** Every member runs a cleanup thread that removes stale files of dead processes
+//! ([`Bus::housekeeping`]). The last member to leave removes all files of the domain, in `/dev/shm`
+//! and in the root directory. What joulebus did not make, by its marker and names, it neither
+//! changes nor removes. A member whose own files are removed gets [`FilesRemoved`] from every port.
+//!
+//! **Units** are ns of the host's monotonic clock ([`clock`]) and bytes.
+//!
+//! **Errors** name the obstacle and the remedy: [`JoinError`] and [`OpenError`] at the start,
+//! [`SendError`], [`ReceiveError`] and [`WaitError`] later.
+//!
+//! **In the book**: [files and shared memory][1], [layout of shared memory][2], [joulebus shares
+//! iceoryx2][3], [every member cleans up][4], [wait with one ppoll][5].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/layout.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/iceoryx2.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/cleanup.md
+//! [5]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/waiting.md
 #![deny(unsafe_code)]
 
 mod bus;

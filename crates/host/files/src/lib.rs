@@ -1,10 +1,36 @@
-//! Opens files given by the user.
+//! Opens the files that a user names, and writes them as a whole.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! // A pipe would block, and a device might never end.
+//! let refused = joulebus_files::read(Path::new("/dev/null"), 1_000).unwrap_err();
+//! assert_eq!(refused.to_string(), "is a device, allowed are regular files");
+//! ```
 //!
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
-//! Therefore only regular files are opened, also through symbolic links, and whole files are read
-//! into memory only up to a limit set by the reader. [`create`] and [`replace`] write files that a
-//! user names. [`Several`] removes the files of a result that did not become whole. [`foreign`] says what a file of another program is. [`disk`] writes files that must
-//! survive a crash.
+//! So only regular files are opened, also through symbolic links. Whole files are read into memory
+//! only up to a limit that the reader sets.
+//!
+//! **To know.**
+//!
+//! - [`open`](open()), [`read`](read()) and [`read_to_string`] read. [`read_secret`] also checks
+//!   that only the owner can.
+//! - [`create`] writes a new file, and [`replace`] the file of an earlier run. Both write it as a
+//!   whole or not at all.
+//! - [`Several`] removes the files of a result that did not become whole.
+//! - [`foreign`] says what a file of another program is, and how it is converted.
+//! - [`disk`] has the single operations for files that must survive a crash.
+//!
+//! **Units** are bytes.
+//!
+//! **Errors** are [`std::io::Error`]. Its cause is [`Refused`] if a rule of this crate refuses the
+//! file, with what was found and what is allowed. The caller names the file.
+//!
+//! **In the book**: [files and shared memory][1], [faults of files that were tested][2].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/measured/faults/files.md
 #![forbid(unsafe_code)]
 
 pub mod disk;

@@ -1,4 +1,31 @@
-//! Loads the models that the config of a fleet names.
+//! Loads the models that the config of a fleet names: files, built-in models, persistence.
+//!
+//! The worker does, and so does every planner that computes for itself.
+//!
+//! ```
+//! use joulebus_predictor::Model;
+//!
+//! let text = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [7]\n";
+//! let config = joulebus_config::Config::parse(text, std::path::Path::new("."))?;
+//! let models = joulebus_models::load_models(&config)?;
+//! assert!(matches!(models[..], [Model::Network(_)]));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! **To know.** [`load_models`] returns one [`Model`] for each platform, in the order of the
+//! settings. A [`ModelSource`] is what the config says of a platform's model.
+//!
+//! **Units.** Models forecast W.
+//!
+//! **Errors** name the platform and its file ([`ModelsError`]): it cannot be read, or its contents
+//! are refused. A file of another program is recognised, with the command that converts it.
+//!
+//! **In the book**: [models that ship][1], [train, compare and export models][2], [config, every
+//! key][3].
+//!
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/models.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/models.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
 #![forbid(unsafe_code)]
 
 use std::path::PathBuf;
