@@ -25,6 +25,7 @@ CASES = [
     ("take", [100, 1_000], "robot"),
     ("forecast", [100, 1_000], "robot"),
     ("account", [100, 1_000], "robot"),
+    ("outlooks", [100, 1_000], "robot"),
     ("rollout", [16, 64, 256], "step"),
 ]
 # Without vector instructions multiply-adds are emulated: thousands of instructions each.

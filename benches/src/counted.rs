@@ -20,6 +20,8 @@ pub(crate) enum Counted {
     Forecast,
     /// One tick's scores, ledgers, diagnostics and budgets.
     Account,
+    /// The same, with outlooks.
+    Outlooks,
     /// One call with candidates of 50 steps for one robot.
     Rollout,
 }
@@ -50,9 +52,10 @@ impl Count {
         let size = self.size as usize;
         let forecasts = match self.what {
             Counted::Kernel => of_kernel(&network, size),
-            Counted::Take => tick::count(&network, size, tick::Part::Take)?,
-            Counted::Forecast => tick::count(&network, size, tick::Part::Forecast)?,
-            Counted::Account => tick::count(&network, size, tick::Part::Account)?,
+            Counted::Take => tick::count(&network, size, (tick::Part::Take, false))?,
+            Counted::Forecast => tick::count(&network, size, (tick::Part::Forecast, false))?,
+            Counted::Account => tick::count(&network, size, (tick::Part::Account, false))?,
+            Counted::Outlooks => tick::count(&network, size, (tick::Part::Account, true))?,
             Counted::Rollout => rollout::count(&network, size),
         };
         Ok((kernel::name(kernel), forecasts))

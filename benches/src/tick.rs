@@ -201,13 +201,18 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOpt
     less("paced_missed_ticks", "ticks", &[paced.missed as f64]);
 }
 
-/// One tick of which `part` is counted; returns the number of forecasts.
-pub(crate) fn count(network: &Network, robots: usize, part: Part) -> anyhow::Result<usize> {
+/// One tick of which `part` is counted, the accounts maybe with `outlooks`. Returns the number of
+/// forecasts.
+pub(crate) fn count(
+    network: &Network,
+    robots: usize,
+    (part, outlooks): (Part, bool),
+) -> anyhow::Result<usize> {
     let mut bench = Bench::new(network, (TickFleet::Uniform, robots), 1, SEED)?;
     for _ in 0..WARM_UP {
-        bench.tick_in_two(&mut |_, work| work());
+        bench.tick_in_two(outlooks, &mut |_, work| work());
     }
-    bench.tick_in_two(&mut |done, work| {
+    bench.tick_in_two(outlooks, &mut |done, work| {
         if done == part {
             collected(work);
         } else {

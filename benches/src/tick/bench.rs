@@ -159,7 +159,7 @@ impl Bench {
             stages: std::array::from_fn(|stage| (after[stage] - before[stage]) as f64),
             ..Round::default()
         };
-        self.tick_in_two(&mut |part, work| {
+        self.tick_in_two(false, &mut |part, work| {
             let start = Instant::now();
             work();
             let ns = start.elapsed().as_nanos() as f64;
@@ -219,7 +219,11 @@ impl Bench {
 
     /// On the calling thread, forecasts first; `around` must run each part's work once. Reads no
     /// clock: under valgrind the clock used by the pool aborts the program.
-    pub(super) fn tick_in_two(&mut self, around: &mut dyn FnMut(Part, &mut dyn FnMut())) {
+    pub(super) fn tick_in_two(
+        &mut self,
+        outlooks: bool,
+        around: &mut dyn FnMut(Part, &mut dyn FnMut()),
+    ) {
         let now_ns = self.world.now_ns();
         let Self { fleet, batch, .. } = self;
         let (header, samples) = self.world.frame();
@@ -236,7 +240,7 @@ impl Bench {
                 diagnostics: &mut self.diagnostics,
                 budgets: &mut self.budgets,
                 plan_states: &mut [],
-                outlooks: &mut [],
+                outlooks: if outlooks { &mut self.outlooks } else { &mut [] },
             };
             fleet.shard().account(batch, accounts, &mut |_| {});
         });
