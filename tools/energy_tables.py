@@ -25,6 +25,8 @@ FORECASTS = ["energy model", "last reading", "mean 1 s", "mean 5 s", "mean of al
 PLAIN = FORECASTS[1:5]
 SETS = {"robotino": "Robotino", "borealtc_husky": "Husky", "ase_rover": "rover"}
 WORDS = re.compile(r"^(one_surface_type_|energy_data_)|_(surface_exp|surface|exp|robot)$")
+# Fewer forecasts make no row.
+MIN_FORECASTS = 30
 # By which first 30 readings of a row may be worse than persistence, in R².
 MAX_BELOW = 0.02
 
@@ -55,7 +57,7 @@ def parsed(said):
                 found.append((*title, cells))
             else:
                 found[-1][2].setdefault("halves", []).append(cells)
-    return found
+    return [row for row in found if int(row[2]["forecasts"]) >= MIN_FORECASTS]
 
 
 def named(group):
