@@ -38,7 +38,7 @@ def run(*command):
 
 def measured():
     with tempfile.TemporaryDirectory() as folder:
-        run("cargo", "run", "--locked", "-p", "joulebus", "--", "data", "simulate", folder, "--seed", SEED)
+        run("cargo", "run", "--locked", "-p", "joulebus-lab", "--", "data", "simulate", folder, "--seed", SEED)
         return run("cargo", "run", "--locked", "-p", "joulebus-eval", "--example", "energy", "--", "--quick", folder)
 
 
