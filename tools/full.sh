@@ -65,6 +65,7 @@ step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -
     python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'
 step recorded-models recordings 'python3 tools/recorded_models.py'
 step benchmark recordings 'python3 tools/benchmark.py'
+step energy-tables recordings 'python3 tools/energy_tables.py'
 step forecast-tables recordings 'python3 tools/forecast_tables.py --short'
 step pictures pictures 'tools/pictures.sh'
 step attack - 'python3 tools/attack.py --minutes 5 --seed 7'
