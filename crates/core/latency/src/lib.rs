@@ -9,7 +9,7 @@
 //! for ns in [10_000, 20_000, 30_000] {
 //!     durations.record(ns)?;
 //! }
-//! let spread = Spread::of(&durations);
+//! let spread = Spread::new(&durations);
 //! assert_eq!(spread.count, 3);
 //! assert!((spread.p50_us - 20.0).abs() < 0.1);
 //! # Ok::<(), hdrhistogram::RecordError>(())

@@ -12,7 +12,7 @@
 //! for value in [0.2, 0.0, 0.0, 0.0, 0.0, 1.5] {
 //!     bytes.extend(encode(&Float64 { data: value })?);
 //! }
-//! let twist = RosType::of("cdr", "geometry_msgs/msg/Twist", "ros2msg", b"")?;
+//! let twist = RosType::new("cdr", "geometry_msgs/msg/Twist", "ros2msg", b"")?;
 //! let Message::Twist(command) = twist.decode(&bytes)? else { panic!("it is a Twist") };
 //! assert_eq!((command.linear.x, command.angular.z), (0.2, 1.5));
 //! assert!(twist.decode(&bytes[..20]).is_err());
@@ -23,7 +23,7 @@
 //! one. [`WhatIfRequest`] is the request of joulebus' own service, with [`WhatIfResponse`] as its
 //! answer. [`DiagnosticArray`], [`Float64`] and [`Outlook`] are published.
 //!
-//! **Definitions.** [`RosType::of`] compares the definition in a file with the built-in one. A
+//! **Definitions.** [`RosType::new`] compares the definition in a file with the built-in one. A
 //! message with other fields is refused instead of misread. [`definitions`] has the text of
 //! joulebus' own types.
 //!
