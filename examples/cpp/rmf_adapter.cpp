@@ -113,8 +113,8 @@ private:
     float coverage_;
 };
 
-/// Open-RMF plans the tasks after a charge with the charge that it expects, and keeps them if the charge is cancelled.
-/// This says when they must be planned again.
+/// Open-RMF plans the tasks after a charge with the charge that it expects, and keeps them if the charge is cancelled
+/// (rmf_ros2 #460). This says when they must be planned again.
 class ChargePlan {
 public:
     /// Tasks are planned for a robot that leaves the charger with this share.
@@ -124,15 +124,22 @@ public:
     bool must_replan(double share, bool charges) {
         const bool has_left = charged_ && !charges;
         charged_ = charges;
-        if (!has_left) {
-            return false;
-        }
+        return has_left && falls_short(share);
+    }
+
+    /// As `must_replan`, when the task is cancelled: the robot may never have come to the charger.
+    bool must_replan_cancelled(double share) {
+        charged_ = false;
+        return falls_short(share);
+    }
+
+private:
+    bool falls_short(double share) {
         const auto expected = std::exchange(expected_, std::nullopt);
         // An unknown share is none to count on.
         return expected && !(share >= *expected);
     }
 
-private:
     std::optional<double> expected_;
     bool charged_ = false;
 };
@@ -176,9 +183,19 @@ int main(int count, char **arguments) {
     std::cout << "at rest for 60 s: " << 100.0 * devices.compute_change_in_charge(60.0) << " % of the battery\n";
     const double share = sink.state_of_charge();
     std::cout << "left: " << 100.0 * share << " % of the battery\n";
+    const double full = std::min(1.0, share + 0.2), unknown = std::numeric_limits<double>::quiet_NaN();
     ChargePlan plan;
-    plan.expect(std::min(1.0, share + 0.2));
-    plan.must_replan(share, true);
-    std::cout << "a charge that is cancelled at once: " << (plan.must_replan(share, false) ? "plan again" : "go on")
-              << '\n';
+    const auto say = [](const char *charge, bool must_replan) {
+        std::cout << "a charge " << charge << ": " << (must_replan ? "plan again" : "go on") << '\n';
+    };
+    const auto ends_with = [&plan, full](double left) {
+        plan.expect(full);
+        return !plan.must_replan(left, true) && plan.must_replan(left, false);
+    };
+    say("as planned", ends_with(full));
+    say("that is cancelled at once", ends_with(share));
+    say("that ends with an unknown share", ends_with(unknown));
+    plan.expect(full);
+    say("that is cancelled on the way", plan.must_replan_cancelled(share));
+    say("that is cancelled twice", plan.must_replan_cancelled(share) || plan.must_replan(share, false));
 }
