@@ -30,7 +30,7 @@ pub fn main() -> ExitCode {
     match first.as_ref().and_then(|first| first.to_str()) {
         Some(ROLE) => exit::code(play(&RoleArguments::parse_from(arguments()))),
         Some(COUNT) => exit::code(count(&Count::parse_from(arguments()))),
-        _ => verb::main("bench", run),
+        _ => verb::main("bench", joulebus_bus::check_stack(), run),
     }
 }
 
