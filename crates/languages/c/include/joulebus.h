@@ -133,7 +133,7 @@
 #define JOULEBUS_QUERY_RETURN 0x1u
 /** heading_rad is the heading at the first point; without it, towards the second. */
 #define JOULEBUS_QUERY_HEADING 0x2u
-/** Of one robot: the power of every step is wanted. */
+/** One robot's: the power of every step is wanted. */
 #define JOULEBUS_QUERY_POWER 0x4u
 /** All bits that this version knows. */
 #define JOULEBUS_QUERY_ALL 0x7u
@@ -463,19 +463,19 @@ typedef struct joulebus_diagnostic {
     float change_w;
     /** Weight of the last reading where a new measurement is due, 0 to 1. */
     float weight_last;
-    /** That of the network. */
+    /** Weight of the network there. */
     float weight_network;
-    /** That of the stack. */
+    /** Weight of the stack there. */
     float weight_stack;
     /** Weight of the last reading where the measurement will be held. */
     float held_weight_last;
-    /** That of the stack. */
+    /** Weight of the stack there. */
     float held_weight_stack;
     /** Gain of the last reading within the stack: signed, on its deviation from the model's autoregression. */
     float gain_last;
-    /** That of the network. */
+    /** Gain of the network. */
     float gain_network;
-    /** That of the mean of the readings. */
+    /** Gain of the mean of the readings. */
     float gain_mean;
     /** Level that the stack adds, W. */
     float level_w;
