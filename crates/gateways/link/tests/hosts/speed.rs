@@ -17,6 +17,7 @@ use crate::host::{FOLLOW, Host, free_address, of_other, of_worker};
 
 const SEND: &str = "JOULEBUS_LINK_RAW_SEND";
 const RECEIVE: &str = "JOULEBUS_LINK_RAW_RECEIVE";
+const RELAY: &str = "JOULEBUS_LINK_RAW_RELAY";
 const LISTEN: &str = "JOULEBUS_LINK_LISTEN";
 const POLL: &str = "JOULEBUS_LINK_POLL";
 const KEY: &str = "raw/frames";
@@ -90,6 +91,10 @@ pub(crate) fn run() {
             });
         });
     }
+    if let Ok(of) = std::env::var(RELAY) {
+        let (address, config) = of.split_once(' ').unwrap();
+        relay_raw(address, config);
+    }
     if let Some(config) = std::env::var_os(LISTEN) {
         let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
         collect(|seen| {
@@ -124,6 +129,22 @@ fn send_raw(address: &str, bytes: usize) {
         message[..8].copy_from_slice(&clock::monotonic_ns().to_le_bytes());
         publisher.put(message).wait().unwrap();
         std::thread::sleep(TICK);
+    }
+}
+
+/// Copies each frame of forecasts as it is into a message of zenoh.
+fn relay_raw(address: &str, config: &str) {
+    let session = session("listen/endpoints", address);
+    let publisher = session.declare_publisher(KEY).congestion_control(CongestionControl::Drop);
+    let publisher = publisher.express(true).wait().unwrap();
+    let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
+    send_to_test("joined");
+    loop {
+        if let Event::Frame(frame) = planner.wait_next(Duration::from_secs(1)).unwrap() {
+            let mut message = frame.header().sent_ns.to_le_bytes().to_vec();
+            message.extend_from_slice(bytemuck::cast_slice(frame.robots()));
+            publisher.put(message).wait().unwrap();
+        }
     }
 }
 
@@ -189,6 +210,17 @@ fn raw(bytes: usize) -> Cost {
     cost(spread(took_ns(&seen)), ticks)
 }
 
+/// Measures zenoh alone after a hop: what a link at least does, beside the same worker. It checks,
+/// converts and acknowledges nothing, and ends before the second hop.
+fn relayed(here: &Host) -> Cost {
+    let address = free_address();
+    let relay = process(RELAY, format!("{address} {}", here.config().display()));
+    let mut receiver = process(RECEIVE, address);
+    let pids = [relay.pid(), receiver.pid()];
+    let (seen, ticks) = collected(&mut receiver, &pids);
+    cost(spread(took_ns(&seen)), ticks)
+}
+
 /// Measures the path from the worker to a planner beside it, without computation.
 fn hop(here: &Host) -> Cost {
     let mut near = process(LISTEN, here.config());
@@ -245,7 +277,7 @@ fn show(what: &str, robots: usize, cost: Cost) {
 #[ignore = "prints figures: docs/measured/links.md"]
 fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
     for robots in [100, 1_000, 10_000] {
-        let (mut raws, mut hops, mut links) = (Vec::new(), Vec::new(), Vec::new());
+        let [mut raws, mut hops, mut relays, mut links] = [const { Vec::new() }; 4];
         let here = Host::of(robots);
         let _worker = here.worker();
         let _robots = here.robots(&["--robots", &robots.to_string()]);
@@ -254,26 +286,31 @@ fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
         for round in 1..=ROUNDS {
             raws.push(raw(bytes));
             hops.push(hop(&here));
+            relays.push(relayed(&here));
             let (cost, dropped) = linked(&here, robots);
             links.push(cost);
-            for (what, all) in [("zenoh", &raws), ("hop", &hops), ("link", &links)] {
+            let all = [("zenoh", &raws), ("hop", &hops), ("relay", &relays), ("link", &links)];
+            for (what, all) in all {
                 show(&format!("{what}, round {round}"), robots, all[round - 1]);
             }
             println!("figure: round {round}, {robots} robots: {dropped} frames left out");
         }
-        let (raw, hop, link) = (median(&raws), median(&hops), median(&links));
-        for (what, cost) in [("zenoh", raw), ("hop", hop), ("link", link)] {
+        let [raw, hop, relay, link] = [&raws, &hops, &relays, &links].map(|all| median(all));
+        for (what, cost) in [("zenoh", raw), ("hop", hop), ("relay", relay), ("link", link)] {
             show(&format!("{what}, median, {bytes} bytes"), robots, cost);
         }
         println!(
             "figure: {robots} robots, link over zenoh: p50 {:.2}, p99 {:.2}, processor {:.2}; over zenoh and two hops: \
-             p50 {:.2}, p99 {:.2}, processor {:.2}",
+             p50 {:.2}, p99 {:.2}, processor {:.2}; over relay and hop: p50 {:.2}, p99 {:.2}, processor {:.2}",
             link.p50 / raw.p50,
             link.p99 / raw.p99,
             link.cpu / raw.cpu,
             link.p50 / (raw.p50 + 2.0 * hop.p50),
             link.p99 / (raw.p99 + 2.0 * hop.p99),
             link.cpu / (raw.cpu + 2.0 * hop.cpu),
+            link.p50 / (relay.p50 + hop.p50),
+            link.p99 / (relay.p99 + hop.p99),
+            link.cpu / (relay.cpu + hop.cpu),
         );
     }
 }
