@@ -213,7 +213,7 @@ pub(crate) mod tests {
                 noise_weight: 0.005,
                 noise_limit: 15.0,
                 mismatch_limit: 1.5,
-                level_limit: 12.0,
+                level_limit: 11.0,
                 settle_samples: 300,
                 raise_samples: 15,
                 clear_samples: 90,

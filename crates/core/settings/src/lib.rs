@@ -8,7 +8,7 @@
 //!
 //! # let alarms = AlarmSettings {
 //! #     bias_weight: 0.005, cusum_slack: 1.0, cusum_limit: 50.0, noise_weight: 0.005,
-//! #     noise_limit: 15.0, mismatch_limit: 1.5, level_limit: 12.0, settle_samples: 300,
+//! #     noise_limit: 15.0, mismatch_limit: 1.5, level_limit: 11.0, settle_samples: 300,
 //! #     raise_samples: 15, clear_samples: 90, training_margin: 0.1,
 //! # };
 //! let intake = Intake {

@@ -89,7 +89,7 @@ pub const KEYS: &[Key] = &[
         "Noise ratio (1 = as in training) at which NoiseHigh is raised. The alarm is cleared below half of it."),
     key("alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Number(2.0),
         "Ratio of the network's squared error to that of persistence at which ModelMismatch is raised. Three times the network's error in training replaces that of persistence if it is greater. The alarm is cleared below 0.9 of the limit."),
-    key("alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Number(12.0),
+    key("alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Number(11.0),
         "Change of a robot's power for the same commands at which LevelHigh or LevelLow is raised. Either is cleared below half of it. Needs a trained model."),
     key("alarms.settle_samples", int(bounds::SETTLE_SAMPLES), "samples", DefaultValue::Integer(150),
         "Residuals of a robot before any alarm based on them is raised."),

@@ -67,7 +67,7 @@ pub fn settings(capacity: u32) -> FleetSettings {
             noise_weight: 0.01,
             noise_limit: 4.0,
             mismatch_limit: 2.0,
-            level_limit: 12.0,
+            level_limit: 11.0,
             settle_samples: 20,
             raise_samples: 3,
             clear_samples: 10,

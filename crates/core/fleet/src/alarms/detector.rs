@@ -274,7 +274,7 @@ mod tests {
         noise_weight: 0.01,
         noise_limit: 4.0,
         mismatch_limit: 2.0,
-        level_limit: 12.0,
+        level_limit: 11.0,
         settle_samples: 50,
         raise_samples: 5,
         clear_samples: 30,
