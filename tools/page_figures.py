@@ -54,7 +54,7 @@ def unique(values):
 
 
 def leading(case):
-    """The number that a case begins with; cases without one come first."""
+    """The number that a case begins with. Cases without one come first."""
     number = re.match(r"[\d,]+", case)
     return int(number[0].replace(",", "")) if number else 0
 
@@ -80,7 +80,7 @@ class Report:
         return sorted(found, key=leading)
 
     def pivot(self, corner, rows, quantile="p50"):
-        """Names down, cases across; `rows` are pairs of name and title."""
+        """Names down, cases across. `rows` are pairs of name and title."""
         rows = [(name, title) for name, title in rows if name in self.by_name]
         cases = self.cases(name for name, _ in rows)
         cell = lambda name, case: figures.shown(figure[quantile]) if (figure := self.by_name[name].get(case)) else "–"

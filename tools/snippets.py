@@ -120,7 +120,7 @@ def said_yes(command, programs):
 
 
 def complaints(folder, target, programs):
-    """Runs everything for a minute; what was wrong, as text."""
+    """Runs everything for a minute. Returns what was wrong, as text."""
     config, joulebus, rust = folder / "configs/fleet.toml", target / "debug/joulebus", target / "debug"
     python = target / "python/bin/python"
     publishes = moved(block("docs/reference/python.md", "python", "joulebus.Publisher("), "np.arange(0, 8)", "np.arange(80, 88)")

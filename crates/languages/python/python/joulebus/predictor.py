@@ -22,7 +22,7 @@ class Predictor(_native.Predictor):
     seed, max_epochs, patience: of `fit`, by the paper's recipe. The same seed gives the same bytes
 
     ``predict(features)`` takes rows ``(robots, 11)`` in the order of the first 11 ``joulebus.FEATURE_NAMES`` (v, omega, their
-    derivatives, their magnitudes, the last five readings, newest first; m, rad, s, W), or rows of 13 for a model with
+    derivatives, their magnitudes, the last five readings, newest first, in m, rad, s, W), or rows of 13 for a model with
     the age of the newest reading, and returns the readings
     expected next, W, float32. A NaN in a row makes that row's forecast NaN and changes no other.
 
@@ -105,7 +105,7 @@ class Predictor(_native.Predictor):
         return self
 
     def __sklearn_tags__(self) -> Any:
-        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without; only
+        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without. Only
         # scikit-learn calls it.
         from sklearn.utils import RegressorTags, Tags, TargetTags
 
