@@ -35,7 +35,7 @@ impl ServiceManager {
         Ok(Self { watchdog: watchdog.transpose()? })
     }
 
-    /// The service is ready; `status` is one line for operators.
+    /// The service is ready. `status` is one line for operators.
     pub(crate) fn ready(&self, status: &str) {
         tell(&[NotifyState::Ready, NotifyState::Status(status)]);
     }

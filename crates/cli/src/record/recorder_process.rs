@@ -25,7 +25,7 @@ impl RecorderProcess {
     /// Starts the recorder and waits until it records, so that no output of the worker is missed.
     ///
     /// # Errors
-    /// The process cannot be started or does not record; its output is printed.
+    /// The process cannot be started or does not record. Its output is printed.
     pub(crate) fn start(config: &ConfigFile, file: &Path) -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
@@ -87,7 +87,7 @@ impl Drop for RecorderProcess {
     }
 }
 
-/// Forwards the recorder's output; sends one message when it records.
+/// Forwards the recorder's output. Sends one message when it records.
 fn pass_on(pipe: impl std::io::Read + Send + 'static) -> Receiver<()> {
     let (tell, told) = channel();
     std::thread::spawn(move || {

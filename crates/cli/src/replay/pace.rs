@@ -14,7 +14,7 @@ use joulebus_source::rate::Rate;
 
 /// Interval at which keys are polled, ns.
 const KEY_POLL_NS: u64 = 20_000_000;
-/// A delay of at most this is made up for, ns; a longer one shifts what follows.
+/// A delay of at most this is made up for, ns. A longer one shifts what follows.
 const MAX_CATCH_UP_NS: u64 = 100_000_000;
 
 /// Request from the keyboard.
@@ -160,7 +160,7 @@ impl Pace {
         self.timeline.align = true;
     }
 
-    /// Waits until what was recorded `recorded_ns` after the start is due; `leads`: it is the first
+    /// Waits until what was recorded `recorded_ns` after the start is due. `leads`: it is the first
     /// message of a step. False at a signal or a request to quit.
     pub(super) fn wait(
         &mut self,

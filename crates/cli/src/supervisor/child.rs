@@ -18,7 +18,7 @@ pub(super) struct Child {
 }
 
 impl Child {
-    /// Starts `program`; each line of its stderr is sent to `say`.
+    /// Starts `program`. Each line of its stderr is sent to `say`.
     pub(super) fn start(
         program: &Path,
         task: &Task,
@@ -71,7 +71,7 @@ impl Child {
         let _ = self.process.kill();
     }
 
-    /// The exit status, once the process has exited; reaps it.
+    /// The exit status, once the process has exited. Reaps it.
     pub(super) fn try_wait(&mut self) -> Option<ExitStatus> {
         self.process.try_wait().ok().flatten()
     }

@@ -101,7 +101,7 @@ fn screen(selected: Option<u32>) -> Screen {
     Screen::new("lab", Platforms::default(), selected)
 }
 
-/// Presses keys one after the other; true if the last requested the end.
+/// Presses keys one after the other. True if the last requested the end.
 fn press(screen: &mut Screen, board: &Board, keys: impl IntoIterator<Item = KeyCode>) -> bool {
     let mut over = false;
     for key in keys {

@@ -79,7 +79,7 @@ impl Platform {
             & within(sample_flag::CURRENT, sample.current_a, *ANY.start(), *ANY.end())
     }
 
-    /// The first value that is known and outside its range; one that is not finite before all.
+    /// The first value that is known and outside its range. One that is not finite before all.
     fn outside(&self, sample: &Sample) -> Option<(DropReason, Value)> {
         let (power, v) = (self.power_min_w..=self.power_max_w, self.v_max_mps);
         let (omega, battery) = (self.omega_max_radps, DropReason::BatteryOutOfRange);
@@ -109,7 +109,7 @@ impl Platform {
 }
 
 impl FleetSettings {
-    /// Why the worker refuses a sample by its values; `None` where they are admitted.
+    /// Why the worker refuses a sample by its values. `None` where they are admitted.
     #[must_use]
     pub fn refusal(&self, sample: &Sample) -> Option<RefusedSample> {
         let is_its = |ids: &RangeInclusive<u32>| ids.contains(&sample.robot);

@@ -6,7 +6,7 @@ use joulebus_settings::Battery;
 use crate::layout::lanes::{LANES, block};
 use crate::ledger::battery::Estimate;
 
-/// Energy left of a robot; NaN if unknown.
+/// Energy left of a robot. NaN if unknown.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Remaining {
     /// Whether its battery is configured.

@@ -59,7 +59,7 @@ pub(crate) fn populate(part: &str) {
 }
 
 /// Populates the mappings of the shared-memory objects whose name contains `part` and that this
-/// process reads: no page fault later. Best effort; mappings over 64 MiB are left to page faults,
+/// process reads: no page fault later. Best effort. Mappings over 64 MiB are left to page faults,
 /// because populating them would take longer than a frame may.
 pub(crate) fn map(part: &str) {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {

@@ -360,7 +360,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
 }
 
 /// Signs are a convention, so only magnitudes are compared. If the units are wrong, every row
-/// differs; that is reported once, by the unit check.
+/// differs. That is reported once, by the unit check.
 fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
     let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));
     let [Some(power_w), Some(voltage_v), Some(current_a)] = columns else {
