@@ -70,6 +70,6 @@ impl Steps for Watchdog {
 
 fn tell(what: &[NotifyState]) {
     if let Err(error) = sd_notify::notify(what) {
-        tracing::warn!(%error, "the service manager cannot be told");
+        tracing::warn!(%error, "the service manager cannot be notified");
     }
 }

@@ -90,7 +90,7 @@ impl Outbox {
     /// Sends planners the end event.
     pub(crate) fn end(&self) {
         if let Err(error) = self.planners.wake(WakeEvent::Ended) {
-            tracing::warn!(%error, "planners were not told of the end");
+            tracing::warn!(%error, "planners were not notified of the end");
         }
     }
 }
