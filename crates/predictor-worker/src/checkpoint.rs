@@ -134,7 +134,7 @@ impl Checkpoint {
             rows.filter(|budget| budget.flags & budget_flag::LEDGER != 0)
         };
         for budget in of_frame() {
-            // While a robot is silent its budget falls; the account begins at its last sample, and
+            // While a robot is silent its budget falls. The account begins at its last sample, and
             // counts the silence again.
             let known = self.robots.get(&budget.robot);
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);

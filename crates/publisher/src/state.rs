@@ -270,7 +270,7 @@ mod tests {
         let mut registry = Registry::new(8);
         let mut last: HashMap<u32, (u64, u64)> = HashMap::new();
         for frame in 0..100_000_u64 {
-            // One robot that is always there, and four that change; each comes back later or soon.
+            // One robot that is always there, and four that change. Each comes back later or soon.
             let name = (frame * 4) as u32;
             let robots = [u32::MAX, name, name + 1, name.wrapping_sub(7), (frame % 40) as u32];
             for robot in robots {

@@ -155,7 +155,7 @@ mod tests {
         for number in 1..=GIVEN {
             let message = Message::of::<Ticks>(TickHeader::default(), Vec::new());
             let times = Times::default();
-            // A failure is counted; later calls return an error again.
+            // A failure is counted. Later calls return an error again.
             let _ = writer.write("lab", times, &message);
             if number % 2 == 0 {
                 let _ = writer.flush();

@@ -290,7 +290,7 @@ impl Files {
         let sequences = self.sequences.clone();
         let writer =
             Writer::resume(out, settings, &self.attachments, sequences).inspect_err(|_| {
-                // Just created and empty; failing to remove it does not matter.
+                // Just created and empty. Failing to remove it does not matter.
                 if is_file {
                     let _ = disk::remove_file(&path);
                 }
@@ -456,7 +456,7 @@ mod tests {
         let keyframe =
             |at_ns| item(at_ns, Message::of::<State>(StateHeader::default(), Vec::new()));
         let each = tick(0).bytes();
-        // Window of 10; keyframes at these times; capacity in items; oldest item kept at time 100.
+        // Window of 10. Keyframes at these times. Capacity in items. Oldest item kept at time 100.
         for (keyframes, room, oldest_ns) in [
             (vec![], 1_000, 90),
             (vec![95], 1_000, 90),

@@ -67,7 +67,7 @@ impl fmt::Display for Value {
         match self.form {
             Form::Unsigned => write!(out, "{}", self.bits),
             Form::Signed => write!(out, "{}", self.bits.cast_signed()),
-            // A float is written so that it parses to the same bits; a NaN's bits are shown.
+            // A float is written so that it parses to the same bits. A NaN's bits are shown.
             Form::Single => match f32::from_bits(self.bits as u32) {
                 nan if nan.is_nan() => write!(out, "NaN ({:08x})", self.bits),
                 value => write!(out, "{value:?}"),

@@ -187,7 +187,7 @@ impl Source {
             let Some(slot) = grid.take(clock::monotonic_ns()) else {
                 continue;
             };
-            // After a stall the newest grid time is used; earlier ones are skipped.
+            // After a stall the newest grid time is used. Earlier ones are skipped.
             let passed_ns = slot.skipped.saturating_mul(period_ns);
             let stamp_ns = slot.intended_ns.saturating_add(passed_ns);
             self.advance(stamp_ns - base_ns);

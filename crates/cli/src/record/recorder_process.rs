@@ -56,7 +56,7 @@ impl RecorderProcess {
         let mut recorder = Self { process, report };
         let records = lines.is_some_and(|lines| lines.recv_timeout(START_LIMIT).is_ok());
         if !records {
-            // It may wait for a disk that never answers; the worker does not.
+            // It may wait for a disk that never answers. The worker does not.
             let _ = recorder.process.kill();
             anyhow::bail!("the recorder does not record");
         }

@@ -82,7 +82,7 @@ impl Drop for Keys {
 
 /// True if this process may read its terminal: a background process is stopped by SIGTTIN.
 fn is_foreground() -> bool {
-    // `pid (name) state ppid pgrp session tty_nr tpgid …`; the name may contain any character.
+    // `pid (name) state ppid pgrp session tty_nr tpgid …`. The name may contain any character.
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or_default();
     let fields: Vec<&str> = fields.split_ascii_whitespace().collect();

@@ -60,7 +60,7 @@ impl Child {
     /// Sends SIGTERM.
     pub(super) fn terminate(&mut self) {
         drop(self.process.stdin.take());
-        // Not reaped yet, so the pid is not reused; the process may be a zombie.
+        // Not reaped yet, so the pid is not reused. The process may be a zombie.
         if let Some(pid) = Pid::from_raw(self.process.id().cast_signed()) {
             let _ = kill_process(pid, Signal::TERM);
         }

@@ -62,7 +62,7 @@ pub(crate) fn show(
             drawn = Some(Instant::now());
             let terminal = &mut terminal.terminal;
             let result = terminal.draw(|frame| screen.draw(frame, &feed.board()));
-            // One that has gone away takes nothing; its signal may come later.
+            // One that has gone away takes nothing. Its signal may come later.
             if result.is_err() && is_closed(Duration::ZERO)? {
                 return Ok(());
             }

@@ -74,7 +74,7 @@ impl EnergyModel {
     /// The model for a file without an energy model: the mean of the last seconds, independent of
     /// the commands, starting at `mean_w` (W, above 0). Its forecasts have no intervals.
     pub fn untrained(mean_w: f32) -> Self {
-        // Neighbouring means; the longer, the longer the horizon.
+        // Neighbouring means. The longer, the longer the horizon.
         let weights = [
             [0.5, 0.5, 0.0, 0.0],
             [0.3, 0.5, 0.2, 0.0],

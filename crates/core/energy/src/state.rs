@@ -163,7 +163,7 @@ impl Metered {
         for shadow in 0..SHADOWS {
             let runs = self.shadow_s[shadow] >= 0.0;
             let next_s = self.shadow_s[shadow] + added_s;
-            // One that waits stays negative; one with time missing cannot be compared.
+            // One that waits stays negative. One with time missing cannot be compared.
             let waiting_s = next_s.min(0.5 * DUE_S);
             let waiting_s = if runs { DUE_S - SETTLE_S } else { waiting_s };
             self.shadow_s[shadow] = if runs & known { next_s } else { waiting_s };

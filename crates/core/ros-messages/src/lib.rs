@@ -304,7 +304,7 @@ impl RosType {
         if message_encoding != "cdr" {
             return Err(RosError::Encoding { found: message_encoding.to_owned(), allowed: "cdr" });
         }
-        // Recorders that found no definition leave it empty; the length of every message must still
+        // Recorders that found no definition leave it empty. The length of every message must still
         // match.
         if definition.is_empty() {
             return Ok(kind);

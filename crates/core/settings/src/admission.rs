@@ -191,7 +191,7 @@ mod tests {
             assert_eq!(found, reason, "{text}");
             assert!(text.contains(said), "{text}");
         }
-        // What is no number comes before what is out of range; what is unknown is not looked at.
+        // What is no number comes before what is out of range. What is unknown is not looked at.
         let both = refusal(|it| (it.power_w, it.soc) = (3500.0, f32::NAN)).unwrap();
         assert_eq!(both.0, DropReason::NotFinite, "{}", both.1);
         let unknown = refusal(|it| (it.flags, it.power_w, it.soc) = (0, f32::NAN, 80.0));

@@ -81,7 +81,7 @@ impl Drop for Description {
     fn drop(&mut self) {
         drop(self.claim());
         if self.is_owner.load(Ordering::Relaxed) {
-            // SAFETY: this value owns the file; that of another service is not removed.
+            // SAFETY: this value owns the file. That of another service is not removed.
             let _ = unsafe { Self::remove_cfg(self.file.name(), &self.config) };
         }
     }

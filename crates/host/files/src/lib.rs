@@ -109,7 +109,7 @@ pub fn look(path: &Path) -> io::Result<Metadata> {
 /// # Errors
 /// The error of the system, or [`Refused::Kind`].
 pub fn open(path: &Path) -> io::Result<File> {
-    // Before opening, because of devices; and again after, because the path may refer to another
+    // Before opening, because of devices, and again after, because the path may refer to another
     // file by then.
     look(path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;

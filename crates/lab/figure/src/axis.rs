@@ -163,7 +163,7 @@ impl Ranged for Span {
     type ValueType = f64;
 
     fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
-        // A share far outside would overflow i32; clamping it is invisible, because the drawing is
+        // A share far outside would overflow i32. Clamping it is invisible, because the drawing is
         // clipped.
         let share = self.share(*value).clamp(-4.0, 5.0);
         from + libm::round(share * f64::from(to - from)) as i32

@@ -40,7 +40,7 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     let message = format!("cannot read {}: {error}", path.display());
     let kind: PyErr = io::Error::new(error.kind(), message.clone()).into();
     match error.kind() {
-        // `PyErr` knows a class for these kinds; its message is ours.
+        // `PyErr` knows a class for these kinds. Its message is ours.
         io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied => kind,
         _ => PyOSError::new_err(message),
     }

@@ -202,7 +202,7 @@ impl Channel {
                 count(descriptor, data, DECODED_DEPTH, &mut left)?;
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
-                // Field names as in the schema, zeros included; 64-bit numbers as numbers.
+                // Field names as in the schema, zeros included. 64-bit numbers as numbers.
                 let options = SerializeOptions::new()
                     .use_proto_field_name(true)
                     .stringify_64_bit_integers(false)

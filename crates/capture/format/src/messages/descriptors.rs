@@ -15,7 +15,7 @@ const ROWS: i32 = 30;
 
 /// The files of this crate.
 pub(super) fn all() -> FileDescriptorSet {
-    // Ours, and tested; without it, messages have no schema.
+    // Ours, and tested. Without it, messages have no schema.
     FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default()
 }
 

@@ -400,7 +400,7 @@ impl Ledger {
             missing(&mut self.schemas, said.schema_count.into());
             missing(&mut self.channels, said.channel_count.into());
         }
-        // A changed opcode can hide a whole chunk; only the checksum of the data section shows it.
+        // A changed opcode can hide a whole chunk. Only the checksum of the data section shows it.
         let uncounted = self.uncounted || self.doubt || !self.data_ended;
         let lost_unknown = statistics.is_none() && uncounted;
         Recovery {

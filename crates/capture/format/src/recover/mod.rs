@@ -229,7 +229,7 @@ impl<W: Write + Seek> Rescue<W> {
                     self.profile = header.profile;
                 }
             }
-            // The summary repeats both; they have already been read.
+            // The summary repeats both. They have already been read.
             Record::Schema { .. } | Record::Channel(_) if self.ledger.is_past_data() => {}
             Record::Message { .. } | Record::Attachment { .. } | Record::Metadata(_)
                 if self.ledger.is_past_data() =>

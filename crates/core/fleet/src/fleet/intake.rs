@@ -54,7 +54,7 @@ impl Fleet {
                 }
                 self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
             }
-            // Its contents are unreliable, including robot ids; it is only counted.
+            // Its contents are unreliable, including robot ids. It is only counted.
             Err(DropReason::Schema) => {}
             Err(reason) => {
                 for sample in samples {

@@ -180,7 +180,7 @@ fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
 fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     let parameters = libc::sched_param { sched_priority: priority.into() };
     // The raw system call: the function of that name does nothing in some C libraries.
-    // SAFETY: the pointer is to a `sched_param` that lives through the call; the kernel only reads
+    // SAFETY: the pointer is to a `sched_param` that lives through the call. The kernel only reads
     // it. 0 is the calling thread.
     let outcome = unsafe {
         libc::syscall(

@@ -96,7 +96,7 @@ impl QueryServer {
         let id = server.id().value();
         memory::populate(&id.to_string());
         let need = service::need(bus, &factory, Some(id));
-        // Clients whose question the earlier port took send it again; those not woken, later.
+        // Clients whose question the earlier port took send it again. Those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
             port: Kept::new((server, factory), need),

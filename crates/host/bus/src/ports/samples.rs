@@ -59,7 +59,7 @@ impl SampleReader {
         };
         let source = received.header().publisher_id().value();
         if !self.mapped.contains(&source) {
-            // Bounded, because sources are replaced over months; forgetting one costs one more
+            // Bounded, because sources are replaced over months. Forgetting one costs one more
             // scan.
             if self.mapped.len() == MAPPED {
                 self.mapped.clear();

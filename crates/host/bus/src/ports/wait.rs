@@ -221,7 +221,7 @@ impl Waiter {
 impl AsFd for Waiter {
     fn as_fd(&self) -> BorrowedFd<'_> {
         // SAFETY: the descriptor is open as long as the listener lives, and the borrow ends with
-        // that of `self`; it is neither closed nor kept.
+        // that of `self`. It is neither closed nor kept.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
 }

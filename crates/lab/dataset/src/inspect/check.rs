@@ -282,7 +282,7 @@ fn check_times(trial: &Trial, found: &mut Findings) {
         }
     }
     let row_of = |file_row: usize| {
-        // `file_row` increases; the notes refer to rows of the file.
+        // `file_row` increases. The notes refer to rows of the file.
         (0..trial.rows()).find(|row| trial.file_row(*row) == file_row)
     };
     for gap in &trial.notes().gaps {

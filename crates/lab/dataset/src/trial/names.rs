@@ -255,7 +255,7 @@ fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
     for letter in name.chars() {
         match letter {
-            // A unit in brackets; in front of a name it is rostopic's.
+            // A unit in brackets. In front of a name it is rostopic's.
             '%' if plain.ends_with('_') => plain.push_str("percent"),
             ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' | '%' | '#' | ',' => {
                 if !plain.ends_with('_') && !plain.is_empty() {

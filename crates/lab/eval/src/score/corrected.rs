@@ -130,7 +130,7 @@ fn live(subject: Subject<'_>, id: u32, trial: &Trial) -> Result<Vec<RobotEvaluat
         None => recorded_platform(id, trial),
     };
     let mut settings = FleetSettings { platforms: vec![platform], ..subject.settings.clone() };
-    // A longer silence frees a robot's slot; here no other robot needs it.
+    // A longer silence frees a robot's slot. Here no other robot needs it.
     let stale_after_ns = settings.platforms[0].stale_after_ns;
     let leave_after_ns = &mut settings.intake.leave_after_ns;
     *leave_after_ns = stale_after_ns.max(*leave_after_ns);
