@@ -1591,7 +1591,7 @@ joulebus_error joulebus_check_version(const char *header);
 const char *joulebus_last_error(void);
 
 /**
- * The name of an error, like "thread"; "unknown" of another number.
+ * The name of an error, like "thread", or "unknown" of another number.
  */
 const char *joulebus_error_name(int32_t error);
 
