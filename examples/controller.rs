@@ -18,7 +18,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Publishes samples of twenty robots 30 times a second, `ticks` times; returns their number.
+/// Publishes samples of twenty robots 30 times a second, `ticks` times. Returns their number.
 pub(crate) fn run(config: &Path, ticks: u32) -> anyhow::Result<u64> {
     let mut publisher = Publisher::connect(config, "example-controller")?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));

@@ -1,4 +1,4 @@
-//! One fleet of three platforms, each with its own model, rate and limits; one worker forecasts for
+//! One fleet of three platforms, each with its own model, rate and limits. One worker forecasts for
 //! all.
 //! `cargo run -p joulebus-examples --example mixed_fleet`
 
@@ -8,7 +8,7 @@ use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
-/// Other keys come from the platform's file; `joulebus config explain` describes each key.
+/// Other keys come from the platform's file. `joulebus config explain` describes each key.
 const PLATFORMS: &str = r#"
 [[platform]]
 file = "builtin:gternal"

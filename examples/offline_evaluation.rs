@@ -17,7 +17,7 @@ robots = ["0-99"]
 "#;
 
 fn main() -> anyhow::Result<()> {
-    // Recordings as .npy, CSV or CSV.gz; by default two simulated trials.
+    // Recordings as .npy, CSV or CSV.gz. By default two simulated trials.
     let mut trials = std::env::args().skip(1).map(Trial::read).collect::<Result<Vec<_>, _>>()?;
     if trials.is_empty() {
         trials = vec![joulebus_sim::protocol::trial(1, 7)?, joulebus_sim::protocol::trial(5, 7)?];

@@ -1,4 +1,4 @@
-//! A capture is an MCAP file; this reads one message by message, in constant memory.
+//! A capture is an MCAP file. This reads one message by message, in constant memory.
 //! `cargo run -p joulebus-examples --example read_capture [FILE]`
 
 use std::collections::BTreeMap;

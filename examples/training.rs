@@ -17,7 +17,7 @@ fn main() -> anyhow::Result<()> {
         full_speed_robots: 0,
         ticks: 300,
     });
-    // The paper's recipe trains up to 100 epochs; three are enough for an example.
+    // The paper's recipe trains up to 100 epochs. Three are enough for an example.
     let settings = TrainSettings {
         max_epochs: 3,
         ..TrainSettings::new("example", "simulation", FeatureSet::Full, 7)

@@ -2,7 +2,7 @@
 # What x86-64 records and trains, aarch64 computes again to the bit: the tests of predictor, fleet
 # and capture's verification, and a short training, compiled for aarch64 and run by qemu.
 # Usage: tools/aarch64.sh   (installs Debian's qemu and cross compiler if it may)
-# Where that cannot be it says so and ends with 0; with CI=true, with 1.
+# Where that cannot be it says so and ends with 0. With CI=true, with 1.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -43,7 +43,7 @@ export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
 export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L $libraries"
 export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gcc
 export CARGO_TERM_COLOR=never
-# Under qemu a property takes ten times as long; natively it has all its cases.
+# Under qemu a property takes ten times as long. Natively it has all its cases.
 export PROPTEST_CASES=${PROPTEST_CASES:-8}
 
 machines=$(mktemp -d)

@@ -83,7 +83,7 @@ class Style:
 
 
 def runs(line, style):
-    """(column, text, style) for each stretch of one style; the style lasts over line ends."""
+    """(column, text, style) for each stretch of one style. The style lasts over line ends."""
     column, place = 0, 0
     found = []
     for match in list(ESCAPE.finditer(line)) + [None]:

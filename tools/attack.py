@@ -3,12 +3,12 @@
 
     tools/attack.py --minutes 30                      # all attacks in turn, from seed 1 on
     tools/attack.py --minutes 480 --seed 7 --report night.json
-    tools/attack.py --minutes 5 --only workers,hosts  # these attacks; --list shows all
+    tools/attack.py --minutes 5 --only workers,hosts  # these attacks. --list shows all
 
 An attack is a test of the repository with another seed in each round: processes that are killed
 while others work, frames and messages that lie, files that are cut, simulated hosts with faults in
 random order. Each compares with what must hold: no wrong bit, no loss that is not counted, no
-foreign file touched. Rounds take turns until the time is over; a round that has begun ends. The
+foreign file touched. Rounds take turns until the time is over. A round that has begun ends. The
 report has commit, machine, each round's seed, duration, result and figures. A round that fails is
 printed with the command that repeats it. Ends with 1 if one failed, or none was run.
 """
@@ -24,7 +24,7 @@ import time
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 SYSTEM = "cargo test --locked -p joulebus-tests --test system {} -- --nocapture"
-# What is attacked: name, what happens, the test, its variables; {seed} is the round's.
+# What is attacked: name, what happens, the test, its variables. {seed} is the round's.
 ATTACKS = [
     ("fleet", "every process of a fleet killed, paused, starved and flooded in random order",
      "cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture",

@@ -23,7 +23,7 @@ from recorded_models import FOLDERS, ROOT, arguments, program  # noqa: E402
 PACKAGES = ["lightgbm==4.7.0", "numpy==2.4.6", "scipy==1.17.1"]
 SURFACE = "one_surface_type_{}_surface_exp"
 LOAD = "wheel_load_distribution_gray_surface_exp"
-# What is left out; None: 15 % of the recordings, dealt out with seed 0. The wheel load was recorded
+# What is left out. None: 15 % of the recordings, dealt out with seed 0. The wheel load was recorded
 # on gray.
 TASKS = {
     "robotino/trial": None,

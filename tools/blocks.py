@@ -10,20 +10,20 @@ only this host: Linux namespaces give them, and end what still runs. So the comm
 
 | block | what is done |
 |---|---|
-| sh | runs; commands of joulebus that do not end by themselves run until the page ends, and must end well then |
-| console | `$ command` runs; the words of the other lines must be in what was printed, numbers apart |
+| sh | runs. Commands of joulebus that do not end by themselves run until the page ends, and must end well then |
+| console | `$ command` runs. The words of the other lines must be in what was printed, numbers apart |
 | python | runs, all blocks of a page in one interpreter (JOULEBUS_PYTHON, or target/python, with the package) |
 | toml | is put into the shipped file that has its section, and checked |
-| c, cpp | compiles against the headers; tools/snippets.py runs the whole programs |
+| c, cpp | compiles against the headers. tools/snippets.py runs the whole programs |
 | rust | nothing: tools/readme_projects.py builds and runs the whole programs |
 | json | is read |
 
 A comment before a block changes that:
 
-    <!-- not run: REASON -->      it cannot run here, or another program runs it; the reason is printed
+    <!-- not run: REASON -->      it cannot run here, or another program runs it. The reason is printed
     <!-- before: LINES -->        lines in the block's language that run first: what the page takes for granted
     <!-- ends with 2: REASON -->  the exit code that the page promises, or that prepared data give
-    <!-- needs: PROGRAM -->       programs without which the block is skipped aloud; with CI=true that is a failure
+    <!-- needs: PROGRAM -->       programs without which the block is skipped aloud. With CI=true that is a failure
 
 What pages take for granted in common is in PREPARED. Where there are no namespaces, nothing runs, and that is said.
 """
@@ -180,7 +180,7 @@ class Page:
             del self.environment[name]
 
     def shell(self, text, allowed=0):
-        """Runs a block; an error, or nothing."""
+        """Runs a block. Returns an error, or nothing."""
         # A command that lasts is put into the background anyway.
         text = re.sub(r"^((?:joulebus|mosquitto)\b.*?) *&$", r"\1", text, flags=re.MULTILINE)
         whole = f'{SHELL}cd "$(cat "$LASTING.folder")"\ntrap \'pwd >"$LASTING.folder"\' EXIT\n{text}'
@@ -296,7 +296,7 @@ class Page:
         return f"nothing runs blocks of {block.language}: give a reason with <!-- not run: … -->"
 
     def close(self):
-        """Ends what lasts; what went wrong."""
+        """Ends what lasts. Returns what went wrong."""
         running = [path for path in self.lasting.glob("*.pid") if not path.with_suffix(".ended").exists()]
         # Those that started last end first: sources before the worker, as a reader would.
         for path in sorted(running, key=lambda path: path.stat().st_mtime, reverse=True):
@@ -310,7 +310,7 @@ class Page:
 
 
 def mounted(scratch, programs):
-    """Lays out what the page sees; only inside its namespaces."""
+    """Lays out what the page sees, only inside its namespaces."""
     subprocess.run(["ip", "link", "set", "lo", "up", "multicast", "on"], check=True)
     subprocess.run(["ip", "route", "add", "224.0.0.0/4", "dev", "lo"], check=True)
     subprocess.run(["mount", "-t", "tmpfs", "tmpfs", "/dev/shm"], check=True)
@@ -364,7 +364,7 @@ def inside(name, programs, scratch):
 
 
 def run(names, programs):
-    """Runs these pages; how many failed."""
+    """Runs these pages. Returns how many failed."""
     programs = Path(programs).resolve()
     tried = [subprocess.run([*NAMESPACES, *user, "true"], capture_output=True, text=True) for user in (USER, []) if shutil.which("unshare")]
     possible = next((one.args[:-1] for one in tried if one.returncode == 0), None)
@@ -388,7 +388,7 @@ def run(names, programs):
 
 
 def excused(names):
-    """Prints the blocks that do not run, with reasons; how many are no valid shell."""
+    """Prints the blocks that do not run, with reasons. Returns how many are no valid shell."""
     found = [block for name in names for block in blocks(name)]
     left = [block for block in found if block.not_run()]
     wrong = 0

@@ -4,7 +4,7 @@
 # Compiles first, runs the tests RUNS times, and prints for each run the passes, failures and
 # duration. Exits with 1 if anything failed. After an interruption it continues: a run that ended,
 # passed or failed, is not repeated for the same sources, arguments and variables of tests. Logs and
-# records: target/busy/KEY/; remove that folder to begin again.
+# records: target/busy/KEY/. Remove that folder to begin again.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Uses the installed C library as others do: pkg-config and make, CMake (installed by apt where it
-# is missing and apt works), linked statically; then beside a real worker under valgrind and
-# AddressSanitizer. What is not there is skipped aloud; with CI=true that is a failure.
+# is missing and apt works), linked statically, then beside a real worker under valgrind and
+# AddressSanitizer. What is not there is skipped aloud. With CI=true that is a failure.
 #
 #     tools/c_api.sh                builds library and program with the dev profile
 #     tools/c_api.sh --workspace    takes those of the workspace's build: what the gate does after `cargo test --workspace`
@@ -113,7 +113,7 @@ build "$work/layer" crates/languages/c/tests/programs/layer.cpp c++ -std=c++17
 if has valgrind; then
     for program in misuse layer; do
         # It warns of system calls that it does not know (pidfd_open).
-        # Leaks of the layer's calls; `misuse` has threads and a child, whose tables of handles are
+        # Leaks of the layer's calls. `misuse` has threads and a child, whose tables of handles are
         # left on purpose.
         leaks=no
         [ "$program" = misuse ] || leaks=full
@@ -128,7 +128,7 @@ fi
 if echo 'int main(void) { return 0; }' | cc -fsanitize=address,undefined -x c - -o "$work/asan" 2>/dev/null && "$work/asan"; then
     build "$work/misuse" crates/languages/c/tests/programs/misuse.c cc -std=gnu11 -fsanitize=address,undefined -fno-sanitize-recover=all
     build "$work/layer" crates/languages/c/tests/programs/layer.cpp c++ -std=c++17 -fsanitize=address,undefined -fno-sanitize-recover=all
-    # Sizes that no memory holds are to be refused by the library, not by the sanitizer; leaks are
+    # Sizes that no memory holds are to be refused by the library, not by the sanitizer. Leaks are
     # valgrind's.
     export ASAN_OPTIONS=allocator_may_return_null=1:detect_leaks=0
     for program in misuse layer; do

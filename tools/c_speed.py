@@ -2,7 +2,7 @@
 """What a call from C++ costs beside the same call from Rust, beside a real worker: `tools/c_speed.py`.
 
 Two programs, of the release profile and of -O3, make the same calls, in rounds that alternate between them, so that each ratio is of
-neighbours in time. Medians are printed. Needs c++; builds library and program first.
+neighbours in time. Medians are printed. Needs c++. Builds library and program first.
 """
 
 import argparse

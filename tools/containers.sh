@@ -7,7 +7,7 @@
 #
 #     tools/containers.sh
 #
-# Without npm or PyPI it prints what it skips; with CI=true that is a failure. Needs a `joulebus` of
+# Without npm or PyPI it prints what it skips. With CI=true that is a failure. Needs a `joulebus` of
 # this build.
 set -euo pipefail
 cd "$(dirname "$0")/.."

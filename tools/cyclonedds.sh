@@ -3,7 +3,7 @@
 # with ROS 2 (`JOULEBUS_CYCLONEDDS`): the system's if it has the package, else an environment in
 # target/cyclonedds with the version and hashes of
 # crates/gateways/bridge/tests/all/ros2/requirements.lock, from PyPI. Without one it prints nothing
-# and says why; with CI=true that is a failure.
+# and says why. With CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if python3 -c 'import cyclonedds.domain, zenoh' 2>/dev/null; then

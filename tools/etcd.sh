@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prints the path of an etcd server, for the tests of `joulebus link` with a lease
 # (`JOULEBUS_ETCD`): the one that is installed, or Debian's package, which root installs here.
-# Without one it prints nothing and says why; with CI=true that is a failure.
+# Without one it prints nothing and says why. With CI=true that is a failure.
 set -euo pipefail
 
 if ! command -v etcd >/dev/null && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then

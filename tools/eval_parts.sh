@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Evaluates in N processes at once, and reports what one run would, to the bit. On a cluster, its
-# scheduler runs the same N commands on hosts that see the recordings under the same names; the last
+# scheduler runs the same N commands on hosts that see the recordings under the same names. The last
 # command needs their files only.
 #
 #     tools/eval_parts.sh 8 --model my.safetensors recordings/     # arguments of `joulebus eval`

@@ -183,7 +183,7 @@ class Verb:
 
 
 def damage(path, how):
-    """Damages a file or folder; `False` where that is not possible."""
+    """Damages a file or folder. `False` where that is not possible."""
     try:
         if how == "removed":
             shutil.rmtree(path) if os.path.isdir(path) else os.remove(path)
@@ -207,7 +207,7 @@ def damage(path, how):
 
 
 def stopped(process):
-    """The traced process once it has been stopped; None if it ended."""
+    """The traced process once it has been stopped. None if it ended."""
     until = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < until:
         try:

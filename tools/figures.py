@@ -1,6 +1,6 @@
 """Figures in the layout of `joulebus bench --json`, for the scripts in tools/ (standard library only).
 
-A suite is {schema, machine, build, reports}; a report is {benchmark, input, notes, figures}; a
+A suite is {schema, machine, build, reports}. A report is {benchmark, input, notes, figures}. A
 figure is {name, case, unit, better, count, min, p25, p50, p75, p99, p999, max}. `joulebus bench
 --compare` reads what is written here.
 """
@@ -58,7 +58,7 @@ def build(root):
 
 
 def figure(name, case, unit, values, better="less"):
-    """A figure from its repetitions; quantiles are nearest ranks."""
+    """A figure from its repetitions. Quantiles are nearest ranks."""
     ranked = sorted(values)
     at = lambda share: ranked[max(math.ceil(share * len(ranked)), 1) - 1]
     quantiles = {"min": 0.0, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p99": 0.99, "p999": 0.999, "max": 1.0}

@@ -2,7 +2,7 @@
 # Measures the figures of the pages: one commit, one machine. Writes docs/figures/NAME.json, and
 # fills the pages.
 #
-#   tools/figures.sh            some 20 minutes after the builds; leave the machine alone meanwhile
+#   tools/figures.sh            some 20 minutes after the builds. Leave the machine alone meanwhile
 #   tools/figures.sh --list     what is measured, and what is still to be measured
 #   tools/figures.sh --only tick,plan    only these
 #   tools/figures.sh --quick    a minute, into target/figures: a smoke test, whose figures are none

@@ -78,7 +78,7 @@ def minimax(function, low, high, degree):
         solution = solve(matrix, [function(a) for a in points])
         coefficients = solution[:-1]
         errors = [horner(coefficients, a) - function(a) for a in grid]
-        # One extremum for each run of equal sign; a grid too coarse to show all ends the iteration.
+        # One extremum for each run of equal sign. A grid too coarse to show all ends the iteration.
         extrema, sign = [], 0.0
         for a, error in zip(grid, errors):
             if math.copysign(1.0, error) != sign:

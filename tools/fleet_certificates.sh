@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # A fleet's own authority, and a certificate for each of its hosts: `tools/fleet_certificates.sh DIR
 # NAME=ADDRESS…`, where NAME is that of the host's link and ADDRESS the host name or IP address that
-# others connect to. The authority's key is made once and used again; keep it off the hosts.
+# others connect to. The authority's key is made once and used again. Keep it off the hosts.
 set -euo pipefail
 umask 077
 [ $# -ge 2 ] || { sed -n '2,4s/^# //p' "$0" >&2; exit 2; }

@@ -42,7 +42,7 @@ step containers - 'cargo build --quiet --locked --workspace --lib --bins --examp
 step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'
 step wheel - 'tools/python_package.sh'
 step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
-# What a release consists of, each artefact installed and tried; then users who start with an empty
+# What a release consists of, each artefact installed and tried, then users who start with an empty
 # home and that.
 step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'
 step install - 'tools/install.sh target/installed; target/installed/bin/joulebus demo --duration 5; target/installed/bin/joulebus mission --help'
@@ -57,7 +57,7 @@ step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gc
 step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
 step train-peer - 'python3 tools/train_peer.py --quick'
-# Figures of --quick are none for a document; the tables are filled from them to see that they can
+# Figures of --quick are none for a document. The tables are filled from them to see that they can
 # be.
 step measure - 'tools/figures.sh --quick; tools/page_figures.py --write --figures target/figures'
 step instructions valgrind 'python3 tools/instructions.py'
@@ -86,7 +86,7 @@ step gate-cost - 'python3 tools/gate_cost.py'
 step busy-processes - 'cargo build --quiet --locked --workspace --bins; tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
 step busy - 'tested tools/busy.sh 3'
 
-# Why a step cannot run here; nothing if it can.
+# Prints why a step cannot run here, and nothing if it can.
 lacks() {
     there() { "$@" >/dev/null 2>&1; }
     case $1 in

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
 # Runs the fuzz targets, each for SECONDS, and prints a table of the results:
 #
-#   tools/fuzz.sh SECONDS [TARGET…]      # all targets unless some are named; JOBS=2 runs two at a time
+#   tools/fuzz.sh SECONDS [TARGET…]      # all targets unless some are named. JOBS=2 runs two at a time
 #
-# Needs a nightly toolchain; installs cargo-fuzz if it is missing. New inputs are kept in
+# Needs a nightly toolchain. Installs cargo-fuzz if it is missing. New inputs are kept in
 # fuzz/corpus, findings in fuzz/artifacts, logs in fuzz/logs. Exits with 1 if there is a finding.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export CARGO_TERM_COLOR=never CARGO_INCREMENTAL=0
 
-# The targets that execute unsafe code, which run with AddressSanitizer; the others are safe Rust
+# The targets that execute unsafe code, which run with AddressSanitizer. The others are safe Rust
 # throughout, and run without.
 UNSAFE="frames keyframes model"
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What the first build, the tests and the gate cost: processor time, wall time, disk.
 
-    tools/gate_cost.py                   # all, some two hours; leave the machine alone meanwhile
+    tools/gate_cost.py                   # all, some two hours. Leave the machine alone meanwhile
     tools/gate_cost.py --only demo       # demo, tests or gate
     tools/gate_cost.py --table           # what was measured on this commit
     tools/gate_cost.py --table --write   # into the documents, also if a part is missing

@@ -147,7 +147,7 @@ def wrapped(text):
 
 
 def table(houses, head, rows):
-    """A table; a cell of a row has one value for each commit."""
+    """A table. A cell of a row has one value for each commit."""
     titles = [head[0], *(f"{title}, {house.commit}" for title in head[1:] for house in houses)]
     lines = [titles, ["---"] * len(titles)]
     for name, *cells in rows:

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds libjoulebus and installs it, with its headers and what pkg-config and CMake read.
 #
-#     tools/install_c.sh --prefix DIR              release build; DIR is /usr/local by default
+#     tools/install_c.sh --prefix DIR              release build. DIR is /usr/local by default
 #     tools/install_c.sh --prefix DIR --from DEPS  takes libjoulebus_c.a from a folder, builds nothing
 #
 # The shared library is linked here from the static one: rustc's own would have neither the
@@ -23,7 +23,7 @@ if [ -z "$from" ]; then
 fi
 header=crates/languages/c/include/joulebus.h
 version=$(sed -n 's/^#define JOULEBUS_VERSION "\(.*\)"$/\1/p' $header)
-# Sources of releases before 1.0 fit each other by their second number; what is compiled needs its
+# Sources of releases before 1.0 fit each other by their second number. What is compiled needs its
 # very release.
 series=${version%.*}
 # What Rust's standard library needs on Linux (`cargo rustc -p joulebus-c -- --print

@@ -16,7 +16,7 @@ PINNED = ["numpy==2.4.6", "onnx==1.23.2", "onnxruntime==1.32.0", TORCH]
 
 
 def inside():
-    """Continues in the environment; makes it if it is not there. Needs Python 3.11 or later."""
+    """Continues in the environment. Makes it if it is not there. Needs Python 3.11 or later."""
     if pathlib.Path(sys.prefix).resolve() != HOME.resolve():
         python = python_of(HOME, PINNED)
         os.execv(python, [python, *sys.argv])

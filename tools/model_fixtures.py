@@ -4,12 +4,12 @@
 The files are what those programs really write: the published layout (a pickled object array of
 NumPy) in several styles, PyTorch's state dicts, checkpoints and whole modules, zip and legacy, and
 plain archives. All hold the same network of the published shape, 11-64-64-32-1, whose weights take
-few values so that the files are a few kB when compressed; beside them lie rows of features and the
+few values so that the files are a few kB when compressed. Beside them lie rows of features and the
 forecasts that NumPy (double precision) and PyTorch make for them.
 
 Everything is drawn from a fixed seed. With the versions of model_environment.py all files are the stored ones to the bit, except
 *_legacy.pt and script.pt, which contain addresses and differ from run to run, and one of PyTorch's forecasts in expected.npz, which
-differs by one unit in the last place between releases. The tests look at values; the stored files stay.
+differs by one unit in the last place between releases. The tests look at values. The stored files stay.
 
 Usage: python3 tools/model_fixtures.py      (makes its own environment in target/model-parity)
 """
@@ -105,7 +105,7 @@ def saved(save):
 
 
 def object_array(value, protocol):
-    """As np.save writes it; older versions of NumPy take protocol 3, newer ones 4."""
+    """As np.save writes it. Older versions of NumPy take protocol 3, newer ones 4."""
     content = io.BytesIO()
     array = np.empty((), dtype=object)
     array[()] = value

@@ -2,14 +2,14 @@
 """Holds joulebus's forecasts against NumPy, PyTorch and ONNX Runtime on the same weights.
 
 There: each model is exported as .npz and .onnx. NumPy (double precision) and PyTorch (single)
-compute it from the plain arrays, ONNX Runtime runs the graph; all forecast the rows that the export
+compute it from the plain arrays, ONNX Runtime runs the graph. All forecast the rows that the export
 carries beside joulebus's own forecasts.
 
 Back: a network of the published shape is written by NumPy and PyTorch in every style that is read,
-with a recording that it forecasts exactly; joulebus imports each file, has to find the convention
+with a recording that it forecasts exactly. joulebus imports each file, has to find the convention
 of its features by itself, and its forecasts are compared with PyTorch's.
 
-Every difference has to stay below 1e-5 W; exit code 1 if one does not.
+Every difference has to stay below 1e-5 W. Exit code 1 if one does not.
 
 Usage: python3 tools/model_parity.py [MODEL.safetensors ...]     (default: the models that ship)
        JOULEBUS=path/to/joulebus sets the program, with joulebus-lab beside it

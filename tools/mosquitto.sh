@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prints the path of a Mosquitto broker, for the tests of `joulebus bridge` (`JOULEBUS_MOSQUITTO`):
 # the one that is installed, or Debian's package, which root installs here with its clients
-# (tools/blocks.py). Without one it prints nothing and says why; with CI=true that is a failure.
+# (tools/blocks.py). Without one it prints nothing and says why. With CI=true that is a failure.
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/usr/local/sbin
 

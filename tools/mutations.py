@@ -4,7 +4,7 @@
     tools/mutations.py [--seeds N] [--only NAME,...] [--json FILE]
     tools/mutations.py --check      only looks whether the texts to be replaced are still there
 
-Each defect is a replacement of text, wherever it occurs in its file; the file is restored afterwards, also after Ctrl-C. Needs a clean work tree
+Each defect is a replacement of text, wherever it occurs in its file. The file is restored afterwards, also after Ctrl-C. Needs a clean work tree
 below crates/. Exits with 1 if a defect was not found.
 """
 import argparse

@@ -19,7 +19,8 @@ What a missing file would have stays as it is. A bare figure is a number with a 
 a table that is in neither marker. Code, the journal and generated pages have none, nor has
 a paragraph, an item of a list or a row of a table with `<!-- definition -->`. docs/figures/bare.tsv has their number
 in each page, which may only shrink.
-The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`.
+The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`, and for those
+that a command `cargo test` of any page names.
 Standard library only.
 """
 import argparse
@@ -54,7 +55,7 @@ def unique(values):
 
 
 def leading(case):
-    """The number that a case begins with; cases without one come first."""
+    """The number that a case begins with. Cases without one come first."""
     number = re.match(r"[\d,]+", case)
     return int(number[0].replace(",", "")) if number else 0
 
@@ -80,7 +81,7 @@ class Report:
         return sorted(found, key=leading)
 
     def pivot(self, corner, rows, quantile="p50"):
-        """Names down, cases across; `rows` are pairs of name and title."""
+        """Names down, cases across. `rows` are pairs of name and title."""
         rows = [(name, title) for name, title in rows if name in self.by_name]
         cases = self.cases(name for name, _ in rows)
         cell = lambda name, case: figures.shown(figure[quantile]) if (figure := self.by_name[name].get(case)) else "–"
@@ -467,6 +468,52 @@ def missing_tests():
     return problems
 
 
+# Options of `cargo test` with a value.
+VALUED = {"-p": "package", "--package": "package", "--test": "target", "--bin": "bin", "--profile": None, "--exclude": None, "--features": None}
+
+
+def commands(text):
+    """The arguments of each `cargo test` of a page: in a block to the end of the line, else to the end of the inline code."""
+    blocks = re.findall(r"^ *```.*?^ *```", text, re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"^ *```.*?^ *```", "", text, flags=re.DOTALL | re.MULTILINE)
+    lines = [line.split(" #")[0] for block in blocks for line in block.splitlines()]
+    for code in [*lines, *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose))]:
+        for arguments in re.findall(r"cargo test ([^|;&]*)", code):
+            yield arguments.replace("\"", "").split()
+
+
+def wrong_commands():
+    """Commands of pages that run no test, because cargo refuses them or no name has their filter."""
+    folders, problems = packages(), []
+    python = "".join(f"{file.stem} {file.read_text()}" for file in ROOT.glob("crates/languages/python/tests/*.py"))
+    everywhere = [ROOT / "CONTRIBUTING.md", ROOT / "RELEASING.md", ROOT / "RELIABILITY.md", *pages().values()]
+    for page in everywhere:
+        problems += [f"{page.relative_to(ROOT)}: no test {name} of the Python package"
+                     for name in re.findall(r"python_package\.sh [^`\n]*-k (\w+)", page.read_text()) if name not in python]
+        for words in commands(page.read_text()):
+            own, after = (words[:words.index("--")], words[words.index("--") + 1:]) if "--" in words else (words, [])
+            given, names, rest = {"package": [], "target": []}, [], iter(own)
+            for word in rest:
+                if word in VALUED:
+                    value, kind = next(rest, ""), VALUED[word]
+                    given.setdefault("target" if kind == "bin" else kind, []).append("bin" if kind == "bin" else value)
+                elif word in ("--lib", "--bins"):
+                    given["target"].append("lib" if word == "--lib" else "bin")
+                elif not word.startswith("-"):
+                    names.append(word)
+            if len(names) > 1:
+                problems.append(f"{page.relative_to(ROOT)}: cargo takes one name of a test, more of them after `--`: {' '.join(words)}")
+            names += [word for word in after if re.fullmatch(r"[a-z_]\w*(::\w+)*", word)]
+            places = [f"{package.removeprefix('joulebus-')}/{target}" for package in given["package"] for target in given["target"] or ["lib"]]
+            if not given["target"]:
+                places += [f"{place.partition('/')[0]}/{file.stem}" for place in places
+                           for file in (folders.get(place.partition("/")[0], ROOT / "none") / "tests").glob("*")]
+            known = [name for name in names if re.fullmatch(r"[a-z_]\w*(::\w+)*", name)]
+            problems += [f"{page.relative_to(ROOT)}: no test {name}: cargo test {' '.join(words)}"
+                         for name in known if places and not any(is_test(folders, f"{place} {name}") for place in places)]
+    return problems
+
+
 def check(folder, write):
     known, absent, problems, stale = suites(folder), set(), [], []
     problems += of_one_run(known) if folder == FIGURES else []
@@ -493,7 +540,7 @@ def check(folder, write):
                                 "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
-        problems += missing_tests()
+        problems += missing_tests() + wrong_commands()
     if stale:
         print(f"fewer bare figures than {BASELINE.relative_to(ROOT)} says, so --write: {', '.join(stale)}")
     for problem in problems:

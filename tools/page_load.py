@@ -5,7 +5,7 @@
     tools/page_load.py --browsers 50 --robots 100 --seconds 30 --rounds 3
     tools/page_load.py --links 3 --robots 100 --seconds 30 --rounds 3
 
-Each run has a worker and a source of its own; a browser is a stream of 50 rows and a robot at 5 Hz, as the page opens it; a link
+Each run has a worker and a source of its own. A browser is a stream of 50 rows and a robot at 5 Hz, as the page opens it. A link
 is one of another host that follows forecasts, diagnostics and budgets, all on this machine.
 Prints p50, p99 and p99.9 of the worker's ticks, µs, of each run, and their medians.
 """
@@ -41,7 +41,7 @@ robots = ["0-{last}"]
 
 def browser(address, stop, counts, place):
     """Reads a stream and counts its events."""
-    # Browsers are on other hosts; here they take what is left. A property of the calling thread.
+    # Browsers are on other hosts. Here they take what is left. A property of the calling thread.
     os.nice(19)
     host, port = address.split(":")
     with socket.create_connection((host, int(port))) as stream:
@@ -135,7 +135,7 @@ def main():
     parser.add_argument("--cpu", type=int, help="the worker's own processor (worker.cpus); all else runs on the others")
     args = parser.parse_args()
     if args.cpu is not None:
-        # Inherited by all processes and threads; the worker's ticks go where its config says.
+        # Inherited by all processes and threads. The worker's ticks go where its config says.
         os.sched_setaffinity(0, os.sched_getaffinity(0) - {args.cpu})
     found = {0: [], args.links or args.browsers: []}
     what = "links" if args.links else "browsers"

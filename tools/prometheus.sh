@@ -2,7 +2,7 @@
 # Checks the alert rules and the config in configs/prometheus with Prometheus' own tool, and what
 # each rule fires on (tools/prometheus/rules.test.yml). Installs Debian's package where root may, so
 # that the test of crates/gateways/serve that has the metrics scraped finds it. Skips aloud without
-# it; with CI=true that is a failure.
+# it. With CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Tests the Python package in an environment of its own, against the program in target/debug. Skips
-# aloud where there is no Python or PyPI cannot be reached; with CI=true that is a failure.
+# aloud where there is no Python or PyPI cannot be reached. With CI=true that is a failure.
 #
 #     tools/python_package.sh                      builds the wheel with maturin and installs it, as users get it
 #     tools/python_package.sh --workspace          takes the extension of the workspace's build, whose dependencies are

@@ -4,10 +4,10 @@
 Nothing of joulebus is used to read: `mcap` and `mcap-protobuf-support` decode every message by the
 descriptors that lie in the file. Checked, for every channel with protobuf messages:
 
-- its schema is a FileDescriptorSet that needs no other file;
-- there are plain numbers in it, so that PlotJuggler and Foxglove have something to plot;
-- log times never fall, and sequence numbers rise by one;
-- every message decodes; numbers that are not known are NaN or absent, never infinite;
+- its schema is a FileDescriptorSet that needs no other file.
+- there are plain numbers in it, so that PlotJuggler and Foxglove have something to plot.
+- log times never fall, and sequence numbers rise by one.
+- every message decodes. Numbers that are not known are NaN or absent, never infinite.
 - counts and times are those that `joulebus info --format json` shows, and those in the file.
 
 The packages go into an environment of their own, ~/.cache/joulebus/read-capture (or --venv).

@@ -4,12 +4,12 @@
 Nothing of joulebus is used: the layout is read from the page, the frames by iceoryx2's own Python package. Until stdin
 ends it follows the worker, also a killed and restarted one, and checks that
 
-- ticks of a run of the worker only grow, and so do runs;
-- the schema is the page's, and no robot has two rows;
-- a forecast that is flagged is finite and lies within its interval, and one that is not is not stated;
+- ticks of a run of the worker only grow, and so do runs.
+- the schema is the page's, and no robot has two rows.
+- a forecast that is flagged is finite and lies within its interval, and one that is not is not stated.
 - no frame is computed after it was sent, or sent in the future. (Stamps of samples are their sources' own.)
 
-A line of JSON at the end says what was seen; exit code 1 if a check failed.
+A line of JSON at the end says what was seen. Exit code 1 if a check failed.
 
     tools/read_fleet.py /dev/shm/joulebus-1000/demo/iceoryx2.toml --fleet demo
 
@@ -31,9 +31,9 @@ from pinned_environment import python_of
 
 PINNED = ["iceoryx2==0.10.0"]
 PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "reference" / "layout.md"
-# Which version of each struct the page describes; iceoryx2 compares it.
+# Which version of each struct the page describes. iceoryx2 compares it.
 VERSION = {"Forecast": "joulebus.Forecast.v1", "ForecastHeader": "joulebus.ForecastHeader.v1"}
-# Between two looks; an event would wake it, but belongs to a service of its own.
+# Between two looks. An event would wake it, but belongs to a service of its own.
 LOOKS_EVERY_S = 0.002
 
 
@@ -112,7 +112,7 @@ class Checks:
 
 
 def subscriber(node, service, checks):
-    """A subscriber of the service, which a worker has made; None if there is none yet."""
+    """A subscriber of the service, which a worker has made. None if there is none yet."""
     import ctypes
 
     import iceoryx2

@@ -2,7 +2,7 @@
 """Builds what users would: programs against the packages that crates.io would get, not against paths of this repository.
 
 Each program of the README and of docs/how-to/ask.md is pasted, with the [dependencies] above it, into a new project and
-built, and so are those of docs/how-to/ask-the-worker.md and of the publisher's page; then they run beside the other languages'
+built, and so are those of docs/how-to/ask-the-worker.md and of the publisher's page. Then they run beside the other languages'
 (tools/snippets.py). A project that also uses iceoryx2, on its defaults (tests/beside_iceoryx2), is built and run. Their
 dependencies on joulebus are the unpacked files of `cargo package`.
 
@@ -50,7 +50,7 @@ def closure(names):
 
 
 def unpack(packages):
-    """Packs these packages and unpacks them; files that are the same stay as they are, so that Cargo does not build them again."""
+    """Packs these packages and unpacks them. Files that are the same stay as they are, so that Cargo does not build them again."""
     selected = [argument for name in packages for argument in ("--package", name)]
     options = ["--locked", "--offline", "--allow-dirty", "--no-verify", "--quiet"]
     subprocess.run(["cargo", "package", *selected, *options, "--target-dir", str(TARGET)], cwd=ROOT, check=True)

@@ -10,8 +10,8 @@
 #     tools/release.sh --programs DIR      # of programs and libjoulebus_c.a that are built already: to check the steps, not to ship
 #
 # It can be interrupted: a step that passed with the same sources and options is not repeated.
-# Progress is told on stderr; what is made is in dist/. What this machine lacks is skipped aloud;
-# with CI=true that is a failure. Exit codes: 0 done, 1 a step failed, 2 wrong usage.
+# Progress is told on stderr. What is made is in dist/. What this machine lacks is skipped aloud.
+# With CI=true that is a failure. Exit codes: 0 done, 1 a step failed, 2 wrong usage.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD

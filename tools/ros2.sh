@@ -2,8 +2,8 @@
 # Prints a Python with ROS 2 Kilted (rclpy over Fast DDS, by the wheels that PyPI has of it) and
 # with the package joulebus_msgs, which rosidl builds from ros2/joulebus_msgs as colcon would: for
 # the ignored test of `joulebus bridge` with nodes of ROS 2 (`JOULEBUS_ROS2`). In target/ros2, with
-# the versions and hashes of crates/gateways/bridge/tests/all/ros2/ros2.lock; some minutes. Needs
-# python3.11, cmake and a C++ compiler. Without one it prints nothing and says why; with CI=true
+# the versions and hashes of crates/gateways/bridge/tests/all/ros2/ros2.lock, in some minutes. Needs
+# python3.11, cmake and a C++ compiler. Without one it prints nothing and says why. With CI=true
 # that is a failure.
 #
 #     JOULEBUS_ROS2=$(tools/ros2.sh) cargo test -p joulebus-bridge --test all nodes_of_ros_2 -- --ignored

@@ -4,7 +4,7 @@
     tools/shared_builds.py                # each program, and the workspace
     tools/shared_builds.py joulebus-lab   # with the crates at which the difference begins
 
-Reads Cargo's unit graphs; compiles nothing. crates/host/program/Cargo.toml has the features that all programs share.
+Reads Cargo's unit graphs. Compiles nothing. crates/host/program/Cargo.toml has the features that all programs share.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ PROGRAMS = ["lab", "serve", "bridge", "link", "bench", "rosbag"]
 
 def graph(*selection):
     command = ["cargo", "build", "--release", "--unit-graph", "-Z", "unstable-options", "--locked", *selection]
-    # The unit graph is an unstable option of Cargo; nothing is compiled with it.
+    # The unit graph is an unstable option of Cargo. Nothing is compiled with it.
     made = subprocess.run(command, env={**os.environ, "RUSTC_BOOTSTRAP": "1"}, check=True, stdout=subprocess.PIPE)
     return json.loads(made.stdout)["units"]
 

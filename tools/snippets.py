@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SECONDS = 60.0
 READY_S = 600.0
 # Of all controllers.
-ROBOTS = 20 + 20 + 8 + 1 + 2 + 8 + 8 + 8
+ROBOTS = 20 + 20 + 8 + 1 + 2 + 8 + 20 + 8
 # Alarms that a machine without a free processor raises, whatever is published.
 BUSY = {"WorkerStale", "DeadlineMissed"}
 ADDRESS = r"http://[\d.]+:\d+"
@@ -120,10 +120,10 @@ def said_yes(command, programs):
 
 
 def complaints(folder, target, programs):
-    """Runs everything for a minute; what was wrong, as text."""
+    """Runs everything for a minute. Returns what was wrong, as text."""
     config, joulebus, rust = folder / "configs/fleet.toml", target / "debug/joulebus", target / "debug"
     python = target / "python/bin/python"
-    publishes = moved(block("docs/reference/python.md", "python", "joulebus.Publisher("), "np.arange(0, 8)", "np.arange(80, 88)")
+    publishes = moved(block("docs/reference/python.md", "python", "joulebus.Publisher("), "np.arange(0, 8)", "np.arange(90, 98)")
     controllers = dict(built(folder, target / "debug/deps")) | {
         "controller": [rust / "controller"],
         "two-robots": [rust / "two-robots"],

@@ -87,7 +87,7 @@ class Fleet:
         return False
 
     def end(self):
-        """Ends all as a user would; the exit codes by role, None of one that had to be killed."""
+        """Ends all as a user would. Returns the exit codes by role, None of one that had to be killed."""
         codes = {}
         for role in reversed(self.running):
             process = self.running[role]
@@ -110,7 +110,7 @@ class Fleet:
 
 
 def injection(dice, role, only):
-    """What fails in a round: arguments of strace, or another program; and whether all must go on as usual."""
+    """What fails in a round: arguments of strace, or another program, and whether all must go on as usual."""
     if only == "docker":
         return [sys.executable, os.path.join(ROOT, "tools/docker_calls.py")], True
     interrupts = dice.random() < 0.4

@@ -41,7 +41,7 @@ pub(crate) struct Count {
 }
 
 impl Count {
-    /// Runs the work once, after a warm-up; returns the kernel's name and the number of forecasts.
+    /// Runs the work once, after a warm-up. Returns the kernel's name and the number of forecasts.
     ///
     /// # Errors
     /// The kernel is not supported here.

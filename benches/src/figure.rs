@@ -21,7 +21,7 @@ pub struct Figure {
     pub name: String,
     /// Its size: `100 robots`.
     pub case: String,
-    /// The unit: `ns`, `GMAC/s`, `bytes`; `1` for ratios.
+    /// The unit: `ns`, `GMAC/s`, `bytes`. `1` for ratios.
     pub unit: String,
     /// Direction of improvement.
     pub better: Better,

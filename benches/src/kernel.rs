@@ -91,7 +91,7 @@ pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     on.with_context(|| format!("this processor cannot run the kernel {}", name(kernel)))
 }
 
-/// The instruction set whose peak is the reference of a kernel; `None` for the scalar one.
+/// The instruction set whose peak is the reference of a kernel. `None` for the scalar one.
 fn isa(kernel: Kernel) -> Option<Isa> {
     match name(kernel).as_str() {
         "avx512" => Some(Isa::Avx512),

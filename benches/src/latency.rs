@@ -115,7 +115,7 @@ pub enum Role {
     },
 }
 
-/// Runs a role until the measurement ends; prints a line of JSON at the end.
+/// Runs a role until the measurement ends. Prints a line of JSON at the end.
 ///
 /// # Errors
 /// The role's process failed.
@@ -148,7 +148,7 @@ struct Row {
     passed_over: u64,
 }
 
-/// Measures all sizes, one after the other; reports progress on stderr. `launcher` starts this
+/// Measures all sizes, one after the other. Reports progress on stderr. `launcher` starts this
 /// program in a [`Role`].
 ///
 /// # Errors

@@ -40,7 +40,7 @@ pub struct Build {
     pub profile: String,
     /// Target triple.
     pub target: String,
-    /// CPU features enabled for the whole program; kernels are dispatched at run time.
+    /// CPU features enabled for the whole program. Kernels are dispatched at run time.
     pub target_features: String,
 }
 
@@ -122,7 +122,7 @@ impl fmt::Display for Build {
     }
 }
 
-/// Anonymous memory of this process: neither files nor shared memory; `None` if unknown.
+/// Anonymous memory of this process: neither files nor shared memory. `None` if unknown.
 pub(crate) fn anonymous_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;

@@ -27,7 +27,7 @@ pub(crate) enum Isa {
 }
 
 impl Isa {
-    /// Fused multiply-adds per second on the calling thread, in 10⁹; `None` if this processor does
+    /// Fused multiply-adds per second on the calling thread, in 10⁹. `None` if this processor does
     /// not support the instructions. Takes about 30 µs.
     pub(crate) fn peak_gmac_per_s(self) -> Option<f64> {
         let level = Level::new();

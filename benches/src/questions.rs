@@ -1,5 +1,5 @@
 //! Questions that the worker answers: how long they take beside the same answer computed in the
-//! client's process, and beside two raw iceoryx2 hops of as many bytes; and the ticks while clients
+//! client's process, and beside two raw iceoryx2 hops of as many bytes, and the ticks while clients
 //! ask as fast as they can, beside those of the same run while they do not.
 
 use std::path::PathBuf;

@@ -192,7 +192,7 @@ fn shared(
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
 }
 
-/// One call with candidates of one robot, counted; returns the number of steps.
+/// One call with candidates of one robot, counted. Returns the number of steps.
 pub(crate) fn count(network: &Network, candidates: usize) -> usize {
     let mut work = Work::new(network, (1, candidates, 50), 7);
     work.call();

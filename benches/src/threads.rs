@@ -10,7 +10,7 @@ use crate::arguments::BenchOptions;
 use joulebus_bus::Scheduling;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// The processors available to this process, ascending; empty if unknown.
+/// The processors available to this process, ascending. Empty if unknown.
 pub(crate) fn processors() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else {
         return Vec::new();
@@ -28,7 +28,7 @@ pub(crate) fn scheduling(options: &BenchOptions) -> Scheduling {
     }
 }
 
-/// Pins the calling thread to one processor; returns whether the system accepted it.
+/// Pins the calling thread to one processor. Returns whether the system accepted it.
 pub(crate) fn pin(processor: usize) -> bool {
     let mut only = CpuSet::new();
     only.set(processor);
@@ -69,7 +69,7 @@ fn side_by_side<W: Send>(
             })
             .collect();
         let times = handles.into_iter().map(thread::ScopedJoinHandle::join);
-        // The first thread measures the time; a panic of any part ends the measurement.
+        // The first thread measures the time. A panic of any part ends the measurement.
         let times: Result<Vec<_>, _> = times.collect();
         match times {
             Ok(times) => times.into_iter().next().unwrap_or_default(),
@@ -78,7 +78,7 @@ fn side_by_side<W: Send>(
     })
 }
 
-/// The first thread starts the round; the others follow.
+/// The first thread starts the round. The others follow.
 fn begin(place: usize, repetition: usize, round: &AtomicUsize) {
     if place == 0 {
         round.store(repetition, Ordering::Release);

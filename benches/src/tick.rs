@@ -26,7 +26,7 @@ const WARM_UP: usize = 40;
 const MAX_REPETITIONS: usize = 1_000;
 /// Seed of counted work.
 const SEED: u64 = 7;
-/// Minimum fleet size whose memory is reported; smaller ones are lost in that of the process.
+/// Minimum fleet size whose memory is reported. Smaller ones are lost in that of the process.
 const LEAST_WEIGHED: usize = 10_000;
 
 /// Measures a tick of fleets of several sizes, back to back and paced.

@@ -25,7 +25,7 @@ const USUAL_SLACK_NS: u64 = 50_000;
 enum WaitMethod {
     /// The deadline is the timeout.
     Timeout { slack_ns: u64 },
-    /// The deadline is a timer descriptor; there is no timeout.
+    /// The deadline is a timer descriptor. There is no timeout.
     Timer { slack_ns: u64 },
 }
 
@@ -72,7 +72,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
 }
 
 impl WaitMethod {
-    /// Waits `length_ns` for a socket that stays silent; returns the overshoot, ns.
+    /// Waits `length_ns` for a socket that stays silent. Returns the overshoot, ns.
     fn wait(self, silent: &UnixDatagram, timer: &OwnedFd, length_ns: u64) -> anyhow::Result<u64> {
         let (Self::Timeout { slack_ns } | Self::Timer { slack_ns }) = self;
         rustix::thread::set_current_timer_slack(NonZeroU64::new(slack_ns))?;

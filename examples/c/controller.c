@@ -53,7 +53,7 @@ int main(int count, char **arguments) {
             robots[robot].flags = JOULEBUS_SAMPLE_V | JOULEBUS_SAMPLE_OMEGA | JOULEBUS_SAMPLE_POWER;
             robots[robot].v_mps = 0.1f;
             robots[robot].omega_radps = 0.0f;
-            /* What your power monitor says; here something near what such a robot draws. */
+            /* What your power monitor says. Here it is near what such a robot draws. */
             robots[robot].power_w = 4.0f + 0.02f * (float)((frame + robot) % 7);
         }
         if (joulebus_publisher_publish(publisher, robots, ROBOTS, due_ns, NULL)) {

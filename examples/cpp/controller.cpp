@@ -1,4 +1,4 @@
-// A fleet controller: publishes what it commands and what it measures, 30 times a second.
+// A fleet controller: publishes the commands and power readings of twenty robots, 30 times a second.
 //
 //     ./controller fleet.toml [FRAMES]          without FRAMES until Ctrl-C
 #include <chrono>
@@ -37,7 +37,7 @@ int main(int count, char **arguments) {
     auto due = std::chrono::steady_clock::now();
     for (unsigned long frame = 0; stop == 0 && (frames == 0 || frame < frames); frame++) {
         std::vector<joulebus::RobotState> robots;
-        for (std::uint32_t robot = 0; robot < 8; robot++) {
+        for (std::uint32_t robot = 0; robot < 20; robot++) {
             // What you commanded, and what your power monitor says. It measures at every third
             // frame, and repeats its reading in between.
             const float power_w = 2.8f + 9.0f * speed_mps(robot, frame - frame % 3);

@@ -23,12 +23,12 @@ namespace {
 /// Belongs to the thread that made it.
 class JoulebusPowerSink : public rmf_battery::MotionPowerSink, public rmf_battery::DevicePowerSink {
 public:
-    /// `coverage`: the answer is the upper end of the interval; a planner that must not strand asks for 0.99.
+    /// `coverage`: the answer is the upper end of the interval. A planner that must not strand asks for 0.99.
     JoulebusPowerSink(joulebus::Questions questions, std::uint32_t robot, const joulebus_platform &platform,
                       float coverage)
         : questions_(std::move(questions)), robot_(robot), platform_(platform), coverage_(coverage) {}
 
-    /// The share of the battery that the trajectory takes at most; NaN where that is unknown, which no planner takes for
+    /// The share of the battery that the trajectory takes at most. NaN where that is unknown, which no planner takes for
     /// enough.
     double compute_change_in_charge(const rmf_traffic::Trajectory &trajectory) const override {
         const auto &waypoints = trajectory.waypoints;

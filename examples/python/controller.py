@@ -1,4 +1,4 @@
-"""A fleet controller: publishes what it commands and measures, 30 times a second, whether or not a worker runs.
+"""A fleet controller: publishes commands and readings 30 times a second, whether or not a worker runs.
 
     python controller.py [CONFIG [TICKS]]        without TICKS until Ctrl-C
 """

@@ -1,4 +1,4 @@
-"""A planner: reads forecasts where the worker has written them, and is told at once when the worker ends.
+"""A planner: reads forecasts where the worker has written them, and learns at once when the worker ends.
 
     python planner.py [CONFIG [FRAMES]]        without FRAMES until Ctrl-C
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Reads a Debian package by lintian: `lint.sh FILE.deb`. It is installed if apt may; else that is
+# Reads a Debian package by lintian: `lint.sh FILE.deb`. It is installed if apt may, else that is
 # skipped aloud, and a failure with CI=true.
 set -euo pipefail
 if ! command -v lintian >/dev/null && [ "$(id -u)" = 0 ]; then

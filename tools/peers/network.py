@@ -9,7 +9,7 @@ the same processor, and writes figures (JSON), a table (Markdown) and a picture 
     python3 tools/peers/network.py --quick         # a smoke test
     python3 tools/peers/network.py --peers joulebus,onnxruntime --batches 1,100
 
-PyTorch: its index of CPU wheels is tried first; where that cannot be reached, the package of PyPI is
+PyTorch: its index of CPU wheels is tried first. Where that cannot be reached, the package of PyPI is
 taken, with 2 GB of libraries for GPUs that it needs to start.
 
 What is given to peers is the least work there is: normalisation folded into the first and last
@@ -148,7 +148,7 @@ def truth(model, rows):
 
 
 def write_onnx(path, layers, fused):
-    """The network as ONNX; `fused` uses the operator Gelu (opset 20), else its parts."""
+    """The network as ONNX. `fused` uses the operator Gelu (opset 20), else its parts."""
     import numpy
     import onnx
     from onnx import TensorProto, helper, numpy_helper

@@ -4,7 +4,7 @@
 #
 #     tools/release/five_minutes.sh COMMAND…      # the command that runs `joulebus`: `joulebus`, or `chroot DIR joulebus`
 #
-# FIVE_MINUTES_ROOT names the folder that is / to that command; the files that it reads are written
+# FIVE_MINUTES_ROOT names the folder that is / to that command. The files that it reads are written
 # there.
 set -euo pipefail
 joulebus=("$@")

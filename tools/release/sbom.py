@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The libraries in programs of the workspace as a bill of materials (CycloneDX 1.6, JSON): `sbom.py PACKAGE…`
 
-`sbom.py --validate FILE` checks one against CycloneDX's schema; that needs cyclonedx-python-lib. The same sources give the same
+`sbom.py --validate FILE` checks one against CycloneDX's schema. That needs cyclonedx-python-lib. The same sources give the same
 bytes, but for SOURCE_DATE_EPOCH.
 """
 import json

@@ -6,7 +6,7 @@
 #
 # The package is unpacked into the home: tools/release.sh installs it. Where there is no ROS 2, its
 # robots and its echo are a participant of Eclipse Cyclone DDS (tools/cyclonedds.sh). What is
-# missing is skipped aloud; with CI=true that is a failure.
+# missing is skipped aloud. With CI=true that is a failure.
 . "$(dirname "$0")/step.sh"
 cyclonedds=$("$repository/tools/cyclonedds.sh" || true)
 walk_begins cpp_ros

@@ -4,7 +4,7 @@
 #
 #     tools/walks/python.sh
 #
-# NumPy, and at its end scikit-learn, come from PyPI; without it that step is skipped aloud, with
+# NumPy, and at its end scikit-learn, come from PyPI. Without it that step is skipped aloud, with
 # CI=true it is a failure.
 . "$(dirname "$0")/step.sh"
 walk_begins python

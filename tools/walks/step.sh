@@ -2,7 +2,7 @@
 # the walk. To be sourced:
 #
 #     . "$(dirname "$0")/step.sh"
-#     walk_begins rust            # $home is empty, HOME, and the working directory; $dist is where artefacts are
+#     walk_begins rust            # $home is empty, HOME, and the working directory. $dist is where artefacts are
 #     step 'the planner builds' cargo build
 #     background worker joulebus run --config fleet.toml
 #     step 'the worker is ready' seen worker '^ready'

@@ -164,7 +164,7 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     println!("ready");
     let stop = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&stop);
-    // The benchmark closes our stdin at the end; the worker's memory is measured before it is
+    // The benchmark closes our stdin at the end. The worker's memory is measured before it is
     // freed.
     let measuring = std::thread::spawn(move || {
         let mut line = String::new();

@@ -46,7 +46,7 @@ const ONCE: [Once; 5] = [
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];
 
-/// The distribution, µs; `None` if nothing was measured.
+/// The distribution, µs. `None` if nothing was measured.
 pub fn distribution(spread: &Spread) -> Option<Distribution> {
     (spread.count > 0).then_some(Distribution {
         count: spread.count,

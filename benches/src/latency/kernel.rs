@@ -31,7 +31,7 @@ impl<'a> Alone<'a> {
         }
     }
 
-    /// One batch; `counts`: the warm-up is over.
+    /// One batch. `counts`: the warm-up is over.
     pub(super) fn run(&mut self, counts: bool) {
         let start = Instant::now();
         self.model.predict(black_box(&self.rows), &mut self.forecasts_w);

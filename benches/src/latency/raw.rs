@@ -76,7 +76,7 @@ impl RawHops {
         Ok(output.read_exact(&mut [0])?)
     }
 
-    /// Sends a frame that was due at `intended_ns`; 0 ends the measurement.
+    /// Sends a frame that was due at `intended_ns`. 0 ends the measurement.
     ///
     /// # Errors
     /// iceoryx2 reports an error.
@@ -89,7 +89,7 @@ impl RawHops {
         Ok(())
     }
 
-    /// Ends the processes; returns the distribution from due to received.
+    /// Ends the processes. Returns the distribution from due to received.
     ///
     /// # Errors
     /// A process failed, or files cannot be removed.

@@ -217,7 +217,7 @@ impl Bench {
         (ns(start, taken), ns(taken, done))
     }
 
-    /// On the calling thread, forecasts first; `around` must run each part's work once. Reads no
+    /// On the calling thread, forecasts first. `around` must run each part's work once. Reads no
     /// clock: under valgrind the clock used by the pool aborts the program.
     pub(super) fn tick_in_two(
         &mut self,

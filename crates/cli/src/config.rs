@@ -96,7 +96,7 @@ struct Checked {
     /// Maximum number of robots.
     capacity: Option<u32>,
     platforms: Vec<String>,
-    /// Why the file could not be read, or the worker would refuse it; none if it is valid.
+    /// Why the file could not be read, or the worker would refuse it. None if it is valid.
     error: Option<String>,
     problems: Vec<Problem>,
     warnings: Vec<Problem>,

@@ -50,7 +50,7 @@ fn described(text: &str) -> Vec<Verb> {
     serde_json::from_str(text).expect("the description of a verb is valid")
 }
 
-/// Executes the program of `verb`, with the same arguments, replacing this process; so signals and
+/// Executes the program of `verb`, with the same arguments, replacing this process. So signals and
 /// the exit code need no forwarding. Returns only on failure.
 ///
 /// # Errors

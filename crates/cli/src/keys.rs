@@ -7,7 +7,7 @@ use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 /// Timeout of looking for an event: with none at all crossterm does not look.
 pub(crate) const PATIENCE: Duration = Duration::from_millis(1);
 
-/// The key that was pressed, or is held down; `None` for other events.
+/// The key that was pressed, or is held down. `None` for other events.
 pub(crate) fn pressed(event: &Event) -> Option<KeyEvent> {
     let key = event.as_key_event()?;
     matches!(key.kind, KeyEventKind::Press | KeyEventKind::Repeat).then_some(key)

@@ -53,7 +53,7 @@ fn add(root: &mut Value, file: File, key: &Key, path: &str) {
     entry(at, name, leaf(key));
 }
 
-/// The schema of a name of a section; `*` is any.
+/// The schema of a name of a section. `*` is any.
 fn entry<'v>(at: &'v mut Value, name: &str, new: Value) -> &'v mut Value {
     let entry = match name {
         "*" => &mut at["additionalProperties"],

@@ -35,7 +35,7 @@ impl ServiceManager {
         Ok(Self { watchdog: watchdog.transpose()? })
     }
 
-    /// The service is ready; `status` is one line for operators.
+    /// The service is ready. `status` is one line for operators.
     pub(crate) fn ready(&self, status: &str) {
         tell(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
@@ -70,6 +70,6 @@ impl Steps for Watchdog {
 
 fn tell(what: &[NotifyState]) {
     if let Err(error) = sd_notify::notify(what) {
-        tracing::warn!(%error, "the service manager cannot be told");
+        tracing::warn!(%error, "the service manager cannot be notified");
     }
 }

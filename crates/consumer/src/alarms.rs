@@ -57,7 +57,7 @@ pub struct AlarmChange {
     pub change: Change,
     /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
     pub at_ns: u64,
-    /// When it was raised, ns; later than that if it already was in the first frame.
+    /// When it was raised, ns. Later than that if it already was in the first frame.
     pub raised_ns: u64,
     /// The acknowledgement of this raise, if there is one. Earlier raises do not count.
     pub acknowledged: Option<Acknowledgement>,
@@ -260,7 +260,7 @@ impl AlarmHistory {
         })
     }
 
-    /// The alarms that are raised: robot, alarm, and when it was raised, ns; by robot and alarm.
+    /// The alarms that are raised: robot, alarm, and when it was raised, ns. By robot and alarm.
     pub fn raised(&self) -> impl Iterator<Item = (u32, Alarm, u64)> {
         let mut robots: Vec<u32> = self.robots.keys().copied().collect();
         robots.sort_unstable();
@@ -357,7 +357,7 @@ impl AlarmFeed {
     /// worker time in every tick.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
+    /// [`ReadError`]. The next call may succeed, unless the fleet's files were removed.
     pub fn changes(&mut self, mut each: impl FnMut(AlarmChange)) -> Result<(), ReadError> {
         let (now_ns, history) = (clock::monotonic_ns(), &mut self.history);
         let (mut foreign, mut found) = (None, false);

@@ -44,7 +44,7 @@ impl<C: Channel> Feed<C> {
     /// until the first has arrived. Borrowed until the next call.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed.
+    /// [`ReadError`]. The next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Frame<'_, C>>, ReadError> {
         let (mut place, mut foreign) = (self.place, None);
         let found = self.reader.hold_latest(|header, _, run| {

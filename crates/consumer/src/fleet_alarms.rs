@@ -17,9 +17,9 @@ use crate::{
 /// [`FleetAlarms`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
-    /// The robot; `None` for the worker.
+    /// The robot. `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]; of sources `Implausible`; for the worker `WorkerGone`
+    /// Name of the [`joulebus_wire::Alarm`]. Of sources `Implausible`. For the worker `WorkerGone`
     /// or `WorkerStale`. [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
@@ -28,14 +28,14 @@ pub struct FleetAlarm {
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,
-    /// When it was raised, monotonic ns; later than that if it was when the program began.
+    /// When it was raised, monotonic ns. Later than that if it was when the program began.
     pub raised_ns: u64,
     /// The acknowledgement since it was raised.
     pub acknowledged: Option<Acknowledgement>,
 }
 
 impl FleetAlarm {
-    /// From the raise to the end, s; `None` while it is raised.
+    /// From the raise to the end, s. `None` while it is raised.
     #[must_use]
     pub fn lasted_s(&self) -> Option<f64> {
         let lasted_ns = self.at_ns.saturating_sub(self.raised_ns);
@@ -116,7 +116,7 @@ impl FleetAlarms {
     /// every tick.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
+    /// [`ReadError`]. The next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
         // What it was does not matter: the state says it.
         let _ = self.subscriber.wait_next(self.feed.look_every())?;

@@ -61,7 +61,7 @@ impl<'a, C: Channel> Frame<'a, C> {
     }
 
     /// The robot with the id `robot`, if the frame has it. Usually one look-up in a table that is
-    /// kept from frame to frame; when a robot has moved or is missing, one pass over the frame, at
+    /// kept from frame to frame. When a robot has moved or is missing, one pass over the frame, at
     /// most once per frame.
     #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&'a C::Row> {

@@ -60,7 +60,7 @@
 //! may have subscribers of several fleets, and may use iceoryx2 for itself: its global
 //! configuration and its logger are left alone.
 //!
-//! **In the book**: [Rust in five minutes][1], [alarms][2], [budgets][3], [outlooks][4], [layout of
+//! **In the book**: [Rust][1], [alarms][2], [budgets][3], [outlooks][4], [layout of
 //! shared memory][5].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/tutorial/rust.md

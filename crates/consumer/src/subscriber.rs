@@ -103,9 +103,9 @@ impl Waiting {
 pub enum Event<'a> {
     /// A frame that was not returned before.
     Frame(Frame<'a, Forecasts>),
-    /// The worker has ended; reported once.
+    /// The worker has ended. Reported once.
     Gone(End),
-    /// The newest frame is older than two tick periods; reported once.
+    /// The newest frame is older than two tick periods. Reported once.
     Stale {
         /// Time since it was sent, ns.
         age_ns: u64,
@@ -179,7 +179,7 @@ impl Subscriber {
         })
     }
 
-    /// Longest time between two looks of a polling subscriber; `None` for one that ticks wake.
+    /// Longest time between two looks of a polling subscriber. `None` for one that ticks wake.
     #[must_use]
     pub const fn look_every(&self) -> Option<Duration> {
         match &self.waiting {
@@ -189,12 +189,12 @@ impl Subscriber {
     }
 
     /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
-    /// signal arrives, or `timeout` is over. Of several frames it returns the newest; skipped ones
+    /// signal arrives, or `timeout` is over. Of several frames it returns the newest. Skipped ones
     /// are counted in [`Frame::arrival`]. A frame takes precedence over the other events.
     /// Allocates nothing.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed.
+    /// [`ReadError`]. The next call may succeed.
     pub fn wait_next(&mut self, timeout: Duration) -> Result<Event<'_>, ReadError> {
         self.wait(timeout, None)
     }
@@ -203,7 +203,7 @@ impl Subscriber {
     /// first, without skipping any. The event is that of the last one.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed.
+    /// [`ReadError`]. The next call may succeed.
     pub fn wait_each(
         &mut self,
         timeout: Duration,
@@ -248,7 +248,7 @@ impl Subscriber {
     /// arrived. Allocates nothing.
     ///
     /// # Errors
-    /// [`ReadError`]; the next call may succeed.
+    /// [`ReadError`]. The next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Frame<'_, Forecasts>>, ReadError> {
         self.look(0)?;
         self.fetch(&mut None)?;
@@ -439,7 +439,7 @@ impl Subscriber {
         Ok(woken)
     }
 
-    /// Takes the newest frame, and hands those before it to `each`; returns whether it is new.
+    /// Takes the newest frame, and hands those before it to `each`. Returns whether it is new.
     fn fetch(&mut self, each: &mut Option<Each<'_>>) -> Result<bool, ReadError> {
         let (mut at, mut schema) = (self.tracker.place(), None);
         let workers = self.tracker.counts().workers;

@@ -144,7 +144,7 @@ impl Tracker {
         self.counts.workers += u64::from(self.last.is_none() || arrival.restarted);
         self.counts.gaps += u64::from(arrival.ticks_missed > 0);
         self.counts.ticks_missed = self.counts.ticks_missed.saturating_add(arrival.ticks_missed);
-        // Frames sent before the detected end do not revive a run; frames sent after it show that
+        // Frames sent before the detected end do not revive a run. Frames sent after it show that
         // the run had not ended, despite the detection (possibly of a process in another
         // container).
         let lives = |(_, over_ns): (End, u64)| arrival.restarted || header.sent_ns > over_ns;

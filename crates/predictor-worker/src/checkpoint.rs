@@ -30,7 +30,7 @@ pub(crate) struct Checkpoint {
     /// these robots joins without an account, its battery is unknown.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub lost: BTreeSet<u16>,
-    /// Errors of the energy of each platform, in the order of the config; none before version 4.
+    /// Errors of the energy of each platform, in the order of the config. None before version 4.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<ModelErrors>,
 }
@@ -75,7 +75,7 @@ impl SentErrors {
     }
 }
 
-/// One robot's account; fields as in [`joulebus_wire::Budget`].
+/// One robot's account. Fields as in [`joulebus_wire::Budget`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Account {
@@ -102,7 +102,7 @@ pub(crate) struct Restored {
     pub battery: Option<SavedBattery>,
 }
 
-/// Grows with the time of the last sample; false ones come before all others.
+/// Grows with the time of the last sample. False ones come before all others.
 type Age = (bool, u64);
 
 impl Checkpoint {
@@ -134,7 +134,7 @@ impl Checkpoint {
             rows.filter(|budget| budget.flags & budget_flag::LEDGER != 0)
         };
         for budget in of_frame() {
-            // While a robot is silent its budget falls; the account begins at its last sample, and
+            // While a robot is silent its budget falls. The account begins at its last sample, and
             // counts the silence again.
             let known = self.robots.get(&budget.robot);
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
@@ -222,7 +222,7 @@ impl Checkpoint {
     }
 
     /// Lets the fleet continue with the errors of an earlier run. Returns the number of platforms
-    /// that do; others have another model now.
+    /// that do. Others have another model now.
     pub(crate) fn restore_errors(&self, fleet: &mut Fleet) -> usize {
         let errors = self.errors.iter().enumerate();
         errors

@@ -96,7 +96,7 @@ pub(crate) struct KeyframeSender {
     writer: Writer<State>,
     orders: KeyframeOrders,
     settings: FleetSettings,
-    /// The unused box; `None` before the first reader.
+    /// The unused box. `None` before the first reader.
     spare: Option<Box<Keyframe>>,
     is_asked: bool,
     /// The box whose state is being sent, and the number of bytes sent so far.
@@ -255,7 +255,7 @@ impl KeyframeSender {
         self.file_ns = begun_ns.saturating_add(every_ns);
     }
 
-    /// Sends the bytes from `offset`; returns how many, 0 at the end.
+    /// Sends the bytes from `offset`. Returns how many, 0 at the end.
     fn send_piece(
         &mut self,
         keyframe: &Keyframe,

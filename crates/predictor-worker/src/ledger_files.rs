@@ -117,7 +117,7 @@ impl LedgerFiles {
         Self { newest: path.to_owned(), generation: 0, is_unfinished: false }
     }
 
-    /// The newest valid ledger of `fleet`; `None` if there is no file. A damaged file is renamed
+    /// The newest valid ledger of `fleet`. `None` if there is no file. A damaged file is renamed
     /// and logged.
     ///
     /// # Errors
@@ -183,7 +183,7 @@ impl LedgerFiles {
     /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
     ///
     /// # Errors
-    /// The system call failed; the newest whole ledger is intact, and so is the one before it if
+    /// The system call failed. The newest whole ledger is intact, and so is the one before it if
     /// there was one.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
         self.replace(ledger)
@@ -355,7 +355,7 @@ impl Flaw {
     }
 }
 
-/// Reads a file; `None` if it does not exist.
+/// Reads a file. `None` if it does not exist.
 fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
     let failed = |source| Flaw::Fatal(LedgerFileError::Io { path: path.to_owned(), source });
     let bytes = match joulebus_files::read(path, MAX_BYTES) {

@@ -90,7 +90,7 @@ impl Outbox {
     /// Sends planners the end event.
     pub(crate) fn end(&self) {
         if let Err(error) = self.planners.wake(WakeEvent::Ended) {
-            tracing::warn!(%error, "planners were not told of the end");
+            tracing::warn!(%error, "planners were not notified of the end");
         }
     }
 }
@@ -153,7 +153,7 @@ impl Headers {
     }
 }
 
-/// The memory of a frame; empty if it is left out, or if there is no memory for it.
+/// The memory of a frame. Empty if it is left out, or if there is no memory for it.
 fn payload<'a, C: Channel>(
     loan: Option<&'a mut Result<Loan<'_, C>, SendError>>,
 ) -> &'a mut [C::Row] {

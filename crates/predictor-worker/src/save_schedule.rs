@@ -25,7 +25,7 @@ impl SaveSchedule {
     /// limit, ns.
     ///
     /// The next save begins early enough to take twice as long as this one, with a quarter of the
-    /// interval as a reserve for scheduling delays; and not so early that saves follow without a
+    /// interval as a reserve for scheduling delays, and not so early that saves follow without a
     /// pause.
     pub(crate) fn tried(
         &mut self,

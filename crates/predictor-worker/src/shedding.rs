@@ -1,5 +1,5 @@
 //! Load shedding: while ticks take longer than their period, diagnostics are left out. Forecasts
-//! and budgets are needed by planners and the ledger's checkpoint; if the tick is still too slow,
+//! and budgets are needed by planners and the ledger's checkpoint. If the tick is still too slow,
 //! whole ticks are skipped.
 
 /// Consecutive ticks longer than a period before diagnostics are left out: a single one may have

@@ -33,7 +33,7 @@ pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     None
 }
 
-/// systemd's directory for the service, or the user's for programs' state, which is made; else why
+/// systemd's directory for the service, or the user's for programs' state, which is made, else why
 /// there is none. Relative paths are ignored, as the XDG specification demands.
 fn state_directory(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBuf, String> {
     const PLACES: [(&str, &str); 3] = [

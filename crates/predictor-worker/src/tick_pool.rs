@@ -155,7 +155,7 @@ impl TickPool {
         );
     }
 
-    /// Runs `work` with the scratch of the calling thread; its lock is never contended.
+    /// Runs `work` with the scratch of the calling thread. Its lock is never contended.
     fn with_scratch(&self, work: impl FnOnce(&mut Batch, &mut dyn FnMut(Stage))) {
         let place = rayon::current_thread_index().unwrap_or(0);
         let scratch = &self.scratch[place % self.scratch.len()];

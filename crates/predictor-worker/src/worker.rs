@@ -412,7 +412,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Receives frames, and ticks if a tick is due; otherwise waits for a frame, for the next tick,
+    /// Receives frames, and ticks if a tick is due. Otherwise waits for a frame, for the next tick,
     /// or for a signal, 100 ms at most. Returns whether it ticked.
     ///
     /// # Errors

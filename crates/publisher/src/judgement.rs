@@ -88,7 +88,7 @@ impl Judgement {
         Self { max_robots, ..self }
     }
 
-    /// Adds a state with a new reading at `now_ns` (monotonic); `soc` as it came, which may be more
+    /// Adds a state with a new reading at `now_ns` (monotonic). `soc` as it came, which may be more
     /// than was published. States without one, or with a held one, say nothing new: leave them out.
     pub fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);

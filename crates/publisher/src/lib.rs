@@ -60,7 +60,7 @@
 //! may have publishers of several fleets, and may use iceoryx2 for itself: its global configuration
 //! and its logger are left alone.
 //!
-//! **In the book**: [Rust in five minutes][1], [the age of a reading][2], [config: every key][3],
+//! **In the book**: [Rust][1], [the age of a reading][2], [config: every key][3],
 //! [whom joulebus trusts][4].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/tutorial/rust.md

@@ -127,7 +127,7 @@ impl Publisher {
     /// Sends one frame: each robot at most once, numbered and stamped with the current time.
     ///
     /// # Errors
-    /// [`PublishError`]; nothing was sent.
+    /// [`PublishError`]. Nothing was sent.
     pub fn publish(
         &mut self,
         robots: impl IntoIterator<Item = RobotState>,
@@ -140,7 +140,7 @@ impl Publisher {
     /// does not hide its own delay.
     ///
     /// # Errors
-    /// [`PublishError`]; nothing was sent.
+    /// [`PublishError`]. Nothing was sent.
     pub fn publish_intended(
         &mut self,
         intended_ns: u64,
@@ -154,7 +154,7 @@ impl Publisher {
     /// all the same, by 1 ns where `now_ns` does not.
     ///
     /// # Errors
-    /// [`PublishError`]; nothing was sent.
+    /// [`PublishError`]. Nothing was sent.
     pub fn publish_stamped(
         &mut self,
         intended_ns: u64,
@@ -193,7 +193,7 @@ impl Publisher {
     /// strictly.
     ///
     /// # Errors
-    /// [`PublishError`]; nothing was sent.
+    /// [`PublishError`]. Nothing was sent.
     pub fn publish_samples(
         &mut self,
         intended_ns: u64,

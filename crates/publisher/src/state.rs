@@ -25,7 +25,7 @@ pub struct RobotState {
     pub v_mps: Option<f32>,
     /// Angular velocity just commanded, after saturation, rad/s.
     pub omega_radps: Option<f32>,
-    /// Electrical power just read, W; negative where the platform regenerates.
+    /// Electrical power just read, W. Negative where the platform regenerates.
     pub power_w: Option<f32>,
     /// When the power was measured, monotonic ns. `None`: when the frame is published, or, for a
     /// held reading, when the repeated reading was measured.
@@ -39,7 +39,7 @@ pub struct RobotState {
     /// Measured state of charge, 0 to 1.
     pub soc: Option<f32>,
     /// Energy that the robot needs from here to return to its charger, J, by its planner. It
-    /// applies to this frame; without it the platform's config applies.
+    /// applies to this frame. Without it the platform's config applies.
     pub return_j: Option<f32>,
     /// The robot's charger.
     pub charger: Charger,
@@ -270,7 +270,7 @@ mod tests {
         let mut registry = Registry::new(8);
         let mut last: HashMap<u32, (u64, u64)> = HashMap::new();
         for frame in 0..100_000_u64 {
-            // One robot that is always there, and four that change; each comes back later or soon.
+            // One robot that is always there, and four that change. Each comes back later or soon.
             let name = (frame * 4) as u32;
             let robots = [u32::MAX, name, name + 1, name.wrapping_sub(7), (frame % 40) as u32];
             for robot in robots {

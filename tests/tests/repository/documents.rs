@@ -29,7 +29,8 @@ const GENERATED: [&str; 1] = ["docs/reference/layout.md"];
 const LONG: [(&str, usize); 0] = [];
 
 /// What comments that enclose a generated part of a page begin with.
-const MARKS: [&str; 10] = [
+const MARKS: [&str; 11] = [
+    "api",
     "figures:",
     "benchmark:",
     "cards",

@@ -91,13 +91,13 @@ impl Attachments {
     }
 
     /// Number of the rules by which recorded answers about plans were computed
-    /// ([`ANSWER_RULES`]); 1 where the file does not say.
+    /// ([`ANSWER_RULES`]). 1 where the file does not say.
     #[must_use]
     pub fn answer_rules(&self) -> u32 {
         self.rules("answer_rules")
     }
 
-    /// Number of the rules by which the recorded ticks were computed ([`TICK_RULES`]); 1 where the
+    /// Number of the rules by which the recorded ticks were computed ([`TICK_RULES`]). 1 where the
     /// file does not say.
     #[must_use]
     pub fn tick_rules(&self) -> u32 {

@@ -1,6 +1,6 @@
 //! A chunk's records, decompressed and checked completely before the first of them is used.
 //!
-//! The library would allocate as many bytes as a chunk's head claims; here only actually
+//! The library would allocate as many bytes as a chunk's head claims. Here only actually
 //! decompressed bytes are allocated.
 
 use std::io::{self, Read};
@@ -71,7 +71,7 @@ pub(crate) fn records(body: &[u8], max_bytes: u64) -> Result<Records, McapError>
     Ok(Records { bytes, at: 0 })
 }
 
-/// The decompressed bytes, if there are at most `size`; otherwise one more.
+/// The decompressed bytes, if there are at most `size`. Otherwise one more.
 fn up_to(size: u64, decoder: impl Read) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     decoder.take(size + 1).read_to_end(&mut bytes)?;

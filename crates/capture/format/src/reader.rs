@@ -70,7 +70,7 @@ struct Channel {
 }
 
 impl Reader<File> {
-    /// Opens a regular file and reads the records before the first message; for streams use
+    /// Opens a regular file and reads the records before the first message. For streams use
     /// [`Reader::new`].
     ///
     /// # Errors
@@ -125,17 +125,17 @@ impl<S: Read> Reader<S> {
         self
     }
 
-    /// Config, models and build, and the file's metadata; in files of other programs only those
+    /// Config, models and build, and the file's metadata. In files of other programs only those
     /// before the first message.
     #[must_use]
     pub const fn attachments(&self) -> &Attachments {
         &self.contents.attachments
     }
 
-    /// The next message; `None` at the end of a complete file.
+    /// The next message. `None` at the end of a complete file.
     ///
     /// # Errors
-    /// [`ReadError`]; after [`ReadError::Message`] the next message can be read, after the others
+    /// [`ReadError`]. After [`ReadError::Message`] the next message can be read, after the others
     /// nothing can.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, ReadError> {
         let found = match self.first.take() {
@@ -217,7 +217,7 @@ impl<S: Read> Reader<S> {
 }
 
 impl Contents {
-    /// Processes a record; returns it if it is a message.
+    /// Processes a record. Returns it if it is a message.
     fn take(
         &mut self,
         opcode: u8,

@@ -29,11 +29,11 @@ pub struct RosTopic<'a> {
     pub topic: &'a str,
     /// The type of its messages, such as `sensor_msgs/msg/BatteryState`.
     pub type_name: &'a str,
-    /// The encoding of its messages; `cdr` can be imported.
+    /// The encoding of its messages. `cdr` can be imported.
     pub encoding: &'a str,
     /// The encoding of the definition.
     pub definition_encoding: &'a str,
-    /// The definition of the type; empty if it is unknown.
+    /// The definition of the type. Empty if it is unknown.
     pub definition: &'a [u8],
 }
 

@@ -45,7 +45,7 @@ impl Watch {
 }
 
 impl CaptureFile {
-    /// Creates the file; an existing file is refused.
+    /// Creates the file. An existing file is refused.
     ///
     /// # Errors
     /// [`WriteError::Exists`], [`WriteError::Create`].
@@ -146,7 +146,7 @@ mod tests {
 
     const GIVEN: u64 = 7;
 
-    /// Passes messages to a writer, two per chunk; returns the counts of written and unwritten
+    /// Passes messages to a writer, two per chunk. Returns the counts of written and unwritten
     /// ones.
     fn write<W: Write>(out: W, settings: CaptureSettings) -> (u64, u64, bool) {
         let Ok(mut writer) = Writer::new(out, settings, &Attachments::default()) else {
@@ -155,7 +155,7 @@ mod tests {
         for number in 1..=GIVEN {
             let message = Message::of::<Ticks>(TickHeader::default(), Vec::new());
             let times = Times::default();
-            // A failure is counted; later calls return an error again.
+            // A failure is counted. Later calls return an error again.
             let _ = writer.write("lab", times, &message);
             if number % 2 == 0 {
                 let _ = writer.flush();

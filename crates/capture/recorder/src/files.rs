@@ -21,7 +21,7 @@ use joulebus_capture_format::{
 pub enum Target {
     /// A file, with further parts next to it when split.
     File(PathBuf),
-    /// A pipe or another writer; never split.
+    /// A pipe or another writer. Never split.
     Stream(Box<dyn Write + Send>),
 }
 
@@ -34,7 +34,7 @@ impl fmt::Debug for Target {
     }
 }
 
-/// Topics whose choice is remembered; forgetting it costs asking again.
+/// Topics whose choice is remembered. Forgetting it costs asking again.
 const MAX_CHOSEN: usize = 1 << 17;
 
 /// Output of a part.
@@ -60,7 +60,7 @@ impl Write for Out {
 }
 
 impl Out {
-    /// Writes all buffered data; for a file also to the disk.
+    /// Writes all buffered data. For a file also to the disk.
     fn end(self) -> Result<(), WriteError> {
         match self {
             Self::File(file) => file.sync().map_err(|error| WriteError::Failed {
@@ -247,7 +247,7 @@ impl Files {
         &self.lost
     }
 
-    /// State of the memory buffer; none unless this is a snapshot.
+    /// State of the memory buffer. None unless this is a snapshot.
     pub(crate) fn kept(&self) -> Option<Kept> {
         self.options.snapshot.map(|_| self.snapshot.summary())
     }
@@ -290,7 +290,7 @@ impl Files {
         let sequences = self.sequences.clone();
         let writer =
             Writer::resume(out, settings, &self.attachments, sequences).inspect_err(|_| {
-                // Just created and empty; failing to remove it does not matter.
+                // Just created and empty. Failing to remove it does not matter.
                 if is_file {
                     let _ = disk::remove_file(&path);
                 }
@@ -381,7 +381,7 @@ struct KeptItems {
 }
 
 impl KeptItems {
-    /// Stores the item and drops those that are too old or too many; returns whether it raises an
+    /// Stores the item and drops those that are too old or too many. Returns whether it raises an
     /// alarm.
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
         let alarm = self.raises_alarm(&item);
@@ -416,7 +416,7 @@ impl KeptItems {
         }
     }
 
-    /// Returns all items; the raised alarms stay known.
+    /// Returns all items. The raised alarms stay known.
     fn take(&mut self) -> VecDeque<Item> {
         self.bytes = 0;
         self.keyframes.clear();
@@ -456,7 +456,7 @@ mod tests {
         let keyframe =
             |at_ns| item(at_ns, Message::of::<State>(StateHeader::default(), Vec::new()));
         let each = tick(0).bytes();
-        // Window of 10; keyframes at these times; capacity in items; oldest item kept at time 100.
+        // Window of 10. Keyframes at these times. Capacity in items. Oldest item kept at time 100.
         for (keyframes, room, oldest_ns) in [
             (vec![], 1_000, 90),
             (vec![95], 1_000, 90),
@@ -501,7 +501,7 @@ mod tests {
 
     const GIVEN: u64 = 9;
 
-    /// Passes all messages to files on a disk of that capacity; returns how many are written, lost
+    /// Passes all messages to files on a disk of that capacity. Returns how many are written, lost
     /// and kept.
     fn record(room: usize, snapshot: Option<Snapshot>, write_down: bool) -> [u64; 3] {
         let options = Options {

@@ -8,7 +8,7 @@ use joulebus_wire::{Diagnostics, Flow, FrameRows, Place, Samples, TickHeader, Ti
 
 use joulebus_capture_format::{Message, MessageKind};
 
-/// Maximum number of tracked runs of sources and workers; beyond it those silent longest are
+/// Maximum number of tracked runs of sources and workers. Beyond it those silent longest are
 /// dropped.
 const MAX_RUNS: usize = 4_096;
 /// Maximum number of ticks without diagnostics stored per run.

@@ -126,7 +126,7 @@ impl Recorder {
     /// `streams` are captures of other fleets, written by other processes.
     ///
     /// # Errors
-    /// [`StartError`]; at most an empty file is left behind.
+    /// [`StartError`]. At most an empty file is left behind.
     pub fn start(
         config: &Config,
         streams: Vec<Box<dyn Read + Send>>,

@@ -11,7 +11,7 @@ use crate::channel::RecordedChannel;
 /// Name, among the members of a fleet, of processes that record it.
 pub const RECORDER: &str = "recorder";
 
-/// Whether a worker runs with the settings and models that a capture has; else, why not.
+/// Whether a worker runs with the settings and models that a capture has. Else, why not.
 pub type Suits = Arc<dyn Fn(&PlanStateHeader) -> Result<(), String> + Send + Sync>;
 
 /// Options of a recording.
@@ -21,21 +21,21 @@ pub struct Options {
     pub settings: CaptureSettings,
     /// Also channels for single robots, for plots.
     pub per_robot: bool,
-    /// Channels that can be recorded; causes before effects. One that is declared elsewhere is
+    /// Channels that can be recorded. Causes before effects. One that is declared elsewhere is
     /// added to [`RecordedChannel::all`].
     pub channels: Vec<RecordedChannel>,
     /// Which topics are recorded.
     pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
-    /// Maximum file size, bytes; then the next file begins.
+    /// Maximum file size, bytes. Then the next file begins.
     pub max_file_bytes: u64,
-    /// Maximum duration of a file, ns; then the next file begins. A file's index is kept in memory
+    /// Maximum duration of a file, ns. Then the next file begins. A file's index is kept in memory
     /// until its end: about 30 MB per hour.
     pub max_file_ns: u64,
     /// If the file exists, start the next part that does not, instead of an error.
     pub resume: bool,
     /// Keep the last seconds in memory instead of writing everything.
     pub snapshot: Option<Snapshot>,
-    /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
+    /// Size of the queue in front of the disk, bytes. Messages beyond it are dropped.
     pub queue_bytes: usize,
     /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that
     /// records.
@@ -66,7 +66,7 @@ impl fmt::Debug for Options {
 pub struct Snapshot {
     /// Time span kept, ns.
     pub keep_ns: u64,
-    /// Maximum size, bytes; the time span is reduced if necessary.
+    /// Maximum size, bytes. The time span is reduced if necessary.
     pub max_bytes: usize,
     /// Save when a robot raises a new alarm, in addition to explicit requests.
     pub on_alarm: bool,

@@ -24,7 +24,7 @@ impl Queue {
         Self { state: Mutex::default(), max_bytes }
     }
 
-    /// Appends the item unless the queue is full; then it is dropped. Returns whether it was
+    /// Appends the item unless the queue is full. Then it is dropped. Returns whether it was
     /// appended.
     #[must_use]
     pub(crate) fn push(&self, item: Item) -> bool {
@@ -40,7 +40,7 @@ impl Queue {
         true
     }
 
-    /// Removes the oldest item; `None` if there is none now.
+    /// Removes the oldest item. `None` if there is none now.
     pub(crate) fn pop(&self) -> Option<Item> {
         let mut state = self.lock();
         let item = state.items.pop_front()?;

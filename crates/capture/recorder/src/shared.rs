@@ -35,9 +35,9 @@ pub struct Summary {
     pub taken: Vec<(PathBuf, &'static str)>,
     /// Why the recorded ticks cannot be computed from the attachments: the worker runs with others.
     pub differs: Option<String>,
-    /// Losses by topic; topics without losses are omitted.
+    /// Losses by topic. Topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
-    /// Memory buffer of a snapshot that was not written; none for other recordings.
+    /// Memory buffer of a snapshot that was not written. None for other recordings.
     pub kept: Option<Kept>,
     /// Why it stopped before its end, if it did.
     pub failure: Option<String>,
@@ -101,7 +101,7 @@ impl Shared {
         }
     }
 
-    /// Puts the item into the queue; counts the messages missing before it, and itself if it is
+    /// Puts the item into the queue. Counts the messages missing before it, and itself if it is
     /// dropped.
     pub(crate) fn hand_on(&self, item: Item) {
         let found = {

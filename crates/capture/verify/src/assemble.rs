@@ -17,7 +17,7 @@ const WINDOW: u64 = 64;
 const MAX_FRAMES: usize = 8_192;
 /// Maximum number of samples in them: 224 MB.
 const MAX_SAMPLES: usize = 4_000_000;
-/// Maximum number of unfinished runs of the worker; older ones count as ended.
+/// Maximum number of unfinished runs of the worker. Older ones count as ended.
 const MAX_RUNS: usize = 8;
 /// Maximum size of a keyframe, bytes: that of a million robots has about 305 MB.
 const MAX_KEYFRAME_BYTES: u64 = 512 << 20;
@@ -28,9 +28,9 @@ pub(super) type SampleFrame = Frame<Samples>;
 #[derive(Debug, Default)]
 pub(super) struct TickParts {
     pub(super) journal: Option<Frame<Ticks>>,
-    /// The frames of the journal, in its order; `None` where the capture lacks one.
+    /// The frames of the journal, in its order. `None` where the capture lacks one.
     pub(super) frames: Vec<Option<SampleFrame>>,
-    /// Missing frames and their positions; none until the tick is the next one of its run.
+    /// Missing frames and their positions. None until the tick is the next one of its run.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
     /// A frame of the journal of which the capture has several that differ.
     pub(super) ambiguous: Option<FrameKey>,
@@ -54,7 +54,7 @@ pub(super) struct Assembler {
     outputs: Vec<Output>,
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
-    /// The newest of each kind, by run; and whether it is complete.
+    /// The newest of each kind, by run, and whether it is complete.
     newest: HashMap<(u64, MessageKind), u64>,
     /// The oldest and the newest frame of each run of each source.
     frame_range: HashMap<(u64, u64), (u64, u64)>,
@@ -115,7 +115,7 @@ impl Assembler {
         self.outputs.push(output);
     }
 
-    /// Takes a message; other kinds are ignored.
+    /// Takes a message. Other kinds are ignored.
     pub(super) fn push(&mut self, mut message: Message) {
         if let Some(frame) = message.frame_mut::<Samples>() {
             self.put(std::mem::take(frame));
@@ -381,7 +381,7 @@ impl FrameStore {
         first
     }
 
-    /// Adds the available frames in a tick's journal, once; frames that arrive later are added one
+    /// Adds the available frames in a tick's journal, once. Frames that arrive later are added one
     /// by one.
     fn fill(&mut self, parts: &mut TickParts) {
         let (None, Some(journal)) = (&parts.wanted, &parts.journal) else {

@@ -37,7 +37,7 @@ impl Value {
         Self { bits, form }
     }
 
-    /// As a number; not exact beyond 2^53.
+    /// As a number. Not exact beyond 2^53.
     #[must_use]
     pub fn number(self) -> f64 {
         match self.form {
@@ -67,7 +67,7 @@ impl fmt::Display for Value {
         match self.form {
             Form::Unsigned => write!(out, "{}", self.bits),
             Form::Signed => write!(out, "{}", self.bits.cast_signed()),
-            // A float is written so that it parses to the same bits; a NaN's bits are shown.
+            // A float is written so that it parses to the same bits. A NaN's bits are shown.
             Form::Single => match f32::from_bits(self.bits as u32) {
                 nan if nan.is_nan() => write!(out, "NaN ({:08x})", self.bits),
                 value => write!(out, "{value:?}"),
@@ -86,7 +86,7 @@ pub(super) type FieldDifference = (&'static str, Value, Value);
 /// Takes a field that differs, and the robot that it concerns, if that is not the row's.
 pub(super) type Differs<'a> = &'a mut dyn FnMut(Option<u32>, FieldDifference);
 
-/// Calls `differs` for each field whose bits differ; `only` these, or all. Arrays come last.
+/// Calls `differs` for each field whose bits differ. `only` these, or all. Arrays come last.
 pub(super) fn fields<T: Row>(
     recorded: &T,
     computed: &T,

@@ -135,7 +135,7 @@ impl Verifier {
         self
     }
 
-    /// Takes the next message of the fleet's channels; of split files in their order.
+    /// Takes the next message of the fleet's channels. Of split files in their order.
     pub fn push(&mut self, entry: Entry) {
         self.count(&entry);
         match entry.message.take::<Query>() {
@@ -196,7 +196,7 @@ impl Verifier {
         }
     }
 
-    /// Stores a keyframe until its tick arrives; the oldest ones are dropped if there are too many.
+    /// Stores a keyframe until its tick arrives. The oldest ones are dropped if there are too many.
     fn keep(&mut self, place: (u64, u64), bytes: Vec<u8>) {
         self.keyframes.insert(place, bytes);
         let held =

@@ -18,7 +18,7 @@ pub struct RecomputedTick<'a> {
     pub fleet: &'a Fleet,
     /// Its journal.
     pub journal: &'a TickHeader,
-    /// The fields about the intake in the header of its forecasts; the others are 0.
+    /// The fields about the intake in the header of its forecasts. The others are 0.
     pub intake: &'a ForecastHeader,
 }
 

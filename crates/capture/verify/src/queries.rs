@@ -131,7 +131,7 @@ impl Queries {
         report.queries_outside += waiting.values().map(Vec::len).sum::<usize>() as u64;
     }
 
-    /// Computes an answer again and compares it; the tick that has to be computed first is the
+    /// Computes an answer again and compares it. The tick that has to be computed first is the
     /// error.
     fn verify(&self, (query, fleet): &Asked, report: &mut Verification) -> Result<(), Place> {
         let (asked, answer) = (&query.record.query, &query.record.answer);

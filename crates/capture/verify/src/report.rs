@@ -27,7 +27,7 @@ pub struct Verification {
     pub ticks_verified: u64,
     /// Maximum number of robots in a tick.
     pub robots: usize,
-    /// Forecasts compared; the other outputs are not counted.
+    /// Forecasts compared. The other outputs are not counted.
     pub forecasts_compared: u64,
     /// Values that differ.
     pub differences: u64,

@@ -14,7 +14,7 @@ use crate::output::Output;
 use joulebus_capture_format::{Entry, Frame};
 
 /// Runs the samples of a capture through two fleets that differ only in their models. Both begin
-/// without state; the journal assigns frames to ticks.
+/// without state. The journal assigns frames to ticks.
 #[derive(Debug)]
 pub struct WhatIf {
     assembler: Assembler,

@@ -182,7 +182,7 @@ fn log_many(first: &AlarmChange, robots: usize, ids: &str) {
     }
 }
 
-/// Ids in ascending order as ranges, `0-9, 12`; those that are too many are left out.
+/// Ids in ascending order as ranges, `0-9, 12`. Those that are too many are left out.
 fn ranges(ids: &[u32]) -> String {
     let mut ranges = ids.chunk_by(|a, b| a.checked_add(1) == Some(*b));
     let shown = ranges.by_ref().take(MAX_RANGES).map(|range| match range {
@@ -214,7 +214,7 @@ fn ids_are_shown_as_ranges_and_not_without_end() {
     }
 }
 
-/// One line, at the level of the alarm; ends at that of information, which the default shows.
+/// One line, at the level of the alarm. Ends at that of information, which the default shows.
 fn log(change: &AlarmChange) {
     let (robot, alarm, level) = (change.robot, change.alarm.name(), change.alarm.level());
     let (level_name, what) = (level.name(), change.change.name());

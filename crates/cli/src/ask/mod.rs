@@ -239,7 +239,7 @@ fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     for platform in &config.settings().platforms {
         let has = |robot: &u32| platform.robots.iter().any(|ids| ids.contains(robot));
         let most = platform.v_max_mps;
-        // Infinity stands for none stated; what cannot drive at all is refused with its own reason.
+        // Infinity stands for none stated. What cannot drive at all is refused with its own reason.
         let is_above = |speed: f64| speed.is_finite() && speed as f32 > most && most > 0.0;
         let speeds = &path.speed_mps;
         let above = (1..speeds.len()).find(|point| is_above(speeds[*point]));

@@ -13,12 +13,12 @@ const MAX_BYTES: u64 = 16 << 20;
 #[derive(Debug, PartialEq)]
 pub(super) struct Rows {
     points: Vec<Point>,
-    /// m/s; `None` where the file states none.
+    /// m/s. `None` where the file states none.
     speed_mps: Vec<Option<f64>>,
 }
 
 impl Rows {
-    /// As a path; `speed_mps` where the file states none: without it, as fast as the platform can.
+    /// As a path. `speed_mps` where the file states none: without it, as fast as the platform can.
     pub(super) fn path(&self, speed_mps: Option<f64>) -> Path {
         let otherwise_mps = speed_mps.unwrap_or(f64::INFINITY);
         let speeds = self.speed_mps.iter();

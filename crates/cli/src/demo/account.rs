@@ -19,14 +19,14 @@ pub(super) struct SourceRun {
 pub(super) struct WorkerAccount {
     pub(super) accepted: u64,
     pub(super) dropped: DropCounts,
-    /// Run of the source of its first samples; `None` without samples.
+    /// Run of the source of its first samples. `None` without samples.
     pub(super) first_source_epoch: Option<u64>,
 }
 
 /// Sums over all runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Account {
-    /// Samples sent, by the source's report; for a killed source, as far as observed.
+    /// Samples sent, by the source's report. For a killed source, as far as observed.
     pub(crate) sent: u64,
     /// Samples accepted, by all workers.
     pub(crate) accepted: u64,

@@ -38,7 +38,7 @@ fn usual() -> PathBuf {
 /// The recorder's report on the capture.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Captured {
-    /// The path of the first file; there is only one unless the recorder died.
+    /// The path of the first file. There is only one unless the recorder died.
     #[serde(default)]
     pub(super) path: PathBuf,
     pub(super) messages: u64,

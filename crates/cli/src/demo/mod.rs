@@ -201,7 +201,7 @@ impl Demo<'_> {
         task
     }
 
-    /// Supervises the processes; events are shown on the board.
+    /// Supervises the processes. Events are shown on the board.
     fn look_after(&mut self, feed: &Feed) {
         let now_ns = clock::monotonic_ns();
         let events = self.supervisor.poll();
@@ -252,7 +252,7 @@ impl Demo<'_> {
         None
     }
 
-    /// Stops the recorder; returns its report on the capture.
+    /// Stops the recorder. Returns its report on the capture.
     fn captured(&mut self) -> Option<Captured> {
         let path = self.capture.clone()?;
         let recorder = self.supervisor.end(RECORDER, GRACE, &mut self.events);
@@ -343,7 +343,7 @@ fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
     Task { name, arguments }
 }
 
-/// The recorder; after a crash it continues in another file.
+/// The recorder. After a crash it continues in another file.
 fn recorder(place: &Place, capture: &Path) -> Task {
     let mut task = task(RECORDER, place, &["record", "--resume"]);
     let arguments = ["--out".into(), capture.as_os_str().to_owned()];

@@ -44,7 +44,7 @@ impl LeftBehind {
 }
 
 impl Place {
-    /// Creates the directory and writes the config; first removes the remains of killed demos.
+    /// Creates the directory and writes the config. First removes the remains of killed demos.
     pub(super) fn make(robots: u32) -> anyhow::Result<Self> {
         remove_dead();
         let root = PathBuf::from(format!("{}-{}", stem(), std::process::id()));

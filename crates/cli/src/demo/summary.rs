@@ -39,7 +39,7 @@ struct StandsOut {
     level: &'static str,
     /// Reasons, in the order of their occurrence.
     reasons: Vec<Reason>,
-    /// Mean of the residuals at the end, W; positive: it draws more than forecast.
+    /// Mean of the residuals at the end, W. Positive: it draws more than forecast.
     bias_w: Option<f64>,
     /// The fault injected into it, if any.
     planted: Option<Planted>,
@@ -72,9 +72,9 @@ pub(super) struct Summary {
     samples: Account,
     /// Whether every sample is accounted for.
     adds_up: bool,
-    /// The planner's report; `None` if it did not run at the end.
+    /// The planner's report. `None` if it did not run at the end.
     planner: Option<PlannerReport>,
-    /// Scores of the outlooks, by horizon; `None` if no second was metered.
+    /// Scores of the outlooks, by horizon. `None` if no second was metered.
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
     /// Scores of the last worker.
     scores: Scores,
@@ -83,7 +83,7 @@ pub(super) struct Summary {
     unnoticed: Vec<Planted>,
     /// Processes that died and were restarted.
     deaths: Vec<String>,
-    /// The capture; `None` if there is none, or the recorder did not report it.
+    /// The capture. `None` if there is none, or the recorder did not report it.
     capture: Option<Captured>,
     pub(super) left_behind: LeftBehind,
 }

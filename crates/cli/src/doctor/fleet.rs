@@ -210,7 +210,7 @@ pub(super) fn other_users(domain: &Domain, inspection: &Inspection) -> Option<Ch
     })
 }
 
-/// The permit of a worker that stands by; nothing where no link of several workers' hosts runs.
+/// The permit of a worker that stands by. Nothing where no link of several workers' hosts runs.
 pub(super) fn permit(config: &Config) -> Option<Check> {
     let name = "permit";
     let now_ns = clock::boot_ns();

@@ -8,7 +8,7 @@ use rustix::time::{ClockId, Timespec, clock_getres, clock_gettime};
 
 use super::{Check, Status};
 
-/// The version pinned in the workspace; another minor version cannot join the same shared memory.
+/// The version pinned in the workspace. Another minor version cannot join the same shared memory.
 const ICEORYX2: &str = "0.10.0";
 /// 2020-01-01: an earlier wall clock has not been set.
 const NOT_SET_BEFORE_S: u64 = 1_577_836_800;

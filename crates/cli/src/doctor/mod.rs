@@ -47,7 +47,7 @@ struct Check {
     name: &'static str,
     status: Status,
     found: String,
-    /// The remedy; empty if none is needed.
+    /// The remedy. Empty if none is needed.
     remedy: String,
 }
 

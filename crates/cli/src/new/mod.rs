@@ -67,7 +67,7 @@ struct Written {
     folder: PathBuf,
     /// Paths below the folder.
     files: Vec<PathBuf>,
-    /// What is still needed; none if the commands run as they are.
+    /// What is still needed. None if the commands run as they are.
     missing: Option<String>,
     /// Once, in this order.
     prepare: Vec<Command>,

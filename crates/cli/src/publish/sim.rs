@@ -103,7 +103,7 @@ impl Args {
         }
     }
 
-    /// Ids of the robots; as many as requested, at least one.
+    /// Ids of the robots. As many as requested, at least one.
     fn ids(&self, platform: &Platform) -> Result<Vec<u32>, UsageError> {
         let wanted = self.robots as usize;
         let ids: Vec<u32> = match self.first_robot {
@@ -145,7 +145,7 @@ impl Robot {
         Self { id, seq: 0, measured_ns: None }
     }
 
-    /// The sample of the robot at `stamp_ns`; the plant started at `base_ns`.
+    /// The sample of the robot at `stamp_ns`. The plant started at `base_ns`.
     fn sample(&mut self, reading: &SimReading, stamp_ns: u64, base_ns: u64) -> Sample {
         let sample = Sample::new(self.id, self.seq, stamp_ns)
             .command(reading.v_mps, reading.omega_radps)
@@ -187,7 +187,7 @@ impl Source {
             let Some(slot) = grid.take(clock::monotonic_ns()) else {
                 continue;
             };
-            // After a stall the newest grid time is used; earlier ones are skipped.
+            // After a stall the newest grid time is used. Earlier ones are skipped.
             let passed_ns = slot.skipped.saturating_mul(period_ns);
             let stamp_ns = slot.intended_ns.saturating_add(passed_ns);
             self.advance(stamp_ns - base_ns);

@@ -4,7 +4,7 @@ use joulebus_capture_format::MessageKind;
 use joulebus_program::exit::UsageError;
 use regex::Regex;
 
-/// A selection of topics; all by default.
+/// A selection of topics. All by default.
 #[derive(Debug)]
 pub(super) struct TopicChoice {
     topics: Vec<String>,

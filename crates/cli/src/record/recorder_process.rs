@@ -25,7 +25,7 @@ impl RecorderProcess {
     /// Starts the recorder and waits until it records, so that no output of the worker is missed.
     ///
     /// # Errors
-    /// The process cannot be started or does not record; its output is printed.
+    /// The process cannot be started or does not record. Its output is printed.
     pub(crate) fn start(config: &ConfigFile, file: &Path) -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
@@ -56,7 +56,7 @@ impl RecorderProcess {
         let mut recorder = Self { process, report };
         let records = lines.is_some_and(|lines| lines.recv_timeout(START_LIMIT).is_ok());
         if !records {
-            // It may wait for a disk that never answers; the worker does not.
+            // It may wait for a disk that never answers. The worker does not.
             let _ = recorder.process.kill();
             anyhow::bail!("the recorder does not record");
         }
@@ -87,7 +87,7 @@ impl Drop for RecorderProcess {
     }
 }
 
-/// Forwards the recorder's output; sends one message when it records.
+/// Forwards the recorder's output. Sends one message when it records.
 fn pass_on(pipe: impl std::io::Read + Send + 'static) -> Receiver<()> {
     let (tell, told) = channel();
     std::thread::spawn(move || {

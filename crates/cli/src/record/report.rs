@@ -17,16 +17,16 @@ pub(super) struct RecordReport {
     files: Vec<File>,
     messages: u64,
     bytes: u64,
-    /// Messages by topic; topics of single robots are omitted.
+    /// Messages by topic. Topics of single robots are omitted.
     topics: BTreeMap<String, u64>,
     /// Files that other processes have taken away: "removed", "replaced" or "cut".
     taken: BTreeMap<String, &'static str>,
     /// Why the ticks cannot be computed from what is attached, if so.
     differs: Option<String>,
-    /// Messages lost by topic; topics without losses are omitted.
+    /// Messages lost by topic. Topics without losses are omitted.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
-    /// Memory buffer of a snapshot that was not written; none for other recordings.
+    /// Memory buffer of a snapshot that was not written. None for other recordings.
     kept: Option<Kept>,
     /// Error that stopped the recording, if any.
     failure: Option<String>,

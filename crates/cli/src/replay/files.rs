@@ -53,7 +53,7 @@ impl Files {
         Ok(Self { paths: paths.to_vec(), attachments, fleet })
     }
 
-    /// Number of the rules by which the answers in all files were computed; `None` if they differ,
+    /// Number of the rules by which the answers in all files were computed. `None` if they differ,
     /// as where a recording went on after an update.
     pub(super) fn answer_rules(&self) -> Option<u32> {
         let rules = self.attachments.answer_rules();
@@ -187,7 +187,7 @@ impl Iterator for Messages {
     }
 }
 
-/// The fleet of the first message that has one; without any, the first damage.
+/// The fleet of the first message that has one. Without any, the first damage.
 fn first_fleet(reader: Reader<std::fs::File>) -> anyhow::Result<String> {
     let mut damage = None;
     for entry in reader {

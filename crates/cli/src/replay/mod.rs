@@ -116,7 +116,7 @@ impl FromStr for Remap {
             )
         };
         let (old, new) = text.split_once(":=").ok_or_else(wrong)?;
-        // A topic remaps its fleet; the service names stay.
+        // A topic remaps its fleet. The service names stay.
         let fleet = |name: &str| -> Option<(String, String)> {
             match name.split('/').collect::<Vec<&str>>()[..] {
                 [fleet] if !fleet.is_empty() => Some((fleet.to_owned(), String::new())),

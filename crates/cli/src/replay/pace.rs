@@ -14,7 +14,7 @@ use joulebus_source::rate::Rate;
 
 /// Interval at which keys are polled, ns.
 const KEY_POLL_NS: u64 = 20_000_000;
-/// A delay of at most this is made up for, ns; a longer one shifts what follows.
+/// A delay of at most this is made up for, ns. A longer one shifts what follows.
 const MAX_CATCH_UP_NS: u64 = 100_000_000;
 
 /// Request from the keyboard.
@@ -82,7 +82,7 @@ impl Drop for Keys {
 
 /// True if this process may read its terminal: a background process is stopped by SIGTTIN.
 fn is_foreground() -> bool {
-    // `pid (name) state ppid pgrp session tty_nr tpgid …`; the name may contain any character.
+    // `pid (name) state ppid pgrp session tty_nr tpgid …`. The name may contain any character.
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or_default();
     let fields: Vec<&str> = fields.split_ascii_whitespace().collect();
@@ -160,7 +160,7 @@ impl Pace {
         self.timeline.align = true;
     }
 
-    /// Waits until what was recorded `recorded_ns` after the start is due; `leads`: it is the first
+    /// Waits until what was recorded `recorded_ns` after the start is due. `leads`: it is the first
     /// message of a step. False at a signal or a request to quit.
     pub(super) fn wait(
         &mut self,

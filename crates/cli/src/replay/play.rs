@@ -64,7 +64,7 @@ fn check_root(root: &Path) -> Result<(), UsageError> {
 
 struct Player {
     ports: ReplayPorts,
-    /// Flow control by the worker's forecasts; only when samples are played.
+    /// Flow control by the worker's forecasts. Only when samples are played.
     flow: Option<Flow>,
     /// True if the sending rate is limited by the worker's answers.
     follows: bool,
@@ -140,7 +140,7 @@ impl Player {
         })
     }
 
-    /// Waits for a worker and for the delay; false at a signal.
+    /// Waits for a worker and for the delay. False at a signal.
     fn begins(&mut self, args: &Args, stop: &Stop) -> anyhow::Result<bool> {
         if let Err(error) = set_timer_slack() {
             tracing::warn!(%error, "frames may be sent 50 µs late");
@@ -182,7 +182,7 @@ impl Player {
         Ok(())
     }
 
-    /// Plays the capture once; false at a signal or a request to quit.
+    /// Plays the capture once. False at a signal or a request to quit.
     fn pass(
         &mut self,
         args: &Args,
@@ -257,7 +257,7 @@ impl Player {
         Ok(true)
     }
 
-    /// Sends a message once the worker has capacity; false at a signal.
+    /// Sends a message once the worker has capacity. False at a signal.
     fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
         if let Some(frame) = entry.message.frame::<Samples>() {
             let rebase = self.rebase.as_ref();
@@ -322,7 +322,7 @@ impl Player {
     }
 }
 
-/// Waits until a worker answers; false at a signal.
+/// Waits until a worker answers. False at a signal.
 fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let mut said = false;
     let patience_ns = clock::monotonic_ns() + 10 * POLL_INTERVAL_NS;

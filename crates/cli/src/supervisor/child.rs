@@ -18,7 +18,7 @@ pub(super) struct Child {
 }
 
 impl Child {
-    /// Starts `program`; each line of its stderr is sent to `say`.
+    /// Starts `program`. Each line of its stderr is sent to `say`.
     pub(super) fn start(
         program: &Path,
         task: &Task,
@@ -60,7 +60,7 @@ impl Child {
     /// Sends SIGTERM.
     pub(super) fn terminate(&mut self) {
         drop(self.process.stdin.take());
-        // Not reaped yet, so the pid is not reused; the process may be a zombie.
+        // Not reaped yet, so the pid is not reused. The process may be a zombie.
         if let Some(pid) = Pid::from_raw(self.process.id().cast_signed()) {
             let _ = kill_process(pid, Signal::TERM);
         }
@@ -71,7 +71,7 @@ impl Child {
         let _ = self.process.kill();
     }
 
-    /// The exit status, once the process has exited; reaps it.
+    /// The exit status, once the process has exited. Reaps it.
     pub(super) fn try_wait(&mut self) -> Option<ExitStatus> {
         self.process.try_wait().ok().flatten()
     }

@@ -47,10 +47,10 @@ pub(crate) enum Event {
         name: &'static str,
         line: String,
     },
-    /// It exited unexpectedly or could not be started; it is restarted after a backoff.
+    /// It exited unexpectedly or could not be started. It is restarted after a backoff.
     Exited {
         name: &'static str,
-        /// Its pid; none if it could not be started.
+        /// Its pid. None if it could not be started.
         pid: Option<u32>,
         /// Exit status or error.
         how: String,
@@ -76,7 +76,7 @@ impl std::fmt::Display for Event {
 /// Result of a process that was asked to stop.
 #[derive(Debug)]
 pub(crate) struct Ended {
-    /// Its exit status; none if it was not running.
+    /// Its exit status. None if it was not running.
     pub(crate) status: Option<ExitStatus>,
     pub(crate) stdout: String,
 }
@@ -108,7 +108,7 @@ impl Supervisor {
         Ok(Self { program, jobs: Vec::new(), lines, say })
     }
 
-    /// Adds a task; [`Supervisor::poll`] starts it.
+    /// Adds a task. [`Supervisor::poll`] starts it.
     pub(crate) fn add(&mut self, task: Task) {
         self.jobs.push(Job {
             task,

@@ -48,8 +48,8 @@ impl RestartPolicy {
         self.phase = Phase::Running { since_ns: now_ns };
     }
 
-    /// The process exited or could not be started. Returns the backoff before the next start, ns;
-    /// none if it was asked to stop.
+    /// The process exited or could not be started. Returns the backoff before the next start, ns.
+    /// None if it was asked to stop.
     pub(super) fn ended(&mut self, now_ns: u64) -> Option<u64> {
         let run_ns = match self.phase {
             Phase::Running { since_ns } => now_ns.saturating_sub(since_ns),
@@ -68,7 +68,7 @@ impl RestartPolicy {
         Some(backoff_ns)
     }
 
-    /// The process was asked to stop; it is killed if it still runs after `grace_ns`.
+    /// The process was asked to stop. It is killed if it still runs after `grace_ns`.
     pub(super) const fn request_stop(&mut self, now_ns: u64, grace_ns: u64) {
         self.phase = match self.phase {
             Phase::Running { .. } => Phase::Stopping { kill_at_ns: now_ns + grace_ns },

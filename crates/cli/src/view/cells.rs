@@ -186,7 +186,7 @@ pub(crate) fn state_within(row: &Row, width: usize) -> String {
     forms.into_iter().find(fits).unwrap_or_else(|| shortened(word, width))
 }
 
-/// A text of at most `width` columns; one that is cut ends in an ellipsis.
+/// A text of at most `width` columns. One that is cut ends in an ellipsis.
 pub(crate) fn shortened(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();

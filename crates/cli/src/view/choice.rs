@@ -17,7 +17,7 @@ const ORDERS: [(Sort, &str); 4] = [
 #[derive(Debug)]
 pub(crate) struct Choice {
     platforms: Platforms,
-    /// The robot whose track is shown; the first one listed if it is not.
+    /// The robot whose track is shown. The first one listed if it is not.
     selected: Option<u32>,
     /// Place in [`ORDERS`].
     order: usize,
@@ -30,12 +30,12 @@ pub(crate) struct Choice {
 pub(crate) struct Listed {
     /// Ids, in order.
     pub(crate) robots: Vec<u32>,
-    /// Place of the selected robot; the first if it is not listed.
+    /// Place of the selected robot. The first if it is not listed.
     pub(crate) selected: usize,
 }
 
 impl Listed {
-    /// The robot that is selected; none if none is listed.
+    /// The robot that is selected. None if none is listed.
     pub(crate) fn robot(&self) -> Option<u32> {
         self.robots.get(self.selected).copied()
     }
@@ -119,12 +119,12 @@ impl Choice {
         self.only_alarms = !self.only_alarms;
     }
 
-    /// The searched text; empty: no search.
+    /// The searched text. Empty: no search.
     pub(crate) fn search(&self) -> &str {
         &self.search
     }
 
-    /// Adds a character to the search; control characters are none.
+    /// Adds a character to the search. Control characters are none.
     pub(crate) fn type_in(&mut self, character: char) {
         if !character.is_control() && self.search.chars().count() < MAX_SEARCH_CHARACTERS {
             self.search.push(character);
@@ -151,7 +151,7 @@ impl Choice {
         self.only_alarms = false;
     }
 
-    /// Order and filter in a few words; `listed` of `robots` are left.
+    /// Order and filter in a few words. `listed` of `robots` are left.
     pub(crate) fn told(&self, listed: usize, robots: usize) -> String {
         let (_, order) = ORDERS[self.order];
         let arrow = if self.descending { "↓" } else { "↑" };

@@ -101,7 +101,7 @@ fn screen(selected: Option<u32>) -> Screen {
     Screen::new("lab", Platforms::default(), selected)
 }
 
-/// Presses keys one after the other; true if the last requested the end.
+/// Presses keys one after the other. True if the last requested the end.
 fn press(screen: &mut Screen, board: &Board, keys: impl IntoIterator<Item = KeyCode>) -> bool {
     let mut over = false;
     for key in keys {
@@ -148,7 +148,7 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
         let words = line.split_whitespace().map(ToOwned::to_owned);
         words.filter(|word| word != "│").collect::<Vec<String>>().join(" ")
     };
-    // The last reading is 3.21 + 30 · 0.1. Its forecast was 3.33; the diagnostics' residual is the
+    // The last reading is 3.21 + 30 · 0.1. Its forecast was 3.33. The diagnostics' residual is the
     // network's.
     let fine = "2 held 6.21 3.33 3.05 – 3.75 +2.88 0.062 +0.31 88 % 63.4 J 43 % 1 h 24 ok";
     assert_eq!(words("2 held").trim_matches('│').trim(), fine);

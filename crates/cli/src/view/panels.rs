@@ -258,7 +258,7 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
     frame.render_widget(chart, area);
 }
 
-/// Lessons of the robot's online forecast; empty if it learns nothing.
+/// Lessons of the robot's online forecast. Empty if it learns nothing.
 fn learned(row: &Row, is_wide: bool) -> String {
     let learning = |diagnostic: &&Diagnostic| diagnostic.flags & diagnostic_flag::LEARNED != 0;
     let Some(learned) = row.diagnostic.as_ref().filter(learning) else {

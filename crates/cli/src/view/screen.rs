@@ -69,7 +69,7 @@ impl Screen {
         }
     }
 
-    /// Handles a key; true if it requests the end.
+    /// Handles a key. True if it requests the end.
     pub(crate) fn press(&mut self, key: KeyEvent, board: &Board) -> bool {
         if key.modifiers.contains(KeyModifiers::CONTROL) {
             return asks_for_the_end(key);

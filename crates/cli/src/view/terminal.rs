@@ -18,7 +18,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(30);
 /// Interval between redraws.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
 
-/// The terminal in use by the view; restored when dropped, and by a panic hook.
+/// The terminal in use by the view. Restored when dropped, and by a panic hook.
 struct RawTerminal {
     terminal: ManuallyDrop<ratatui::DefaultTerminal>,
 }
@@ -62,7 +62,7 @@ pub(crate) fn show(
             drawn = Some(Instant::now());
             let terminal = &mut terminal.terminal;
             let result = terminal.draw(|frame| screen.draw(frame, &feed.board()));
-            // One that has gone away takes nothing; its signal may come later.
+            // One that has gone away takes nothing. Its signal may come later.
             if result.is_err() && is_closed(Duration::ZERO)? {
                 return Ok(());
             }
@@ -83,7 +83,7 @@ pub(crate) fn show(
     Ok(())
 }
 
-/// Waits for a key; returns true if the terminal is closed. Crossterm would wait forever for the
+/// Waits for a key. Returns true if the terminal is closed. Crossterm would wait forever for the
 /// keys of a closed terminal.
 fn is_closed(patience: Duration) -> anyhow::Result<bool> {
     let stdin = std::io::stdin();

@@ -32,7 +32,7 @@ impl Domain {
     /// A domain for `fleet` under the private directory `root`. Creates nothing.
     ///
     /// `fleet`: 1 to 32 of `a–z A–Z 0–9 - _`. `root`: absolute, best on a tmpfs. `prefix`: 1 to 8
-    /// of `a–z 0–9 _`; together with a hash of root and fleet it begins the name of every
+    /// of `a–z 0–9 _`. Together with a hash of root and fleet it begins the name of every
     /// shared-memory object, so domains never touch each other's.
     ///
     /// # Errors
@@ -83,7 +83,7 @@ impl Domain {
         &self.fleet
     }
 
-    /// The private root directory; it may contain several fleets.
+    /// The private root directory. It may contain several fleets.
     #[must_use]
     pub fn root(&self) -> &Path {
         &self.root

@@ -7,17 +7,17 @@ use joulebus_wire::{Flow, FrameRows};
 /// service fixes them, and a later one that differs gets an error with both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Robots: the longest frame that can be sent. At least 1, as all of these; at most
+    /// Robots: the longest frame that can be sent. At least 1, as all of these. At most
     /// [`bounds::CAPACITY`].
     pub capacity: usize,
-    /// Processes that may publish samples at once; at most [`bounds::MAX_SOURCES`].
+    /// Processes that may publish samples at once. At most [`bounds::MAX_SOURCES`].
     pub max_sources: usize,
-    /// Processes that may read forecasts at once; at most [`bounds::MAX_PLANNERS`].
+    /// Processes that may read forecasts at once. At most [`bounds::MAX_PLANNERS`].
     pub max_planners: usize,
-    /// Frames of samples queued for the worker, per source; older ones are overwritten; at most
+    /// Frames of samples queued for the worker, per source. Older ones are overwritten. At most
     /// [`bounds::BUFFER_FRAMES`].
     pub sample_frames: usize,
-    /// Frames of forecasts, diagnostics and budgets queued for a reader; at most 64.
+    /// Frames of forecasts, diagnostics and budgets queued for a reader. At most 64.
     pub forecast_frames: usize,
 }
 
@@ -179,7 +179,7 @@ impl Limits {
         self.query_clients() * ACTIVE_QUERIES
     }
 
-    /// Listeners and notifiers of the event that wakes clients; swapped, those of the worker's.
+    /// Listeners and notifiers of the event that wakes clients. Swapped, those of the worker's.
     #[must_use]
     pub const fn query_events(&self) -> (usize, usize) {
         (self.query_clients(), 1 + SPARE)

@@ -5,11 +5,11 @@
 pub struct Scheduling {
     /// CPUs, one per thread, that of the tick's own thread first. Empty: no affinity.
     pub cpus: Vec<usize>,
-    /// Real-time priority (`SCHED_FIFO`), 1 to 99; 0: normal scheduling.
+    /// Real-time priority (`SCHED_FIFO`), 1 to 99. 0: normal scheduling.
     pub priority: u8,
     /// Whether to lock all memory of the process (`mlockall`).
     pub lock_memory: bool,
-    /// Whether a refused request prevents the start; otherwise it is a warning.
+    /// Whether a refused request prevents the start. Otherwise it is a warning.
     pub required: bool,
 }
 

@@ -51,7 +51,7 @@ const EDGES: [f32; SIDE + 1] = [
 const PRIOR: f32 = 20.0;
 /// Width of the errors of outlooks before the first, in that of plans, which know the commands.
 const WIDER: f32 = 1.2;
-/// Maximum number of errors that are remembered; older ones fade.
+/// Maximum number of errors that are remembered. Older ones fade.
 const MEMORY: f32 = 200.0;
 
 /// Kinds of errors that are counted: of plans at each of [`SHADOWS_S`], then of outlooks.

@@ -36,7 +36,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// `previous`: the command before and the seconds between the two; without them, or if one of
+    /// `previous`: the command before and the seconds between the two. Without them, or if one of
     /// them is not finite, there is no change.
     #[inline(always)]
     pub(crate) fn new((v_mps, omega_radps): (f32, f32), previous: (f32, f32), dt_s: f32) -> Self {
@@ -113,7 +113,7 @@ impl CommandModel {
         ]
     }
 
-    /// Power in W; that without a command for one that is not finite.
+    /// Power in W. That without a command for one that is not finite.
     #[inline(always)]
     pub(crate) fn power_w(&self, motion: &Motion) -> f32 {
         let terms = self.terms(motion.to_array());
@@ -125,7 +125,7 @@ impl CommandModel {
     }
 
     /// Derivatives of the power with respect to v, ω, dv/dt and dω/dt. Where a term has a corner,
-    /// the derivative towards greater values; at rest 0.
+    /// the derivative towards greater values. At rest 0.
     pub(crate) fn slopes(&self, motion: &Motion) -> [f32; 4] {
         let sign = |value: f32| match value {
             _ if value > 0.0 => 1.0,

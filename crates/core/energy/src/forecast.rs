@@ -33,7 +33,7 @@ impl Commands<'_> {
         (self.v_mps[step], self.omega_radps[step])
     }
 
-    /// The motion of each step; `before` is the command before the first.
+    /// The motion of each step. `before` is the command before the first.
     fn motions(&self, before: (f32, f32)) -> impl Iterator<Item = Motion> {
         (0..self.steps()).map(move |step| {
             let previous = match step.checked_sub(1) {
@@ -60,7 +60,7 @@ pub struct CommandSum {
 }
 
 impl CommandSum {
-    /// Before the first command of a plan that begins now; each command is in force for `period_s`.
+    /// Before the first command of a plan that begins now. Each command is in force for `period_s`.
     pub fn new(state: &EnergyState, period_s: f32) -> Self {
         Self::after(state.command(), period_s)
     }
@@ -163,7 +163,7 @@ impl EnergyModel {
         self.forecast_of(state, &sum)
     }
 
-    /// The energy of the plan that a sum is of; `state`: that which the sum began with.
+    /// The energy of the plan that a sum is of. `state`: that which the sum began with.
     pub fn forecast_of(&self, state: &EnergyState, sum: &CommandSum) -> EnergyForecast {
         let duration_s = sum.duration_s();
         let (level, changed) = state.level(self, duration_s);
@@ -187,7 +187,7 @@ impl EnergyModel {
 
     /// The power of each step of a plan, W, whose sum times the period is the energy of
     /// [`EnergyModel::forecast`] up to rounding. Steps beyond the shorter of plan and `power_w` are
-    /// not written; an unknown command draws the platform's mean.
+    /// not written. An unknown command draws the platform's mean.
     pub fn power_w(&self, state: &EnergyState, plan: Commands<'_>, power_w: &mut [f32]) {
         let level = self.level(state, &plan);
         let motions = plan.motions(state.command());

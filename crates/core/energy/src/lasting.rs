@@ -46,7 +46,7 @@ pub struct LastingPower {
 }
 
 impl EnergyModel {
-    /// The power over hours; `None` for a model without calibrated errors.
+    /// The power over hours. `None` for a model without calibrated errors.
     pub fn lasting(&self) -> Option<Lasting> {
         let longest_s = self.longest_s();
         (longest_s > 0.0).then(|| Lasting {

@@ -27,7 +27,7 @@ pub struct EnergyModel {
     pub added_shares: [f32; HORIZONS],
     /// Weights of the levels ([`crate::LEVELS_S`]) at each horizon, not negative, 1 in all.
     pub weights: [[f32; LEVELS]; HORIZONS],
-    /// Number of horizons, from the shortest, whose errors are known; 0 for a model without.
+    /// Number of horizons, from the shortest, whose errors are known. 0 for a model without.
     pub calibrated: usize,
     /// Quantiles ([`crate::QUANTILES`]) of the error at each horizon: measured minus forecast
     /// energy, relative to the scale of the forecast. Ascending.
@@ -74,7 +74,7 @@ impl EnergyModel {
     /// The model for a file without an energy model: the mean of the last seconds, independent of
     /// the commands, starting at `mean_w` (W, above 0). Its forecasts have no intervals.
     pub fn untrained(mean_w: f32) -> Self {
-        // Neighbouring means; the longer, the longer the horizon.
+        // Neighbouring means. The longer, the longer the horizon.
         let weights = [
             [0.5, 0.5, 0.0, 0.0],
             [0.3, 0.5, 0.2, 0.0],
@@ -170,7 +170,7 @@ impl EnergyModel {
         Ok(())
     }
 
-    /// The longest horizon with an interval, s; 0 without any.
+    /// The longest horizon with an interval, s. 0 without any.
     pub fn longest_s(&self) -> f32 {
         match self.calibrated.min(HORIZONS) {
             0 => 0.0,

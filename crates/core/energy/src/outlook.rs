@@ -17,9 +17,9 @@ use crate::state::{
 pub struct EnergyOutlook<const HORIZONS: usize> {
     /// Expected energy, J.
     pub energy_j: [f32; HORIZONS],
-    /// Lower end of its 90 % interval, J; NaN if errors are unknown.
+    /// Lower end of its 90 % interval, J. NaN if errors are unknown.
     pub lo_j: [f32; HORIZONS],
-    /// Upper end, J; NaN if errors are unknown.
+    /// Upper end, J. NaN if errors are unknown.
     pub hi_j: [f32; HORIZONS],
 }
 
@@ -44,7 +44,7 @@ struct Horizon {
     per_variance: f32,
     /// Weights of the bounds of a robot's errors.
     shares: [f32; SHADOWS],
-    /// Middle and half width of the trained 90 % interval, relative; NaN if unknown.
+    /// Middle and half width of the trained 90 % interval, relative. NaN if unknown.
     middle: f32,
     half: f32,
 }

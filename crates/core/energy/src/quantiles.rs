@@ -20,7 +20,7 @@ fn logit(p: f64) -> f64 {
     log(p / (1.0 - p))
 }
 
-/// The quantile at probability `p`; `None` unless 0 < p < 1.
+/// The quantile at probability `p`. `None` unless 0 < p < 1.
 pub(crate) fn quantile(values: &[f32; KNOTS], p: f32) -> Option<f32> {
     if !(p > 0.0 && p < 1.0) {
         return None;

@@ -23,14 +23,14 @@ const FACTOR: [f32; 2] = [0.5, 8.0];
 /// One sample of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergySample {
-    /// Power read with it, W; NaN if there was no reading.
+    /// Power read with it, W. NaN if there was no reading.
     pub power_w: f32,
-    /// Time since the robot's sample before, s; 0 or NaN if there was none, or if the time between
+    /// Time since the robot's sample before, s. 0 or NaN if there was none, or if the time between
     /// the two is not to be counted.
     pub elapsed_s: f32,
-    /// Commanded linear velocity from now on, m/s; NaN if unknown.
+    /// Commanded linear velocity from now on, m/s. NaN if unknown.
     pub v_mps: f32,
-    /// Commanded angular velocity from now on, rad/s; NaN if unknown.
+    /// Commanded angular velocity from now on, rad/s. NaN if unknown.
     pub omega_radps: f32,
 }
 
@@ -99,9 +99,9 @@ pub struct Metered {
     pub command_j: [f32; LEVELS],
     /// Discounted time, s.
     pub time_s: [f32; LEVELS],
-    /// The command in force, m/s; NaN if unknown.
+    /// The command in force, m/s. NaN if unknown.
     pub v_mps: f32,
-    /// The command in force, rad/s; NaN if unknown.
+    /// The command in force, rad/s. NaN if unknown.
     pub omega_radps: f32,
     /// Power of the command in force, W.
     pub command_w: f32,
@@ -109,7 +109,7 @@ pub struct Metered {
     pub shadow_energy_j: [f32; SHADOWS],
     /// Energy by the command model for the commands since then, J.
     pub shadow_command_j: [f32; SHADOWS],
-    /// Time since then, s; negative while the next one waits to be made.
+    /// Time since then, s. Negative while the next one waits to be made.
     pub shadow_s: [f32; SHADOWS],
 }
 
@@ -163,7 +163,7 @@ impl Metered {
         for shadow in 0..SHADOWS {
             let runs = self.shadow_s[shadow] >= 0.0;
             let next_s = self.shadow_s[shadow] + added_s;
-            // One that waits stays negative; one with time missing cannot be compared.
+            // One that waits stays negative. One with time missing cannot be compared.
             let waiting_s = next_s.min(0.5 * DUE_S);
             let waiting_s = if runs { DUE_S - SETTLE_S } else { waiting_s };
             self.shadow_s[shadow] = if runs & known { next_s } else { waiting_s };
@@ -573,7 +573,7 @@ pub(crate) fn mixed(shares: &[f32; PARTS], parts_w: &[f32; PARTS]) -> f32 {
 }
 
 /// How far the newest readings contradict each level, 0 or more: the floor, the load or the robot
-/// has changed since. A level of 1 loses half of its weight; the shortest is never contradicted.
+/// has changed since. A level of 1 loses half of its weight. The shortest is never contradicted.
 ///
 /// A level is compared with each of the two shortest ones that is shorter. The difference of what
 /// they draw beyond their commands counts in deviations of the errors at about that horizon, which

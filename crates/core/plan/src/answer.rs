@@ -44,7 +44,7 @@ pub struct Answer {
     pub margin_j: Option<f32>,
     /// Whether the robot makes it.
     pub verdict: Verdict,
-    /// The first leg at whose end [`Verdict::Yes`] does not hold; `None` with `Yes` and `Unknown`.
+    /// The first leg at whose end [`Verdict::Yes`] does not hold. `None` with `Yes` and `Unknown`.
     pub limiting_leg: Option<usize>,
     /// Reasons that weaken the answer.
     pub caveats: Caveats,

@@ -16,7 +16,7 @@ pub struct Candidates<'a> {
 }
 
 impl<'a> Candidates<'a> {
-    /// `count` candidates; both columns hold the steps of the first, then of the second, and so on.
+    /// `count` candidates. Both columns hold the steps of the first, then of the second, and so on.
     /// Each command is in force for `period_s`.
     ///
     /// # Errors

@@ -23,7 +23,7 @@ impl Fleet {
         Self { platforms, settings_hash }
     }
 
-    /// `models[i]` is the model of `settings.platforms[i]`; further ones are ignored.
+    /// `models[i]` is the model of `settings.platforms[i]`. Further ones are ignored.
     #[must_use]
     pub fn new(settings: &FleetSettings, models: &[Model]) -> Self {
         let platforms = settings.platforms.iter().zip(models);

@@ -64,12 +64,12 @@ pub struct Pose {
 /// A path: from the first point to the last, with a speed towards each.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Path {
-    /// The points; the robot is at the first.
+    /// The points. The robot is at the first.
     pub points: Vec<Point>,
-    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's;
-    /// infinity means as fast as the model knows.
+    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's.
+    /// Infinity means as fast as the model knows.
     pub speed_mps: Vec<f64>,
-    /// Heading at the first point, rad; `None`: towards the second.
+    /// Heading at the first point, rad. `None`: towards the second.
     pub heading_rad: Option<f64>,
 }
 

@@ -199,7 +199,7 @@ fn kind(header: &QueryHeader) -> Result<QueryKind, Refused> {
     })
 }
 
-/// Checks counts and length; returns the number of ids among the values.
+/// Checks counts and length. Returns the number of ids among the values.
 fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused> {
     let kind = kind(header)?;
     let counts = [header.robots, header.candidates, header.steps].map(|count| count as usize);

@@ -174,7 +174,7 @@ impl Work {
         robots.any(|rows| stale(&rows.header, now_ns).is_some())
     }
 
-    /// Follows a path or a way back, or answers about the next robot; returns whether all are
+    /// Follows a path or a way back, or answers about the next robot. Returns whether all are
     /// answered.
     ///
     /// # Errors
@@ -194,7 +194,7 @@ impl Work {
         Ok(self.done >= self.robots.len())
     }
 
-    /// Answers about the next robot, unless a way has to be followed first; returns whether there
+    /// Answers about the next robot, unless a way has to be followed first. Returns whether there
     /// was one to answer.
     fn advance(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
         let Some(rows) = self.robots.get(self.done) else {

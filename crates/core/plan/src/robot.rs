@@ -86,7 +86,7 @@ impl<'a> Robot<'a> {
         &self.energy
     }
 
-    /// The energy of each candidate, and whether the robot makes it; `coverage`: of the intervals,
+    /// The energy of each candidate, and whether the robot makes it. `coverage`: of the intervals,
     /// 0.5 to 0.999.
     ///
     /// # Errors
@@ -206,7 +206,7 @@ impl<'a> Robot<'a> {
         candidates.check(&settings.name, (settings.v_max_mps, settings.omega_max_radps))
     }
 
-    /// The answer to checked commands; `leg_ends`: the steps after which each leg ends.
+    /// The answer to checked commands. `leg_ends`: the steps after which each leg ends.
     pub(crate) fn answer(
         &self,
         commands: Commands<'_>,
@@ -275,7 +275,7 @@ impl<'a> Robot<'a> {
         energy.is_some_and(|energy| verdict(&battery, &energy, estimate.caveats) == Verdict::Yes)
     }
 
-    /// Follows all commands; returns the first leg but the last at whose end the verdict is not
+    /// Follows all commands. Returns the first leg but the last at whose end the verdict is not
     /// [`Verdict::Yes`].
     fn follow_legs(
         &self,

@@ -98,7 +98,7 @@ pub enum StampState {
     WholeSeconds,
     /// They go back by so much, s.
     Backward(f64),
-    /// They advance; the time of recording is later by so much, s, at the start and at the end.
+    /// They advance. The time of recording is later by so much, s, at the start and at the end.
     Good {
         /// At the start.
         offset_s: f64,
@@ -108,7 +108,7 @@ pub enum StampState {
 }
 
 impl Stamps {
-    /// Takes a message; `stamp_s`: its header's stamp, if it has one. Both since any common time.
+    /// Takes a message. `stamp_s`: its header's stamp, if it has one. Both since any common time.
     pub fn take(&mut self, stamp_s: Option<f64>, log_s: f64) {
         self.messages += 1;
         let first_log_s = *self.first_log_s.get_or_insert(log_s);

@@ -119,7 +119,7 @@ impl Column {
         }
     }
 
-    /// Takes a value; NaN and infinities are none.
+    /// Takes a value. NaN and infinities are none.
     pub(crate) fn take(&mut self, value: f64, range: Option<(f64, f64)>) {
         if !value.is_finite() {
             return;

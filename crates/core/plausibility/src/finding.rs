@@ -146,7 +146,7 @@ pub(crate) enum Remedy {
 pub struct Finding {
     /// The kind.
     pub kind: Kind,
-    /// The quantity; `None` for the clock.
+    /// The quantity. `None` for the clock.
     pub quantity: Option<Quantity>,
     /// Whether it stops.
     pub severity: Severity,
@@ -180,7 +180,7 @@ impl Finding {
         }
     }
 
-    /// What to do, in the words of the source; `column` is the name that the source has for the
+    /// What to do, in the words of the source. `column` is the name that the source has for the
     /// quantity, if known.
     #[must_use]
     pub fn remedy(&self, source: Source, column: Option<&str>) -> String {

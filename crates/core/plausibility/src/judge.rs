@@ -109,7 +109,7 @@ pub struct Judge {
     /// Rows with power, voltage and current, and those where they differ.
     products: u64,
     mismatches: u64,
-    /// Added to the times of the recording, s; none at its beginning.
+    /// Added to the times of the recording, s. None at its beginning.
     shift_s: Option<f64>,
 }
 

@@ -2,7 +2,7 @@
 
 use crate::quantity::Quantity;
 
-/// What was seen of a robot at one time, in SI units; NaN where it is unknown.
+/// What was seen of a robot at one time, in SI units. NaN where it is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Time, s since any start.

@@ -101,7 +101,7 @@ fn is_pile(column: &Column, end: End) -> bool {
 /// Wraps by the register of a monitor: how many were seen, and their size.
 ///
 /// A load that is switched has equal steps as well, and a robot that brakes feeds energy back. So
-/// the dips have to end below 0, and only they; or the values fill a signed register from end to
+/// the dips have to end below 0, and only they, or the values fill a signed register from end to
 /// end.
 pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
     if let Some(found) = filled(column) {

@@ -130,7 +130,7 @@ pub(crate) struct WrongSign {
     pub(crate) why: &'static str,
 }
 
-/// Whether the robot moves, measured or else commanded; `None` if neither is known.
+/// Whether the robot moves, measured or else commanded. `None` if neither is known.
 pub(crate) fn moves(seen: &Observation) -> Option<bool> {
     let of = |v_mps: f64, omega_radps: f64| {
         let known = !v_mps.is_nan() || !omega_radps.is_nan();
@@ -178,7 +178,7 @@ impl Sign {
         self.current_against_power += u64::from(product < 0.0);
     }
 
-    /// Judges power; `whole`: nothing more will come, so that a few readings count.
+    /// Judges power. `whole`: nothing more will come, so that a few readings count.
     pub(crate) fn power(&self, whole: bool) -> Option<WrongSign> {
         let wrong = |severity, signs: Signs, why| {
             Some(WrongSign { severity, readings: signs.negative, of: signs.count(), why })

@@ -6,7 +6,7 @@ const PER_DECADE: f64 = 2.0;
 const BELOW: f64 = 10.0;
 const BUCKETS: usize = 40;
 
-/// How often each order of magnitude occurred; zeros are not counted.
+/// How often each order of magnitude occurred. Zeros are not counted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sizes {
     counts: [u32; BUCKETS],
@@ -52,7 +52,7 @@ impl Sizes {
         self.count
     }
 
-    /// The mean magnitude of the bucket with the median; `None` without values.
+    /// The mean magnitude of the bucket with the median. `None` without values.
     pub(crate) fn usual(&self) -> Option<f64> {
         let all: u64 = self.counts.iter().map(|count| u64::from(*count)).sum();
         let mut below = 0;

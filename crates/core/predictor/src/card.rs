@@ -58,13 +58,13 @@ impl ResidualStats {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingRange {
-    /// The features that the model reads; the entries of the others are meaningless.
+    /// The features that the model reads. The entries of the others are meaningless.
     pub feature_set: FeatureSet,
     /// Minimum of each feature.
     pub min: Features,
     /// Maximum of each feature.
     pub max: Features,
-    /// Where the readings lay; `None` in imported models and older files.
+    /// Where the readings lay. `None` in imported models and older files.
     pub seen: Option<SeenPower>,
 }
 
@@ -171,11 +171,11 @@ pub struct ModelCard {
     pub training_data: String,
     /// SHA-256 of the training rows, hexadecimal.
     pub training_data_sha256: String,
-    /// The training rows, to be recognised; `None` if unknown: imported models and older files.
+    /// The training rows, to be recognised. `None` if unknown: imported models and older files.
     pub trained_rows: Option<TrainedRows>,
     /// Seed of initial weights, batches and dropout.
     pub seed: u64,
-    /// Time between two readings of the training data, s; `None` if unknown: imported models,
+    /// Time between two readings of the training data, s. `None` if unknown: imported models,
     /// simulated ones, and older files.
     pub step_s: Option<f32>,
     /// Training range of the features.
@@ -186,7 +186,7 @@ pub struct ModelCard {
     pub scores: Scores,
     /// The linear baseline fitted to the same rows, if there is one.
     pub linear: Option<Linear>,
-    /// The energy of longer plans, fitted to the same recordings; `None` for imported models and
+    /// The energy of longer plans, fitted to the same recordings. `None` for imported models and
     /// older files.
     pub energy: Option<EnergyModel>,
 }

@@ -14,7 +14,7 @@ pub const INPUTS: usize = FEATURES + 2;
 /// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. Unknown values are NaN.
 pub type Features = [f32; INPUTS];
 
-/// Name of each feature with its unit; the power readings come newest first.
+/// Name of each feature with its unit. The power readings come newest first.
 pub const FEATURE_NAMES: [&str; INPUTS] = [
     "v_mps",
     "omega_radps",
@@ -109,7 +109,7 @@ impl FeatureSet {
         self.end() - self.first()
     }
 
-    /// Index in [`Features`] of the first feature read; the features up to [`FeatureSet::end`] are
+    /// Index in [`Features`] of the first feature read. The features up to [`FeatureSet::end`] are
     /// read.
     pub const fn first(self) -> usize {
         if self.needs_command() { 0 } else { FEATURES - LAGS }

@@ -6,7 +6,7 @@ use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
 /// and, in older model files, the velocities. The trainer fits the autoregression by least squares
-/// on the network's training rows; the model file includes it for forecasts that learn online.
+/// on the network's training rows. The model file includes it for forecasts that learn online.
 ///
 /// ```
 /// use joulebus_predictor::{FeatureSet, INPUTS, Linear};
@@ -18,7 +18,7 @@ use crate::nan::canonical;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linear {
-    /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of the
+    /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]. The weights of the
     /// others are 0.
     pub feature_set: FeatureSet,
     /// Forecast with all features 0, W.

@@ -59,7 +59,7 @@ impl Model {
     }
 
     /// Forecasts one reading in watt for each row. Rows beyond the shorter of the two slices are
-    /// left unchanged; callers pass equal lengths. Allocates nothing. A row with a NaN or an
+    /// left unchanged. Callers pass equal lengths. Allocates nothing. A row with a NaN or an
     /// infinity among the features read gives a forecast that is not finite, and changes no other
     /// row.
     pub fn predict(&self, inputs: &[Features], out_w: &mut [f32]) {
@@ -137,7 +137,7 @@ impl Model {
         }
     }
 
-    /// Training range of the features; `None` for a model without training.
+    /// Training range of the features. `None` for a model without training.
     pub fn training_range(&self) -> Option<&TrainingRange> {
         match self {
             Model::Network(network) => Some(&network.card().training_range),
@@ -153,7 +153,7 @@ impl Model {
         }
     }
 
-    /// The energy of longer plans; `None` for a model without training, an imported one, and a file
+    /// The energy of longer plans. `None` for a model without training, an imported one, and a file
     /// of an older version.
     pub fn energy(&self) -> Option<&EnergyModel> {
         match self {
@@ -162,7 +162,7 @@ impl Model {
         }
     }
 
-    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot
+    /// [`Model::energy`], and without one the mean of the last seconds without intervals. A robot
     /// that has not been read is then assumed to draw `power_max_w`, the most that its platform
     /// can, W.
     pub fn energy_or_untrained(&self, power_max_w: f32) -> EnergyModel {
@@ -176,7 +176,7 @@ impl Model {
     /// At each step the features are the command of that step, the derivatives over `step_s`, and
     /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded
     /// by the robot's readings. The bits are those of [`Model::predict`] called step by step with
-    /// rows of [`features`](crate::features()); the energy is `step_s` times the sum of the
+    /// rows of [`features`](crate::features()). The energy is `step_s` times the sum of the
     /// forecasts in step order, both in double precision, rounded once. A lane with a command or
     /// reading that is not finite gives results that are not finite from that step on, and changes
     /// no other lane.
@@ -186,7 +186,7 @@ impl Model {
     ///
     /// # Errors
     /// [`RolloutError`] where the time step is not positive and finite, lanes are out of range, or
-    /// the length of a slice does not match the shape; nothing is written then.
+    /// the length of a slice does not match the shape. Nothing is written then.
     pub fn rollout(
         &self,
         rollouts: &Rollouts<'_>,

@@ -119,7 +119,7 @@ impl Network {
         self.engine.rows(&self.packed, self.tiling, inputs, out_w);
     }
 
-    /// Columns have the length of `out_w`; those that are not read may be empty.
+    /// Columns have the length of `out_w`. Those that are not read may be empty.
     pub(crate) fn predict_columns(&self, columns: &[&[f32]; INPUTS], out_w: &mut [f32]) {
         self.engine.columns(&self.packed, self.tiling, columns, out_w);
     }
@@ -189,7 +189,7 @@ impl Network {
     }
 }
 
-/// Weights times values, summed in the order of the inputs, plus bias; one for each output.
+/// Weights times values, summed in the order of the inputs, plus bias. One for each output.
 fn affine(layer: &Layer, values: &[f64]) -> impl Iterator<Item = f64> {
     let rows = layer.weights.chunks_exact(values.len());
     rows.zip(&layer.bias).map(move |(weights, bias)| {

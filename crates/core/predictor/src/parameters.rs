@@ -24,7 +24,7 @@ pub struct Layer {
 pub struct Normalisation {
     /// Mean of each feature, in its unit.
     pub feature_mean: Features,
-    /// Standard deviation of each feature; 0 for a constant feature, which is then ignored.
+    /// Standard deviation of each feature. 0 for a constant feature, which is then ignored.
     pub feature_std: Features,
     /// Mean power, W.
     pub power_mean_w: f32,
@@ -43,7 +43,7 @@ pub struct Normalisation {
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
-    /// The features read; entries of the others in the normalisation are meaningless.
+    /// The features read. Entries of the others in the normalisation are meaningless.
     pub feature_set: FeatureSet,
     /// Statistics of the training data.
     pub normalisation: Normalisation,

@@ -12,7 +12,7 @@ use crate::features::{FEATURES, Features};
 /// own samples: no clock is used, so the same samples give the same bits whenever they are
 /// replayed.
 ///
-/// Every sample with a reading is [`ReadingAge::read`]; every sample period without one is
+/// Every sample with a reading is [`ReadingAge::read`]. Every sample period without one is
 /// [`ReadingAge::pass`]ed, by the schedule that the robot has kept so far. The *interval* between
 /// two measurements is estimated: a shorter one is adopted at once, a longer one by one sample at a
 /// time, because a new measurement equal to the previous one is mistaken for a held reading.
@@ -31,11 +31,11 @@ use crate::features::{FEATURES, Features};
 pub struct ReadingAge {
     /// Samples since the last measurement, or [`NEVER`].
     age_steps: u8,
-    /// Samples from one measurement to the next; 0 until two have been seen.
+    /// Samples from one measurement to the next. 0 until two have been seen.
     interval_steps: u8,
 }
 
-/// Value of the age before the first measurement; one more than the maximum age.
+/// Value of the age before the first measurement. One more than the maximum age.
 const NEVER: u8 = u8::MAX;
 
 impl ReadingAge {
@@ -104,17 +104,17 @@ impl ReadingAge {
         self.age_steps != NEVER && self.interval_steps > 0
     }
 
-    /// Samples since the last measurement, 0 to 254; `None` before the first. Saturates at 254.
+    /// Samples since the last measurement, 0 to 254. `None` before the first. Saturates at 254.
     pub fn age_steps(&self) -> Option<u8> {
         (self.age_steps != NEVER).then_some(self.age_steps)
     }
 
-    /// Samples from one measurement to the next, at least 1; `None` until two have been seen.
+    /// Samples from one measurement to the next, at least 1. `None` until two have been seen.
     pub fn interval_steps(&self) -> Option<u8> {
         self.is_known().then_some(self.interval_steps)
     }
 
-    /// Whether a new measurement is due with the next sample, or overdue; `None` if unknown.
+    /// Whether a new measurement is due with the next sample, or overdue. `None` if unknown.
     #[inline(always)]
     pub fn is_due(&self) -> Option<bool> {
         // A known age is below 255.
@@ -133,7 +133,7 @@ impl ReadingAge {
         row[FEATURES + 1] = if known { due } else { f32::NAN };
     }
 
-    /// The age after more samples; unknown stays unknown.
+    /// The age after more samples. Unknown stays unknown.
     #[inline(always)]
     fn older_by(&self, steps: u64) -> u8 {
         let steps = steps.min(NEVER.into()) as u8;

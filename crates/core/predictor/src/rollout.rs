@@ -12,7 +12,7 @@ use crate::reading_age::ReadingAge;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutStart {
     /// The command before the first step: linear velocity in m/s and angular velocity in rad/s.
-    /// `None` if there was none; the derivatives of the first step are then 0.
+    /// `None` if there was none. The derivatives of the first step are then 0.
     pub command: Option<(f32, f32)>,
     /// The last readings in watt, newest first.
     pub lag_w: [f32; LAGS],

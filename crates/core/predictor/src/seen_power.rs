@@ -21,7 +21,7 @@ const SPREADS: usize = 16;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SeenPower {
-    /// The newest reading's maximum in training, W, above 0; scales both axes.
+    /// The newest reading's maximum in training, W, above 0. Scales both axes.
     top_w: u32,
     bits: [u64; LEVELS * SPREADS / 64],
 }
@@ -40,7 +40,7 @@ impl SeenPower {
     /// Hexadecimal digits of [`SeenPower::to_text`].
     const DIGITS: usize = LEVELS * SPREADS / 4;
 
-    /// The map of some rows; `None` if their largest newest reading, `top_w`, is not above 0 W.
+    /// The map of some rows. `None` if their largest newest reading, `top_w`, is not above 0 W.
     #[must_use]
     pub fn of<'a>(top_w: f32, rows: impl Iterator<Item = &'a Features>) -> Option<Self> {
         let mut seen = Self::empty(top_w)?;
@@ -90,7 +90,7 @@ impl SeenPower {
         self.bits.iter().map(|bits| format!("{bits:016x}")).collect()
     }
 
-    /// Reverses [`SeenPower::to_text`]; `None` for anything else.
+    /// Reverses [`SeenPower::to_text`]. `None` for anything else.
     #[must_use]
     pub fn from_text(top_w: f32, text: &str) -> Option<Self> {
         let is_hex = text.bytes().all(|digit| digit.is_ascii_hexdigit());

@@ -123,7 +123,7 @@ messages! {
         pub probability: f32,
         /// Energy to spare above the reserve, J.
         pub margin_j: f32,
-        /// The first leg or command whose end is not a sure yes; −1: none.
+        /// The first leg or command whose end is not a sure yes. −1: none.
         pub limiting_leg: i32,
         /// Time until the robot must turn back, s.
         pub turn_back_s: f32,

@@ -62,7 +62,7 @@ pub struct Time {
 }
 
 impl Time {
-    /// Unix ns; `None` for 0, an unset stamp, and before 1970.
+    /// Unix ns. `None` for 0, an unset stamp, and before 1970.
     #[must_use]
     pub fn unix_ns(self) -> Option<u64> {
         let sec = u64::try_from(self.sec).ok()?;
@@ -119,7 +119,7 @@ pub struct Quaternion {
 }
 
 impl Quaternion {
-    /// Yaw, rad; NaN if it is not a rotation.
+    /// Yaw, rad. NaN if it is not a rotation.
     #[must_use]
     pub fn yaw_rad(&self) -> f64 {
         let norm = self.x * self.x + self.y * self.y + self.z * self.z + self.w * self.w;
@@ -196,7 +196,7 @@ pub struct BatteryState {
     pub voltage: f32,
     /// Temperature, °C.
     pub temperature: f32,
-    /// Current, A; negative while discharging, by definition.
+    /// Current, A. Negative while discharging, by definition.
     pub current: f32,
     /// Charge, Ah.
     pub charge: f32,
@@ -304,7 +304,7 @@ impl RosType {
         if message_encoding != "cdr" {
             return Err(RosError::Encoding { found: message_encoding.to_owned(), allowed: "cdr" });
         }
-        // Recorders that found no definition leave it empty; the length of every message must still
+        // Recorders that found no definition leave it empty. The length of every message must still
         // match.
         if definition.is_empty() {
             return Ok(kind);

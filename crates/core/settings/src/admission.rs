@@ -79,7 +79,7 @@ impl Platform {
             & within(sample_flag::CURRENT, sample.current_a, *ANY.start(), *ANY.end())
     }
 
-    /// The first value that is known and outside its range; one that is not finite before all.
+    /// The first value that is known and outside its range. One that is not finite before all.
     fn outside(&self, sample: &Sample) -> Option<(DropReason, Value)> {
         let (power, v) = (self.power_min_w..=self.power_max_w, self.v_max_mps);
         let (omega, battery) = (self.omega_max_radps, DropReason::BatteryOutOfRange);
@@ -109,7 +109,7 @@ impl Platform {
 }
 
 impl FleetSettings {
-    /// Why the worker refuses a sample by its values; `None` where they are admitted.
+    /// Why the worker refuses a sample by its values. `None` where they are admitted.
     #[must_use]
     pub fn refusal(&self, sample: &Sample) -> Option<RefusedSample> {
         let is_its = |ids: &RangeInclusive<u32>| ids.contains(&sample.robot);
@@ -191,7 +191,7 @@ mod tests {
             assert_eq!(found, reason, "{text}");
             assert!(text.contains(said), "{text}");
         }
-        // What is no number comes before what is out of range; what is unknown is not looked at.
+        // What is no number comes before what is out of range. What is unknown is not looked at.
         let both = refusal(|it| (it.power_w, it.soc) = (3500.0, f32::NAN)).unwrap();
         assert_eq!(both.0, DropReason::NotFinite, "{}", both.1);
         let unknown = refusal(|it| (it.flags, it.power_w, it.soc) = (0, f32::NAN, 80.0));

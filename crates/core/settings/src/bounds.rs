@@ -48,7 +48,7 @@ pub const TRAINING_MARGIN: RangeInclusive<f64> = 0.0..=10.0;
 pub const PERIOD_MS: RangeInclusive<f64> = 0.1..=60_000.0;
 /// Silence that ends a robot's forecasts, sample periods.
 pub const STALE_AFTER_PERIODS: RangeInclusive<f64> = 2.0..=1000.0;
-/// Lower power limit, W; it is also at most the upper limit.
+/// Lower power limit, W. It is also at most the upper limit.
 pub const POWER_MIN_W: RangeInclusive<f64> = -1e6..=1e6;
 /// Upper power limit, W.
 pub const POWER_MAX_W: RangeInclusive<f64> = 0.0..=1e6;
@@ -79,7 +79,7 @@ pub const RESISTANCE_OHM: RangeInclusive<f64> = 0.0..=1000.0;
 /// Open-circuit voltage of a battery, V.
 pub const OPEN_CIRCUIT_V: RangeInclusive<f64> = 0.1..=2000.0;
 
-/// Refuses `found` outside `allowed`; NaN is outside.
+/// Refuses `found` outside `allowed`. NaN is outside.
 pub(crate) fn within<T: Copy + PartialOrd + Into<f64>>(
     what: &str,
     found: T,

@@ -13,7 +13,7 @@ use crate::platform::{AlarmLimits, Platform};
 /// number.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FleetSettings {
-    /// Maximum number of robots; samples of further robots are refused and counted.
+    /// Maximum number of robots. Samples of further robots are refused and counted.
     pub capacity: u32,
     /// Limits of sample ingest.
     pub intake: Intake,
@@ -21,14 +21,14 @@ pub struct FleetSettings {
     pub interval: IntervalSettings,
     /// When residuals raise an alarm.
     pub alarms: AlarmSettings,
-    /// Robot platforms; every robot id belongs to at most one.
+    /// Robot platforms. Every robot id belongs to at most one.
     pub platforms: Vec<Platform>,
 }
 
 /// Limits of sample ingest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Intake {
-    /// Samples of one robot that one tick takes; further ones are dropped as `Backlog`.
+    /// Samples of one robot that one tick takes. Further ones are dropped as `Backlog`.
     pub max_samples_per_tick: u16,
     /// A stamp further than this after the robot's last one is refused, ns.
     pub max_jump_ns: u64,
@@ -54,18 +54,18 @@ pub struct AlarmSettings {
     pub bias_weight: f32,
     /// Shift that the cumulative sums ignore, standard deviations.
     pub cusum_slack: f32,
-    /// Cumulative sum at which a bias alarm is raised, standard deviations; cleared below half.
+    /// Cumulative sum at which a bias alarm is raised, standard deviations. Cleared below half.
     pub cusum_limit: f32,
     /// Weight of the newest squared residual in the noise ratio.
     pub noise_weight: f32,
-    /// Noise ratio at which `NoiseHigh` is raised; cleared below half.
+    /// Noise ratio at which `NoiseHigh` is raised. Cleared below half.
     pub noise_limit: f32,
     /// Ratio of the model's squared error at which `ModelMismatch` is raised. The reference is
     /// persistence's error, or three times the model's own in training if that is more. The alarm
     /// is cleared below nine tenths of it.
     pub mismatch_limit: f32,
     /// Deviation of a robot's level from its own earlier one at which `LevelHigh` or `LevelLow` is
-    /// raised, standard deviations; cleared below half.
+    /// raised, standard deviations. Cleared below half.
     pub level_limit: f32,
     /// Residuals before any alarm on them is raised.
     pub settle_samples: u32,

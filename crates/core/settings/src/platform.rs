@@ -25,7 +25,7 @@ pub struct Platform {
     /// Sample period, ns.
     pub period_ns: u64,
     /// Silence after which a robot is `Invalid(Stale)`, ns. Also the longest gap that is bridged
-    /// open loop; a longer gap empties the lag window.
+    /// open loop. A longer gap empties the lag window.
     pub stale_after_ns: u64,
     /// Age of a measurement past which `HeldTooLong` is raised, ns.
     pub hold_max_ns: u64,
@@ -77,7 +77,7 @@ pub struct Battery {
     pub reserve: f64,
     /// State of charge when the ledger starts, best estimate.
     pub initial_soc: f64,
-    /// Lower bound of it, two standard deviations below; at most `initial_soc`.
+    /// Lower bound of it, two standard deviations below. At most `initial_soc`.
     pub initial_soc_lo: f64,
     /// Standard deviation of the energy counted, as a share of it: error of the power monitor and
     /// of the capacity.
@@ -86,7 +86,7 @@ pub struct Battery {
     pub charge_reading: ChargeReading,
     /// Share of the charged energy that is stored.
     pub charge_efficiency: f64,
-    /// Greatest power that is stored while the charge is not metered, W; `None`: any.
+    /// Greatest power that is stored while the charge is not metered, W. `None`: any.
     pub charge_power_w: Option<f64>,
     /// State of charge when the charger reports a full battery.
     pub on_full_soc: f64,
@@ -99,7 +99,7 @@ pub struct Battery {
     pub open_circuit: Option<OpenCircuit>,
     /// State of charge below which `BatteryLow` is raised.
     pub low: f64,
-    /// State of charge below which `BatteryCritical` is raised; at most `low`.
+    /// State of charge below which `BatteryCritical` is raised. At most `low`.
     pub critical: f64,
     /// A level is cleared this far above the state of charge at which it is raised.
     pub level_band: f64,
@@ -138,7 +138,7 @@ impl OpenCircuit {
     /// no state of charge.
     const MARGIN: f64 = 0.1;
 
-    /// A table of 2 to [`OpenCircuit::MAX_POINTS`] rising voltages; `None` for any other.
+    /// A table of 2 to [`OpenCircuit::MAX_POINTS`] rising voltages. `None` for any other.
     #[must_use]
     pub fn new(voltages_v: &[f64], resistance_ohm: f64, sd: f64) -> Option<Self> {
         let rising = voltages_v.windows(2).all(|pair| pair[0] < pair[1]);
@@ -182,7 +182,7 @@ impl OpenCircuit {
 }
 
 impl Platform {
-    /// Checks ranges and consistency; `leave_after_ns`: silence after which a robot has left.
+    /// Checks ranges and consistency. `leave_after_ns`: silence after which a robot has left.
     pub(crate) fn check(&self, leave_after_ns: u64) -> Result<(), SettingsError> {
         let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {
             within(&format!("{what} of platform {}", self.name), found, &allowed)

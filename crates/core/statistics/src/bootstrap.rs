@@ -20,7 +20,7 @@ pub const MIN_BLOCKS: usize = 8;
 /// Configuration of the bootstrap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bootstrap {
-    /// Number of draws; 0 disables intervals.
+    /// Number of draws. 0 disables intervals.
     pub resamples: u32,
     /// Confidence level, above 0 and below 1.
     pub confidence: f64,
@@ -44,7 +44,7 @@ impl Default for Bootstrap {
 pub struct Estimate {
     /// The score of the whole.
     pub value: f64,
-    /// Lower end; NaN (null in JSON) with too few blocks or when a draw has no score.
+    /// Lower end. NaN (null in JSON) with too few blocks or when a draw has no score.
     pub lo: f64,
     /// Upper end, like the lower.
     pub hi: f64,
@@ -70,7 +70,7 @@ impl Estimate {
 impl Bootstrap {
     /// `statistics(blocks)` computes any number of scores from blocks `0..count`, given by index,
     /// possibly repeated. It is called once with every block for the values and once per draw for
-    /// the intervals. Draws run in parallel; the result has the same bits for any number of
+    /// the intervals. Draws run in parallel. The result has the same bits for any number of
     /// threads.
     pub fn estimate<S>(&self, count: usize, statistics: S) -> Vec<Estimate>
     where

@@ -1,16 +1,16 @@
 //! Forecast scores, each defined once.
 //!
-//! A *pair* is a reading and its forecast; its *residual* is reading minus forecast, as in the live
+//! A *pair* is a reading and its forecast. Its *residual* is reading minus forecast, as in the live
 //! diagnostics. All sums are double precision and in the order of the calls, so the same pairs in
 //! the same order give the same bits.
 //!
 //! **Undefined is visible.** A pair with a reading or a forecast that is not finite enters no score
-//! and is counted in [`Tally::unscored`]; an undefined score (no pair, no variance, a zero
+//! and is counted in [`Tally::unscored`]. An undefined score (no pair, no variance, a zero
 //! denominator) is NaN, never 0 or 1.
 
 use serde::{Deserialize, Serialize};
 
-/// Additive sums over parts of a series; one AVX-512 vector.
+/// Additive sums over parts of a series. One AVX-512 vector.
 pub type Additive = [f64; 8];
 
 /// Sums over pairs, from which the scores follow. Tallies of parts can be merged.
@@ -154,7 +154,7 @@ impl Tally {
         one_minus(self.sum_sq_w2, self.reading_scatter_w2)
     }
 
-    /// Root of the mean squared residual, W; NaN without a pair.
+    /// Root of the mean squared residual, W. NaN without a pair.
     pub fn rmse_w(&self) -> f64 {
         libm::sqrt(self.mse_w2())
     }
@@ -163,7 +163,7 @@ impl Tally {
         self.sum_sq_w2 / self.count as f64
     }
 
-    /// Mean absolute residual, W; NaN without a pair.
+    /// Mean absolute residual, W. NaN without a pair.
     pub fn mae_w(&self) -> f64 {
         self.sum_abs_w / self.count as f64
     }
@@ -179,7 +179,7 @@ impl Tally {
         self.sum_w / self.count as f64
     }
 
-    /// Standard deviation of the residuals about their mean (divided by their number), W; NaN
+    /// Standard deviation of the residuals about their mean (divided by their number), W. NaN
     /// without a pair.
     pub fn residual_std_w(&self) -> f64 {
         let variance = self.mse_w2() - self.bias_w() * self.bias_w();
@@ -187,12 +187,12 @@ impl Tally {
         libm::sqrt(if variance < 0.0 { 0.0 } else { variance })
     }
 
-    /// Mean of the readings, W; NaN without a pair.
+    /// Mean of the readings, W. NaN without a pair.
     pub fn reading_mean_w(&self) -> f64 {
         if self.count == 0 { f64::NAN } else { self.reading_mean_w }
     }
 
-    /// Standard deviation of the readings (divided by their number), W; NaN without a pair.
+    /// Standard deviation of the readings (divided by their number), W. NaN without a pair.
     pub fn reading_std_w(&self) -> f64 {
         libm::sqrt(self.reading_scatter_w2 / self.count as f64)
     }
@@ -284,19 +284,19 @@ impl CoverageTally {
         self.count
     }
 
-    /// Share of readings inside their interval; NaN without one.
+    /// Share of readings inside their interval. NaN without one.
     pub fn coverage(&self) -> f64 {
         (self.count - self.below - self.above) as f64 / self.count as f64
     }
 
-    /// Mean width, W; NaN without an interval.
+    /// Mean width, W. NaN without an interval.
     pub fn width_w(&self) -> f64 {
         self.sum_width_w / self.count as f64
     }
 
     /// Mean interval score for a nominal `coverage` of 0 to 1, W: width plus 2 / (1 − coverage)
     /// times the distance of the reading from the interval (Gneiting and Raftery, "Strictly proper
-    /// scoring rules", 2007, section 6.2). Smaller is better; it rewards narrow intervals and
+    /// scoring rules", 2007, section 6.2). Smaller is better. It rewards narrow intervals and
     /// penalises misses.
     pub fn score_w(&self, coverage: f64) -> f64 {
         (self.sum_width_w + 2.0 / (1.0 - coverage) * self.sum_outside_w) / self.count as f64
@@ -364,7 +364,7 @@ pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     ascending
 }
 
-/// Quantiles of residuals, W; NaN without residuals.
+/// Quantiles of residuals, W. NaN without residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ResidualQuantiles {
     /// Minimum.

@@ -39,7 +39,7 @@ impl Noise {
         -mean_s * libm::log(1.0 - self.uniform())
     }
 
-    /// Uniform on 0..bound; the bias of the multiplication is below 2⁻³² for bounds below 2³².
+    /// Uniform on 0..bound. The bias of the multiplication is below 2⁻³² for bounds below 2³².
     pub fn below(&mut self, bound: usize) -> usize {
         ((u128::from(self.0.next_u64()) * bound as u128) >> 64) as usize
     }

@@ -70,7 +70,7 @@ impl AlarmCard {
 }
 
 impl Alarm {
-    /// What it means and what to do about it; `None` for [`Alarm::None`] and [`Alarm::Unknown`].
+    /// What it means and what to do about it. `None` for [`Alarm::None`] and [`Alarm::Unknown`].
     #[must_use]
     pub const fn card(self) -> Option<&'static AlarmCard> {
         match self {

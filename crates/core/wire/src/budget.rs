@@ -33,7 +33,7 @@ rows! {
     /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
     /// energy left is counted from it and fused with measured states of charge. The truth lies
     /// between the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config
-    /// says; they widen with unmetered time by all that the robot could have drawn.
+    /// says. They widen with unmetered time by all that the robot could have drawn.
     pub struct Budget: "joulebus.Budget.v2", 128 {
         /// Id of the robot.
         pub robot: u32,

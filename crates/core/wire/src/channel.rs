@@ -26,7 +26,7 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     /// A row of a frame.
     type Row: Row;
 
-    /// The robot of a row; none where rows are not of [`FrameRows::Robots`].
+    /// The robot of a row. None where rows are not of [`FrameRows::Robots`].
     #[must_use]
     fn robot(row: &Self::Row) -> Option<u32> {
         let id = bytemuck::bytes_of(row).first_chunk();
@@ -37,9 +37,9 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
 /// The senders and readers of a channel, which size its service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
-    /// Sources send; the worker and recorders read.
+    /// Sources send. The worker and recorders read.
     Sources,
-    /// The worker sends; planners and recorders read.
+    /// The worker sends. Planners and recorders read.
     Planners {
         /// Frames that a planner can keep beside the newest.
         kept: usize,
@@ -48,7 +48,7 @@ pub enum Flow {
         /// Whether the worker computes and sends them only while somebody reads them.
         on_demand: bool,
     },
-    /// The worker sends; recorders read.
+    /// The worker sends. Recorders read.
     Recorders {
         /// Frames queued for a recorder.
         queued: usize,
@@ -98,10 +98,10 @@ pub trait FrameHeader: Row {
     /// Puts the frame at another place, sent by process `pid`.
     fn set_place(&mut self, pid: u32, place: Place);
 
-    /// When the frame was sent, monotonic ns; none where that is not stated.
+    /// When the frame was sent, monotonic ns. None where that is not stated.
     fn sent_ns(&self) -> Option<u64>;
 
-    /// When the frame was sent, Unix ns; none where that is not stated.
+    /// When the frame was sent, Unix ns. None where that is not stated.
     fn sent_unix_ns(&self) -> Option<u64>;
 
     /// States when the frame is sent, monotonic ns and Unix ns, where it states that.

@@ -7,7 +7,7 @@ use crate::rows;
 bits! {
     /// Bits of [`Diagnostic::flags`].
     pub mod diagnostic_flag {
-        /// `residual_w` and `residual_z` belong to the sample `sample_seq`; otherwise they are NaN.
+        /// `residual_w` and `residual_z` belong to the sample `sample_seq`. Otherwise they are NaN.
         pub const RESIDUAL: u32 = 1 << 0;
         /// At least one residual has been scored.
         pub const SCORES: u32 = 1 << 1;
@@ -70,7 +70,7 @@ rows! {
         pub refused: u64,
         /// The network's own forecast of the next reading, W, whatever is published.
         pub network_w: f32,
-        /// Mean of the readings, W; the newest counts 1/256 at least.
+        /// Mean of the readings, W. The newest counts 1/256 at least.
         pub mean_w: f32,
         /// Mean size of the changes between new measurements, W.
         pub change_w: f32,
@@ -129,7 +129,7 @@ rows! {
         pub worker_epoch: u64,
         /// As in [`crate::ForecastHeader::tick`].
         pub tick: u64,
-        /// Recent refusals; see [`DiagnosticHeader::refusals`].
+        /// Recent refusals. See [`DiagnosticHeader::refusals`].
         pub refused: [crate::Refusal; 16],
     }
 }
@@ -172,7 +172,7 @@ impl Level {
         }
     }
 
-    /// From shared memory; an unknown code decodes to [`Level::Error`].
+    /// From shared memory. An unknown code decodes to [`Level::Error`].
     #[must_use]
     pub const fn decode(code: u16) -> Self {
         match code {

@@ -114,7 +114,7 @@ impl Quality {
         }
     }
 
-    /// From shared memory; a code that this version does not know is [`Quality::Unknown`].
+    /// From shared memory. A code that this version does not know is [`Quality::Unknown`].
     #[must_use]
     pub const fn decode(code: u16, detail: u16) -> Self {
         match code {
@@ -151,14 +151,14 @@ rows! {
         pub capacity: u32,
         /// Frames of samples taken in this tick.
         pub frames_taken: u32,
-        /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick; 0 if none
+        /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick. 0 if none
         /// was.
         #[instant]
         pub first_intended_ns: u64,
-        /// [`crate::SampleHeader::sent_ns`] of that frame; 0 if none was taken.
+        /// [`crate::SampleHeader::sent_ns`] of that frame. 0 if none was taken.
         #[instant]
         pub first_sent_ns: u64,
-        /// When the worker took that frame, monotonic ns; 0 if none was taken.
+        /// When the worker took that frame, monotonic ns. 0 if none was taken.
         #[instant]
         pub first_taken_ns: u64,
         /// When the tick began to compute, monotonic ns.

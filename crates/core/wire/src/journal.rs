@@ -19,7 +19,7 @@ pub mod tick_flag {
 rows! {
     /// One frame of samples that a tick took. 40 bytes.
     ///
-    /// Identifies the frame; its samples are those of the frame with the same source, epoch and
+    /// Identifies the frame. Its samples are those of the frame with the same source, epoch and
     /// number on [`crate::Samples`].
     #[derive(Eq)]
     pub struct TakenFrame: "joulebus.TakenFrame.v1", 40 {

@@ -40,11 +40,11 @@ rows! {
         pub quality_detail: u16,
         /// Place of the robot's platform, and so of its model, in the config.
         pub platform: u16,
-        /// Sample periods since the last reading; those by the worker's clock are included.
+        /// Sample periods since the last reading. Those by the worker's clock are included.
         pub open_steps: u16,
-        /// Samples since the last measurement, 0 to 254; 255 before the first.
+        /// Samples since the last measurement, 0 to 254. 255 before the first.
         pub age_steps: u16,
-        /// Samples from one measurement to the next, 1 to 255; 0 until two have been seen.
+        /// Samples from one measurement to the next, 1 to 255. 0 until two have been seen.
         pub interval_steps: u16,
         /// Number of times the robot's slot has been reassigned.
         pub generation: u32,
@@ -77,7 +77,7 @@ rows! {
         pub weight_network: f32,
         /// Weight of the stack there.
         pub weight_stack: f32,
-        /// Weight of the stack where it will be held; the rest is that of the last reading.
+        /// Weight of the stack where it will be held. The rest is that of the last reading.
         pub held_weight_stack: f32,
         /// Gain of the last reading within the stack.
         pub gain_last: f32,
@@ -103,12 +103,12 @@ rows! {
         pub energy_j: [f32; 4],
         /// What the platform's command model says of the same time, J.
         pub command_j: [f32; 4],
-        /// Discounted time, s; 0 before the first metered reading.
+        /// Discounted time, s. 0 before the first metered reading.
         pub time_s: [f32; 4],
         /// Lower bounds of the energy's 90 % interval at the horizons of
         /// `joulebus_energy::SHADOWS_S`, in half widths from the middle of the trained one.
         pub error_lower: [f32; 3],
-        /// Its upper bounds; −1 and 1 are the trained interval.
+        /// Its upper bounds. −1 and 1 are the trained interval.
         pub error_upper: [f32; 3],
         /// How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's.
         pub command_trust: f32,
@@ -167,7 +167,7 @@ rows! {
         pub settings_hash: u64,
         /// Hash of all models, as in [`crate::ForecastHeader::model_hash`].
         pub model_hash: u64,
-        /// Hash of each platform's model; 0 beyond the last platform, and beyond [`LISTED_MODELS`].
+        /// Hash of each platform's model. 0 beyond the last platform, and beyond [`LISTED_MODELS`].
         pub models: [u64; LISTED_MODELS],
         /// When the tick began to compute, monotonic ns.
         #[instant]

@@ -6,21 +6,21 @@
 //!
 //! | kind | values of the question |
 //! |---|---|
-//! | [`QueryKind::WhatIf`] | the robot's id; then v in m/s, ω in rad/s for each candidate's steps |
+//! | [`QueryKind::WhatIf`] | the robot's id. Then v in m/s, ω in rad/s for each candidate's steps |
 //! | [`QueryKind::Idle`] | ids of the robots |
-//! | [`QueryKind::Follow`] | ids of the robots; then x in m, y in m, speed to it in m/s per point |
-//! | [`QueryKind::Acknowledge`] | the robot's id; the alarm's code; then the characters of a name |
+//! | [`QueryKind::Follow`] | ids of the robots. Then x in m, y in m, speed to it in m/s per point |
+//! | [`QueryKind::Acknowledge`] | the robot's id. The alarm's code. Then the characters of a name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
 use crate::rows;
 
 /// Number of the rules by which answers about plans are computed: increased with each change by
-/// which the same question of the same tick gets another answer. Captures state it; 1 where they do
+/// which the same question of the same tick gets another answer. Captures state it. 1 where they do
 /// not.
 pub const ANSWER_RULES: u32 = 3;
 /// Number of the rules by which a tick computes: increased with each change by which the same
-/// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do
+/// frames get other forecasts, intervals, alarms or budgets. Captures state it. 1 where they do
 /// not.
 pub const TICK_RULES: u32 = 6;
 
@@ -44,7 +44,7 @@ pub enum QueryKind {
     WhatIf,
     /// The energy of standing still.
     Idle,
-    /// The energy of a path, and of returning; of several robots, the best first.
+    /// The energy of a path, and of returning. Of several robots, the best first.
     Follow,
     /// No question: a person acknowledges an alarm.
     Acknowledge,
@@ -57,7 +57,7 @@ impl QueryKind {
         self as u32 + 1
     }
 
-    /// From shared memory; `None` for a code of a newer version.
+    /// From shared memory. `None` for a code of a newer version.
     #[must_use]
     pub const fn decode(code: u32) -> Option<Self> {
         Some(match code {
@@ -75,7 +75,7 @@ bits! {
     pub mod query_flag {
         /// After the path, return to `return_x_m`, `return_y_m`.
         pub const RETURN: u32 = 1 << 0;
-        /// `heading_rad` is the heading at the first point; without it, towards the second.
+        /// `heading_rad` is the heading at the first point. Without it, towards the second.
         pub const HEADING: u32 = 1 << 1;
         /// One robot's: the power of every step is wanted.
         pub const POWER: u32 = 1 << 2;
@@ -109,7 +109,7 @@ rows! {
         pub flags: u32,
         /// Number of robots, at most [`QUERY_ROBOTS`].
         pub robots: u32,
-        /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
+        /// Number of candidates, at most [`QUERY_CANDIDATES`]. 0 unless they are asked about.
         pub candidates: u32,
         /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
@@ -143,7 +143,7 @@ rows! {
         /// Run of the worker that the state is of.
         #[run]
         pub worker_epoch: u64,
-        /// Tick of the plan states that the answer is computed from; 0 if it is refused.
+        /// Tick of the plan states that the answer is computed from. 0 if it is refused.
         pub tick: u64,
         /// Period of the tick, ns.
         pub period_ns: u64,
@@ -153,7 +153,7 @@ rows! {
         /// Run of the worker that the budgets are of.
         #[run]
         pub budget_epoch: u64,
-        /// Tick of the budgets; 0 without any.
+        /// Tick of the budgets. 0 without any.
         pub budget_tick: u64,
         /// When that frame was sent, monotonic ns.
         #[instant]
@@ -167,7 +167,7 @@ rows! {
         /// When the answer was sent, monotonic ns.
         #[instant]
         pub sent_ns: u64,
-        /// Code of the [`QueryRefusal`]; 0 if the question is answered.
+        /// Code of the [`QueryRefusal`]. 0 if the question is answered.
         pub refusal: u32,
         /// Number of [`AnswerRow`]s.
         pub rows: u32,
@@ -209,10 +209,10 @@ rows! {
         pub robot: u32,
         /// [`answer_flag`] bits.
         pub flags: u16,
-        /// 1 yes, 2 tight, 3 no, 4 unknown; others are of a newer version.
+        /// 1 yes, 2 tight, 3 no, 4 unknown. Others are of a newer version.
         pub verdict: u16,
         /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no
-        /// battery, 7 battery unknown, 8 no budget; 0 if it is not.
+        /// battery, 7 battery unknown, 8 no budget. 0 if it is not.
         pub unknown: u16,
         /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up.
         pub unknown_detail: u16,
@@ -281,7 +281,7 @@ pub enum QueryRefusal {
 }
 
 names! {
-    /// All reasons; the position is the index into [`QueryCounts::refused`].
+    /// All reasons. The position is the index into [`QueryCounts::refused`].
     pub QueryRefusal:
         Schema Fleet Kind TooLarge Length UnknownRobot Question Deadline NoFrame Busy Ending
         ClientGone Unsent NotRaised
@@ -294,7 +294,7 @@ impl QueryRefusal {
         self as u32 + 1
     }
 
-    /// From shared memory; `None` for a code of a newer version.
+    /// From shared memory. `None` for a code of a newer version.
     #[must_use]
     pub fn decode(code: u32) -> Option<Self> {
         let position = usize::try_from(code).ok()?.checked_sub(1)?;
@@ -338,7 +338,7 @@ impl QueryCounts {
 
 rows! {
     /// Header of a frame of records: the questions since the last frame, with their answers. The
-    /// payload is words of 8 bytes, read by [`records`]. Sent while somebody reads it; the newest
+    /// payload is words of 8 bytes, read by [`records`]. Sent while somebody reads it. The newest
     /// frame, whose counts show what was answered and refused, is kept for readers that come later.
     #[derive(Eq)]
     pub struct QueriesHeader: "joulebus.QueriesHeader.v1", 184 {
@@ -358,7 +358,7 @@ rows! {
 }
 
 rows! {
-    /// One question and its answer in a frame of records. 256 bytes; its values and words follow.
+    /// One question and its answer in a frame of records. 256 bytes. Its values and words follow.
     pub struct QueryRecord: "joulebus.QueryRecord.v1", 256 {
         /// When the worker began to answer, monotonic ns: the run that `number` counts in.
         #[instant]
@@ -383,7 +383,7 @@ rows! {
 /// Words of a [`QueryRecord`].
 const RECORD_HEAD_WORDS: usize = size_of::<QueryRecord>() / 8;
 
-/// Appends a record to the payload of a frame; its lengths are set. Returns whether it fits.
+/// Appends a record to the payload of a frame. Its lengths are set. Returns whether it fits.
 pub fn push_record(
     to: &mut Vec<u64>,
     mut record: QueryRecord,
@@ -405,7 +405,7 @@ pub fn push_record(
 /// A record with the values of its question and the words of its answer.
 pub type Record<'a> = (QueryRecord, &'a [f64], &'a [u64]);
 
-/// The records in the payload of a frame; ends at the first that exceeds it.
+/// The records in the payload of a frame. Ends at the first that exceeds it.
 pub fn records(mut payload: &[u64]) -> impl Iterator<Item = Record<'_>> {
     std::iter::from_fn(move || {
         let (head, rest) = payload.split_at_checked(RECORD_HEAD_WORDS)?;

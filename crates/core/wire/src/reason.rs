@@ -32,11 +32,11 @@ pub enum DropReason {
     BadFlags,
     /// More samples of one robot in one tick than allowed.
     Backlog,
-    /// Overwritten in the buffer before the worker took it; known from the frame header.
+    /// Overwritten in the buffer before the worker took it. Known from the frame header.
     Overflow,
     /// The frame has another schema version.
     Schema,
-    /// Sent before the worker was connected; known from the frame header.
+    /// Sent before the worker was connected. Known from the frame header.
     BeforeJoin,
     /// More sources than the worker tracks.
     TooManySources,
@@ -45,7 +45,7 @@ pub enum DropReason {
 }
 
 names! {
-    /// All reasons; the position is the index into [`DropCounts`].
+    /// All reasons. The position is the index into [`DropCounts`].
     pub DropReason:
         UnknownRobot OverCapacity ForeignSource OldEpoch Duplicate OutOfOrder BadTime NotFinite
         PowerOutOfRange CommandOutOfRange BadFlags Backlog Overflow Schema BeforeJoin
@@ -58,7 +58,7 @@ rows! {
     pub struct Refusal: "joulebus.Refusal", 16, 4 {
         /// Robot id stated in the samples.
         pub robot: u32,
-        /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty entry.
+        /// Position of the reason in [`DropReason::ALL`] plus 1. 0 for an empty entry.
         pub reason: u32,
         /// Process id of the sending source.
         pub pid: u32,
@@ -104,7 +104,7 @@ impl DropCounts {
         self.counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Counts since `earlier`; all counts when `earlier` is of another run.
+    /// Counts since `earlier`. All counts when `earlier` is of another run.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let mut newer = Self::default();

@@ -45,12 +45,12 @@ rows! {
         pub robot: u32,
         /// [`sample_flag`] bits.
         pub flags: u32,
-        /// Number of this robot's sample within the source epoch; strictly increasing.
+        /// Number of this robot's sample within the source epoch. Strictly increasing.
         pub seq: u64,
         /// When the command was issued, monotonic ns. Strictly increasing per robot.
         #[instant]
         pub stamp_ns: u64,
-        /// When the power was *measured*, monotonic ns; equal to the previous one for a held
+        /// When the power was *measured*, monotonic ns. Equal to the previous one for a held
         /// reading.
         #[instant]
         pub measured_ns: u64,
@@ -67,7 +67,7 @@ rows! {
         /// Measured state of charge, 0 to 1.
         pub soc: f32,
         /// Energy that the robot needs from here to return, J: what its planner says. It applies to
-        /// this sample only; without it the platform's config applies.
+        /// this sample only. Without it the platform's config applies.
         pub return_j: f32,
         /// Zero.
         pub reserved: u32,

@@ -9,7 +9,7 @@ rows! {
     ///
     /// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when
     /// they add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe
-    /// with a missing piece is discarded; the next one follows soon.
+    /// with a missing piece is discarded. The next one follows soon.
     #[derive(Eq)]
     pub struct StateHeader: "joulebus.StateHeader.v1", 64 {
         /// [`crate::SCHEMA_VERSION`].
@@ -19,7 +19,7 @@ rows! {
         /// As in [`crate::ForecastHeader::worker_epoch`].
         #[run]
         pub worker_epoch: u64,
-        /// The tick after which the state was taken; 0 before the first.
+        /// The tick after which the state was taken. 0 before the first.
         pub tick: u64,
         /// Bytes of the complete keyframe.
         pub total_bytes: u64,

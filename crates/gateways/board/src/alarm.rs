@@ -39,7 +39,7 @@ pub struct AcknowledgedRecord {
 }
 
 impl AcknowledgedRecord {
-    /// Makes it from a row; `unix_of` converts its time to Unix time, ns.
+    /// Makes it from a row. `unix_of` converts its time to Unix time, ns.
     #[must_use]
     pub fn new(row: &Acknowledgement, unix_of: impl Fn(u64) -> u64) -> Self {
         Self { by: row.by().to_owned(), at_unix_ns: unix_of(row.at_ns) }

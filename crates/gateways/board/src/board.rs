@@ -145,7 +145,7 @@ pub struct Board {
     pub is_reliable: bool,
     /// Robots by id.
     pub rows: BTreeMap<u32, Row>,
-    /// The newest outlooks by robot; empty unless they are read.
+    /// The newest outlooks by robot. Empty unless they are read.
     pub outlooks: HashMap<u32, Outlook>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
     pub raised: BTreeMap<u32, Vec<Raised>>,
@@ -165,14 +165,14 @@ pub struct Board {
     pub frames_missed: u64,
     /// Number of questions about plans, if the worker reports it.
     pub queries: Option<QueryCounts>,
-    /// Event log: time since the start, s, and text; oldest first.
+    /// Event log: time since the start, s, and text. Oldest first.
     pub notes: VecDeque<(f64, String)>,
     pooled: Pooled,
     ahead: Ahead,
 }
 
 impl Board {
-    /// An empty board; times are relative to `now_ns` (monotonic).
+    /// An empty board. Times are relative to `now_ns` (monotonic).
     #[must_use]
     pub fn new(now_ns: u64) -> Self {
         Self {
@@ -202,7 +202,7 @@ impl Board {
         now_ns.saturating_sub(self.began_ns) as f64 * 1e-9
     }
 
-    /// Restarts the time; earlier events are at 0.
+    /// Restarts the time. Earlier events are at 0.
     pub fn begin(&mut self, now_ns: u64) {
         self.began_ns = now_ns;
         for (at_s, _) in &mut self.notes {

@@ -49,7 +49,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Joins the fleet of `config`; no worker needs to run. With `taps` it also reads the frames of
+    /// Joins the fleet of `config`. No worker needs to run. With `taps` it also reads the frames of
     /// the sources.
     ///
     /// # Errors

@@ -96,8 +96,8 @@ pub(crate) fn run(
             let found = found.map(|found| (found.robot, found.finding.kind));
             match findings.say(found) {
                 Ok(0) => {}
-                Ok(cut) => tracing::warn!(cut, "too much is implausible: some raises no alarm"),
-                Err(error) => tracing::warn!(%error, "what is implausible was not written"),
+                Ok(cut) => tracing::warn!(cut, "too many findings: some raise no alarm"),
+                Err(error) => tracing::warn!(%error, "the findings were not written"),
             }
         }
         if let Some(stamp_ns) = now_ns.filter(|_| !states.is_empty()) {

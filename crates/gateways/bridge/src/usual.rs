@@ -15,7 +15,7 @@ use crate::arguments::BridgeArguments;
 const ROS2: &str = include_str!("../configs/ros2.toml");
 const MQTT: &str = include_str!("../configs/mqtt.toml");
 
-/// The mapping of a call without a file; `None` if it names one.
+/// The mapping of a call without a file. `None` if it names one.
 ///
 /// # Errors
 /// [`UsageError`]: options that only a usual mapping has, or none of its robots.

@@ -10,7 +10,7 @@ use joulebus_standby::{Permit, PermitError, Places};
 #[derive(Debug)]
 pub(crate) struct Leadership {
     places: Places,
-    /// Term in which this host leads; 0 if another or no candidate does.
+    /// Term in which this host leads. 0 if another or no candidate does.
     term: AtomicU64,
     /// As [`Permit::until_ns`].
     until_ns: AtomicU64,
@@ -46,7 +46,7 @@ impl Leadership {
         &self.places
     }
 
-    /// Term in which this host's worker leads now; 0 if it does not.
+    /// Term in which this host's worker leads now. 0 if it does not.
     pub(crate) fn term(&self) -> u64 {
         // `begin` stores the term last. A term that is read here therefore comes with its own end
         // or a later one.

@@ -189,7 +189,7 @@ impl StateFeed {
             Ok(_) => return,
             Err(error) => {
                 if !self.is_logged {
-                    tracing::warn!("those that stand by get no state: {error}");
+                    tracing::warn!("standby workers get no state: {error}");
                 }
                 self.is_logged = true;
                 return;

@@ -150,7 +150,7 @@ impl LocalWorker {
             let is_able = away_ns.is_some_and(|away_ns| away_ns <= RESTART_TIMEOUT_NS) && !hangs;
             if self.is_able && !is_able {
                 let what = if hangs { "sends nothing" } else { "is gone" };
-                tracing::warn!("the worker of this host {what}: another may serve");
+                tracing::warn!("the worker of this host {what}: another may take over");
             }
             self.is_able = is_able;
         }

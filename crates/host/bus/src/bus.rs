@@ -40,7 +40,7 @@ pub(crate) const OWN: &[&str] =
 /// who acknowledge alarms.
 pub(crate) const OPERATORS: &[&str] = &["acknowledge", "page"];
 
-/// Membership in a domain. Dropping it and all ports leaves the domain; the last member to leave
+/// Membership in a domain. Dropping it and all ports leaves the domain. The last member to leave
 /// removes all its files.
 ///
 /// Belongs to one thread. iceoryx2's own signal handling is disabled: signals are left to the
@@ -55,8 +55,8 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Joins `domain` as `name`, for example `worker`. First removes stale files of dead processes;
-    /// if no member is alive, everything. Takes 1 ms on a tmpfs, at most 5 s.
+    /// Joins `domain` as `name`, for example `worker`. First removes stale files of dead processes.
+    /// If no member is alive, everything. Takes 1 ms on a tmpfs, at most 5 s.
     ///
     /// # Errors
     /// [`JoinError`] names the obstacle and the remedy.
@@ -112,7 +112,7 @@ impl Bus {
     }
 
     /// Checks that all files used by this process are still at their paths. A thread checks them
-    /// four times a second; this returns its result. Ports check it too.
+    /// four times a second. This returns its result. Ports check it too.
     ///
     /// # Errors
     /// [`FilesRemoved`] states what is missing: restart the process.
@@ -163,7 +163,7 @@ fn create_node(domain: &Domain, config: &Config, name: &NodeName) -> Result<Node
     }
 }
 
-/// iceoryx2 makes its node counter writable by all users (#1810); only members need access.
+/// iceoryx2 makes its node counter writable by all users (#1810). Only members need access.
 fn make_private(domain: &Domain) -> Result<(), JoinError> {
     for object in objects(domain)? {
         if object.mode & 0o077 != 0

@@ -40,7 +40,7 @@ const SUFFIX: &[u8] = b".service";
 const CLAIM_RETRY_AFTER: Duration = Duration::from_millis(1);
 const MAX_TRIES: u32 = 50;
 
-/// A description of a service; also of a node, its ports and services, whose names are unique.
+/// A description of a service. Also of a node, its ports and services, whose names are unique.
 #[derive(Debug)]
 pub(crate) struct Description {
     file: file::Storage,
@@ -58,7 +58,7 @@ fn is_of_service(config: &Configuration) -> bool {
     config.get_suffix().as_bytes() == SUFFIX
 }
 
-/// Tries for a while; `None` if there is no file, or another process makes the service.
+/// Tries for a while. `None` if there is no file, or another process makes the service.
 fn claim(path: &std::path::Path) -> Option<Claim> {
     for _ in 0..MAX_TRIES {
         let claim = Claim::take(path.to_owned());
@@ -81,7 +81,7 @@ impl Drop for Description {
     fn drop(&mut self) {
         drop(self.claim());
         if self.is_owner.load(Ordering::Relaxed) {
-            // SAFETY: this value owns the file; that of another service is not removed.
+            // SAFETY: this value owns the file. That of another service is not removed.
             let _ = unsafe { Self::remove_cfg(self.file.name(), &self.config) };
         }
     }

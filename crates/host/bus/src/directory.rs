@@ -20,7 +20,7 @@ pub(crate) const SERVICES: &str = "services";
 
 /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
 /// Both must be private, and the fleet's must contain the marker that joulebus writes at its
-/// creation: others are not changed. Called by [`crate::Bus::join`]; idempotent.
+/// creation: others are not changed. Called by [`crate::Bus::join`]. Idempotent.
 ///
 /// # Errors
 /// [`RootError`] if one cannot be created, is not a private directory of this user, or was not

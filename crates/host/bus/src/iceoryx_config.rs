@@ -13,7 +13,7 @@ use rustix::fs::OFlags;
 use crate::Domain;
 use crate::os::files::draft_number;
 
-/// Timeout of iceoryx2 for another process that is creating a service; after it, cleanup and retry.
+/// Timeout of iceoryx2 for another process that is creating a service. After it, cleanup and retry.
 const CREATION_TIMEOUT_MS: u64 = 300;
 
 /// The iceoryx2 configuration of `domain`.

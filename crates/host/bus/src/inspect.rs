@@ -35,7 +35,7 @@ pub struct Inspection {
     pub foreign: Vec<PathBuf>,
     /// Objects of the domain in shared memory.
     pub objects: u64,
-    /// Total size, bytes; only written pages take memory.
+    /// Total size, bytes. Only written pages take memory.
     pub object_bytes: u64,
     /// Shared memory and file descriptors of the host and this process.
     pub capacity: CapacityReport,
@@ -45,13 +45,13 @@ pub struct Inspection {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct NodeInfo {
-    /// Its name; empty when its details are missing.
+    /// Its name. Empty when its details are missing.
     pub name: String,
     /// Its process.
     pub pid: Option<u32>,
-    /// Its program; empty when its details are missing.
+    /// Its program. Empty when its details are missing.
     pub executable: String,
-    /// Whether the process is alive; `None` when unknown.
+    /// Whether the process is alive. `None` when unknown.
     pub alive: Option<bool>,
 }
 
@@ -65,7 +65,7 @@ pub struct RootInfo {
     pub owner: u32,
     /// The required uid: ours.
     pub expected_owner: u32,
-    /// Permission bits; 0700 is expected.
+    /// Permission bits. 0700 is expected.
     pub mode: u32,
     /// The filesystem's magic number.
     pub filesystem: u64,
@@ -76,7 +76,7 @@ pub struct RootInfo {
 /// Reads the state of a domain without joining it. May be called from any thread.
 ///
 /// # Errors
-/// [`InspectError`] if a system call fails; defects of the domain itself are in the result.
+/// [`InspectError`] if a system call fails. Defects of the domain itself are in the result.
 pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let root = root_info(domain)?;
     let root_error = root.as_ref().and_then(|_| directory_error(domain));

@@ -19,7 +19,7 @@ use iceoryx2_cal::zero_copy_connection::common::details::{Connection, SharedMana
 use crate::description::Description;
 use crate::reserved::Reserved;
 
-/// Interoperates with [`ipc::Service`]; differs from it only in the creation of objects, and in the
+/// Interoperates with [`ipc::Service`]. Differs from it only in the creation of objects, and in the
 /// removal of descriptions.
 #[derive(Debug, Clone)]
 pub(crate) struct Ipc;

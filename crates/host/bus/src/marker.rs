@@ -1,4 +1,4 @@
-//! Directories created by joulebus. Each contains a marker; those without one belong to others and
+//! Directories created by joulebus. Each contains a marker. Those without one belong to others and
 //! are neither changed nor removed.
 
 use std::fs::{self, File};
@@ -250,7 +250,7 @@ fn has_ended(pid: u32) -> bool {
     pid == std::process::id() || !is_alive(pid)
 }
 
-/// The text of a regular file that only this user can write; `None` of any other.
+/// The text of a regular file that only this user can write. `None` of any other.
 fn own_text(file: File) -> io::Result<Option<String>> {
     let found = file.metadata()?;
     if !found.is_file() || found.uid() != effective_uid() || found.mode() & 0o022 != 0 {

@@ -35,7 +35,7 @@ const CONNECTION_DESCRIPTORS: u64 = 4;
 /// Address space that the threads of a process take beside its ports, bytes, with a margin: glibc
 /// reserves 64 MiB for the heap of each, and a process of which one is refused crawls or aborts.
 const THREADS_BYTES: u64 = 512 << 20;
-/// Stack that a thread needs to open ports, bytes, with a margin; the development build takes most.
+/// Stack that a thread needs to open ports, bytes, with a margin. The development build takes most.
 const STACK_BYTES: u64 = 512 * 1024;
 
 /// Number of processes of each kind that will create their ports.

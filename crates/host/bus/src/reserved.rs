@@ -69,7 +69,7 @@ pub(crate) struct Reserved<T: Shareable>(posix::Storage<T>);
 /// Head of an object.
 #[repr(C)]
 struct Content<T> {
-    /// Version of iceoryx2; 0 until the rest is initialised.
+    /// Version of iceoryx2. 0 until the rest is initialised.
     version: AtomicU64,
     value: MaybeUninit<T>,
 }

@@ -118,10 +118,10 @@ impl Config {
         Self::read(&text, &path.display().to_string(), directory, within)
     }
 
-    /// Reads the text of a fleet's file; paths in it are relative to `base_dir`.
+    /// Reads the text of a fleet's file. Paths in it are relative to `base_dir`.
     ///
     /// # Errors
-    /// As [`Config::load`]; messages call the text `<config>`.
+    /// As [`Config::load`]. Messages call the text `<config>`.
     pub fn parse(text: &str, base_dir: &Path) -> Result<Self, ConfigError> {
         Self::read(text, "<config>", base_dir, None)
     }
@@ -199,7 +199,7 @@ impl Config {
         &self.prefix
     }
 
-    /// Settings of the tick; they have passed [`FleetSettings::check`].
+    /// Settings of the tick. They have passed [`FleetSettings::check`].
     #[must_use]
     pub const fn settings(&self) -> &FleetSettings {
         &self.settings
@@ -299,7 +299,7 @@ impl Config {
     }
 }
 
-/// Seconds to ns; every time in a config is positive and below 2^63 ns.
+/// Seconds to ns. Every time in a config is positive and below 2^63 ns.
 fn ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
@@ -450,7 +450,7 @@ impl Builder<'_> {
         })
     }
 
-    /// The platform's limits; of those that it does not set, the fleet's.
+    /// The platform's limits. Of those that it does not set, the fleet's.
     fn limits(&self, fleet: &Self) -> Option<AlarmLimits> {
         let limit = |name: &str| {
             let own = self.single(&format!("platform.alarms.{name}"));

@@ -19,7 +19,7 @@ use crate::values::{Place, Values};
 /// Robots that there is room for, at most, if a fleet's file does not say how many.
 const UNASKED_ROBOTS: u64 = 1_000;
 
-/// Reports every inconsistency; doubtful values go to `warnings`.
+/// Reports every inconsistency. Doubtful values go to `warnings`.
 pub(crate) fn check(
     read: &FleetFile,
     file: &Arc<str>,
@@ -474,7 +474,7 @@ fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     )
 }
 
-/// Room for the robots that the platforms list, unless the file states how many; without that for
+/// Room for the robots that the platforms list, unless the file states how many. Without that for
 /// [`UNASKED_ROBOTS`] at most.
 pub(crate) fn room(read: &FleetFile) -> Option<u32> {
     match read.values.get("fleet.capacity") {

@@ -1,4 +1,4 @@
-//! Parses a TOML text to checked values; every problem has its line.
+//! Parses a TOML text to checked values. Every problem has its line.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -48,7 +48,7 @@ pub(crate) struct Listed {
 }
 
 impl<'a> Source<'a> {
-    /// A text, its name in messages, and the directory to which its paths are relative; `None` for
+    /// A text, its name in messages, and the directory to which its paths are relative. `None` for
     /// built-in texts.
     pub(crate) fn new(text: &'a str, name: &str, directory: Option<&Path>) -> Self {
         let breaks = text.match_indices('\n').map(|(at, _)| at + 1);
@@ -74,7 +74,7 @@ impl Source<'_> {
         FleetFile { values, platforms, cut_short: false }
     }
 
-    /// Reads a file; `None` if it is not TOML.
+    /// Reads a file. `None` if it is not TOML.
     pub(crate) fn values(&self, file: File, problems: &mut Vec<Problem>) -> Option<Values> {
         let mut values = Values::default();
         let document = DeTable::parse(self.text);

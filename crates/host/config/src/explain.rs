@@ -57,7 +57,7 @@ impl From<&Key> for Explanation {
 /// The explanations of one key, of a section (`tick`), or of every key.
 ///
 /// # Errors
-/// There is no such key or section; the error names the nearest.
+/// There is no such key or section. The error names the nearest.
 pub fn explanations(key: Option<&str>) -> Result<Vec<Explanation>, UnknownKey> {
     Ok(asked_for(key)?.into_iter().map(Explanation::from).collect())
 }
@@ -65,7 +65,7 @@ pub fn explanations(key: Option<&str>) -> Result<Vec<Explanation>, UnknownKey> {
 /// The same as text, one paragraph per key.
 ///
 /// # Errors
-/// There is no such key or section; the error names the nearest.
+/// There is no such key or section. The error names the nearest.
 pub fn explain(key: Option<&str>) -> Result<String, UnknownKey> {
     let paragraph = |key: &Key| {
         let file = match key.file {

@@ -52,7 +52,7 @@ pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: 
     });
 }
 
-/// The values of the platform's file; `None` together with a problem.
+/// The values of the platform's file. `None` together with a problem.
 fn platform(
     values: &Values,
     within: Option<&Path>,
@@ -83,7 +83,7 @@ fn platform(
     Ok(source.values(File::Platform, problems))
 }
 
-/// The path of a key, relative to the directory of the file that sets it; `None` if empty.
+/// The path of a key, relative to the directory of the file that sets it. `None` if empty.
 pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
     let text = values.text(path)?;
     let directory = values.place(path).and_then(|place| place.directory.clone());
@@ -93,7 +93,7 @@ pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
     }
 }
 
-/// The platform's model; `None` if the keys do not determine it.
+/// The platform's model. `None` if the keys do not determine it.
 pub(crate) fn model(values: &Values) -> Option<ModelSource> {
     let text = values.text("platform.model")?;
     if text == "persistence" {

@@ -148,7 +148,7 @@ pub(crate) const LINK: &[Key] = &[
 /// Every key of a file of webhooks.
 #[rustfmt::skip]
 pub(crate) const WEBHOOKS: &[Key] = &[
-    hook("webhook.address", WEB, Unset, "Address that alarms are posted to; Alertmanager's own without /api/v2/alerts."),
+    hook("webhook.address", WEB, Unset, "Address that alarms are posted to. Alertmanager's is given without /api/v2/alerts."),
     hook("webhook.address_file", FILE, Unset, "Instead of address: file with it, mode 0600. Addresses of Slack and Teams are secret."),
     hook("webhook.ca", FILE, Unset, "Authorities that the receiver's certificate may be of, PEM. Without it Mozilla's."),
     hook("webhook.format", ValueKind::Choice(&["joulebus", "slack", "teams", "alertmanager"]), Text("joulebus"),

@@ -11,7 +11,7 @@ use crate::cpus;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Key {
     /// Its path, sections separated by dots. Keys of a platform file begin with `platform.`, which
-    /// is omitted in that file. Of a section with several names they are separated by `|`; `*` is
+    /// is omitted in that file. Of a section with several names they are separated by `|`. `*` is
     /// any name.
     pub path: &'static str,
     /// The file that it belongs to.
@@ -78,7 +78,7 @@ impl File {
     }
 }
 
-/// Kind and range of a value; bounds are included.
+/// Kind and range of a value. Bounds are included.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -90,7 +90,7 @@ pub enum ValueKind {
         /// Maximum.
         max: i64,
     },
-    /// A number; the decimal point is optional.
+    /// A number. The decimal point is optional.
     Number {
         /// Minimum.
         min: f64,
@@ -131,7 +131,7 @@ pub enum TextRule {
     Name,
     /// 1 to 8 lower-case letters, digits and `_`.
     Prefix,
-    /// An absolute path of at most 60 bytes; `{uid}` is replaced by the uid.
+    /// An absolute path of at most 60 bytes. `{uid}` is replaced by the uid.
     Root,
     /// `auto`, a path, relative to the file that contains it, or empty.
     StateFile,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 /// Source of a platform's model.
 #[derive(Clone, PartialEq)]
 pub enum ModelSource {
-    /// A model file; it existed when the config was read.
+    /// A model file. It existed when the config was read.
     File(PathBuf),
     /// A built-in model: its name and the bytes of its file.
     Builtin(&'static str, &'static [u8]),

@@ -15,9 +15,9 @@ const MAX_SHOWN: usize = 400;
 pub struct Problem {
     /// The file, as named by the user.
     pub file: String,
-    /// The line, from 1; `None` if something is missing from the whole file.
+    /// The line, from 1. `None` if something is missing from the whole file.
     pub line: Option<usize>,
-    /// The key, with its sections; empty if the text is not TOML.
+    /// The key, with its sections. Empty if the text is not TOML.
     pub key: String,
     /// The found and the allowed value.
     pub what: String,
@@ -82,13 +82,13 @@ pub enum ConfigError {
     /// The config is refused.
     #[error("{}", listed(.0))]
     Refused(
-        /// All problems; at least one.
+        /// All problems. At least one.
         Vec<Problem>,
     ),
 }
 
 impl ConfigError {
-    /// All problems; empty if the file could not be read.
+    /// All problems. Empty if the file could not be read.
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         match self {

@@ -42,7 +42,7 @@ fn unit(name: &str) -> Option<(&'static str, f64)> {
     })
 }
 
-/// `value` converted from unit `from` to unit `to`; times and rates are converted to each other's
+/// `value` converted from unit `from` to unit `to`. Times and rates are converted to each other's
 /// reciprocal.
 fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
     let (from_what, from_size) = unit(from)?;

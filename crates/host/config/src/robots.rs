@@ -45,7 +45,7 @@ pub(crate) fn text(range: &RangeInclusive<u32>) -> String {
     }
 }
 
-/// Number of robots in the range; a full range exceeds `u32`.
+/// Number of robots in the range. A full range exceeds `u32`.
 pub(crate) fn count(range: &RangeInclusive<u32>) -> u64 {
     u64::from(*range.end()) - u64::from(*range.start()) + 1
 }

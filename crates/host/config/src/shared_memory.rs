@@ -5,7 +5,7 @@ use joulebus_domain::{Domain, DomainError, Limits};
 use crate::Config;
 
 /// Minimum and maximum number of forecast frames buffered for a reader. A planner reads the newest,
-/// plus a few to distinguish a gap from a late read; a recorder reads all, and may be late by half
+/// plus a few to distinguish a gap from a late read. A recorder reads all, and may be late by half
 /// a second in fleets small enough for that to need little memory.
 const FORECAST_FRAMES: (usize, usize) = (4, 16);
 /// Buffered rows that determine the number of frames between these bounds.

@@ -16,7 +16,7 @@ pub(crate) fn find(path: &str) -> Option<&'static Key> {
     keys().find(|key| key.path == path || key.below(path) == Some(""))
 }
 
-/// Most tables that a list of the path may have; `None` if it is no list.
+/// Most tables that a list of the path may have. `None` if it is no list.
 #[must_use]
 pub fn list(path: &str) -> Option<usize> {
     Some(match path {

@@ -15,7 +15,7 @@ use crate::table;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Place {
     pub(crate) file: Arc<str>,
-    /// Directory to which paths in the file are relative; `None` for built-in files.
+    /// Directory to which paths in the file are relative. `None` for built-in files.
     pub(crate) directory: Option<Arc<PathBuf>>,
     pub(crate) line: usize,
 }
@@ -121,7 +121,7 @@ impl Values {
         self.entries.get(path).map(|entry| &entry.place)
     }
 
-    /// The value set, else the default; `None` if it is missing or was refused.
+    /// The value set, else the default. `None` if it is missing or was refused.
     pub(crate) fn get(&self, path: &str) -> Option<Value> {
         match self.entries.get(path) {
             Some(entry) => entry.value.clone(),

@@ -58,7 +58,7 @@ impl FindingsFile {
     /// every second. Returns how many lines are too many for the file, when that is news.
     ///
     /// # Errors
-    /// The file cannot be written; the next call tries again.
+    /// The file cannot be written. The next call tries again.
     pub fn say<F: fmt::Display>(
         &mut self,
         found: impl IntoIterator<Item = (u32, F)>,

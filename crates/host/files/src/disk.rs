@@ -47,7 +47,7 @@ pub fn id(file: &File) -> io::Result<FileId> {
     file.metadata().map(|found| (found.dev(), found.ino()))
 }
 
-/// The file of that name and its length; `None` if there is none.
+/// The file of that name and its length. `None` if there is none.
 ///
 /// # Errors
 /// The system's error.

@@ -104,12 +104,12 @@ pub fn look(path: &Path) -> io::Result<Metadata> {
     regular(std::fs::metadata(path)?)
 }
 
-/// Opens a regular file for reading; does not block on a pipe.
+/// Opens a regular file for reading. Does not block on a pipe.
 ///
 /// # Errors
 /// The error of the system, or [`Refused::Kind`].
 pub fn open(path: &Path) -> io::Result<File> {
-    // Before opening, because of devices; and again after, because the path may refer to another
+    // Before opening, because of devices, and again after, because the path may refer to another
     // file by then.
     look(path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
@@ -122,7 +122,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// All bytes of a regular file of at most `max_bytes`.
 ///
 /// # Errors
-/// As of [`open`]; [`Refused::TooLong`].
+/// As of [`open`]. [`Refused::TooLong`].
 pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let allowed = |found: u64| match found > max_bytes {
@@ -140,7 +140,7 @@ pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
 /// The text of a regular file of at most `max_bytes`.
 ///
 /// # Errors
-/// As of [`read`]; the text is not UTF-8.
+/// As of [`read`]. The text is not UTF-8.
 pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, max_bytes)?)
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
@@ -161,7 +161,7 @@ pub fn read_secret(path: &Path, max_bytes: u64) -> io::Result<String> {
 /// The first line of a file that only its owner can read, such as a password.
 ///
 /// # Errors
-/// Those of [`read_secret`]; the line is empty, or the file is longer than 4 kB.
+/// Those of [`read_secret`]. The line is empty, or the file is longer than 4 kB.
 pub fn read_secret_line(path: &Path) -> io::Result<String> {
     let text = read_secret(path, 4_096)?;
     let line = text.lines().next().filter(|line| !line.is_empty());

@@ -42,8 +42,8 @@ pub fn create<T, E: From<io::Error>>(
 /// or begins like the new one. A link is replaced, not followed.
 ///
 /// # Errors
-/// [`Refused::Kind`](crate::Refused::Kind) for a pipe, a device, a directory or a link to one;
-/// [`Refused::Foreign`](crate::Refused::Foreign); errors of the system and of `write`.
+/// [`Refused::Kind`](crate::Refused::Kind) for a pipe, a device, a directory or a link to one.
+/// [`Refused::Foreign`](crate::Refused::Foreign). Errors of the system and of `write`.
 pub fn replace<T, E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&File) -> Result<T, E>,

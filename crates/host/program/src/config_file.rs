@@ -21,7 +21,7 @@ pub struct ConfigFile {
 }
 
 impl ConfigFile {
-    /// Reads it; prints its warnings to stderr.
+    /// Reads it. Prints its warnings to stderr.
     ///
     /// # Errors
     /// It cannot be read, or is refused.
@@ -33,7 +33,7 @@ impl ConfigFile {
         Ok(config)
     }
 
-    /// Reads it; the caller prints its warnings.
+    /// Reads it. The caller prints its warnings.
     ///
     /// # Errors
     /// It cannot be read, or is refused.

@@ -9,7 +9,7 @@ use crate::output::{self, StdoutClosed};
 
 /// The run failed, or a check found a fault.
 pub const FAILED: u8 = 1;
-/// Wrong usage, or a config that was refused; also clap's code for wrong usage.
+/// Wrong usage, or a config that was refused. Also clap's code for wrong usage.
 pub const USAGE: u8 = 2;
 /// The run finished, but data was lost or differs.
 pub const INCOMPLETE: u8 = 3;
@@ -49,7 +49,7 @@ fn in_words(error: &anyhow::Error) -> String {
     words
 }
 
-/// The exit code; prints the error to stderr.
+/// The exit code. Prints the error to stderr.
 #[must_use]
 pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
     match result {

@@ -60,7 +60,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     let levels = Levels { levels, overheard: OVERHEARD.get().copied() };
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
-    // Fails only if logging was already started; it is then left unchanged.
+    // Fails only if logging was already started. It is then left unchanged.
     let _ = match format {
         LogFormat::Text => registry.with(layer).try_init(),
         LogFormat::Json => {

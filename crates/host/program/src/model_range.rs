@@ -3,7 +3,7 @@
 use joulebus_config::{Config, ModelSource, Problem};
 use joulebus_predictor::{FEATURES, LAGS, Model};
 
-/// A platform may allow this many times the highest power of the training; more is another robot.
+/// A platform may allow this many times the highest power of the training. More is another robot.
 const MAX_TIMES: f32 = 3.0;
 
 /// Platforms whose limits do not fit the readings that their model was trained on.

@@ -24,7 +24,7 @@ pub struct GlobalOptions {
 }
 
 impl GlobalOptions {
-    /// Starts logging and, if requested, the watch of stdin; `has_rows`: results may be written row
+    /// Starts logging and, if requested, the watch of stdin. `has_rows`: results may be written row
     /// by row.
     ///
     /// # Errors

@@ -114,7 +114,7 @@ pub(crate) fn say_in_log() {
     TO_LOG.store(true, Ordering::Relaxed);
 }
 
-/// Writes a line to stderr, or to the log if its lines are objects; errors are ignored, because it
+/// Writes a line to stderr, or to the log if its lines are objects. Errors are ignored, because it
 /// is not a result.
 pub fn say(line: &str) {
     let line = printable(line);

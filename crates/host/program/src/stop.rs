@@ -44,7 +44,7 @@ impl Stop {
         &self.asked
     }
 
-    /// Sleeps until `deadline_ns` (monotonic) or until a stop is requested; returns whether to
+    /// Sleeps until `deadline_ns` (monotonic) or until a stop is requested. Returns whether to
     /// continue.
     pub fn sleep_until(&self, deadline_ns: u64) -> bool {
         while !self.is_asked() {
@@ -75,7 +75,7 @@ pub fn survive_file_limit() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// True if /proc reports the signal as ignored; false if it cannot be read.
+/// True if /proc reports the signal as ignored. False if it cannot be read.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

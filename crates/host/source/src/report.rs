@@ -32,7 +32,7 @@ pub struct PublishReport {
     pub ticks_skipped: u64,
     /// Time by which the playback was delayed, s.
     pub held_up_s: f64,
-    /// Recorded time over playback time; `None` for a simulation.
+    /// Recorded time over playback time. `None` for a simulation.
     pub speed: Option<f64>,
     /// The recordings.
     pub trials: Vec<PlayedTrial>,

@@ -18,9 +18,9 @@ pub struct Permit {
     /// Number of the term, from 1, higher than that of every earlier leader.
     pub term: u64,
     /// The worker sends nothing from this instant on, ns since boot with suspend
-    /// ([`clock::boot_ns`]); `None`: until the permit is withdrawn.
+    /// ([`clock::boot_ns`]). `None`: until the permit is withdrawn.
     pub until_ns: Option<u64>,
-    /// The lease that it follows from, for a link that starts again; 0 without one.
+    /// The lease that it follows from, for a link that starts again. 0 without one.
     pub lease: u64,
 }
 
@@ -56,7 +56,7 @@ impl Permit {
     /// Replaces the permit of this host's worker.
     ///
     /// # Errors
-    /// [`PermitError::Io`]; the permit before is in force.
+    /// [`PermitError::Io`]. The permit before is in force.
     pub fn write(&self, path: &Path) -> Result<(), PermitError> {
         let written = clock::boot_id().and_then(|boot_id| {
             let text = self.text(&boot_id);
@@ -68,7 +68,7 @@ impl Permit {
     /// Withdraws the permit of this host's worker, which ends.
     ///
     /// # Errors
-    /// [`PermitError::Io`]; the permit is in force.
+    /// [`PermitError::Io`]. The permit is in force.
     pub fn withdraw(path: &Path) -> Result<(), PermitError> {
         remove(path).map_err(|source| PermitError::Io { path: path.to_owned(), source })
     }
@@ -81,7 +81,7 @@ impl Permit {
     }
 }
 
-/// The boot and the permit of a text; `None` if it is another one.
+/// The boot and the permit of a text. `None` if it is another one.
 fn parse(text: &str) -> Option<(&str, Permit)> {
     let mut lines = text.strip_suffix('\n')?.split('\n');
     if lines.next() != Some(FIRST_LINE) {

@@ -8,7 +8,7 @@ use joulebus_wire::fnv1a;
 
 use crate::places::replace;
 
-/// First bytes of the file; the last of them is its version.
+/// First bytes of the file. The last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";
 /// Maximum length of a boot id, bytes.
 const BOOT_BYTES: usize = 64;
@@ -51,7 +51,7 @@ impl SavedState {
     /// Replaces the state in the file.
     ///
     /// # Errors
-    /// [`SavedStateError::Io`]; the one before is there.
+    /// [`SavedStateError::Io`]. The one before is there.
     pub fn write(
         path: &Path,
         (term, taken_ns, offset_ns): (u64, u64, i64),

@@ -75,12 +75,12 @@ pub struct Header {
     pub element: String,
     /// Whether the first dimension varies fastest (Fortran order).
     pub fortran_order: bool,
-    /// Elements in each dimension; their product fits into 64 bits.
+    /// Elements in each dimension. Their product fits into 64 bits.
     pub shape: Vec<usize>,
 }
 
 impl Header {
-    /// Reads the header; the source is then positioned at the first element.
+    /// Reads the header. The source is then positioned at the first element.
     ///
     /// # Errors
     /// [`HeaderError`]: not the header of a plain array, or truncated.
@@ -146,7 +146,7 @@ fn elements<const SIZE: usize>(
     Ok(values)
 }
 
-/// The header that NumPy writes for an array in C order; `element` is the type in its notation. The
+/// The header that NumPy writes for an array in C order. `element` is the type in its notation. The
 /// elements begin at a multiple of 64 bytes.
 pub fn header(element: &str, shape: &[usize]) -> Vec<u8> {
     const ALIGNMENT: usize = 64;

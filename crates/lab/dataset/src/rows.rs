@@ -18,7 +18,7 @@ use crate::trial::Trial;
 /// One training row: features and the reading that followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Raw features in SI units; those outside the feature set may be NaN.
+    /// Raw features in SI units. Those outside the feature set may be NaN.
     pub features: Features,
     /// The next reading, W.
     pub target_w: f32,
@@ -35,7 +35,7 @@ pub struct Dataset {
     pub held_out: Vec<Row>,
     /// Origin of the rows, for the model file.
     pub description: String,
-    /// Time from a row to the next, s; 0 if unknown.
+    /// Time from a row to the next, s. 0 if unknown.
     pub period_s: f32,
 }
 
@@ -168,7 +168,7 @@ impl Age {
 /// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32
 /// of shape (rows, features + 1), each row its features and then the reading that followed, W.
 /// `features.txt` lists the features' names, one per line. Unknown values are NaN. The directory is
-/// created; files in it are replaced.
+/// created. Files in it are replaced.
 ///
 /// # Errors
 /// The operating system's error.

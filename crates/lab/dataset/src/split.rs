@@ -80,9 +80,9 @@ pub struct Split {
     pub by: By,
     /// Share of the units (for a split in time, of each trial's rows) for validation, above 0.
     pub validation: f64,
-    /// Share held out, above 0; together with `validation` below 1.
+    /// Share held out, above 0. Together with `validation` below 1.
     pub held_out: f64,
-    /// Seed of the shuffle of units; unused by a split in time.
+    /// Seed of the shuffle of units. Unused by a split in time.
     pub seed: u64,
 }
 
@@ -206,7 +206,7 @@ pub enum SplitError {
         in_two_parts(trials), parts[0], parts[1]
     )]
     Copy {
-        /// The trials; the same name twice if it was given twice.
+        /// The trials. The same name twice if it was given twice.
         trials: [String; 2],
         /// The part of each.
         parts: [&'static str; 2],
@@ -243,7 +243,7 @@ pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<
     Ok(())
 }
 
-/// Splits the rows. `description` states their origin; the split is appended to it.
+/// Splits the rows. `description` states their origin. The split is appended to it.
 ///
 /// # Errors
 /// [`SplitError`].

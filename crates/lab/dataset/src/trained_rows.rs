@@ -17,7 +17,7 @@ use crate::split::PAUSE_ROWS;
 /// Minimum and usual number of rows of a block.
 const SHORTEST: usize = 16;
 const USUAL: usize = 64;
-/// Blocks up to which their usual length is kept; above, it is doubled.
+/// Blocks up to which their usual length is kept. Above, it is doubled.
 const MAX_BLOCKS: usize = 4_096;
 /// Blocks above which a model states none: they are of many short runs, and the file would be too
 /// large.
@@ -111,7 +111,7 @@ fn widened(found: &[bool], rows: &[Row]) -> Vec<bool> {
     trained
 }
 
-/// The readings of each gapless run; runs shorter than a block are joined while they follow each
+/// The readings of each gapless run. Runs shorter than a block are joined while they follow each
 /// other.
 fn stretches(rows: &[Row]) -> Vec<Vec<u64>> {
     let mut stretches: Vec<Vec<u64>> = Vec::new();

@@ -64,13 +64,13 @@ impl Trial {
     ///
     /// The format is detected from the first bytes: a NumPy array of shape (n, 11) with floats of 4
     /// or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV. CSV
-    /// columns are found by name, in any order ([`column_names`]); time and power are required, or
+    /// columns are found by name, in any order ([`column_names`]). Time and power are required, or
     /// voltage and current instead of power. `NaN` and an empty field mean "not recorded". A
     /// capture (MCAP) gives the rows whose samples it holds.
     ///
     /// # Errors
     /// [`TrialError`] names the file and, where there is one, row and column, with what was found
-    /// and what is allowed. A truncated file is an error; a CSV that only lacks its final newline
+    /// and what is allowed. A truncated file is an error. A CSV that only lacks its final newline
     /// is read, and [`TrialNotes::no_final_line_break`] is set.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
         Table::read(path)?.into_trial()
@@ -149,12 +149,12 @@ impl Trial {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
-    /// Rows; at least two.
+    /// Rows. At least two.
     pub fn rows(&self) -> usize {
         self.timestamp_s.len()
     }
 
-    /// Time of each row as recorded, s; finite, not always increasing (see [`TrialNotes`]).
+    /// Time of each row as recorded, s. Finite, not always increasing (see [`TrialNotes`]).
     pub fn timestamp_s(&self) -> &[f64] {
         &self.timestamp_s
     }
@@ -176,12 +176,12 @@ impl Trial {
         table::is_held(&self.columns, row)
     }
 
-    /// Median step between rows whose time advances, ns; at least 1.
+    /// Median step between rows whose time advances, ns. At least 1.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// The columns of a CSV that were read; empty for other formats, which state their units.
+    /// The columns of a CSV that were read. Empty for other formats, which state their units.
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
     }

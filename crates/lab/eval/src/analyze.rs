@@ -74,7 +74,7 @@ pub struct Analysis {
 pub struct Series {
     /// `native`, or `held at 30 Hz`.
     pub name: String,
-    /// The grid; `None` for the native series.
+    /// The grid. `None` for the native series.
     pub grid: Option<Resample>,
     /// Rows of all trials.
     pub rows: usize,
@@ -88,7 +88,7 @@ pub struct Series {
     pub pooled_autocorrelation: Vec<Option<f64>>,
     /// Per trial.
     pub autocorrelations: Vec<TrialAutocorrelation>,
-    /// The gain of each kind of input; `None`, with the reason in `left_out`, if it could not be
+    /// The gain of each kind of input. `None`, with the reason in `left_out`, if it could not be
     /// computed.
     pub ablation: Option<Ablation>,
     /// The split.

@@ -42,27 +42,27 @@ pub struct HorizonErrors {
     pub horizon_s: f32,
     /// Forecasts scored, each with the commands that followed.
     pub origins: usize,
-    /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]; NaN
+    /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]. NaN
     /// for one that the model does not have.
     #[serde(serialize_with = "by_name")]
     pub errors: [f64; FORECASTS.len()],
-    /// Share of measured energies inside the energy model's 90 % interval; NaN without intervals.
+    /// Share of measured energies inside the energy model's 90 % interval. NaN without intervals.
     pub coverage: f64,
     /// Share of verdicts "yes" that are right, if each plan is asked with a spare energy just above
     /// the interval: measured energies below its upper end. NaN without intervals.
     pub right_yes: f64,
-    /// Mean width of the interval through the mean energy; NaN without intervals.
+    /// Mean width of the interval through the mean energy. NaN without intervals.
     pub width: f64,
     /// Width of the narrowest interval that adds the same two numbers to every forecast and, in
     /// hindsight, contains 90 % of the energies, through the mean energy.
     pub narrowest: f64,
     /// Interval score through the mean energy: the width, and twenty times the distance of a
-    /// measured energy outside. Less is better; NaN without intervals.
+    /// measured energy outside. Less is better. NaN without intervals.
     pub score: f64,
-    /// Share of measured energies inside the outlook's 90 % interval; NaN without intervals.
+    /// Share of measured energies inside the outlook's 90 % interval. NaN without intervals.
     pub outlook_coverage: f64,
     /// Interval score of the outlook through the mean energy: the mean of its interval's width and
-    /// of 20 times the distance of the energies outside; NaN without intervals.
+    /// of 20 times the distance of the energies outside. NaN without intervals.
     pub outlook_interval_score: f64,
 }
 
@@ -101,7 +101,7 @@ pub struct EnergyScores {
 impl EnergyScores {
     /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
     /// start as new ones, each alone on its platform. Only readings with `true` in `scored` are
-    /// forecast; those beyond its end are not.
+    /// forecast. Those beyond its end are not.
     pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
         self.add_every(EVERY, model, trial, scored);
     }

@@ -116,7 +116,7 @@ pub struct RobotEvaluation {
     pub steps: Vec<Step>,
     /// Scores of the forecasts.
     pub scores: Scores,
-    /// Share of scored readings inside their interval; NaN before the first.
+    /// Share of scored readings inside their interval. NaN before the first.
     pub coverage: f32,
     /// State of online learning after the trial. `None` if the platform does not learn online.
     pub learned: Option<Learned>,
@@ -135,7 +135,7 @@ pub struct Step {
     pub sample_seq: u64,
     /// The sample's stamp relative to the trial's first row, ns.
     pub stamp_ns: u64,
-    /// Whether the sample was accepted; otherwise the other fields are empty.
+    /// Whether the sample was accepted. Otherwise the other fields are empty.
     pub accepted: bool,
     /// The sample's reading, W.
     pub reading_w: Option<f32>,

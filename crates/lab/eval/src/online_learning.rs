@@ -94,7 +94,7 @@ impl Parts {
 }
 
 impl Variant {
-    /// Share of the trials whose coverage is within [`TOLERANCE`] of `wanted`; NaN without a trial.
+    /// Share of the trials whose coverage is within [`TOLERANCE`] of `wanted`. NaN without a trial.
     pub fn held(&self, wanted: f64) -> f64 {
         // The quotient of two counts differs from the tolerance by rounding at most.
         let holds = |coverage: &&f64| (**coverage - wanted).abs() <= TOLERANCE + 1e-9;
@@ -114,7 +114,7 @@ impl Judged {
 /// Evaluates a network on trials, each sample through the live tick as in [`evaluate_trial`].
 ///
 /// Scored are the readings that follow five others without a gap, so that every forecaster has the
-/// same inputs; the tick's forecasts over gaps are not scored.
+/// same inputs. The tick's forecasts over gaps are not scored.
 ///
 /// # Errors
 /// [`EvaluateError`]: settings that are refused.

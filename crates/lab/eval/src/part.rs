@@ -112,7 +112,7 @@ pub enum PartError {
         /// Name of the platform.
         platform: String,
     },
-    /// A recording is in several parts or in none; never caused by files that were written here.
+    /// A recording is in several parts or in none. Never caused by files that were written here.
     #[error(
         "platform {platform}: recording {place} is not in exactly one part. Make the parts again"
     )]
@@ -137,7 +137,7 @@ pub struct Merged {
 }
 
 impl EvalPart {
-    /// Part `number` of `of`, from 1; one portion for each platform.
+    /// Part `number` of `of`, from 1. One portion for each platform.
     pub fn new(number: u32, of: u32, portions: Vec<Portion>) -> Self {
         Self { release: RELEASE.to_owned(), number, of, portions }
     }
@@ -174,7 +174,7 @@ impl EvalPart {
     /// Merges all parts, each with the name of its file, in any order.
     ///
     /// # Errors
-    /// [`PartError`]: parts are missing, twice there, or of different evaluations; or nothing can
+    /// [`PartError`]: parts are missing, twice there, or of different evaluations, or nothing can
     /// be scored.
     pub fn merge(mut parts: Vec<(String, Self)>) -> Result<Merged, PartError> {
         parts.sort_by_key(|(_, part)| part.number);

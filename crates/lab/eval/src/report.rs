@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::evaluate::{Evaluation, EvaluationReport, LivePool};
 use crate::score::{Reported, ScoreReport};
 
-/// Maximum number of trials whose live scores are listed; of more, one line per platform.
+/// Maximum number of trials whose live scores are listed. Of more, one line per platform.
 const LISTED: usize = 24;
 
 /// The live path's scores, and the evaluation of each platform. `Display` is text.

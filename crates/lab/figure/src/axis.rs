@@ -12,7 +12,7 @@ pub struct Axis {
     pub label: String,
     /// The scale.
     pub scale: Scale,
-    /// Its ends; `None`: the range of the data plus a margin.
+    /// Its ends. `None`: the range of the data plus a margin.
     pub limits: Option<[f64; 2]>,
     /// A number within its range, such as 0 for bars.
     pub includes: Option<f64>,
@@ -24,9 +24,9 @@ pub struct Axis {
 pub enum Scale {
     /// Linear.
     Linear,
-    /// Logarithmic; numbers that are not above 0 are not drawn.
+    /// Logarithmic. Numbers that are not above 0 are not drawn.
     Log,
-    /// Categories, at 0, 1, 2 and so on; on a vertical axis from the top down.
+    /// Categories, at 0, 1, 2 and so on. On a vertical axis from the top down.
     Names(Vec<String>),
 }
 
@@ -65,7 +65,7 @@ impl Axis {
         value.is_finite() && (self.scale != Scale::Log || value > 0.0)
     }
 
-    /// The axis over the range of the data; `None` without data and without ends.
+    /// The axis over the range of the data. `None` without data and without ends.
     pub(super) fn spanned(&self, values: impl Iterator<Item = f64>, ticks: usize) -> Option<Span> {
         if let Scale::Names(names) = &self.scale {
             return (!names.is_empty()).then(|| Span::of_names(names));
@@ -163,7 +163,7 @@ impl Ranged for Span {
     type ValueType = f64;
 
     fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
-        // A share far outside would overflow i32; clamping it is invisible, because the drawing is
+        // A share far outside would overflow i32. Clamping it is invisible, because the drawing is
         // clipped.
         let share = self.share(*value).clamp(-4.0, 5.0);
         from + libm::round(share * f64::from(to - from)) as i32
@@ -209,7 +209,7 @@ fn even_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
     (0..places).map(tick).collect()
 }
 
-/// 1, 3 and 10 times the powers of ten; over many decades only the powers.
+/// 1, 3 and 10 times the powers of ten. Over many decades only the powers.
 fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let (first, last) = (libm::floor(libm::log10(low)), libm::ceil(libm::log10(high)));
     let decades = last - first;

@@ -7,7 +7,7 @@ use serde::Serialize;
 pub struct Bins {
     /// The edges, one more than bins.
     pub edges: Vec<f64>,
-    /// Numbers in each bin, lower edge included; the last bin includes its upper edge.
+    /// Numbers in each bin, lower edge included. The last bin includes its upper edge.
     pub counts: Vec<u64>,
     /// Finite numbers below the first bin and above the last.
     pub outside: u64,
@@ -24,7 +24,7 @@ pub struct Tiles {
     pub counts: Vec<u64>,
 }
 
-/// Counts numbers in `count` equal bins from `from` to `to`; NaN is ignored.
+/// Counts numbers in `count` equal bins from `from` to `to`. NaN is ignored.
 pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usize) -> Bins {
     let count = count.max(1);
     let mut found = Bins { edges: edges([from, to], count), counts: vec![0; count], outside: 0 };
@@ -37,7 +37,7 @@ pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usiz
     found
 }
 
-/// Counts pairs in `count` by `count` equal tiles; pairs outside are ignored.
+/// Counts pairs in `count` by `count` equal tiles. Pairs outside are ignored.
 pub fn tiles(
     pairs: impl Iterator<Item = [f64; 2]>,
     x: [f64; 2],

@@ -3,7 +3,7 @@
 use serde::{Serialize, Serializer};
 
 /// Meaning of a colour. The hues are those of Okabe and Ito (2008), which stay distinct under the
-/// common colour vision deficiencies; adjacent marks also differ in shape or dash.
+/// common colour vision deficiencies. Adjacent marks also differ in shape or dash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
     /// Text and readings.

@@ -21,7 +21,7 @@ const BELOW_PX: i32 = 42;
 const SMALL_PX: i32 = 11;
 const LABEL_PX: i32 = 12;
 const SWATCH_PX: i32 = 18;
-/// Text is laid out without a font; wide common fonts need this share of their height per letter.
+/// Text is laid out without a font. Wide common fonts need this share of their height per letter.
 const LETTER: f64 = 0.6;
 /// Maximum length of a legend entry and of a tick label.
 const LEGEND_LETTERS: usize = 44;

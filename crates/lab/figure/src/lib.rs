@@ -74,7 +74,7 @@ pub struct Figure {
 /// Axes with marks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Panel {
-    /// Its title; empty for none.
+    /// Its title. Empty for none.
     pub title: String,
     /// The horizontal axis.
     pub x: Axis,
@@ -87,7 +87,7 @@ pub struct Panel {
 /// Marks of one colour and legend entry.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Layer {
-    /// Its legend entry, above the axes; `None`: no entry.
+    /// Its legend entry, above the axes. `None`: no entry.
     pub label: Option<String>,
     /// Its colour.
     pub colour: Colour,

@@ -9,9 +9,9 @@ use super::bins::{Bins, Tiles};
 pub struct Interval {
     /// The number.
     pub value: f64,
-    /// Lower end; NaN: unknown.
+    /// Lower end. NaN: unknown.
     pub low: f64,
-    /// Upper end; NaN: unknown.
+    /// Upper end. NaN: unknown.
     pub high: f64,
 }
 
@@ -46,7 +46,7 @@ pub enum Mark {
         values: Vec<Interval>,
         /// Index and number of bars per category: `[0, 1]` if there is one.
         slot: [usize; 2],
-        /// Direction of the bars; the other axis is categorical.
+        /// Direction of the bars. The other axis is categorical.
         direction: Direction,
     },
     /// A dot for each category, with its interval.
@@ -55,7 +55,7 @@ pub enum Mark {
         values: Vec<Interval>,
         /// Index and number of dots per category.
         slot: [usize; 2],
-        /// Direction of the values; the other axis is categorical.
+        /// Direction of the values. The other axis is categorical.
         direction: Direction,
     },
     /// Adjacent columns, one between each pair of edges.

@@ -46,7 +46,7 @@ impl Mark {
         }
     }
 
-    /// The points that the axes must include; either coordinate may be NaN.
+    /// The points that the axes must include. Either coordinate may be NaN.
     pub(super) fn extent(&self) -> Vec<[f64; 2]> {
         match self {
             Self::Line { points, .. } | Self::Points(points) => points.clone(),

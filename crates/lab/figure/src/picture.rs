@@ -7,7 +7,7 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 use super::{Figure, FigureError};
 
-/// DejaVu Sans 2.37 without hinting, reduced to the characters used; its licence is in the same
+/// DejaVu Sans 2.37 without hinting, reduced to the characters used. Its licence is in the same
 /// directory.
 const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-part.ttf");
 const FAMILY: &str = "DejaVu Sans";

@@ -2,7 +2,7 @@
 
 /// The line with at most four points in each of `columns` equal parts of its horizontal extent: the
 /// first, the minimum, the maximum and the last. The drawing looks the same, because a pixel column
-/// shows no more. Points must be in order of x; a NaN is kept as a gap.
+/// shows no more. Points must be in order of x. A NaN is kept as a gap.
 pub(super) fn thinned(points: &[[f64; 2]], columns: usize) -> Vec<[f64; 2]> {
     let known = || points.iter().filter(|[x, y]| x.is_finite() && y.is_finite());
     let (Some(first), Some(last)) = (known().next(), known().next_back()) else {

@@ -96,7 +96,7 @@ fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
     Ok(())
 }
 
-/// An uncompressed archive of these members; deterministic.
+/// An uncompressed archive of these members. Deterministic.
 pub(super) fn write(members: &[(String, Vec<u8>)]) -> Result<Vec<u8>, zip::result::ZipError> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)

@@ -3,7 +3,7 @@
 //! A file holds weights and statistics, but not how the features were computed. The published
 //! model's features are known: `v, ω`, their derivatives, their magnitudes, five readings. The
 //! unknown details have few possible values. Those under which the file's statistics are far from
-//! the recordings' are ruled out first; each other [`Convention`] is evaluated on the recordings,
+//! the recordings' are ruled out first. Each other [`Convention`] is evaluated on the recordings,
 //! and the best one is chosen if it is clearly better than the others. All of them read the row as
 //! documented: the command of row *t* and the readings before it, derivatives over the step before.
 

@@ -6,13 +6,13 @@ use super::{Container, Entry, EntryValue, ReadError, Tensor, npy};
 
 /// Maximum nesting depth.
 const MAX_DEPTH: usize = 16;
-/// Maximum number of values visited; a value may be referenced repeatedly.
+/// Maximum number of values visited. A value may be referenced repeatedly.
 const MAX_VISITS: usize = 1 << 16;
 /// Maximum number of entries.
 pub(super) const MAX_ENTRIES: usize = 4_096;
 /// Maximum length of a key, bytes.
 const MAX_KEY_BYTES: usize = 200;
-/// Maximum number of elements of all arrays; views may share elements.
+/// Maximum number of elements of all arrays. Views may share elements.
 const MAX_ELEMENTS: usize = 1 << 20;
 
 /// The bytes of a storage.
@@ -211,7 +211,7 @@ impl Walk<'_> {
     }
 
     /// The attributes of a layer: its parameters and children under the names of a state dict, and
-    /// its settings; internal attributes are skipped.
+    /// its settings. Internal attributes are skipped.
     fn layer(&mut self, attributes: Id, path: &str, depth: usize) -> Result<(), ReadError> {
         let pickle = self.pickle;
         let Value::Dict(pairs) = pickle.value(attributes) else {

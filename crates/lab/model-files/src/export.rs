@@ -31,18 +31,18 @@ pub enum ExportError {
 /// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. All numbers are
 /// `<f4`, in SI units.
 ///
-/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): one row of inputs per output;
+/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): one row of inputs per output.
 /// - `feature_mean`, `feature_std` (11), `power_mean_w`, `power_std_w` (scalars): the forecast is
 ///   the last layer times `power_std_w` plus `power_mean_w`. A feature that was constant in
-///   training has no effect: its deviation is 1 and its weights are 0; the weights that the model
-///   file has instead are in `constant_feature_weight`, only there where needed;
-/// - `feature_min`, `feature_max` (11): the training range;
-/// - `metadata` (text): the other contents of the model file, as JSON; with it, the arrays are read
-///   back as the same model;
+///   training has no effect: its deviation is 1 and its weights are 0. The weights that the model
+///   file has instead are in `constant_feature_weight`, only there where needed.
+/// - `feature_min`, `feature_max` (11): the training range.
+/// - `metadata` (text): the other contents of the model file, as JSON. With it, the arrays are read
+///   back as the same model.
 /// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
 ///   training range and their forecasts, for testing a reimplementation of the network.
 ///
-/// A network of readings alone has 5 instead of 11; one that reads the reading age has two more,
+/// A network of readings alone has 5 instead of 11. One that reads the reading age has two more,
 /// the last.
 ///
 /// # Errors
@@ -80,7 +80,7 @@ pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
 }
 
 /// The model as an ONNX graph, opset 17: input `features` (n, 11) in SI units, as the worker has
-/// them, and output `power_w` (n, 1). The normalisation is part of the graph; GELU is written with
+/// them, and output `power_w` (n, 1). The normalisation is part of the graph. GELU is written with
 /// `Erf` (or `Tanh`), which every runtime knows, while the operator `Gelu` needs opset 20.
 ///
 /// # Errors

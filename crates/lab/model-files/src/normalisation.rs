@@ -196,7 +196,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Mean and deviation of a scalar quantity; 0 and 1 for missing ones.
+    /// Mean and deviation of a scalar quantity. 0 and 1 for missing ones.
     fn pair(&mut self, quantity: Quantity, name: &str) -> (f64, f64) {
         let mut number = |statistic, what: &str, instead| {
             let found = self.one(quantity, statistic);

@@ -19,7 +19,7 @@ pub(super) enum ElementType {
     Unicode(usize),
 }
 
-/// Reads the header; `name` locates the file in messages.
+/// Reads the header. `name` locates the file in messages.
 pub(super) fn header(name: &str, bytes: &[u8]) -> Result<(Header, ElementType), ReadError> {
     let bad = |at: usize, detail: String| ReadError::Part {
         container: Container::Npy,

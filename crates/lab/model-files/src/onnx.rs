@@ -212,7 +212,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     }
 }
 
-/// The network of a graph that [`model`] made; `None` if the bytes are no such graph. The graph
+/// The network of a graph that [`model`] made. `None` if the bytes are no such graph. The graph
 /// must be exactly that of the network.
 pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
     // The first field is the version, a short number.
@@ -271,7 +271,7 @@ impl Builder {
         });
     }
 
-    /// Adds a node; returns the name of its output.
+    /// Adds a node. Returns the name of its output.
     fn node(&mut self, op_type: &str, inputs: &[&str], output: &str) -> String {
         self.nodes.push(Node {
             input: inputs.iter().map(ToString::to_string).collect(),

@@ -123,7 +123,7 @@ struct Machine<'a> {
 }
 
 impl Machine<'_> {
-    /// Executes one opcode; `false` at the end of the program.
+    /// Executes one opcode. `false` at the end of the program.
     fn step(&mut self) -> Result<bool, PickleError> {
         self.opcode_at = self.at;
         let code = self.byte("opcode")?;

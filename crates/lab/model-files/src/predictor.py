@@ -1,6 +1,6 @@
 """Forecasts of a robot's power, by the joulebus model @NAME@, hash @HASH@.
 
-One file that needs NumPy only, written by `joulebus model export`; it has the model inside.
+One file that needs NumPy only, written by `joulebus model export`. It has the model inside.
 
     from predictor import EnergyPredictor
 
@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-# Time between two readings of the training data, s; None if the model does not state it.
+# Time between two readings of the training data, s. None if the model does not state it.
 PERIOD_S = @PERIOD_S@
 ACTIVATION = "@ACTIVATION@"
 LAGS = 5
@@ -50,8 +50,8 @@ class EnergyPredictor:
     """The network with its normalisation and the last five powers of one robot, or of several."""
 
     def __init__(self, path=None, period_s=PERIOD_S):
-        """`path`: an .npz file of another model of the same shape, by `joulebus model export`;
-        the one inside by default. `period_s`: time between two steps, s, by default that of the training data."""
+        """`path`: an .npz file of another model of the same shape, by `joulebus model export`.
+        The one inside by default. `period_s`: time between two steps, s, by default that of the training data."""
         if period_s is None:
             raise ValueError("the model does not state its period: give period_s, the time between two steps in s (0.033 in the Robotarium)")
         if not 0.0 < period_s < math.inf:
@@ -82,7 +82,7 @@ class EnergyPredictor:
         return self._milliwatt(forecast_w)
 
     def step_with_correction(self, v_cmd, w_cmd, measured_power):
-        """As `step`; the next one continues with `measured_power` (mW), and with the forecast where
+        """As `step`. The next one continues with `measured_power` (mW), and with the forecast where
         it is NaN."""
         measured_w = 1e-3 * np.asarray(measured_power, np.float64)
         forecast_w = self._forecast_w(v_cmd, w_cmd)

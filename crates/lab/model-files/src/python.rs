@@ -15,7 +15,7 @@ const LINE_BYTES: usize = 48;
 
 /// The model as a Python module with the class `EnergyPredictor(path, period_s)`.
 ///
-/// The period is that of the model's training data; one whose file does not state it demands it.
+/// The period is that of the model's training data. One whose file does not state it demands it.
 /// `reset`, `step` and `step_with_correction` work in mW and have the names of the paper's module
 /// (arXiv 2603.13908). `predict` takes rows in SI units. It computes in double precision, so
 /// forecasts differ by rounding.

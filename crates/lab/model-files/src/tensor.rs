@@ -3,7 +3,7 @@
 use super::element::Element;
 use super::pickle::product;
 
-/// Maximum number of elements of an array whose values are kept; larger ones have a shape only. The
+/// Maximum number of elements of an array whose values are kept. Larger ones have a shape only. The
 /// largest of this network has 4,096.
 const MAX_ELEMENTS: usize = 1 << 16;
 
@@ -16,7 +16,7 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// A contiguous array; `bytes` holds all elements.
+    /// A contiguous array. `bytes` holds all elements.
     pub(super) fn dense(
         shape: Vec<usize>,
         element: Element,
@@ -28,7 +28,7 @@ impl Tensor {
         Tensor::view(shape, &strides, 0, element, bytes, big_endian)
     }
 
-    /// A view; elements beyond the end of `bytes` are NaN.
+    /// A view. Elements beyond the end of `bytes` are NaN.
     pub(super) fn view(
         shape: Vec<usize>,
         strides: &[usize],
@@ -75,12 +75,12 @@ impl Tensor {
         &self.shape
     }
 
-    /// Element type as in the file, such as `f32`; `numbers` for plain Python numbers.
+    /// Element type as in the file, such as `f32`. `numbers` for plain Python numbers.
     pub fn element(&self) -> &'static str {
         self.element
     }
 
-    /// All values in C order; empty for an array of more than 65,536.
+    /// All values in C order. Empty for an array of more than 65,536.
     pub fn values(&self) -> &[f64] {
         &self.values
     }

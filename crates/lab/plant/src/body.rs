@@ -28,8 +28,8 @@ pub struct Body {
 }
 
 impl Body {
-    /// A robot at rest at time 0. `extra_w` is a constant additional load, W; `neighbours` share
-    /// its radio channel; `made` draws its manufacturing variation, `noise` everything else.
+    /// A robot at rest at time 0. `extra_w` is a constant additional load, W. `neighbours` share
+    /// its radio channel. `made` draws its manufacturing variation, `noise` everything else.
     pub fn new(
         parts: Parts,
         extra_w: f64,

@@ -18,7 +18,7 @@ pub struct Driven {
 
 impl Driven {
     /// A robot at rest at time 0. Streams `stream` and `stream + 1` of the seed draw its
-    /// manufacturing variation and its state; `extra_w` is a constant additional load, W.
+    /// manufacturing variation and its state. `extra_w` is a constant additional load, W.
     pub fn new(parts: Parts, extra_w: f64, pose: Pose, (seed, stream): (u64, u64)) -> Self {
         let mut made = Noise::new(seed, stream);
         let body = Body::new(parts, extra_w, 0, pose, &mut made, Noise::new(seed, stream + 1));
@@ -48,7 +48,7 @@ impl Driven {
         self.body.pose
     }
 
-    /// Energy that it has really drawn since the start, J; known to no policy. It advances with the
+    /// Energy that it has really drawn since the start, J. Known to no policy. It advances with the
     /// polls of the power monitor, ten times a second.
     pub fn drawn_j(&self) -> f64 {
         self.body.drawn_j() - self.before_j

@@ -9,7 +9,7 @@ use super::monitor::POLL_S;
 use super::parts::Parts;
 use joulebus_statistics::noise::Noise;
 
-/// Maximum number of simultaneous bursts of one robot; further ones are dropped.
+/// Maximum number of simultaneous bursts of one robot. Further ones are dropped.
 const MAX_BURSTS: usize = 8;
 /// Maximum power of a burst, in multiples of the mean.
 const MAX_OF_A_BURST: f64 = 4.0;
@@ -51,7 +51,7 @@ pub(super) struct Loads {
 
 impl Loads {
     /// The loads of a robot at rest. `made` draws its manufacturing variations, `noise` its initial
-    /// state; `extra_w` is a constant additional load; `neighbours` share its radio channel.
+    /// state. `extra_w` is a constant additional load. `neighbours` share its radio channel.
     pub(super) fn new(
         parts: Parts,
         extra_w: f64,
@@ -135,7 +135,7 @@ impl Loads {
             + stuck_w
     }
 
-    /// Ends and starts bursts; returns the power of the active ones, W.
+    /// Ends and starts bursts. Returns the power of the active ones, W.
     fn radio_w(&mut self, noise: &mut Noise) -> f64 {
         let mut radio_w = 0.0;
         let mut begins = noise.uniform() >= self.decay.no_burst;
@@ -153,7 +153,7 @@ impl Loads {
     }
 }
 
-/// One step of a mean-reverting drift with mean 0 and deviation 1; `decay` is the decay factor.
+/// One step of a mean-reverting drift with mean 0 and deviation 1. `decay` is the decay factor.
 pub(super) fn drifted(value: f64, decay: f64, noise: &mut Noise) -> f64 {
     value * decay + libm::sqrt(1.0 - decay * decay) * noise.normal()
 }

@@ -1,7 +1,7 @@
 //! The battery, and the power monitor that the controller reads.
 //!
 //! The monitor is an INA260 (power in steps of 10 mW, voltage of 1.25 mV, current of 1.25 mA),
-//! polled at 10 Hz on its own clock; between polls its last reading is repeated.
+//! polled at 10 Hz on its own clock. Between polls its last reading is repeated.
 
 /// Poll period, s.
 pub(super) const POLL_S: f64 = 0.1;

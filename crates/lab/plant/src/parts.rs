@@ -1,8 +1,8 @@
 //! Physical parameters of a simulated robot: its loads, and the variation between robots.
 
 /// Magnitudes and time constants of the loads of a robot. [`Parts::default`] is the fit to the
-/// published figures (`docs/measured/plant.md` states which were fitted and which only checked);
-/// other values are for what-if runs and for the fit itself.
+/// published figures (`docs/measured/plant.md` states which were fitted and which only checked).
+/// Other values are for what-if runs and for the fit itself.
 ///
 /// A *drift* below is a mean-reverting process of mean 0 and deviation 1 with a time constant. All
 /// powers are electrical, at the battery.
@@ -42,9 +42,9 @@ pub struct Parts {
     pub bursts_per_s: f64,
     /// Additional bursts per second for each other robot on the channel.
     pub bursts_per_neighbour_s: f64,
-    /// Mean power of a burst, W; exponentially distributed.
+    /// Mean power of a burst, W. Exponentially distributed.
     pub burst_w: f64,
-    /// Mean length of a burst of a robot alone on the channel, s; exponentially distributed.
+    /// Mean length of a burst of a robot alone on the channel, s. Exponentially distributed.
     pub burst_time_s: f64,
     /// Shortening of bursts by other robots on the channel: with n of them the mean length of a
     /// single robot's bursts is divided by 1 + n times this.

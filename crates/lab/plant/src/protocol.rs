@@ -2,9 +2,9 @@
 //!
 //! What each trial drives is the paper's (arXiv 2603.13908): the eight phases of trial 1 in turn,
 //! goals with proportional control, ramps of several slopes, the greatest and least velocities with
-//! rapid reversals, uniform velocities reached smoothly, long segments at constant velocity;
-//! commands from −0.15 to 0.16 m/s and up to ±3.14 rad/s. The order and length of the segments
-//! within a trial are not published; they are chosen so that mean and deviation of all commands are
+//! rapid reversals, uniform velocities reached smoothly, long segments at constant velocity.
+//! Commands from −0.15 to 0.16 m/s and up to ±3.14 rad/s. The order and length of the segments
+//! within a trial are not published. They are chosen so that mean and deviation of all commands are
 //! about the published ones (v 0.0279 ± 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s).
 
 mod drive;

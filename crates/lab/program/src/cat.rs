@@ -77,7 +77,7 @@ fn refuse_strangers(
     regex: Option<&Regex>,
     topics: &BTreeSet<String>,
 ) -> anyhow::Result<()> {
-    /// Topics that are listed; a file may have thousands.
+    /// Topics that are listed. A file may have thousands.
     const LISTED: usize = 10;
     let named = args.topics.iter().find(|name| !topics.contains(*name));
     let unmatched = regex.filter(|regex| !topics.iter().any(|topic| regex.is_match(topic)));

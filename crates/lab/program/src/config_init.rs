@@ -267,7 +267,7 @@ impl Places {
         }
     }
 
-    /// Refuses to overwrite a file; the model is written only if it is trained.
+    /// Refuses to overwrite a file. The model is written only if it is trained.
     fn check(&self, train: bool) -> Result<(), UsageError> {
         let existing = [&self.fleet, &self.platform]
             .into_iter()
@@ -335,7 +335,7 @@ impl Args {
         }
     }
 
-    /// The given model's path as the platform's file writes it; none for persistence.
+    /// The given model's path as the platform's file writes it. None for persistence.
     fn given_model(&self) -> anyhow::Result<Option<String>> {
         let Some(path) = &self.model else {
             return Ok(None);

@@ -322,7 +322,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
 fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<PathBuf>> {
     let mut places: Vec<PathBuf> = Vec::with_capacity(recordings.len());
     for recording in recordings {
-        // A robot's name may have any characters; a file's name may not.
+        // A robot's name may have any characters. A file's name may not.
         let allowed = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
         let letters = recording.name.chars();
         let file: String =

@@ -192,7 +192,7 @@ impl AcceptArguments {
     }
 
     /// Shows what is implausible in each of some trials, and in the short ones of a folder
-    /// together; refuses errors.
+    /// together. Refuses errors.
     ///
     /// # Errors
     /// As [`AcceptArguments::judge`].

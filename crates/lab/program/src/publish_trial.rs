@@ -107,7 +107,7 @@ impl Args {
         }
     }
 
-    /// Waits for a worker, unless disabled; `false` at a signal.
+    /// Waits for a worker, unless disabled. `false` at a signal.
     fn starts(&self, link: &mut Link, stop: &Stop) -> anyhow::Result<bool> {
         if !self.no_wait {
             return link.wait_for_worker(stop);
@@ -138,7 +138,7 @@ struct Player {
     waits: bool,
     fleet: TrialFleet,
     frame_period_ns: u64,
-    /// Number of samples to play per robot; empty: unlimited.
+    /// Number of samples to play per robot. Empty: unlimited.
     most_samples: HashMap<u32, u64>,
     frame: Vec<Sample>,
     started_ns: u64,
@@ -251,7 +251,7 @@ impl Player {
         self.frame.is_empty() && !self.most_samples.is_empty() && self.played_samples >= most
     }
 
-    /// Sends the frame, in parts if it is longer than the fleet can take; `false` at a signal.
+    /// Sends the frame, in parts if it is longer than the fleet can take. `false` at a signal.
     fn send(&mut self, intended_ns: u64, stop: &Stop) -> anyhow::Result<bool> {
         let frame = std::mem::take(&mut self.frame);
         for part in frame.chunks(self.link.capacity()) {
@@ -277,7 +277,7 @@ impl Player {
         Ok(true)
     }
 
-    /// Waits until the worker has answered enough; `false` at a signal.
+    /// Waits until the worker has answered enough. `false` at a signal.
     fn has_room(&mut self, part: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
         while let Some(flow) = &mut self.flow {
             match flow.wait_for_capacity(part, stop)? {

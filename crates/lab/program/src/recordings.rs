@@ -143,7 +143,7 @@ impl Recordings {
     }
 }
 
-/// Finds the files of `paths`; other files in the directories, and duplicates, are reported on
+/// Finds the files of `paths`. Other files in the directories, and duplicates, are reported on
 /// stderr.
 ///
 /// # Errors

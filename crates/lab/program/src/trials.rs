@@ -146,7 +146,7 @@ impl TrialFiles {
         Ok((path, source))
     }
 
-    /// Source of the ids if the path does not name one; none: consecutive ids.
+    /// Source of the ids if the path does not name one. None: consecutive ids.
     fn default_source(&self, settings: &FleetSettings) -> Result<Option<IdSource>, UsageError> {
         if self.first_robot.is_some() {
             return Ok(None);
@@ -286,7 +286,7 @@ impl Ids {
         Self { next: first, taken: Vec::new() }
     }
 
-    /// The next id; none if all are assigned.
+    /// The next id. None if all are assigned.
     fn next(
         &mut self,
         source: Option<&IdSource>,

@@ -30,7 +30,7 @@ pub(super) struct Level {
     fixed: CoverageTally,
 }
 
-/// Runs the live path with intervals of every level on every recording, which are in memory;
+/// Runs the live path with intervals of every level on every recording, which are in memory.
 /// `design` names the rows that are evaluated, else all are.
 ///
 /// # Errors
@@ -103,7 +103,7 @@ fn normal_reach(share: f64) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// The section. `sets` are shown individually; `trial` is shown over time.
+/// The section. `sets` are shown individually. `trial` is shown over time.
 pub(super) fn section(
     material: &Material<'_>,
     levels: &[Level],

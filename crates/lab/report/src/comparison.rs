@@ -124,7 +124,7 @@ const PUBLISHED: &str = "published";
 const NETWORK: &str = "plain network";
 const PERSISTENCE: &str = "persistence";
 
-/// The forecasts on the trials from a position on; scores are means over them, as the paper's.
+/// The forecasts on the trials from a position on. Scores are means over them, as the paper's.
 fn lines(set: &'static str, scored: &Scored, plain: &[Plain], from: usize) -> Vec<Line> {
     let sets: Vec<&Scores> = scored.report.trials.iter().skip(from).collect();
     let count = sets.len() as f64;
@@ -265,7 +265,7 @@ fn number(quantity: impl Into<String>, paper: Cell, value: f64, decimals: usize)
     Number { quantity: quantity.into(), paper, value, decimals }
 }
 
-/// A power in mW; a difference of powers gets one more decimal than a power.
+/// A power in mW. A difference of powers gets one more decimal than a power.
 fn power_mw(quantity: &str, paper_w: f64, value_w: f64, fine: bool) -> Number {
     let paper = MW.cell(paper_w, fine);
     number(quantity, paper, MW.scaled_w(value_w), usize::from(fine))

@@ -52,7 +52,7 @@ pub struct Table {
     pub caption: String,
     /// Its columns.
     pub columns: Vec<Column>,
-    /// Its rows; as many cells as columns.
+    /// Its rows. As many cells as columns.
     pub rows: Vec<Vec<Cell>>,
     /// Whether it repeats a figure's data: it is then collapsed in HTML.
     pub folded: bool,
@@ -81,11 +81,11 @@ pub enum Cell {
     Words(String),
     /// A count.
     Count(u64),
-    /// A number with a number of decimals; NaN: unknown.
+    /// A number with a number of decimals. NaN: unknown.
     Number(f64, usize),
-    /// Two ends with a number of decimals; NaN: unknown.
+    /// Two ends with a number of decimals. NaN: unknown.
     Range([f64; 2], usize),
-    /// Mean and standard deviation with a number of decimals; NaN: unknown.
+    /// Mean and standard deviation with a number of decimals. NaN: unknown.
     Spread([f64; 2], usize),
     /// An empty cell.
     Nothing,

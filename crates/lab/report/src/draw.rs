@@ -16,7 +16,7 @@ use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 use super::experiment::Simulated;
 use super::{ReportError, material::BASELINES};
 
-/// Trials that train, of the six; the next one validates and the last is held out.
+/// Trials that train, of the six. The next one validates and the last is held out.
 const TRAINING: usize = 4;
 
 /// The recordings of a seed.

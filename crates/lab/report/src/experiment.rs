@@ -9,7 +9,7 @@ pub const DRAWS: u32 = 10;
 /// Configuration of the simulated experiments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
-    /// The first seed; each draw has the next.
+    /// The first seed. Each draw has the next.
     pub seed: u64,
     /// Draws over which the results are averaged, at least 2.
     pub draws: u32,
@@ -17,9 +17,9 @@ pub struct Simulated {
     pub samples: usize,
     /// Steps of the seven robots, at least 100.
     pub robot_steps: usize,
-    /// Training settings; the seed is each draw's.
+    /// Training settings. The seed is each draw's.
     pub recipe: TrainSettings,
-    /// Number of training threads, 0 for one per core; the result does not depend on it.
+    /// Number of training threads, 0 for one per core. The result does not depend on it.
     pub threads: usize,
 }
 

@@ -12,7 +12,7 @@ const BINS: usize = 80;
 /// Duration of the detailed view, s.
 const WINDOW_S: f64 = 20.0;
 
-/// The section of the trial of this name; `None` if it has no forecast.
+/// The section of the trial of this name. `None` if it has no forecast.
 pub(super) fn section(material: &Material<'_>, trial: &str) -> Option<Section> {
     let series = material.series(trial).filter(|series| series.len() > 1)?;
     let name = label(trial);

@@ -6,7 +6,7 @@ use joulebus_eval::score::{Horizon, HorizonScore};
 use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_statistics::bootstrap::Estimate;
 
-/// The section; `None` if no horizon was evaluated.
+/// The section. `None` if no horizon was evaluated.
 pub(super) fn section(material: &Material<'_>) -> Option<Section> {
     let horizons = material.scored.report.open_loop.horizons.as_slice();
     if horizons.is_empty() {

@@ -25,7 +25,7 @@ pub(super) const BASELINES: [Terms; 4] =
     [Terms::VELOCITIES, Terms::velocities_and_lags(1), Terms::AR5, Terms::AR5_AND_VELOCITIES];
 
 impl<'a> Material<'a> {
-    /// Number of models; they are the first forecasters.
+    /// Number of models. They are the first forecasters.
     pub(super) fn models(&self) -> usize {
         self.scored.report.models.len()
     }
@@ -89,7 +89,7 @@ impl<'a> Material<'a> {
 }
 
 /// The file name of a trial without folder and extension, and the robot's number where the file has
-/// several; in the published layout robots are numbers.
+/// several. In the published layout robots are numbers.
 pub(super) fn label(name: &str) -> String {
     let is_number = |text: &str| text.parse::<u32>().is_ok();
     if is_number(name) {
@@ -114,7 +114,7 @@ pub(super) fn scaled(estimate: Estimate, scale: impl Fn(f64) -> f64) -> Interval
     Interval { value: scale(estimate.value), low: scale(estimate.lo), high: scale(estimate.hi) }
 }
 
-/// Skill against persistence; NaN for persistence itself.
+/// Skill against persistence. NaN for persistence itself.
 pub(super) fn skill_against_persistence(score: &ForecasterScore) -> Estimate {
     let against = score.skill.iter().find(|skill| skill.against == "persistence");
     against.map_or(Estimate::alone(f64::NAN), |skill| skill.skill)

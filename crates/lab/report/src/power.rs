@@ -67,7 +67,7 @@ fn readings_w(trial: &Trial) -> impl Iterator<Item = f64> + '_ {
     power.iter().copied().filter(|power_w| power_w.is_finite())
 }
 
-/// Mean, and standard deviation (divided by the number); NaN without a value.
+/// Mean, and standard deviation (divided by the number). NaN without a value.
 fn mean_and_std(power_w: &[f64]) -> (f64, f64) {
     let count = power_w.len() as f64;
     let mean_w = power_w.iter().sum::<f64>() / count;

@@ -16,11 +16,11 @@ use joulebus_eval::score::{
 /// Inputs of a report on recordings.
 #[derive(Debug, Clone)]
 pub struct Recorded<'a> {
-    /// Ingest and intervals of the live path; its platforms are ignored.
+    /// Ingest and intervals of the live path. Its platforms are ignored.
     pub settings: &'a FleetSettings,
-    /// The platform; `None` takes period and limits from each recording.
+    /// The platform. `None` takes period and limits from each recording.
     pub platform: Option<&'a Platform>,
-    /// The models, at least one; the first is shown in every figure.
+    /// The models, at least one. The first is shown in every figure.
     pub models: &'a [Model],
     /// The evaluated recordings.
     pub recordings: &'a [Recording],

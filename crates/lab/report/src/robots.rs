@@ -27,7 +27,7 @@ impl Grouping {
     }
 }
 
-/// The best sets for comparison: groups of trials, else robots, else trials; `None` for a single
+/// The best sets for comparison: groups of trials, else robots, else trials. `None` for a single
 /// recording.
 pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scores])> {
     let report = &material.scored.report;

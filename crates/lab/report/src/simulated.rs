@@ -33,12 +33,12 @@ pub struct SimulatedReport {
 }
 
 /// Simulates, for each seed, the six trials, trains on 1 to 4 with 5 for validation, evaluates on
-/// all six and on seven robots; reports mean and deviation of the results with the paper's numbers,
+/// all six and on seven robots. Reports mean and deviation of the results with the paper's numbers,
 /// and the figures of the draw nearest to the means. `progress` is called with the seed after each
 /// epoch, and may end the experiments.
 ///
 /// # Errors
-/// [`ReportError`]; [`ReportError::Ended`] when `progress` has ended them.
+/// [`ReportError`]. [`ReportError::Ended`] when `progress` has ended them.
 pub fn simulated(
     experiment: &Simulated,
     settings: &FleetSettings,

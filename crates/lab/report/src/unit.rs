@@ -42,7 +42,7 @@ impl Unit {
         Column::new(format!("{key}_{}", self.suffix()), format!("{title} ({})", self.name()))
     }
 
-    /// A cell for a power; a difference of powers gets one more decimal than a power.
+    /// A cell for a power. A difference of powers gets one more decimal than a power.
     pub(super) fn cell(self, value_w: f64, fine: bool) -> Cell {
         let decimals = match self {
             Self::Milliwatt => usize::from(fine),

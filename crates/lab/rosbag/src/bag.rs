@@ -378,7 +378,7 @@ fn beside(path: &Path, end: &str) -> PathBuf {
     name.into()
 }
 
-/// Size of a file, bytes; 0 if there is none.
+/// Size of a file, bytes. 0 if there is none.
 fn length(path: &Path) -> u64 {
     fs::metadata(path).map_or(0, |file| file.len())
 }

@@ -61,7 +61,7 @@ pub struct Allowed {
 pub enum Answer {
     /// All desired velocities are allowed.
     AsWanted,
-    /// Only wall conditions were violated; components were clamped.
+    /// Only wall conditions were violated. Components were clamped.
     Walls,
     /// A quadratic program was solved.
     Solved,
@@ -100,7 +100,7 @@ struct Condition {
 }
 
 impl Condition {
-    /// Violation of the condition; at most 0 if it holds.
+    /// Violation of the condition. At most 0 if it holds.
     fn excess(&self, velocities: &[Vector]) -> f64 {
         let [a, b] = self.robots;
         self.slopes[0].dot(&velocities[a]) + self.slopes[1].dot(&velocities[b]) - self.bound
@@ -192,7 +192,7 @@ impl Barrier {
 }
 
 /// Adds the conditions that the velocities violate by more than `tolerance` and that are not active
-/// yet; returns whether there were any.
+/// yet. Returns whether there were any.
 fn add_violated(
     conditions: &[Condition],
     velocities: &[Vector],

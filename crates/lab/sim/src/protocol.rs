@@ -16,14 +16,14 @@ pub(crate) const MADE: u64 = 1 << 32;
 const STATE: u64 = 2 << 32;
 const MOTION: u64 = 3 << 32;
 
-/// Id of the robot that drives all six trials; the scenario's seven have other ids.
+/// Id of the robot that drives all six trials. The scenario's seven have other ids.
 const TRIAL_ROBOT: u32 = 8;
 
 /// Drives the robot of `seed` through a protocol: [`SAMPLES`] rows, [`STEP_S`] apart.
 ///
 /// A row holds the command during a step, and pose and reading at its end. The six trials of a
-/// seed are of the same robot; its battery, its temperature and all random state restart in
-/// each. `Trial::path` marks it as simulated; no file is read or written.
+/// seed are of the same robot. Its battery, its temperature and all random state restart in
+/// each. `Trial::path` marks it as simulated. No file is read or written.
 pub fn drive(protocol: Protocol, seed: u64) -> Trial {
     drive_with(protocol, Parts::default(), seed, SAMPLES)
 }

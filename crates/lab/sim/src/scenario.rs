@@ -2,7 +2,7 @@
 //!
 //! Each robot is to move its projected point, a little ahead of its wheels, at a random speed in a
 //! random direction, both redrawn every few seconds. [`super::barrier`] modifies velocities that
-//! would lead to a collision or out of the arena; the result is converted to v and ω, and the
+//! would lead to a collision or out of the arena. The result is converted to v and ω, and the
 //! wheels saturate. The seven share a radio channel, so each has more bursts than a robot alone.
 //! Four of the paper's seven (1, 2, 3 and 6) drew more than the rest: `EXTRA_W` sets that without a
 //! physical cause.

@@ -77,7 +77,7 @@ impl Chunk {
         }
     }
 
-    /// Draws the dropout mask; a share of `dropped` in 65,536 is dropped.
+    /// Draws the dropout mask. A share of `dropped` in 65,536 is dropped.
     pub(super) fn draw_dropout(&mut self, dropped: u16, rows: usize, noise: &mut Noise) {
         let scale = 65_536.0 / (65_536.0 - f32::from(dropped));
         for (kept, width) in self.kept.iter_mut().zip(HIDDEN) {
@@ -118,7 +118,7 @@ impl Chunk {
         loss
     }
 
-    /// Forward pass of up to [`ROWS`] rows; returns the summed loss.
+    /// Forward pass of up to [`ROWS`] rows. Returns the summed loss.
     #[inline(always)]
     pub(super) fn measure<'e, S: Simd>(
         &mut self,

@@ -6,7 +6,7 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, u32x16};
 
-/// Vector width; the widths of all layers except the last are multiples of it.
+/// Vector width. The widths of all layers except the last are multiples of it.
 pub(super) const LANES: usize = 16;
 
 /// The left factor of a product: element (row, inner) is at `row * row_step + inner * inner_step`.

@@ -169,7 +169,7 @@ pub struct Moments {
     /// Minimum and maximum: equal for a constant column.
     least: Columns,
     greatest: Columns,
-    /// Sums of products of deviations from the means; only the lower triangle is read.
+    /// Sums of products of deviations from the means. Only the lower triangle is read.
     products: SMatrix<f64, COLUMNS, COLUMNS>,
 }
 
@@ -187,7 +187,7 @@ impl Moments {
         }
     }
 
-    /// Moments of the rows in which every feature of `terms` and the reading are finite; the others
+    /// Moments of the rows in which every feature of `terms` and the reading are finite. The others
     /// are counted ([`Moments::unusable_rows`]).
     pub fn of(rows: &[Row], terms: Terms) -> Moments {
         let usable = || {
@@ -387,7 +387,7 @@ struct Kept {
     dropped: Vec<(usize, Dropped)>,
 }
 
-/// The features of `terms` and the reading; other features are 0.
+/// The features of `terms` and the reading. Other features are 0.
 fn values(row: &Row, terms: Terms) -> Columns {
     Columns::from_fn(|at, _| match at {
         TARGET => f64::from(row.target_w),
@@ -409,7 +409,7 @@ pub struct Linear {
 
 impl Linear {
     /// Least squares over `terms` on some rows. Rows with a number that is not finite are left out
-    /// and counted; a feature that is finite in no row (such as velocities that were not recorded)
+    /// and counted. A feature that is finite in no row (such as velocities that were not recorded)
     /// is dropped and reported instead.
     ///
     /// # Errors
@@ -441,7 +441,7 @@ impl Linear {
         self.dropped.sort_unstable_by_key(|(feature, _)| *feature);
     }
 
-    /// The forecast for a row of features, W. NaN where a feature with a coefficient is NaN; other
+    /// The forecast for a row of features, W. NaN where a feature with a coefficient is NaN. Other
     /// features are ignored.
     pub fn predict(&self, features: &Features) -> f64 {
         let terms = self.coefficients.iter();

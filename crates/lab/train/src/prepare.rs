@@ -90,7 +90,7 @@ pub(super) fn normalisation(
     }
 }
 
-/// Two passes; the deviation of equal values is exactly 0.
+/// Two passes. The deviation of equal values is exactly 0.
 pub(super) fn mean_and_std(values: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
     let count = values.clone().count() as f64;
     let mean = values.clone().map(f64::from).sum::<f64>() / count;

@@ -61,7 +61,7 @@ impl Training {
     }
 
     /// Resumes a saved run on `threads` threads, as in [`Training::new`]. The number of epochs may
-    /// be larger than before; nothing else may differ.
+    /// be larger than before. Nothing else may differ.
     ///
     /// # Errors
     /// [`ResumeError`]: corrupt bytes, or another dataset or other settings.

@@ -48,7 +48,7 @@ pub(super) fn finished(
     Ok(Network::new(parameters, card)?)
 }
 
-/// The linear baseline fitted on the training rows, with its score on the held-out rows; `None` if
+/// The linear baseline fitted on the training rows, with its score on the held-out rows. `None` if
 /// there are too few rows, or their power is constant.
 fn linear(dataset: &Dataset) -> Option<Linear> {
     let fitted = crate::linear::Linear::fit(&dataset.training, Terms::AR5).ok()?;

@@ -21,7 +21,7 @@ pub struct TrainSettings {
     pub feature_set: FeatureSet,
     /// Seed of initial weights, order of rows and dropout.
     pub seed: u64,
-    /// Dropout probability of hidden values, from 0 up to but not including 1; quantised to
+    /// Dropout probability of hidden values, from 0 up to but not including 1. Quantised to
     /// 1/65,536.
     pub dropout: f64,
     /// Epochs without a lower validation loss after which training stops, at least 1.

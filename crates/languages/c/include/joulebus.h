@@ -1,29 +1,29 @@
 /**
  * @file
  * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
- * robot fleets. docs/tutorial/cpp.md has the whole picture; joulebus.hpp is a layer above for C++17.
+ * robot fleets. docs/tutorial/cpp.md introduces it. joulebus.hpp is a layer above for C++17.
  *
  * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
  *
- * Errors. Calls return a joulebus_error; joulebus_last_error() has the message. After an error nothing is written to
- * where results go, if not said otherwise. No call aborts the program on what it is given or reads.
+ * Errors. Calls return a joulebus_error. joulebus_last_error() has the message. After an error a call has written no
+ * results, unless its comment says otherwise. No call aborts the program because of its arguments or of what it reads.
  *
- * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it: used by another one,
- * the call is refused (JOULEBUS_ERROR_THREAD), closing included. Each thread may open its own. A predictor may be used by
- * any thread. No call may be made by a signal handler; what one interrupts is not disturbed, but refuses calls on the
- * same handle.
+ * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it. A call by another
+ * thread is refused (JOULEBUS_ERROR_THREAD), also one that closes it. Each thread may open its own. A predictor may be
+ * used by any thread. A signal handler must make no call. If it does, the call that it interrupted is not disturbed.
+ * The handler's calls on the same handle are refused.
  *
- * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS) and the parent's
- * memory is not disturbed; open others there. Handles of a process may be of several fleets.
+ * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS). The parent's memory is
+ * not disturbed. Open other handles in the child. Handles of a process may be of several fleets.
  *
- * Handles are numbers in the shape of pointers: one that is closed, NULL or none is refused, and closing twice is an
- * error and nothing else. What is open when its thread ends stays open until the process ends; other members of the
- * fleet then remove what is left.
+ * Handles are numbers in the shape of pointers. A handle that is closed, NULL or invalid is refused. Closing twice is an
+ * error and nothing else. A handle that is open when its thread ends stays open until the process ends. Other members of
+ * the fleet then remove what is left.
  *
  * The caller promises that every pointer that is not NULL points to as many elements as the call says, aligned, in
- * memory that no other thread changes meanwhile; NULL is allowed where it is said, and for arrays without elements.
- * Texts are UTF-8 and end with a zero. What a call returns in shared memory must not be written to, and may be read until
- * the time that the call states.
+ * memory that no other thread changes meanwhile. NULL is allowed where a comment says so, and for arrays without
+ * elements. Texts are UTF-8 and end with a zero. Do not write to what a call returns in shared memory. You may read it
+ * until the time that the call states.
  *
  * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock (joulebus_monotonic_ns()). Unknown values
  * have their flag cleared, and are NaN.
@@ -79,7 +79,7 @@
 /** sample_seq, stamp_ns and target_ns are known: a sample has been accepted. */
 #define JOULEBUS_FORECAST_SAMPLE 0x8u
 
-/** residual_w and residual_z belong to the sample sample_seq; otherwise they are NaN. */
+/** residual_w and residual_z belong to the sample sample_seq. Otherwise they are NaN. */
 #define JOULEBUS_DIAGNOSTIC_RESIDUAL 0x1u
 /** At least one residual has been scored. */
 #define JOULEBUS_DIAGNOSTIC_SCORES 0x2u
@@ -131,7 +131,7 @@
 
 /** After the path, return to return_x_m, return_y_m. */
 #define JOULEBUS_QUERY_RETURN 0x1u
-/** heading_rad is the heading at the first point; without it, towards the second. */
+/** heading_rad is the heading at the first point. Without it, towards the second. */
 #define JOULEBUS_QUERY_HEADING 0x2u
 /** One robot's: the power of every step is wanted. */
 #define JOULEBUS_QUERY_POWER 0x4u
@@ -252,7 +252,7 @@
 typedef struct joulebus_refusal {
     /** Robot id stated in the samples. */
     uint32_t robot;
-    /** Position of the reason in DropReason::ALL plus 1; 0 for an empty entry. */
+    /** Position of the reason in DropReason::ALL plus 1. 0 for an empty entry. */
     uint32_t reason;
     /** Process id of the sending source. */
     uint32_t pid;
@@ -272,11 +272,11 @@ typedef struct joulebus_sample {
     uint32_t robot;
     /** sample_flag bits. */
     uint32_t flags;
-    /** Number of this robot's sample within the source epoch; strictly increasing. */
+    /** Number of this robot's sample within the source epoch. Strictly increasing. */
     uint64_t seq;
     /** When the command was issued, monotonic ns. Strictly increasing per robot. */
     uint64_t stamp_ns;
-    /** When the power was *measured*, monotonic ns; equal to the previous one for a held reading. */
+    /** When the power was *measured*, monotonic ns. Equal to the previous one for a held reading. */
     uint64_t measured_ns;
     /** Linear velocity just commanded, after saturation, m/s. */
     float v_mps;
@@ -292,7 +292,7 @@ typedef struct joulebus_sample {
     float soc;
     /**
      * Energy that the robot needs from here to return, J: what its planner says. It applies to this sample
-     * only; without it the platform's config applies.
+     * only. Without it the platform's config applies.
      */
     float return_j;
     /** Zero. */
@@ -383,11 +383,11 @@ typedef struct joulebus_forecast_header {
     uint32_t capacity;
     /** Frames of samples taken in this tick. */
     uint32_t frames_taken;
-    /** SampleHeader::intended_ns of the first frame taken in this tick; 0 if none was. */
+    /** SampleHeader::intended_ns of the first frame taken in this tick. 0 if none was. */
     uint64_t first_intended_ns;
-    /** SampleHeader::sent_ns of that frame; 0 if none was taken. */
+    /** SampleHeader::sent_ns of that frame. 0 if none was taken. */
     uint64_t first_sent_ns;
-    /** When the worker took that frame, monotonic ns; 0 if none was taken. */
+    /** When the worker took that frame, monotonic ns. 0 if none was taken. */
     uint64_t first_taken_ns;
     /** When the tick began to compute, monotonic ns. */
     uint64_t compute_start_ns;
@@ -457,7 +457,7 @@ typedef struct joulebus_diagnostic {
     uint64_t refused;
     /** The network's own forecast of the next reading, W, whatever is published. */
     float network_w;
-    /** Mean of the readings, W; the newest counts 1/256 at least. */
+    /** Mean of the readings, W. The newest counts 1/256 at least. */
     float mean_w;
     /** Mean size of the changes between new measurements, W. */
     float change_w;
@@ -491,7 +491,7 @@ typedef struct joulebus_diagnostic_header {
     uint64_t worker_epoch;
     /** As in ForecastHeader::tick. */
     uint64_t tick;
-    /** Recent refusals; see DiagnosticHeader::refusals. */
+    /** Recent refusals. See DiagnosticHeader::refusals. */
     joulebus_refusal refused[16];
 } joulebus_diagnostic_header;
 
@@ -500,7 +500,7 @@ typedef struct joulebus_diagnostic_header {
  * The ledger part (drawn_uj, drawn_remainder, metered_ns, unmetered_ns, stamp_ns) is exact: metered_ns +
  * unmetered_ns is the time from the first sample to stamp_ns. The energy left is counted from it and fused with
  * measured states of charge. The truth lies between the bounds (_lo, _hi) with 95 % where the errors are as the
- * platform's config says; they widen with unmetered time by all that the robot could have drawn.
+ * platform's config says. They widen with unmetered time by all that the robot could have drawn.
  */
 typedef struct joulebus_budget {
     /** Id of the robot. */
@@ -655,11 +655,11 @@ typedef struct joulebus_plan_state {
     uint16_t quality_detail;
     /** Place of the robot's platform, and so of its model, in the config. */
     uint16_t platform;
-    /** Sample periods since the last reading; those by the worker's clock are included. */
+    /** Sample periods since the last reading. Those by the worker's clock are included. */
     uint16_t open_steps;
-    /** Samples since the last measurement, 0 to 254; 255 before the first. */
+    /** Samples since the last measurement, 0 to 254. 255 before the first. */
     uint16_t age_steps;
-    /** Samples from one measurement to the next, 1 to 255; 0 until two have been seen. */
+    /** Samples from one measurement to the next, 1 to 255. 0 until two have been seen. */
     uint16_t interval_steps;
     /** Number of times the robot's slot has been reassigned. */
     uint32_t generation;
@@ -691,7 +691,7 @@ typedef struct joulebus_plan_state {
     float weight_network;
     /** Weight of the stack there. */
     float weight_stack;
-    /** Weight of the stack where it will be held; the rest is that of the last reading. */
+    /** Weight of the stack where it will be held. The rest is that of the last reading. */
     float held_weight_stack;
     /** Gain of the last reading within the stack. */
     float gain_last;
@@ -717,14 +717,14 @@ typedef struct joulebus_plan_state {
     float energy_j[4];
     /** What the platform's command model says of the same time, J. */
     float command_j[4];
-    /** Discounted time, s; 0 before the first metered reading. */
+    /** Discounted time, s. 0 before the first metered reading. */
     float time_s[4];
     /**
      * Lower bounds of the energy's 90 % interval at the horizons of joulebus_energy::SHADOWS_S, in half widths
      * from the middle of the trained one.
      */
     float error_lower[3];
-    /** Its upper bounds; −1 and 1 are the trained interval. */
+    /** Its upper bounds. −1 and 1 are the trained interval. */
     float error_upper[3];
     /** How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's. */
     float command_trust;
@@ -751,7 +751,7 @@ typedef struct joulebus_plan_state_header {
     uint64_t settings_hash;
     /** Hash of all models, as in ForecastHeader::model_hash. */
     uint64_t model_hash;
-    /** Hash of each platform's model; 0 beyond the last platform, and beyond LISTED_MODELS. */
+    /** Hash of each platform's model. 0 beyond the last platform, and beyond LISTED_MODELS. */
     uint64_t models[16];
     /** When the tick began to compute, monotonic ns. */
     uint64_t compute_start_ns;
@@ -783,7 +783,7 @@ typedef struct joulebus_query_header {
     uint32_t flags;
     /** Number of robots, at most QUERY_ROBOTS. */
     uint32_t robots;
-    /** Number of candidates, at most QUERY_CANDIDATES; 0 unless they are asked about. */
+    /** Number of candidates, at most QUERY_CANDIDATES. 0 unless they are asked about. */
     uint32_t candidates;
     /** Steps of each candidate, points of the path, or characters of a name. */
     uint32_t steps;
@@ -813,7 +813,7 @@ typedef struct joulebus_answer_header {
     uint64_t number;
     /** Run of the worker that the state is of. */
     uint64_t worker_epoch;
-    /** Tick of the plan states that the answer is computed from; 0 if it is refused. */
+    /** Tick of the plan states that the answer is computed from. 0 if it is refused. */
     uint64_t tick;
     /** Period of the tick, ns. */
     uint64_t period_ns;
@@ -821,7 +821,7 @@ typedef struct joulebus_answer_header {
     uint64_t sent_state_ns;
     /** Run of the worker that the budgets are of. */
     uint64_t budget_epoch;
-    /** Tick of the budgets; 0 without any. */
+    /** Tick of the budgets. 0 without any. */
     uint64_t budget_tick;
     /** When that frame was sent, monotonic ns. */
     uint64_t sent_budget_ns;
@@ -831,7 +831,7 @@ typedef struct joulebus_answer_header {
     uint64_t taken_ns;
     /** When the answer was sent, monotonic ns. */
     uint64_t sent_ns;
-    /** Code of the QueryRefusal; 0 if the question is answered. */
+    /** Code of the QueryRefusal. 0 if the question is answered. */
     uint32_t refusal;
     /** Number of AnswerRows. */
     uint32_t rows;
@@ -847,11 +847,11 @@ typedef struct joulebus_answer_row {
     uint32_t robot;
     /** answer_flag bits. */
     uint16_t flags;
-    /** 1 yes, 2 tight, 3 no, 4 unknown; others are of a newer version. */
+    /** 1 yes, 2 tight, 3 no, 4 unknown. Others are of a newer version. */
     uint16_t verdict;
     /**
      * Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery, 7 battery
-     * unknown, 8 no budget; 0 if it is not.
+     * unknown, 8 no budget. 0 if it is not.
      */
     uint16_t unknown;
     /** Code of the InvalidReason, or readings so far in the warm-up. */
@@ -920,7 +920,7 @@ enum joulebus_error
      */
     JOULEBUS_ERROR_CONNECT = 6,
     /**
-     * Frames could not be read, or are of another version; the next call may succeed.
+     * Frames could not be read, or are of another version. The next call may succeed.
      */
     JOULEBUS_ERROR_READ = 7,
     /**
@@ -977,11 +977,11 @@ enum joulebus_event_kind
      */
     JOULEBUS_EVENT_KIND_FRAME = 1,
     /**
-     * The worker has ended; told once.
+     * The worker has ended. Told once.
      */
     JOULEBUS_EVENT_KIND_GONE = 2,
     /**
-     * The newest frame is older than two tick periods; told once.
+     * The newest frame is older than two tick periods. Told once.
      */
     JOULEBUS_EVENT_KIND_STALE = 3,
     /**
@@ -1124,7 +1124,7 @@ typedef struct joulebus_robot_state {
      */
     float omega_radps;
     /**
-     * Electrical power just read, W; negative where the platform regenerates.
+     * Electrical power just read, W. Negative where the platform regenerates.
      */
     float power_w;
     /**
@@ -1210,7 +1210,7 @@ typedef struct joulebus_publisher_counts {
  */
 typedef struct joulebus_forecasts {
     /**
-     * Its header; NULL if there is no frame.
+     * Its header. NULL if there is no frame.
      */
     const joulebus_forecast_header *header;
     /**
@@ -1259,7 +1259,7 @@ typedef struct joulebus_event {
  */
 typedef struct joulebus_diagnostics {
     /**
-     * Its header; NULL if there is no frame.
+     * Its header. NULL if there is no frame.
      */
     const joulebus_diagnostic_header *header;
     /**
@@ -1277,7 +1277,7 @@ typedef struct joulebus_diagnostics {
  */
 typedef struct joulebus_budgets {
     /**
-     * Its header; NULL if there is no frame.
+     * Its header. NULL if there is no frame.
      */
     const joulebus_budget_header *header;
     /**
@@ -1295,7 +1295,7 @@ typedef struct joulebus_budgets {
  */
 typedef struct joulebus_outlooks {
     /**
-     * Its header; NULL if there is no frame.
+     * Its header. NULL if there is no frame.
      */
     const joulebus_outlook_header *header;
     /**
@@ -1375,7 +1375,7 @@ typedef struct joulebus_platform {
      */
     uint32_t reserved;
     /**
-     * Capacity of the battery, J; NaN without one.
+     * Capacity of the battery, J. NaN without one.
      */
     double capacity_j;
 } joulebus_platform;
@@ -1393,7 +1393,7 @@ typedef struct joulebus_waypoint {
      */
     double y_m;
     /**
-     * Speed towards it, m/s, limited by the platform's; that of the first point is not used.
+     * Speed towards it, m/s, limited by the platform's. That of the first point is not used.
      */
     double speed_mps;
 } joulebus_waypoint;
@@ -1403,7 +1403,7 @@ typedef struct joulebus_waypoint {
  */
 typedef struct joulebus_question {
     /**
-     * JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW:
+     * JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot. IDLE: robots that stand still. FOLLOW:
      * robots that follow a path, which are answered the best first.
      */
     uint32_t kind;
@@ -1432,7 +1432,7 @@ typedef struct joulebus_question {
      */
     const uint32_t *robots;
     /**
-     * How many; one of WHAT_IF.
+     * How many. One of WHAT_IF.
      */
     size_t robot_count;
     /**
@@ -1452,7 +1452,7 @@ typedef struct joulebus_question {
      */
     const float *omega_radps;
     /**
-     * For FOLLOW: the path; the robots are at its first point.
+     * For FOLLOW: the path. The robots are at its first point.
      */
     const struct joulebus_waypoint *path;
     /**
@@ -1468,8 +1468,8 @@ typedef struct joulebus_question {
      */
     double return_y_m;
     /**
-     * Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING;
-     * else towards the second point.
+     * Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING.
+     * Else towards the second point.
      */
     double heading_rad;
 } joulebus_question;
@@ -1479,7 +1479,7 @@ typedef struct joulebus_question {
  */
 typedef struct joulebus_answers {
     /**
-     * Place for an answer for each candidate or robot.
+     * Memory for an answer for each candidate or robot.
      */
     joulebus_answer_row *rows;
     /**
@@ -1491,8 +1491,8 @@ typedef struct joulebus_answers {
      */
     size_t row_count;
     /**
-     * Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
-     * one robot; NULL if it is not wanted.
+     * Memory for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
+     * one robot. NULL if it is not wanted.
      */
     float *power_w;
     /**
@@ -1512,7 +1512,7 @@ typedef struct joulebus_answers {
      */
     uint64_t age_ns;
     /**
-     * From asking the worker to its answer, ns; 0 where this process computes.
+     * From asking the worker to its answer, ns. 0 where this process computes.
      */
     uint64_t took_ns;
 } joulebus_answers;
@@ -1591,7 +1591,7 @@ joulebus_error joulebus_check_version(const char *header);
 const char *joulebus_last_error(void);
 
 /**
- * The name of an error, like "thread"; "unknown" of another number.
+ * The name of an error, like "thread", or "unknown" of another number.
  */
 const char *joulebus_error_name(int32_t error);
 
@@ -1632,15 +1632,15 @@ joulebus_error joulebus_publisher_open(const char *header,
 
 /**
  * Sends one frame: each robot at most once, numbered and stamped with the current time. Never
- * blocks; when the worker is too slow, the oldest frame is overwritten, and the worker counts it.
+ * blocks. When the worker is too slow, the oldest frame is overwritten, and the worker counts it.
  * Values are sent unchecked: what is not finite or beyond the platform's limits is refused by the
  * worker, counted by reason.
  *
- * @param robots      The robots' states; NULL if count is 0.
+ * @param robots      The robots' states. NULL if count is 0.
  * @param count       How many.
  * @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0:
  *                    now.
- * @param sent        The frame that was sent; NULL if it is not wanted.
+ * @param sent        The frame that was sent. NULL if it is not wanted.
  */
 joulebus_error joulebus_publisher_publish(struct joulebus_publisher *publisher,
                                           const struct joulebus_robot_state *robots,
@@ -1676,7 +1676,7 @@ joulebus_error joulebus_publisher_close(struct joulebus_publisher *publisher);
  *
  * @param header      JOULEBUS_HEADER.
  * @param config_path The fleet's config file.
- * @param name        1 to 128 bytes, shown to operators; need not be unique.
+ * @param name        1 to 128 bytes, shown to operators. Need not be unique.
  * @param subscriber  The new handle.
  */
 joulebus_error joulebus_subscriber_open(const char *header,
@@ -1686,12 +1686,12 @@ joulebus_error joulebus_subscriber_open(const char *header,
 
 /**
  * Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a
- * signal. Of several frames it returns the newest; skipped ones are counted. Frames stay where
+ * signal. Of several frames it returns the newest. Skipped ones are counted. Frames stay where
  * they are in shared memory: the event's pointers are valid until the next call of
  * joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close with this
  * subscriber.
  *
- * @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
+ * @param timeout_ns Time to wait, ns. UINT64_MAX for ever, 0 not at all.
  * @param event      What happened.
  */
 joulebus_error joulebus_subscriber_wait(struct joulebus_subscriber *subscriber,
@@ -1702,26 +1702,26 @@ joulebus_error joulebus_subscriber_wait(struct joulebus_subscriber *subscriber,
  * A descriptor that is readable when joulebus_subscriber_wait is likely to have something to
  * return, for event loops: a frame has arrived, or the worker's process has exited. When it is
  * readable, call joulebus_subscriber_wait with a time of 0 until it returns
- * JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+ * JOULEBUS_EVENT_KIND_TIMED_OUT. Call it as well where it has not been readable for
  * look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that
  * arrives while an earlier one is read. It belongs to the subscriber, and must not be closed.
  *
  * @param descriptor     To be polled for reading only.
- * @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
+ * @param look_within_ns Longest time to wait for it from now on, ns. At most 100 ms.
  */
 joulebus_error joulebus_subscriber_readiness(struct joulebus_subscriber *subscriber,
                                              int32_t *descriptor,
                                              uint64_t *look_within_ns);
 
 /**
- * The newest frame, without waiting, whether or not it was returned before; its header is NULL
+ * The newest frame, without waiting, whether or not it was returned before. Its header is NULL
  * until the first has arrived. Pointers are valid as of joulebus_subscriber_wait.
  */
 joulebus_error joulebus_subscriber_latest(struct joulebus_subscriber *subscriber,
                                           struct joulebus_forecasts *frame);
 
 /**
- * One robot of the frame that was returned last, in constant time while no robots join or leave;
+ * One robot of the frame that was returned last, in constant time while no robots join or leave.
  * NULL if it is not in the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
  */
 joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *subscriber,
@@ -1731,11 +1731,11 @@ joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *subscriber,
 /**
  * Takes the frame that was returned last out of the subscriber, to keep it: there is no current
  * frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
- * after the subscriber is closed and the worker has ended. Two may be kept; with more, reading is
+ * after the subscriber is closed and the worker has ended. Two may be kept. With more, reading is
  * an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
  *
  * @param frame The new handle.
- * @param view  The frame that is kept; NULL if it is not wanted.
+ * @param view  The frame that is kept. NULL if it is not wanted.
  */
 joulebus_error joulebus_subscriber_take_current(struct joulebus_subscriber *subscriber,
                                                 struct joulebus_frame **frame,
@@ -1798,7 +1798,7 @@ joulebus_error joulebus_questions_open(const char *header,
                                        struct joulebus_questions **questions);
 
 /**
- * Waits until the newest frame is at most two ticks old, and returns its tick and its age; after
+ * Waits until the newest frame is at most two ticks old, and returns its tick and its age. After
  * the time, those of the frame that there is.
  *
  * @param timeout_ns Time to wait, ns.
@@ -1812,7 +1812,7 @@ joulebus_error joulebus_questions_wait(struct joulebus_questions *questions,
                                        uint64_t *age_ns);
 
 /**
- * The platform of a robot, as the config describes it; of one that belongs to none,
+ * The platform of a robot, as the config describes it. Of one that belongs to none,
  * JOULEBUS_ERROR_QUESTION.
  */
 joulebus_error joulebus_questions_platform(struct joulebus_questions *questions,
@@ -1829,8 +1829,8 @@ joulebus_error joulebus_questions_platform(struct joulebus_questions *questions,
  * @param v_mps       candidates * steps linear velocities, m/s, candidate by candidate.
  * @param omega_radps As many angular velocities, rad/s.
  * @param coverage    Coverage of the intervals, 0.5 to 0.999.
- * @param answers     Place for candidates answers.
- * @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they
+ * @param answers     Memory for candidates answers.
+ * @param power_w     Memory for candidates * steps powers, W, candidate by candidate. NULL if they
  *                    are not wanted.
  */
 joulebus_error joulebus_questions_what_if(struct joulebus_questions *questions,
@@ -1848,7 +1848,7 @@ joulebus_error joulebus_questions_what_if(struct joulebus_questions *questions,
  * Answers a question as of the newest frame.
  *
  * @param question What is asked.
- * @param answers  Memory for the answers; filled with what they are of.
+ * @param answers  Memory for the answers. Filled with what they are of.
  */
 joulebus_error joulebus_questions_ask(struct joulebus_questions *questions,
                                       const struct joulebus_question *question,
@@ -1879,8 +1879,8 @@ joulebus_error joulebus_client_open(const char *header,
  * and JOULEBUS_MAX_QUERY_VALUES values.
  *
  * @param question   What is asked.
- * @param timeout_ns Time to wait, ns; later the worker does not answer any more.
- * @param answers    Memory for the answers; filled with what they are of. Powers that do not fit
+ * @param timeout_ns Time to wait, ns. Later the worker does not answer any more.
+ * @param answers    Memory for the answers. Filled with what they are of. Powers that do not fit
  *                   into a frame are left out: power_count is 0 then.
  */
 joulebus_error joulebus_client_ask(struct joulebus_client *client,
@@ -1897,7 +1897,7 @@ joulebus_error joulebus_client_close(struct joulebus_client *client);
  * Opens a model file of joulebus (.safetensors), or a built-in model (builtin:NAME).
  *
  * @param header    JOULEBUS_HEADER.
- * @param model     Its path or name; NULL: builtin:gternal-sim.
+ * @param model     Its path or name. NULL: builtin:gternal-sim.
  * @param predictor The new handle. Any thread may use it, also several at once.
  */
 joulebus_error joulebus_predictor_open(const char *header,
@@ -1909,11 +1909,11 @@ joulebus_error joulebus_predictor_open(const char *header,
  * row makes that row's forecast NaN and changes no other.
  *
  * @param features rows * width values: v, omega, their derivatives, their magnitudes, the last
- *                 five readings, newest first (m, rad, s, W); of width 13 also the age of the
+ *                 five readings, newest first (m, rad, s, W). Of width 13 also the age of the
  *                 newest reading in steps, and 1 where the next is due, else 0.
  * @param rows     Robots.
  * @param width    11 or 13. 13 is not copied.
- * @param power_w  Place for rows forecasts.
+ * @param power_w  Memory for rows forecasts.
  */
 joulebus_error joulebus_predictor_predict(struct joulebus_predictor *predictor,
                                           const float *features,
@@ -1925,8 +1925,8 @@ joulebus_error joulebus_predictor_predict(struct joulebus_predictor *predictor,
  * Energy and power of command sequences, in open loop: the network is fed with its own forecasts.
  *
  * @param rollout  The commands, and what each robot starts from.
- * @param energy_j Place for robots * candidates energies, J.
- * @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands;
+ * @param energy_j Memory for robots * candidates energies, J.
+ * @param power_w  Memory for robots * candidates * steps powers, W, in the order of the commands.
  *                 NULL if they are not wanted.
  */
 joulebus_error joulebus_predictor_rollout(struct joulebus_predictor *predictor,
@@ -1940,7 +1940,7 @@ joulebus_error joulebus_predictor_rollout(struct joulebus_predictor *predictor,
 joulebus_error joulebus_predictor_hash(struct joulebus_predictor *predictor, uint64_t *hash);
 
 /**
- * Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed
+ * Closes a predictor, by any thread. Calls that use it meanwhile are finished. NULL is closed
  * already.
  */
 joulebus_error joulebus_predictor_close(struct joulebus_predictor *predictor);

@@ -72,7 +72,7 @@ public:
     bool has_value() const noexcept { return found_.index() == 0; }
     explicit operator bool() const noexcept { return has_value(); }
 
-    /** The value; throws Exception if there is none. */
+    /** The value. Throws Exception if there is none. */
     T &value() & { return check(), std::get<0>(found_); }
     const T &value() const & { return check(), std::get<0>(found_); }
     /** By value: so a range that is used in the same expression, or in a loop, outlives this Result. */
@@ -212,7 +212,7 @@ struct RobotState : joulebus_robot_state {
         v_mps = v, omega_radps = omega;
         return with(JOULEBUS_SAMPLE_V | JOULEBUS_SAMPLE_OMEGA);
     }
-    /** With the power just measured, W; `measured` in ns on the monotonic clock, 0 for now. */
+    /** With the power just measured, W. `measured` in ns on the monotonic clock, 0 for now. */
     RobotState &reading(float power, std::uint64_t measured = 0) noexcept {
         power_w = power, measured_ns = measured, flags &= ~static_cast<std::uint32_t>(JOULEBUS_SAMPLE_HELD);
         return with(JOULEBUS_SAMPLE_POWER);
@@ -265,7 +265,7 @@ public:
         return Publisher(raw);
     }
 
-    /** Sends one frame: each robot at most once. `intended_ns`: when it was due, monotonic; 0 for now. */
+    /** Sends one frame: each robot at most once. `intended_ns`: when it was due, monotonic. 0 for now. */
     Result<joulebus_sent> publish(Span<const RobotState> robots, std::uint64_t intended_ns = 0) {
         joulebus_sent sent{};
         auto code = joulebus_publisher_publish(handle_.get(), robots.data(), robots.size(), intended_ns, &sent);
@@ -335,7 +335,7 @@ public:
     const Row &operator[](std::size_t at) const noexcept { return raw_.robots[at]; }
     Span<const Row> rows() const noexcept { return {raw_.robots, raw_.count}; }
 
-    /** One robot, by a search of the rows; nullptr if it is not there. */
+    /** One robot, by a search of the rows. nullptr if it is not there. */
     const Row *find(std::uint32_t robot) const noexcept {
         for (const Row &row : *this) {
             if (row.robot == robot) {
@@ -387,7 +387,7 @@ public:
     const joulebus_forecast &operator[](std::size_t at) const && = delete;
     Span<const joulebus_forecast> rows() const & noexcept { return frame_.rows(); }
     Span<const joulebus_forecast> rows() const && = delete;
-    /** One robot, by a search of the rows; nullptr if it is not there. */
+    /** One robot, by a search of the rows. nullptr if it is not there. */
     const joulebus_forecast *find(std::uint32_t robot) const & noexcept { return frame_.find(robot); }
     const joulebus_forecast *find(std::uint32_t robot) const && = delete;
 
@@ -468,7 +468,7 @@ public:
         return read<Forecasts>(code, frame);
     }
 
-    /** One robot of the frame that was returned last, in constant time; nullptr if it is not there. */
+    /** One robot of the frame that was returned last, in constant time. nullptr if it is not there. */
     Result<const joulebus_forecast *> robot(std::uint32_t id) {
         const joulebus_forecast *row = nullptr;
         auto code = joulebus_subscriber_robot(handle_.get(), id, &row);
@@ -490,21 +490,21 @@ public:
         return KeptForecasts(raw, frame);
     }
 
-    /** The newest diagnostics, if any has arrived; valid until the next call. */
+    /** The newest diagnostics, if any has arrived. Valid until the next call. */
     Result<std::optional<Diagnostics>> diagnostics() {
         joulebus_diagnostics frame{};
         auto code = joulebus_subscriber_diagnostics(handle_.get(), &frame);
         return read<Diagnostics>(code, frame);
     }
 
-    /** The newest budgets, if any have arrived; valid until the next call. */
+    /** The newest budgets, if any have arrived. Valid until the next call. */
     Result<std::optional<Budgets>> budgets() {
         joulebus_budgets frame{};
         auto code = joulebus_subscriber_budgets(handle_.get(), &frame);
         return read<Budgets>(code, frame);
     }
 
-    /** The newest outlooks, if any have arrived; valid until the next call. The worker computes them from the first
+    /** The newest outlooks, if any have arrived. Valid until the next call. The worker computes them from the first
      *  call on. */
     Result<std::optional<Outlooks>> outlooks() {
         joulebus_outlooks frame{};
@@ -666,7 +666,7 @@ struct Answers {
     std::uint64_t tick = 0;
     /** Its age then. */
     std::chrono::nanoseconds age{};
-    /** From asking the worker to its answer; 0 where this process computes. */
+    /** From asking the worker to its answer. 0 where this process computes. */
     std::chrono::nanoseconds took{};
 };
 
@@ -721,7 +721,7 @@ public:
         return Questions(raw);
     }
 
-    /** Waits for a frame that is at most two ticks old; returns the age of the newest. */
+    /** Waits for a frame that is at most two ticks old. Returns the age of the newest. */
     Result<std::chrono::nanoseconds> wait(std::chrono::nanoseconds timeout) {
         std::uint64_t tick = 0, age_ns = 0;
         auto code = joulebus_questions_wait(handle_.get(), detail::ns(timeout), &tick, &age_ns);
@@ -741,7 +741,7 @@ public:
         return platform;
     }
 
-    /** The answer to each candidate, into memory of the caller; `power_w`: the power of every step, or nothing. */
+    /** The answer to each candidate, into memory of the caller. `power_w`: the power of every step, or nothing. */
     Result<void> what_if(std::uint32_t robot, const Candidates &candidates, float coverage, Span<Answer> answers,
                          Span<float> power_w = {}) {
         const std::size_t steps = candidates.steps;

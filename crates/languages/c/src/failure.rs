@@ -67,7 +67,7 @@ fn remember(text: &str) {
     });
 }
 
-/// The message of the last call that failed in this thread; null before.
+/// The message of the last call that failed in this thread. Null before.
 pub(crate) fn last() -> *const c_char {
     let text = LAST.try_with(|last| {
         let last = last.try_borrow().ok()?;

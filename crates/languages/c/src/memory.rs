@@ -15,7 +15,7 @@ pub(crate) struct Out<'a, T> {
 
 impl<T> Out<'_, T> {
     pub(crate) fn set(&mut self, value: T) {
-        // SAFETY: `out` made it, whose caller promises a writable place; aligned and not null.
+        // SAFETY: `out` made it, whose caller promises a writable place. Aligned and not null.
         #[allow(unsafe_code, reason = "memory of the caller")]
         unsafe {
             self.to.write(value);
@@ -54,7 +54,7 @@ pub(crate) unsafe fn array<'a, T: Copy>(
         return Ok(&[]);
     }
     check(name, first, count)?;
-    // SAFETY: not null, aligned, not longer than an object; the caller promises the elements.
+    // SAFETY: not null, aligned, not longer than an object. The caller promises the elements.
     Ok(unsafe { slice::from_raw_parts(first, count) })
 }
 
@@ -72,7 +72,7 @@ pub(crate) unsafe fn array_mut<'a, T: Copy>(
         return Ok(&mut []);
     }
     check(name, first, count)?;
-    // SAFETY: not null, aligned, not longer than an object; the caller promises the elements.
+    // SAFETY: not null, aligned, not longer than an object. The caller promises the elements.
     Ok(unsafe { slice::from_raw_parts_mut(first, count) })
 }
 
@@ -83,7 +83,7 @@ pub(crate) unsafe fn array_mut<'a, T: Copy>(
 #[allow(unsafe_code, reason = "memory of the caller")]
 pub(crate) unsafe fn read<T: Copy>(name: &str, from: *const T) -> Result<T, Failure> {
     check(name, from, 1)?;
-    // SAFETY: not null and aligned; the caller promises the struct.
+    // SAFETY: not null and aligned. The caller promises the struct.
     Ok(unsafe { from.read() })
 }
 

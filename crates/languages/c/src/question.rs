@@ -110,7 +110,7 @@ impl<'a> Places<'a> {
         let powers = if of.power_w.is_null() { 0 } else { of.power_capacity };
         let rows = ("rows", of.rows.cast_const(), of.row_capacity);
         check_apart(rows, ("power_w", of.power_w.cast_const(), powers))?;
-        // SAFETY: the caller's promise; both are apart.
+        // SAFETY: the caller's promise. Both are apart.
         let (rows, power_w) = unsafe {
             (
                 array_mut("rows", of.rows, of.row_capacity)?,

@@ -7,7 +7,7 @@ use joulebus_wire::{FieldLayout, FieldType, layouts};
 /// Name, type and offset of each field, and the size of the whole.
 pub(crate) type Layout = (Vec<(&'static str, String, usize)>, usize);
 
-/// The layout of a payload without structs inside; `None` for another name.
+/// The layout of a payload without structs inside. `None` for another name.
 pub(crate) fn layout(name: &str) -> Option<Layout> {
     let found = layouts().into_iter().find(|layout| layout.name == name)?;
     let field = |field: &FieldLayout| {

@@ -23,7 +23,7 @@ pub(crate) struct EnergyPredictor {
     network: Network,
     period_s: f32,
     robots: Vec<Robot>,
-    /// Shape of all arguments so far; empty while all were single numbers.
+    /// Shape of all arguments so far. Empty while all were single numbers.
     shape: Vec<usize>,
 }
 
@@ -77,7 +77,7 @@ impl EnergyPredictor {
         self.advance(v_cmd, w_cmd, None)
     }
 
-    /// As `step`; the next one continues with `measured_power` (mW), or if NaN with the forecast.
+    /// As `step`. The next one continues with `measured_power` (mW), or if NaN with the forecast.
     fn step_with_correction<'py>(
         &mut self,
         v_cmd: &Bound<'py, PyAny>,
@@ -173,7 +173,7 @@ impl EnergyPredictor {
         }
     }
 
-    /// Gives every robot of the arguments a state; all arrays must have the same shape.
+    /// Gives every robot of the arguments a state. All arrays must have the same shape.
     fn spread(&mut self, arguments: &[(&str, Option<&Doubles>)]) -> PyResult<()> {
         let mut shape = self.shape.clone();
         for (name, numbers) in arguments {

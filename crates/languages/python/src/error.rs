@@ -40,13 +40,13 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     let message = format!("cannot read {}: {error}", path.display());
     let kind: PyErr = io::Error::new(error.kind(), message.clone()).into();
     match error.kind() {
-        // `PyErr` knows a class for these kinds; its message is ours.
+        // `PyErr` knows a class for these kinds. Its message is ours.
         io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied => kind,
         _ => PyOSError::new_err(message),
     }
 }
 
-/// Why reading failed; for a frame of another version also what to install.
+/// Why reading failed. For a frame of another version also what to install.
 pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(

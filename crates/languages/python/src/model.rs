@@ -65,7 +65,7 @@ pub(crate) fn of_bytes(bytes: &[u8]) -> PyResult<Network> {
     Network::from_safetensors(bytes).map_err(|error| ModelError::new_err(error.to_string()))
 }
 
-/// The time between two steps at which a network forecasts, s; `argument` is what can state it.
+/// The time between two steps at which a network forecasts, s. `argument` is what can state it.
 pub(crate) fn period_s(network: &Network, argument: &str) -> PyResult<f32> {
     network.card().period_s().ok_or_else(|| without_period(argument))
 }

@@ -104,7 +104,7 @@ impl OnlineRobots {
     }
 
     /// Weights of the last reading, the member and the stacks, for the next reading that is a new
-    /// measurement; `None` where robots do not learn.
+    /// measurement. `None` where robots do not learn.
     fn weights(&self, robot: usize) -> Option<[f32; 3]> {
         self.forecasts.learned(robot).map(|learned| learned.weights)
     }

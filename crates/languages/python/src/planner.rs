@@ -22,7 +22,7 @@ use crate::port_thread::PortThread;
 
 /// Longest wait without a look at Python's signals: Ctrl-C works within twice this.
 pub(crate) const SLICE: Duration = Duration::from_millis(40);
-/// Maximum timeout; longer ones are the same as none.
+/// Maximum timeout. Longer ones are the same as none.
 const MAX_TIMEOUT: Duration = Duration::from_secs(1 << 32);
 
 /// Tick and rows of the newest frame, if one arrived.
@@ -106,7 +106,7 @@ impl PlannerPorts {
         }
     }
 
-    /// The fleet's newest diagnostics: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest diagnostics: tick and bytes. `None` if none arrived within `timeout_s`.
     fn diagnostics<'py>(
         &self,
         py: Python<'py>,
@@ -117,7 +117,7 @@ impl PlannerPorts {
         })
     }
 
-    /// The fleet's newest budgets: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest budgets: tick and bytes. `None` if none arrived within `timeout_s`.
     fn budgets<'py>(
         &self,
         py: Python<'py>,
@@ -126,7 +126,7 @@ impl PlannerPorts {
         self.poll(py, timeout_s, |state| state.newest(|open| (&open.planner, &mut open.budgets)))
     }
 
-    /// The fleet's newest outlooks: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest outlooks: tick and bytes. `None` if none arrived within `timeout_s`.
     fn outlooks<'py>(
         &self,
         py: Python<'py>,

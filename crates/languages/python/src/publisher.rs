@@ -48,7 +48,7 @@ impl PublisherPort {
         })
     }
 
-    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns
+    /// Sends one frame. `columns` are by the names of `RobotState`'s fields. NaN and absent columns
     /// are unknown. Returns the numbers of readers and of samples, and the frame's own.
     fn publish(
         &self,
@@ -106,7 +106,7 @@ impl PublisherPort {
 }
 
 impl PublisherPort {
-    /// Judges these states; news wait until they are told.
+    /// Judges these states. News wait until they are told.
     fn judge(&self, robots: &[RobotState]) {
         let now_ns = clock::monotonic_ns();
         let (Ok(mut judgement), Ok(mut untold)) = (self.judgement.lock(), self.untold.lock())

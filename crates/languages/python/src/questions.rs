@@ -164,7 +164,7 @@ impl QuestionPorts {
 }
 
 impl QuestionPorts {
-    /// The tick period of a robot's platform; that of the first where it is unknown.
+    /// The tick period of a robot's platform. That of the first where it is unknown.
     fn period_s(&self, robot: u32) -> f32 {
         let platforms = self.fleet.platforms();
         let its = platforms
@@ -203,7 +203,7 @@ impl QuestionPorts {
         Ok(found)
     }
 
-    /// The robots as of a current frame; after the time of what there is.
+    /// The robots as of a current frame. After the time of what there is.
     fn look(&self, py: Python<'_>, robots: &[u32], timeout_s: f64) -> PyResult<Seen> {
         let deadline = deadline(Some(timeout_s))?.unwrap_or_else(Instant::now);
         loop {
@@ -274,7 +274,7 @@ fn path(
     Ok(Path { points: points.values.chunks_exact(2).map(point).collect(), speed_mps, heading_rad })
 }
 
-/// The answers by columns; what is unknown is NaN, and −1 as a leg.
+/// The answers by columns. What is unknown is NaN, and −1 as a leg.
 fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     let count = [rows.len()];

@@ -78,7 +78,7 @@ pub(crate) fn read_capture<'py>(
 #[derive(Clone, Copy)]
 struct Readable {
     kind: MessageKind,
-    /// Adds the wanted rows of a frame; returns its number, and that of the rows.
+    /// Adds the wanted rows of a frame. Returns its number, and that of the rows.
     add: fn(&mut Found, &Message) -> Option<(u64, usize)>,
 }
 
@@ -105,7 +105,7 @@ struct Found {
 }
 
 impl Found {
-    /// Takes the next messages; returns whether there are no more.
+    /// Takes the next messages. Returns whether there are no more.
     fn take(&mut self, reader: &mut Reader<File>) -> bool {
         for _ in 0..AT_ONCE {
             let entry = match reader.next_entry() {
@@ -144,7 +144,7 @@ impl Found {
         false
     }
 
-    /// Adds the wanted rows of a frame; returns its number, and that of the rows.
+    /// Adds the wanted rows of a frame. Returns its number, and that of the rows.
     fn add<C: Channel>(&mut self, message: &Message) -> Option<(u64, usize)> {
         let Frame { header, rows } = message.frame::<C>()?;
         let number = header.place().number;
@@ -290,7 +290,7 @@ impl Reading {
         )))
     }
 
-    /// The same of trials in memory; what may be implausible is not said.
+    /// The same of trials in memory. What may be implausible is not said.
     fn judge_trials(&self, trials: &[Trial]) -> PyResult<()> {
         let found: Vec<Implausible> =
             trials.iter().flat_map(|trial| judge(trial, &Limits::default())).collect();

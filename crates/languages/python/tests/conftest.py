@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[4]
 
 
 def needed(what: str) -> None:
-    """Skips aloud without something; with CI=true that is a failure."""
+    """Skips aloud without something. With CI=true that is a failure."""
     message = f"skipped: no {what}"
     if os.environ.get("CI") == "true":
         pytest.fail(message)

@@ -170,7 +170,7 @@ def test_the_lines_of_the_document_give_the_papers_table(tmp_path, monkeypatch):
     assert "seed=1)" in lines
     exec(lines.replace("simulate(seed=1)", "simulate(seed=1, steps=3000)"), found)
     table = found["table"].set_index("features")["r2"]
-    # The paper: .16 of velocities alone, .90 with one reading; more readings add little.
+    # The paper: .16 of velocities alone, .90 with one reading. More readings add little.
     assert 0.05 < table["velocities"] < 0.4 < 0.8 < table["velocities + 1 lag"] < 0.97
     assert found["scores"]["r2"] > 0.8 and (tmp_path / "my.safetensors").is_file()
 

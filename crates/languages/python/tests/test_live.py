@@ -30,7 +30,7 @@ def fleet(program, tmp_path):
 
 
 class Source(threading.Thread):
-    """Publishes all robots at 30 Hz until it is stopped; `sent` are the commands and readings of each frame."""
+    """Publishes all robots at 30 Hz until it is stopped. `sent` are the commands and readings of each frame."""
 
     def __init__(self, fleet: Fleet) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class Source(threading.Thread):
 
 
 def next_event(planner: joulebus.Planner, kind: type):
-    """The next event of this kind; others are passed over."""
+    """The next event of this kind. Others are passed over."""
 
     def found():
         event = planner.next(1.0)
@@ -308,7 +308,7 @@ def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
         return found or None
 
     def between(robot, newest):
-        """Time before the newest sample, s; None unless all five were seen, and each came in time."""
+        """Time before the newest sample, s. It is None unless all five were seen, and each came in time."""
         known = seen.get(robot, {})
         stamps = [known.get(number) for number in range(newest - 4, newest + 1)]
         if None in stamps or (np.diff(stamps) > on_time_ns).any():
@@ -456,7 +456,7 @@ except KeyboardInterrupt:
     said = waiting.stdout.readline().split()
     assert waiting.wait(PATIENCE_S) == 3, waiting.stderr.read()
     assert said[0] == "interrupted"
-    # The promise is 100 ms; a busy machine may run nothing at all for much longer.
+    # The promise is 100 ms. A busy machine may run nothing at all for much longer.
     assert float(said[1]) - begin < 30.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import model_file, rows
 
-#: Numbers of weights and biases; the paper's network has 7,041.
+#: Numbers of weights and biases. The paper's network has 7,041.
 WEIGHTS = {"gternal-sim": 7041, "gternal-sim-power": 6657, "gternal-sim-freshness": 7169}
 #: Scale of the forecasts, W.
 SCALE_W = 5.0

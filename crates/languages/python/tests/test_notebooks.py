@@ -1,4 +1,4 @@
-"""The notebooks run from a clean folder; their stored outputs are small and without errors.
+"""The notebooks run from a clean folder. Their stored outputs are small and without errors.
 
 With JOULEBUS_WRITE=1 the outputs are stored again.
 """

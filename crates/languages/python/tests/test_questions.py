@@ -80,7 +80,7 @@ def test_what_if_answers_every_candidate_with_the_power_of_every_step(asking):
     ranks = ["yes", "tight", "no", "unknown"]
     first = min(range(3), key=lambda at: (ranks.index(answers.verdict[at]), answers.energy_j[at]))
     assert answers.best == first
-    # One sequence is one candidate; commands may be in force for longer than a tick.
+    # One sequence is one candidate. Commands may be in force for longer than a tick.
     longer = asking.what_if(7, np.zeros(10), np.zeros(10), period_s=0.5)
     assert len(longer) == 1 and longer.power_w is None and abs(longer[0].duration_s - 5.0) < 1e-5
     assert "Answers(1" in repr(longer) and "verdict" in repr(longer[0])

@@ -25,7 +25,7 @@ TOPICS = {
 
 @pytest.fixture(scope="module")
 def capture(program, tmp_path_factory):
-    """A fleet's first seconds, recorded; and the frames that a planner saw meanwhile."""
+    """A fleet's first seconds, recorded, and the frames that a planner saw meanwhile."""
     folder = tmp_path_factory.mktemp("capture")
     # Frames are overwritten, and the recorder says so, if it gets no processor: then it is recorded
     # again.

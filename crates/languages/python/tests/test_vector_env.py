@@ -17,7 +17,7 @@ RPS = ROOT.parent / "shared/rps"
 
 
 def played(envs, steps: int, seed: int = 1):
-    """Observations, rewards and the energies of random actions; ends in step order."""
+    """Observations, rewards and the energies of random actions. Ends in step order."""
     noise, found = np.random.default_rng(seed), []
     for _ in range(steps):
         low, high = envs.single_action_space.low, envs.single_action_space.high
@@ -53,7 +53,7 @@ def test_the_checker_of_gymnasium_finds_nothing(robots):
     assert isinstance(env.unwrapped, joulebus.EnergyEnv)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Actions are in m/s and rad/s; it recommends -1 to 1.
+        # Actions are in m/s and rad/s. It recommends -1 to 1.
         warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
         check_env(env.unwrapped, skip_render_check=True)
 

@@ -209,7 +209,7 @@ mod tests {
         // In the order of slots, among others.
         assert!(!table.follow(&[nine, robot(3, &[NoData]), robot(1, &[]), seven]));
         assert_eq!(held(&table), all);
-        // One ends, one has another alarm instead; then a robot leaves.
+        // One ends, one has another alarm instead. Then a robot leaves.
         assert!(table.follow(&[nine, robot(7, &[BiasHigh, NoData])]));
         assert_eq!(held(&table), [(7, BiasHigh, "ann"), (9, NoData, "eve")]);
         assert!(table.follow(&[nine]));

@@ -36,7 +36,7 @@ impl Fair {
         });
     }
 
-    /// The place among `waiting` of the process that has used least; of several the first.
+    /// The place among `waiting` of the process that has used least. Of several the first.
     pub(crate) fn next(&self, waiting: impl Iterator<Item = u32>) -> Option<usize> {
         let places = waiting.enumerate();
         let least = places.min_by_key(|(place, process)| (self.used_ns(*process), *place));

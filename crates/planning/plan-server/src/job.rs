@@ -80,7 +80,7 @@ impl Job {
         }
     }
 
-    /// Whether it has waited long enough for a new frame; `has_frame`: there is an old one.
+    /// Whether it has waited long enough for a new frame. `has_frame`: there is an old one.
     pub(crate) const fn is_impatient(&self, now_ns: u64, period_ns: u64, has_frame: bool) -> bool {
         let patience_ns =
             if has_frame { period_ns.saturating_mul(FRAME_TICKS) } else { FIRST_FRAME_NS };

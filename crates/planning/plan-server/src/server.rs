@@ -48,7 +48,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Opens the ports. `begun_ns` is the thread's start; `counts` and `table` are those from
+    /// Opens the ports. `begun_ns` is the thread's start. `counts` and `table` are those from
     /// before any loss of ports.
     pub(crate) fn open(
         config: &Config,

@@ -12,7 +12,7 @@ use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
-/// reader of shared memory; the [`Robot`]s that it gives do not.
+/// reader of shared memory. The [`Robot`]s that it gives do not.
 ///
 /// The [crate](crate)'s page has an example.
 pub struct Planner {
@@ -98,11 +98,11 @@ impl Planner {
         &self.fleet
     }
 
-    /// The newest frame, without waiting; `None` until the first has arrived. Its robots answer
+    /// The newest frame, without waiting. `None` until the first has arrived. Its robots answer
     /// as of now: ask again for a newer view before the next questions.
     ///
     /// # Errors
-    /// [`ViewError`]; the next call may succeed.
+    /// [`ViewError`]. The next call may succeed.
     pub fn view(&mut self) -> Result<Option<View<'_>>, ViewError> {
         // The state first: the budget of the same tick has been sent before it.
         let Some(states) = self.states.latest()? else {
@@ -117,11 +117,11 @@ impl Planner {
         }))
     }
 
-    /// Waits for a frame, and its budgets, that are at most two ticks old; after `timeout` returns
+    /// Waits for a frame, and its budgets, that are at most two ticks old. After `timeout` returns
     /// what there is.
     ///
     /// # Errors
-    /// [`ViewError`]; [`ViewError::Nothing`] if nothing has arrived.
+    /// [`ViewError`]. [`ViewError::Nothing`] if nothing has arrived.
     pub fn wait(&mut self, timeout: Duration) -> Result<View<'_>, ViewError> {
         let begun = Instant::now();
         while !self.is_current()? {

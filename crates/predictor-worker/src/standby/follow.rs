@@ -37,7 +37,7 @@ pub(crate) struct Following {
     period_ns: u64,
     newest: Option<Order>,
     look_ns: u64,
-    /// The newest state when one was restored last; it may have been refused.
+    /// The newest state when one was restored last. It may have been refused.
     tried: Option<Order>,
     /// The state that the fleet was restored from.
     restored: Option<Restored>,
@@ -60,7 +60,7 @@ impl Following {
         }
     }
 
-    /// Keeps a frame; false if there is room for no more until [`Following::advance`].
+    /// Keeps a frame. False if there is room for no more until [`Following::advance`].
     pub(crate) fn keep(&mut self, held: Held) -> bool {
         self.backlog.keep(held);
         !self.backlog.is_full()

@@ -47,7 +47,7 @@ impl CurrentPermit {
         now_ns < until_ns || until_ns == u64::MAX
     }
 
-    /// Term of the permit; 0 without one.
+    /// Term of the permit. 0 without one.
     pub(crate) fn term(&self) -> u64 {
         self.term.load(Ordering::Acquire)
     }

@@ -315,7 +315,7 @@ pub fn id(file: &File) -> io::Result<FileId> {
     Ok(file.number)
 }
 
-/// The file of that name and its length; `None` if there is none.
+/// The file of that name and its length. `None` if there is none.
 ///
 /// # Errors
 /// The disk fails.

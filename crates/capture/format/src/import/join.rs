@@ -34,7 +34,7 @@ pub struct Row {
     pub current_a: f64,
     /// Electrical power, W.
     pub power_w: f64,
-    /// Measured state of charge, 0 to 1; NaN if the battery does not measure it.
+    /// Measured state of charge, 0 to 1. NaN if the battery does not measure it.
     pub soc: f64,
     /// Measured linear velocity, m/s.
     pub v_measured_mps: f64,

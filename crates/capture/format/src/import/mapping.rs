@@ -19,7 +19,7 @@ pub enum TimeSource {
     /// joined with the other topics, else the log time.
     #[default]
     Auto,
-    /// The measurement time in its header; readings without a stamp are refused, other messages use
+    /// The measurement time in its header. Readings without a stamp are refused, other messages use
     /// the log time.
     Header,
     /// The log time.
@@ -75,7 +75,7 @@ const fn one() -> f64 {
 }
 
 /// Configuration of an import. As TOML: `time`, `burst_s`, `odometry_max_age_s`,
-/// `command_holds_s`, `command_expired`, `current`, and a table `[[robot]]` for each robot; without
+/// `command_holds_s`, `command_expired`, `current`, and a table `[[robot]]` for each robot. Without
 /// robots every battery topic is one.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -83,7 +83,7 @@ pub struct Mapping {
     /// Which time is used.
     #[serde(default)]
     pub time: TimeSource,
-    /// Readings within this time are one burst, of which the last is used, s; 0 keeps all.
+    /// Readings within this time are one burst, of which the last is used, s. 0 keeps all.
     #[serde(default = "usual_burst_s")]
     pub burst_s: f64,
     /// Maximum age of odometry, s.

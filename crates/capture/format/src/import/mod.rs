@@ -1,6 +1,6 @@
 //! Imports recordings of other programs as rows of commands and readings.
 //!
-//! A rosbag2 MCAP file is read message by message; unusable messages are counted by reason. A row
+//! A rosbag2 MCAP file is read message by message. Unusable messages are counted by reason. A row
 //! is one battery reading with the command and odometry at its time, and NaN for unknown values.
 
 mod channel;
@@ -27,7 +27,7 @@ pub use report::{Imported, RobotReport, TopicReport, Unusable};
 /// Reads a recording.
 ///
 /// # Errors
-/// [`ImportError`]. A corrupt file is read as far as possible; see [`Imported::damage`].
+/// [`ImportError`]. A corrupt file is read as far as possible. See [`Imported::damage`].
 pub fn import(
     input: impl Read + Seek,
     name: &str,

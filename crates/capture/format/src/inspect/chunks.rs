@@ -144,7 +144,7 @@ impl Chunks {
         self.last = Some(open);
     }
 
-    /// Compares a message index with the chunk before it; returns the error.
+    /// Compares a message index with the chunk before it. Returns the error.
     pub(super) fn message_index(
         &mut self,
         place: Place,
@@ -173,7 +173,7 @@ impl Chunks {
         })
     }
 
-    /// Ends the message indexes of the last chunk; returns missing ones.
+    /// Ends the message indexes of the last chunk. Returns missing ones.
     pub(super) fn settle(&mut self) -> Vec<(Place, String)> {
         let Some(open) = self.last.take() else {
             return Vec::new();
@@ -201,7 +201,7 @@ impl Chunks {
         self.missing_index.filter(|_| self.indexes_seen)
     }
 
-    /// Compares a chunk index with the chunk; returns the error.
+    /// Compares a chunk index with the chunk. Returns the error.
     pub(super) fn chunk_index(&mut self, index: &ChunkIndex) -> Option<String> {
         let offset = index.chunk_start_offset;
         let Some(known) = self.known.get_mut(&offset) else {

@@ -19,7 +19,7 @@ pub enum Severity {
 pub struct Finding {
     /// Its severity.
     pub severity: Severity,
-    /// Its location; `None` if it concerns the whole file.
+    /// Its location. `None` if it concerns the whole file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place: Option<Place>,
     /// What was found and what is allowed.

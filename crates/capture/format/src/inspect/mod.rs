@@ -27,9 +27,9 @@ pub use report::Inspection;
 pub use summary::StatisticsCheck;
 use summary::Summary;
 
-/// Maximum number of findings listed; others are only counted.
+/// Maximum number of findings listed. Others are only counted.
 const LISTED_FINDINGS: usize = 200;
-/// Maximum number of attachments and metadata records listed; others are only counted.
+/// Maximum number of attachments and metadata records listed. Others are only counted.
 const LISTED_RECORDS: usize = 1000;
 
 /// Inspects a file.

@@ -15,7 +15,7 @@ pub struct SchemaReport {
     pub encoding: String,
     /// Length of its definition, bytes.
     pub bytes: u64,
-    /// Checksum of its definition; repeated definitions must be equal.
+    /// Checksum of its definition. Repeated definitions must be equal.
     #[serde(skip)]
     pub(super) crc: u32,
 }

@@ -79,7 +79,7 @@ impl Summary {
         self.metadata.insert(offset, entry);
     }
 
-    /// The data section ends; the summary begins at `offset`.
+    /// The data section ends. The summary begins at `offset`.
     pub(super) fn begins(&mut self, offset: u64) {
         self.starts_at = Some(offset);
     }
@@ -95,7 +95,7 @@ impl Summary {
         }
     }
 
-    /// Checks a record of the summary; returns the error.
+    /// Checks a record of the summary. Returns the error.
     pub(super) fn take(
         &mut self,
         offset: u64,

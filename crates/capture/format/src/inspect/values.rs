@@ -36,7 +36,7 @@ const DECODED_DEPTH: usize = 100;
 pub struct Line<'a> {
     /// Its topic.
     pub topic: &'a str,
-    /// Name of its schema; empty if it has none.
+    /// Name of its schema. Empty if it has none.
     pub schema: &'a str,
     /// When it was recorded, ns.
     pub log_time_ns: u64,
@@ -46,12 +46,12 @@ pub struct Line<'a> {
     pub sequence: u32,
     /// Its length, bytes.
     pub bytes: usize,
-    /// Its values; `null` if they cannot be decoded.
+    /// Its values. `null` if they cannot be decoded.
     pub value: Value,
     /// The reason why they cannot be decoded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub undecoded: Option<String>,
-    /// Names of its fields, in the order of the schema; protobuf only.
+    /// Names of its fields, in the order of the schema. Protobuf only.
     #[serde(skip)]
     pub columns: &'a [String],
 }
@@ -202,7 +202,7 @@ impl Channel {
                 count(descriptor, data, DECODED_DEPTH, &mut left)?;
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
-                // Field names as in the schema, zeros included; 64-bit numbers as numbers.
+                // Field names as in the schema, zeros included. 64-bit numbers as numbers.
                 let options = SerializeOptions::new()
                     .use_proto_field_name(true)
                     .stringify_64_bit_integers(false)
@@ -284,7 +284,7 @@ fn take(left: &mut usize, values: usize) -> Result<(), String> {
     Ok(())
 }
 
-/// The scalar fields of a message as dotted paths, as many as `left` bytes of names allow; those of
+/// The scalar fields of a message as dotted paths, as many as `left` bytes of names allow. Those of
 /// repeated messages without an index.
 fn list(
     message: &MessageDescriptor,

@@ -332,7 +332,7 @@ impl Encoder {
         self.word(number, 1);
     }
 
-    /// Writes a number, except 0; floats always.
+    /// Writes a number, except 0. Floats always.
     #[inline]
     fn number(&mut self, field: &Field, of: Number, from: &[u8]) {
         let (key, used) = field.key;
@@ -442,12 +442,12 @@ fn used(from: &[u8], elements: usize, size: usize) -> usize {
 pub(super) struct Decoded<'a> {
     table: &'a Table,
     slots: Vec<u64>,
-    /// Numbers that exceed their fields, unless they are followed by others; with the offset of the
+    /// Numbers that exceed their fields, unless they are followed by others. With the offset of the
     /// field.
     wide: Vec<(usize, OutOfRange)>,
 }
 
-/// Takes a field that is not in the struct; false if it is not known. Has its number, the message,
+/// Takes a field that is not in the struct. False if it is not known. Has its number, the message,
 /// and the depth left.
 pub(super) type Part<'a> = &'a mut dyn FnMut(u32, Wire, &mut Bytes<'_>, u32) -> Result<bool, Fault>;
 
@@ -456,7 +456,7 @@ impl<'a> Decoded<'a> {
         Self { table, slots: vec![0; table.slots], wide: Vec::new() }
     }
 
-    /// Decodes a whole message; afterwards another can be decoded. A number that exceeds its field
+    /// Decodes a whole message. Afterwards another can be decoded. A number that exceeds its field
     /// becomes `exceeds`, unless there is one already.
     ///
     /// # Errors
@@ -473,7 +473,7 @@ impl<'a> Decoded<'a> {
         Ok(())
     }
 
-    /// Takes the fields of a piece of the message; `part` those that are not of the struct.
+    /// Takes the fields of a piece of the message. `part` those that are not of the struct.
     ///
     /// # Errors
     /// The bytes are no message.

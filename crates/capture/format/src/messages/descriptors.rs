@@ -8,14 +8,14 @@ use prost_types::{
     OneofDescriptorProto,
 };
 
-/// Compiled from `proto/joulebus/*.proto`; a test compiles it again.
+/// Compiled from `proto/joulebus/*.proto`. A test compiles it again.
 const DESCRIPTORS: &[u8] = include_bytes!("../../proto/joulebus.binpb");
 /// The field of the rows in a derived message, at least.
 const ROWS: i32 = 30;
 
 /// The files of this crate.
 pub(super) fn all() -> FileDescriptorSet {
-    // Ours, and tested; without it, messages have no schema.
+    // Ours, and tested. Without it, messages have no schema.
     FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default()
 }
 
@@ -72,7 +72,7 @@ fn gather(all: &FileDescriptorSet, name: &str, found: &mut Vec<FileDescriptorPro
 }
 
 /// Describes a channel that is declared elsewhere: fields are numbered in the order of memory, so
-/// that later ones are added at the end of a struct; hashes, instants and runs are `fixed64`,
+/// that later ones are added at the end of a struct. Hashes, instants and runs are `fixed64`,
 /// floats `optional`, and rows come last.
 fn derived<C: Channel>() -> FileDescriptorProto {
     let (header, row) = (<C::Header as Row>::LAYOUT, <C::Row as Row>::LAYOUT);
@@ -110,7 +110,7 @@ fn plain(name: &str, number: i32, kind: Type, label: Label) -> FieldDescriptorPr
     }
 }
 
-/// The message of a struct; those of structs within it are added to `messages`.
+/// The message of a struct. Those of structs within it are added to `messages`.
 fn describe(
     layout: &StructLayout,
     name: &str,

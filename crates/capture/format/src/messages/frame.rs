@@ -54,7 +54,7 @@ struct FrameTable {
     header: Table,
     /// The field of the rows, which comes last.
     number: u32,
-    /// The message of a row; none if rows have no fields, and are bytes.
+    /// The message of a row. None if rows have no fields, and are bytes.
     row: Option<Table>,
 }
 

@@ -12,14 +12,14 @@ use super::query::Query;
 
 /// Is called with every channel of [`MessageKind::ALL`].
 pub trait ForEachChannel {
-    /// Takes a channel; `has_robots`, if captures may have its rows as messages of single robots.
+    /// Takes a channel. `has_robots`, if captures may have its rows as messages of single robots.
     fn channel<C: Channel>(&mut self, has_robots: bool);
 }
 
 macro_rules! channels {
     ($([$($robots:ident)?] $channel:ident,)*) => {
         impl MessageKind {
-            /// All kinds of the channels in [`joulebus_wire`]; first those with one topic for the
+            /// All kinds of the channels in [`joulebus_wire`]. First those with one topic for the
             /// whole fleet.
             pub const ALL: &'static [Self] = &[
                 $(Self::of::<$channel>(),)*

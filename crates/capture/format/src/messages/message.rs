@@ -17,7 +17,7 @@ pub enum Message {
     Known(Box<dyn Content>),
     /// One of another program.
     Other {
-        /// Name of its schema; empty if it has none.
+        /// Name of its schema. Empty if it has none.
         schema: Arc<str>,
         /// Its bytes.
         data: Vec<u8>,
@@ -114,7 +114,7 @@ impl Message {
         }
     }
 
-    /// Its kind; `None` for messages of other programs.
+    /// Its kind. `None` for messages of other programs.
     #[must_use]
     pub fn kind(&self) -> Option<MessageKind> {
         self.known().map(Content::kind)
@@ -147,7 +147,7 @@ impl Message {
         }
     }
 
-    /// Calls `take` with each robot's row as a message of its own; with none if it is no frame of
+    /// Calls `take` with each robot's row as a message of its own. With none if it is no frame of
     /// robots.
     pub fn each_robot(&self, mut take: impl FnMut(Self)) {
         if let Some(content) = self.known() {
@@ -220,13 +220,13 @@ impl From<Fault> for DecodeError {
 pub struct Entry {
     /// Topic of its channel: `joulebus/<fleet>/<service>`.
     pub topic: Arc<str>,
-    /// The fleet; empty for messages of other programs.
+    /// The fleet. Empty for messages of other programs.
     pub fleet: Arc<str>,
     /// When the recorder received it, Unix ns.
     pub log_time_ns: u64,
     /// When it was sent, Unix ns.
     pub publish_time_ns: u64,
-    /// Its sequence number in the channel, from 0; continues over split files and wraps after 2^32.
+    /// Its sequence number in the channel, from 0. Continues over split files and wraps after 2^32.
     pub sequence: u32,
     /// Its contents.
     pub message: Message,
@@ -284,7 +284,7 @@ impl MessageKind {
         name.strip_prefix("joulebus.") == Some(self.message)
     }
 
-    /// The channel's topic; `robot` is used only by kinds of single robots.
+    /// The channel's topic. `robot` is used only by kinds of single robots.
     #[must_use]
     pub fn topic(self, fleet: &str, robot: u32) -> String {
         if self.is_of_robot {

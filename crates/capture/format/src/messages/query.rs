@@ -20,7 +20,7 @@ pub struct Query {
     pub record: QueryRecord,
     /// Values of the question.
     pub values: Vec<f64>,
-    /// Rows of the answer; none if it was refused.
+    /// Rows of the answer. None if it was refused.
     pub rows: Vec<AnswerRow>,
     /// Power of every step, W, if asked for.
     pub power_w: Vec<f32>,

@@ -6,7 +6,7 @@
 //! | `x` | `x`: `uint32`, `uint64`, `int64`, `fixed64`, enumeration, `optional float` or `double` |
 //! | `x_unix_ns` | `x_at`, a `google.protobuf.Timestamp` |
 //! | bytes `x` | `string` `x`, without the zeros at the end |
-//! | an array `x` | `repeated` `x`; zeros at the end of numbers and structs are not written |
+//! | an array `x` | `repeated` `x`. Zeros at the end of numbers and structs are not written |
 //! | a struct `x` | a message `x` |
 //! | a struct of one array | a message of its named elements, then the others, `repeated` |
 
@@ -32,7 +32,7 @@ pub(super) enum Wire {
 pub(super) struct Table {
     /// By their numbers, ascending.
     pub(super) fields: Vec<Field>,
-    /// Positions in `fields` by number; [`NONE`] of others.
+    /// Positions in `fields` by number. [`NONE`] of others.
     by_number: Vec<u8>,
     /// Plain numbers by the key that they are written with.
     plain: Vec<Option<Plain>>,
@@ -72,15 +72,15 @@ pub(super) enum Form {
     Number(Number),
     /// A float, which is always written.
     Float(Number),
-    /// A timestamp of ns, always written; seconds and ns are in two slots from this one.
+    /// A timestamp of ns, always written. Seconds and ns are in two slots from this one.
     Time(usize),
-    /// Numbers one after the other; how many were read is in the slot.
+    /// Numbers one after the other. How many were read is in the slot.
     Numbers { of: Number, elements: usize, slot: usize },
     /// Text of at most so many bytes.
     Text(usize),
     /// A struct, always written.
     Struct(Box<Table>),
-    /// An array of structs; how many were read is in the slot.
+    /// An array of structs. How many were read is in the slot.
     Structs { of: Box<Table>, elements: usize, slot: usize },
 }
 
@@ -292,7 +292,7 @@ impl Form {
     }
 }
 
-/// How a field of shared memory is encoded as a field of a message; none if it cannot be.
+/// How a field of shared memory is encoded as a field of a message. None if it cannot be.
 fn form(
     memory: &FieldLayout,
     field: &FieldDescriptorProto,

@@ -17,7 +17,7 @@ pub(crate) enum Payload<'a> {
     Number,
     /// A message, text, bytes, or numbers one after the other.
     Bytes(&'a [u8]),
-    /// The begin or the end of a group; its fields follow.
+    /// The begin or the end of a group. Its fields follow.
     Group,
 }
 
@@ -44,7 +44,7 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
-/// Fields of a message that may be messages themselves; and those within them, `depth` levels down.
+/// Fields of a message that may be messages themselves, and those within them, `depth` levels down.
 pub(crate) fn inner(data: &[u8], depth: u32) -> usize {
     let each = Fields(data).map(|field| match field.payload {
         Payload::Bytes(bytes) if depth > 0 => 1 + inner(bytes, depth - 1),

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::scan::{ChunkFrame, Crc, Place, Raw, ScanError, Skipped, kind_name};
 
-/// Maximum number of problems listed; others are only counted.
+/// Maximum number of problems listed. Others are only counted.
 const LISTED_TROUBLES: usize = 200;
 
 /// Records of one kind.
@@ -67,7 +67,7 @@ pub struct Recovery {
     pub attachments: Counts,
     /// Metadata records.
     pub metadata: Counts,
-    /// Chunks; recovered ones were read to their end.
+    /// Chunks. Recovered ones were read to their end.
     pub chunks: Counts,
     /// Records of kinds that cannot be copied.
     pub others_lost: u64,
@@ -378,7 +378,7 @@ impl Ledger {
         }
     }
 
-    /// Completes the counts; the file's own statistics are better than the counts of the scan.
+    /// Completes the counts. The file's own statistics are better than the counts of the scan.
     pub(super) fn settle(mut self, statistics: Option<&Statistics>) -> Recovery {
         self.settle_chunk();
         if let Some(said) = statistics {
@@ -400,7 +400,7 @@ impl Ledger {
             missing(&mut self.schemas, said.schema_count.into());
             missing(&mut self.channels, said.channel_count.into());
         }
-        // A changed opcode can hide a whole chunk; only the checksum of the data section shows it.
+        // A changed opcode can hide a whole chunk. Only the checksum of the data section shows it.
         let uncounted = self.uncounted || self.doubt || !self.data_ended;
         let lost_unknown = statistics.is_none() && uncounted;
         Recovery {

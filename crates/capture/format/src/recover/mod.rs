@@ -2,7 +2,7 @@
 //!
 //! Everything readable is copied in its order, with new indexes and checksums. Losses are counted
 //! by kind: by the file's own statistics if they are readable, else by the message indexes after
-//! corrupt chunks; otherwise they are reported as unknown.
+//! corrupt chunks. Otherwise they are reported as unknown.
 
 mod ledger;
 
@@ -187,7 +187,7 @@ impl<W: Write + Seek> Rescue<W> {
         Ok(())
     }
 
-    /// The writer; created on first use.
+    /// The writer. Created on first use.
     fn writer(
         &mut self,
         compression: Option<Compression>,
@@ -229,7 +229,7 @@ impl<W: Write + Seek> Rescue<W> {
                     self.profile = header.profile;
                 }
             }
-            // The summary repeats both; they have already been read.
+            // The summary repeats both. They have already been read.
             Record::Schema { .. } | Record::Channel(_) if self.ledger.is_past_data() => {}
             Record::Message { .. } | Record::Attachment { .. } | Record::Metadata(_)
                 if self.ledger.is_past_data() =>
@@ -352,7 +352,7 @@ impl<W: Write + Seek> Rescue<W> {
     }
 }
 
-/// The writer's reason to refuse a schema or a channel; an error if it cannot write at all.
+/// The writer's reason to refuse a schema or a channel. An error if it cannot write at all.
 fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError> {
     match added {
         Ok(_) => Ok(None),

@@ -105,7 +105,7 @@ impl<R: Read + Seek> Chunk<R> {
         &self.frame
     }
 
-    /// The next record; its body is written to `buffer`.
+    /// The next record. Its body is written to `buffer`.
     pub(super) fn next(&mut self, buffer: &mut Vec<u8>) -> Result<Step, ScanError> {
         let size = self.frame.header.uncompressed_size;
         if self.read == size {
@@ -205,8 +205,8 @@ impl<R: Read + Seek> Chunk<R> {
         ScanError::ChunkHeader { place, detail }
     }
 
-    /// Where to continue after an error. The records of an uncompressed chunk can be searched;
-    /// compressed data is skipped, as far as its length is plausible.
+    /// Where to continue after an error. The records of an uncompressed chunk can be searched.
+    /// Compressed data is skipped, as far as its length is plausible.
     pub(super) fn failure(&self) -> Failure {
         let end = self.frame.offset.saturating_add(self.frame.bytes);
         match &self.body {

@@ -8,7 +8,7 @@ use super::record::HEAD_BYTES;
 pub(super) const FIXED_BYTES: u64 = 40;
 /// Maximum length of a compression's name, bytes.
 pub(super) const MAX_NAME_BYTES: u64 = 64;
-/// Parses a chunk's head; the error has no reason if the bytes are too few.
+/// Parses a chunk's head. The error has no reason if the bytes are too few.
 pub(super) fn parse(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
     fn number<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], Option<String>> {
         let (number, rest) = bytes.split_first_chunk::<N>().ok_or(None)?;

@@ -43,7 +43,7 @@ pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
     fields(opcode).iter().all(|field| pass(*field, &mut rest).is_some())
 }
 
-/// Skips a field; `None` if it is incomplete.
+/// Skips a field. `None` if it is incomplete.
 fn pass(field: Field, rest: &mut &[u8]) -> Option<()> {
     match field {
         Fixed(bytes) => {

@@ -63,7 +63,7 @@ pub struct Raw<'a> {
     /// The bytes after opcode and length.
     pub body: &'a [u8],
     /// Checksum of the data section in its DataEnd, of the summary in the footer, if all of it was
-    /// read; `None` elsewhere.
+    /// read. `None` elsewhere.
     pub crc: Option<Crc>,
 }
 
@@ -86,7 +86,7 @@ impl<'a> Raw<'a> {
     }
 }
 
-/// Parses the record in `body`; the error has no reason if its fields exceed it. Checked first,
+/// Parses the record in `body`. The error has no reason if its fields exceed it. Checked first,
 /// because the library allocates by stated lengths, and subtracts without checks.
 pub(crate) fn parse_record(
     opcode: u8,
@@ -213,7 +213,7 @@ impl<R: Read + Seek> Scan<R> {
         Ok(Some(Skipped { from, to }))
     }
 
-    /// The next event; `None` after the last byte of a complete file.
+    /// The next event. `None` after the last byte of a complete file.
     ///
     /// # Errors
     /// [`ScanError`]. The scan has then ended, unless [`Scan::resume`] is called.
@@ -359,7 +359,7 @@ impl<R: Read + Seek> Scan<R> {
     }
 }
 
-/// Calls `take` with every readable record, from the beginning of the file; returns the damage.
+/// Calls `take` with every readable record, from the beginning of the file. Returns the damage.
 ///
 /// # Errors
 /// Errors of `take`, or [`ScanError`] if the file is not an MCAP file or cannot be read.

@@ -6,7 +6,7 @@ use mcap::records::{ChunkHeader, op};
 use serde::Serialize;
 
 /// Maximum length of a record that is read into memory, bytes: a message for a million robots is
-/// shorter. A scan skips and reports longer records, and reads longer chunks as a stream; a
+/// shorter. A scan skips and reports longer records, and reads longer chunks as a stream. A
 /// [`Reader`](crate::Reader) returns an error.
 pub const MAX_RECORD_BYTES: u64 = 256 << 20;
 
@@ -53,7 +53,7 @@ impl fmt::Display for Place {
 /// A stored checksum and that of the bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Crc {
-    /// Stored in the file; 0 means none.
+    /// Stored in the file. 0 means none.
     pub saved: u32,
     /// Checksum of the bytes in the file.
     pub found: u32,
@@ -86,13 +86,13 @@ pub(super) struct Head {
 }
 
 impl Head {
-    /// The first byte after the record; `None` on overflow.
+    /// The first byte after the record. `None` on overflow.
     pub(super) fn end(self) -> Option<u64> {
         self.offset.checked_add(HEAD_BYTES)?.checked_add(self.bytes)
     }
 }
 
-/// 0 is invalid; all others are either known, or reserved for later versions and applications.
+/// 0 is invalid. All others are either known, or reserved for later versions and applications.
 pub(crate) const fn is_opcode(opcode: u8) -> bool {
     opcode != 0
 }

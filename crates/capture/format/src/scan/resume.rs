@@ -21,7 +21,7 @@ pub(super) struct Failure {
 }
 
 impl Failure {
-    /// Offset of the next plausible record; `None` if there is none.
+    /// Offset of the next plausible record. `None` if there is none.
     pub(super) fn next_record<R: Read + Seek>(
         self,
         source: &mut Source<R>,

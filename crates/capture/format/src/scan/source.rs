@@ -9,7 +9,7 @@ const BUFFER_BYTES: usize = 256 << 10;
 /// Maximum initial allocation for a record of unverified length, bytes.
 const TRUSTED_BYTES: u64 = 1 << 20;
 
-/// A file that is read once, in order; [`Source::go_to`] breaks the order.
+/// A file that is read once, in order. [`Source::go_to`] breaks the order.
 pub(super) struct Source<R> {
     input: R,
     buffer: Vec<u8>,
@@ -83,7 +83,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(())
     }
 
-    /// The next `bytes`, or as many as there are, without consuming them; at most [`BUFFER_BYTES`].
+    /// The next `bytes`, or as many as there are, without consuming them. At most [`BUFFER_BYTES`].
     pub(super) fn peek(&mut self, bytes: u64) -> Result<&[u8], ScanError> {
         let wanted = usize::try_from(bytes).unwrap_or(usize::MAX).min(BUFFER_BYTES);
         if self.end - self.start < wanted {
@@ -115,7 +115,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(())
     }
 
-    /// Continues at `offset`; there is no checksum until it is restarted.
+    /// Continues at `offset`. There is no checksum until it is restarted.
     pub(super) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
         if let Err(error) = self.input.seek(SeekFrom::Start(offset)) {
             return Err(self.io(error));
@@ -133,7 +133,7 @@ pub(super) struct Mark {
     crc: Option<crc32fast::Hasher>,
 }
 
-/// Reads up to `bytes`, replacing the contents of `into`; a wrong length allocates little.
+/// Reads up to `bytes`, replacing the contents of `into`. A wrong length allocates little.
 pub(super) fn fill(input: &mut impl Read, bytes: u64, into: &mut Vec<u8>) -> io::Result<()> {
     into.clear();
     into.shrink_to(4 * TRUSTED_BYTES as usize);

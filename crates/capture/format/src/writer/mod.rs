@@ -162,7 +162,7 @@ impl<W: Write> Writer<W> {
     /// is lower: a capture is in order.
     ///
     /// # Errors
-    /// [`WriteError`]; after a failure to write every further call fails.
+    /// [`WriteError`]. After a failure to write every further call fails.
     pub fn write(
         &mut self,
         fleet: &str,
@@ -224,7 +224,7 @@ impl<W: Write> Writer<W> {
     /// Writes the open chunk to the file.
     ///
     /// # Errors
-    /// [`WriteError`]; after a failure to write every further call fails.
+    /// [`WriteError`]. After a failure to write every further call fails.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         self.check()?;
         self.chunk_from_ns = None;

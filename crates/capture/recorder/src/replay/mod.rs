@@ -166,7 +166,7 @@ impl ReplayPorts {
         Ok(Self { ports, planners, _bus: bus, _lock: lock })
     }
 
-    /// Sends a frame now, and leaves it as it was sent; `slower` as in [`Rebase::frame`]. A message
+    /// Sends a frame now, and leaves it as it was sent. `slower` as in [`Rebase::frame`]. A message
     /// without a port is skipped.
     ///
     /// # Errors

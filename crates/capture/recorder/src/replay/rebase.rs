@@ -19,14 +19,14 @@ pub struct Moment {
 pub struct Rebase {
     /// Added to every recorded monotonic time, modulo 2^64.
     shift_ns: u64,
-    /// The recorded time that becomes `epoch_ns`: runs that began later keep their distances; those
+    /// The recorded time that becomes `epoch_ns`: runs that began later keep their distances. Those
     /// that began earlier had begun when the recording started, and are merged into one.
     recorded_ns: u64,
     epoch_ns: u64,
     pid: u32,
     /// First frame number and number of samples before it, by run of a source.
     first_frame: HashMap<(u64, u64), (u64, u64)>,
-    /// Robots already sent in this pass; none in the first pass.
+    /// Robots already sent in this pass. None in the first pass.
     joined: Option<HashSet<u32>>,
     /// The newest stamp and the newest run sent.
     newest_ns: u64,
@@ -69,12 +69,12 @@ impl Rebase {
         self.epoch_ns.saturating_add(since_ns)
     }
 
-    /// Maps a recorded monotonic time; 0 (unknown) stays 0.
+    /// Maps a recorded monotonic time. 0 (unknown) stays 0.
     fn ns(&self, recorded_ns: u64) -> u64 {
         if recorded_ns == 0 { 0 } else { recorded_ns.wrapping_add(self.shift_ns) }
     }
 
-    /// Maps a recorded run; 0 (unknown) stays 0.
+    /// Maps a recorded run. 0 (unknown) stays 0.
     fn run(&mut self, recorded_epoch: u64) -> u64 {
         if recorded_epoch == 0 {
             return 0;
@@ -105,7 +105,7 @@ impl Rebase {
         frame.header.intended_ns = now.monotonic_ns;
     }
 
-    /// Makes of a recorded frame one that is sent at `now`; `slower`: factor by which the period is
+    /// Makes of a recorded frame one that is sent at `now`. `slower`: factor by which the period is
     /// stretched, so that planners do not take a slow replay for a dead worker.
     pub fn frame<C: Channel>(&mut self, frame: &mut Frame<C>, now: Moment, slower: f64) {
         let Frame { header, rows } = frame;

@@ -47,7 +47,7 @@ block! {
     }
 }
 
-/// The conditions of a robot's alarms; `scored`: number of residuals observed.
+/// The conditions of a robot's alarms. `scored`: number of residuals observed.
 #[inline(always)]
 pub(crate) fn judge(
     settings: &AlarmSettings,

@@ -91,7 +91,7 @@ impl Detector {
         }
     }
 
-    /// Records a residual and the change of the reading, W, both finite; `per_sigma` is 1
+    /// Records a residual and the change of the reading, W, both finite. `per_sigma` is 1
     /// over the residual standard deviation in training, 1/W, above 0.
     #[inline(always)]
     pub(crate) fn observe(

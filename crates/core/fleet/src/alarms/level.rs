@@ -117,7 +117,7 @@ impl LevelRules {
 pub(crate) struct LevelSample {
     /// NaN without a reading.
     pub power_w: f32,
-    /// Power of its command by the platform's model, in force from now on; NaN if unknown.
+    /// Power of its command by the platform's model, in force from now on. NaN if unknown.
     pub command_w: f32,
     /// On its charger, or at the first sample after a break.
     pub apart: bool,
@@ -126,11 +126,11 @@ pub(crate) struct LevelSample {
 /// The levels of a robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Level {
-    /// Power of the command in force; NaN if unknown.
+    /// Power of the command in force. NaN if unknown.
     command_w: f32,
     /// Time for which readings and commands have been known, s.
     known_s: f32,
-    /// Weight of the quick mean, s; its power, and that of its commands, W.
+    /// Weight of the quick mean, s. Its power, and that of its commands, W.
     quick_s: f32,
     quick_w: f32,
     quick_command_w: f32,
@@ -138,7 +138,7 @@ pub(crate) struct Level {
     slow_s: f32,
     slow_w: f32,
     slow_command_w: f32,
-    /// Weight of the own level, s; its means, W.
+    /// Weight of the own level, s. Its means, W.
     own_s: f32,
     own_w: f32,
     own_command_w: f32,
@@ -190,7 +190,7 @@ struct Expected {
 }
 
 impl Level {
-    /// Before the first sample; `None` where nothing is judged.
+    /// Before the first sample. `None` where nothing is judged.
     pub(crate) fn new(rules: Option<&LevelRules>) -> Self {
         let [quick_variance, slow_variance] = rules.map_or([1.0; 2], |rules| rules.variances);
         Self {

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use joulebus_energy::{Calibration, EnergyModel, ErrorCounts, NewErrors, PARTS, PlatformErrors};
 use serde::{Deserialize, Serialize};
 
-/// The errors of all robots of a platform. Shards count them in any order while they share this;
-/// the fleet adds the counts before the next tick.
+/// The errors of all robots of a platform. Shards count them in any order while they share this.
+/// The fleet adds the counts before the next tick.
 #[derive(Debug)]
 pub(crate) struct SharedErrors {
     calibration: Calibration,

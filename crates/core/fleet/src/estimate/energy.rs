@@ -108,7 +108,7 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
-    /// Power of the command in force by the platform's model, W; NaN if the command is unknown.
+    /// Power of the command in force by the platform's model, W. NaN if the command is unknown.
     #[inline(always)]
     pub(crate) fn command_w(&self, lane: usize) -> f32 {
         let [v_mps, omega_radps, command_w] = Metered::COMMAND;

@@ -48,7 +48,7 @@ pub(crate) struct Hedge {
     /// Discounted squared error of the last reading, the network and the sceptical stack, relative
     /// to the confident stack's.
     pub above: [f32; MEMBERS - 1],
-    /// Δ; 0 before the first error.
+    /// Δ. 0 before the first error.
     pub cost: f32,
     /// Whether all members take part, or the last reading and one stack.
     pub of_all: bool,
@@ -82,7 +82,7 @@ impl Hedge {
         [raw[0] * share, raw[1] * share]
     }
 
-    /// Learns each member's error, W; of one that does not take part it must only be finite.
+    /// Learns each member's error, W. Of one that does not take part it must only be finite.
     /// `floor`: Δ is at least this, W², above 0.
     #[inline(always)]
     pub(crate) fn learn(&mut self, error_w: [f32; MEMBERS], floor: f32) {
@@ -149,7 +149,7 @@ fn sum(of: &[f32; MEMBERS]) -> f32 {
     (of[0] + of[1]) + (of[2] + of[3])
 }
 
-/// e^x for x ≤ 0, within 3e-7 of it; 2e-35 below −80. The same bits on every machine, and without
+/// e^x for x ≤ 0, within 3e-7 of it. 2e-35 below −80. The same bits on every machine, and without
 /// branches, unlike a C library's.
 #[inline(always)]
 fn exp(x: f32) -> f32 {

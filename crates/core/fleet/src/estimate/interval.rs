@@ -14,9 +14,9 @@
 //!
 //! holds exactly, for any residuals, as long as both factors stay inside their bounds: at a rate of
 //! 0.2 a factor that has doubled has cost 3.5 readings. Where residuals have one sign only, one
-//! factor reaches its lower bound; the other end then answers for both tails.
+//! factor reaches its lower bound. The other end then answers for both tails.
 //!
-//! Where a reading is held, its residual is next to nothing; where a new measurement is due, it is
+//! Where a reading is held, its residual is next to nothing. Where a new measurement is due, it is
 //! not. Sizes and factors are kept separately, so that coverage holds among either.
 
 use joulebus_settings::IntervalSettings;
@@ -107,7 +107,7 @@ impl ConformalInterval {
         }
     }
 
-    /// Records a residual (finite), counts whether it was covered, and adapts the ends; `due`:
+    /// Records a residual (finite), counts whether it was covered, and adapts the ends. `due`:
     /// whether a new measurement was due.
     #[inline(always)]
     pub(crate) fn observe(

@@ -233,9 +233,9 @@ fn within(value: f32, most: f32) -> f32 {
 /// What a robot's forecast has learned from its readings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Learned {
-    /// The network's own forecast of the next reading, W; NaN before the first.
+    /// The network's own forecast of the next reading, W. NaN before the first.
     pub network_w: f32,
-    /// Mean of the readings, W; the newest counts 1/256 at least.
+    /// Mean of the readings, W. The newest counts 1/256 at least.
     pub mean_w: f32,
     /// Mean size of the changes between new measurements, W.
     pub change_w: f32,
@@ -320,7 +320,7 @@ pub(crate) struct Online {
     covariance: [[f32; PAIRS]; STACKS],
     /// The network's forecast of the next reading, W, if the robot has a forecast.
     pub network_w: f32,
-    /// Mean of the readings so far, W; the newest counts 1/256 at least.
+    /// Mean of the readings so far, W. The newest counts 1/256 at least.
     pub mean_w: f32,
     /// r: mean size of their changes, W.
     change_w: f32,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::block;
 
-/// Running scores of one robot; sums in `f64`, in the order of its samples.
+/// Running scores of one robot. Sums in `f64`, in the order of its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Scores {
     /// Readings scored.
@@ -34,32 +34,32 @@ impl Scores {
         self.scatter_w2 += from_mean * (reading - self.mean_w);
     }
 
-    /// Share of one reading; infinite before the first. A division takes as long as all else that
+    /// Share of one reading. Infinite before the first. A division takes as long as all else that
     /// is done with it, here and below.
     #[inline(always)]
     pub(crate) fn share(&self) -> f64 {
         1.0 / self.count as f64
     }
 
-    /// Mean absolute residual, W; NaN before the first.
+    /// Mean absolute residual, W. NaN before the first.
     #[inline(always)]
     pub fn mae_w(&self) -> f64 {
         canonical_f64(self.sum_abs_w * self.share())
     }
 
-    /// Coefficient of determination of the forecasts; NaN for constant readings.
+    /// Coefficient of determination of the forecasts. NaN for constant readings.
     #[inline(always)]
     pub fn r2(&self) -> f64 {
         explained(self.sum_sq_w2, self.scatter_w2)
     }
 
-    /// Mean absolute error of persistence, W; NaN before the first.
+    /// Mean absolute error of persistence, W. NaN before the first.
     #[inline(always)]
     pub fn persistence_mae_w(&self) -> f64 {
         canonical_f64(self.persistence_sum_abs_w * self.share())
     }
 
-    /// Coefficient of determination of persistence; NaN for constant readings.
+    /// Coefficient of determination of persistence. NaN for constant readings.
     #[inline(always)]
     pub fn persistence_r2(&self) -> f64 {
         explained(self.persistence_sum_sq_w2, self.scatter_w2)

@@ -31,13 +31,13 @@ impl Lags {
 pub(crate) enum Gap {
     /// Nothing is missing.
     None,
-    /// This many sample periods are missing; the model bridges them with its own forecasts.
+    /// This many sample periods are missing. The model bridges them with its own forecasts.
     Bridge(u16),
     /// Too many are missing, or there was no forecast to bridge them: the window starts empty.
     Break,
 }
 
-/// The lag window. It advances by the robot's *samples*; advances by the worker's clock in between
+/// The lag window. It advances by the robot's *samples*. Advances by the worker's clock in between
 /// (`open`) are provisional and never change the result of a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Window {
@@ -83,7 +83,7 @@ impl Window {
         self.closed.lag_w
     }
 
-    /// The last reading, if the next sample's follows on it; else NaN.
+    /// The last reading, if the next sample's follows on it, else NaN.
     #[inline(always)]
     pub(crate) fn last_w(&self) -> f32 {
         if self.unread_steps == 0 { self.closed.lag_w[0] } else { f32::NAN }
@@ -212,7 +212,7 @@ impl Window {
         self.reading_age.pass(missing_steps);
     }
 
-    /// Whether a new measurement is due at the next sample; also true if unknown.
+    /// Whether a new measurement is due at the next sample. Also true if unknown.
     #[inline(always)]
     pub(crate) fn due(&self) -> bool {
         self.reading_age.is_due().unwrap_or(true)
@@ -234,7 +234,7 @@ impl Window {
     }
 
     /// Takes a sample without a reading: an open-loop step, if there is a forecast to continue from
-    /// and no more than `longest_steps` have passed; otherwise the window is emptied.
+    /// and no more than `longest_steps` have passed. Otherwise the window is emptied.
     pub(crate) fn miss(&mut self, longest_steps: u16) {
         self.reading_age.pass(1);
         let forecast_w = self.closed.forecast_w;

@@ -13,7 +13,7 @@ use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES};
 
 impl Fleet {
-    /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
+    /// Takes a frame of samples, in the order in which they were sent. `now_ns` is the worker's
     /// monotonic time. Refusals are counted and named, and affect no other robot.
     pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
         let frame = self.begin_frame(header, samples.len() as u64, now_ns);
@@ -54,7 +54,7 @@ impl Fleet {
                 }
                 self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
             }
-            // Its contents are unreliable, including robot ids; it is only counted.
+            // Its contents are unreliable, including robot ids. It is only counted.
             Err(DropReason::Schema) => {}
             Err(reason) => {
                 for sample in samples {
@@ -128,7 +128,7 @@ impl Fleet {
         admission
     }
 
-    /// The robot's slot; a new robot gets one.
+    /// The robot's slot. A new robot gets one.
     fn slot(
         &mut self,
         header: &SampleHeader,

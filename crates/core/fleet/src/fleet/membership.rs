@@ -133,7 +133,7 @@ impl Fleet {
         (robot <= *end).then_some(*platform)
     }
 
-    /// Frees the slots of robots that have been silent for too long; accounts that have begun are
+    /// Frees the slots of robots that have been silent for too long. Accounts that have begun are
     /// kept.
     pub(super) fn release_departed(&mut self) {
         let leave_after_ns = self.tick.settings.intake.leave_after_ns;

@@ -72,7 +72,7 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
+    /// A fleet without robots. `models[i]` is the model of `settings.platforms[i]`.
     ///
     /// # Errors
     /// The settings are inconsistent ([`FleetSettings::check`]) or the models do not match.
@@ -212,7 +212,7 @@ impl Fleet {
         combine_hashes(platforms.map(|context| context.model.hash()))
     }
 
-    /// Hashes of the platforms' models, in their order; 0 beyond the last.
+    /// Hashes of the platforms' models, in their order. 0 beyond the last.
     pub fn model_hashes(&self) -> [u64; LISTED_MODELS] {
         let mut hashes = [0; LISTED_MODELS];
         for (hash, context) in hashes.iter_mut().zip(&self.tick.platforms) {
@@ -232,7 +232,7 @@ impl Fleet {
         Some(lanes::get(&self.columns.scores, slot))
     }
 
-    /// State of a robot's online learning; `None` for a robot that is not in the fleet, or whose
+    /// State of a robot's online learning. `None` for a robot that is not in the fleet, or whose
     /// platform learns nothing online.
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;

@@ -36,7 +36,7 @@ pub struct OnlineSettings {
     pub longest_steps: u16,
 }
 
-/// A forecast and the ends of its interval, W; NaN if there is none.
+/// A forecast and the ends of its interval, W. NaN if there is none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IntervalForecast {
     /// The reading expected next.
@@ -96,8 +96,8 @@ pub struct OnlineForecasts {
 }
 
 impl OnlineForecasts {
-    /// Without robots. Autoregression, training range and residuals are those on the model's card;
-    /// the model itself forecasts nothing here.
+    /// Without robots. Autoregression, training range and residuals are those on the model's card.
+    /// The model itself forecasts nothing here.
     pub fn new(model: &Model, settings: OnlineSettings) -> Self {
         let residual = model.residual();
         let sigma_w = residual.std_w.max(settings.resolution_w);
@@ -121,7 +121,7 @@ impl OnlineForecasts {
         self.columns.robots == 0
     }
 
-    /// Adds a robot that has read nothing yet; returns its index.
+    /// Adds a robot that has read nothing yet. Returns its index.
     pub fn add(&mut self) -> usize {
         let columns = &mut self.columns;
         if columns.robots.is_multiple_of(LANES) {
@@ -140,7 +140,7 @@ impl OnlineForecasts {
         self.columns.set(robot, &self.fresh());
     }
 
-    /// The forecast of a robot's next reading, given the member's finite forecast of it; `None`
+    /// The forecast of a robot's next reading, given the member's finite forecast of it. `None`
     /// stands for a robot that has read nothing. While the robot has read less than a forecast
     /// takes, it is the member's own.
     pub fn forecast(&self, robot: Option<usize>, member_w: f32) -> IntervalForecast {
@@ -148,7 +148,7 @@ impl OnlineForecasts {
         self.ahead(&robot, member_w)
     }
 
-    /// Takes a robot's next reading, W, and whether it is a repeated measurement; NaN if there was
+    /// Takes a robot's next reading, W, and whether it is a repeated measurement. NaN if there was
     /// none. Returns the [forecast](Self::forecast) that was made before it.
     pub fn read(
         &mut self,
@@ -187,7 +187,7 @@ impl OnlineForecasts {
         made
     }
 
-    /// What a robot's forecast has learned; `None` if robots do not learn online.
+    /// What a robot's forecast has learned. `None` if robots do not learn online.
     pub fn learned(&self, robot: usize) -> Option<Learned> {
         let (members, online) = (self.members?, self.columns.get(robot).online);
         Some(online.learned(&online.weights(members.start(online.mean_w))))

@@ -43,7 +43,7 @@ impl Fleet {
     /// taken from a fleet with the same settings and models.
     ///
     /// # Errors
-    /// [`StateError`]; the fleet is then unchanged.
+    /// [`StateError`]. The fleet is then unchanged.
     pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
         self.check_origin(state)?;
         self.check_consistency(state)?;

@@ -14,7 +14,7 @@ use crate::layout::shift::Shift;
 pub(crate) struct AdmissionState {
     /// When the worker last took one of its samples, monotonic ns of the worker.
     pub taken_ns: u64,
-    /// Stamp of the last accepted sample, ns; 0 before the first.
+    /// Stamp of the last accepted sample, ns. 0 before the first.
     pub stamp_ns: u64,
     /// Highest sequence number taken or refused in the epoch, if `ordered`.
     pub seq: u64,

@@ -37,7 +37,7 @@ pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropR
     Ok(())
 }
 
-/// Refuses a stamp that is not after the robot's last one, or more than `max_jump_ns` after it; for
+/// Refuses a stamp that is not after the robot's last one, or more than `max_jump_ns` after it. For
 /// the first sample of a new run this only breaks the sequence.
 pub(crate) fn time(
     admission: &AdmissionState,

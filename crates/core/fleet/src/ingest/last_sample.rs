@@ -20,7 +20,7 @@ pub(crate) struct Last {
     pub equal_since_ns: u64,
     pub refused: u64,
     pub reading_w: f32,
-    /// The reading minus the network's forecast of it, W; NaN if there was no forecast or no
+    /// The reading minus the network's forecast of it, W. NaN if there was no forecast or no
     /// reading.
     pub residual_w: f32,
     pub mean_power_w: f32,

@@ -108,7 +108,7 @@ impl PendingLanes {
 #[repr(align(32))]
 pub(crate) struct PendingBlock {
     pub samples: PendingLanes,
-    /// For an absorbed sample: the one-step-ahead forecast of its reading; NaN if there was none.
+    /// For an absorbed sample: the one-step-ahead forecast of its reading. NaN if there was none.
     pub expected_w: Lanes<f32>,
     /// [`PendingState`].
     pending: Lanes<u8>,

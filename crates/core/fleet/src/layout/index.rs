@@ -1,4 +1,4 @@
-//! Index of robots by id: an open-addressing hash table of positions; the ids themselves are stored
+//! Index of robots by id: an open-addressing hash table of positions. The ids themselves are stored
 //! elsewhere.
 
 /// An empty entry.

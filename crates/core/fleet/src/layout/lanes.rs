@@ -1,7 +1,7 @@
 //! Blocks of sixteen robots in structure-of-arrays layout: each value of the sixteen is contiguous,
 //! so that a loop over them compiles to a few vector instructions.
 //!
-//! An operation is written once, for one robot, without branches; the loop around it loads the
+//! An operation is written once, for one robot, without branches. The loop around it loads the
 //! robot from its lane and stores it back, and the compiler vectorises the whole. Rare cases are
 //! handled robot by robot, with the same functions.
 

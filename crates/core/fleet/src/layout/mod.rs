@@ -1,4 +1,4 @@
-//! Memory layout of robots: blocks of sixteen, slots, and the index by id; and instants.
+//! Memory layout of robots: blocks of sixteen, slots, and the index by id, and instants.
 
 pub(crate) mod index;
 pub(crate) mod lanes;

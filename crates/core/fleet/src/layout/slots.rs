@@ -11,7 +11,7 @@ pub(crate) const WORD: usize = u64::BITS as usize;
 pub(crate) const BLOCKS: usize = WORD / LANES;
 
 /// One bit per slot. The lowest free slot is assigned first, so that robots are dense in memory,
-/// and in the order in which their source first listed them; but robots of different platforms get
+/// and in the order in which their source first listed them, but robots of different platforms get
 /// separate blocks while there are empty ones, because a block is processed once per platform in
 /// it.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl Slots {
         }
     }
 
-    /// Allocates a slot for a robot of this platform, if one is free; `platform_at` returns the
+    /// Allocates a slot for a robot of this platform, if one is free. `platform_at` returns the
     /// platform of the robot in a slot.
     pub(crate) fn take(
         &mut self,
@@ -87,7 +87,7 @@ impl Slots {
         self.reach
     }
 
-    /// Marks exactly these slots as used, all below the capacity; all slots ever used were below
+    /// Marks exactly these slots as used, all below the capacity. All slots ever used were below
     /// `reach`.
     pub(crate) fn replace(&mut self, reach: usize, slots: impl Iterator<Item = usize>) {
         self.words.fill(0);

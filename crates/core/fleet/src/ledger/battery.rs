@@ -19,11 +19,11 @@ pub(crate) const SIGMAS: f64 = 2.0;
 /// Standard deviation of the state of charge that a charger reports as full.
 const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
-/// not make such a deviation smaller; only a measured, full or exchanged battery does.
+/// not make such a deviation smaller. Only a measured, full or exchanged battery does.
 const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
 /// In place of an unknown charging power, W: it fills every battery at once.
 const ANY_W: f64 = 1e30;
-/// The charger or the battery reports that it is full; the battery was exchanged.
+/// The charger or the battery reports that it is full. The battery was exchanged.
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
 
@@ -126,12 +126,12 @@ pub(crate) struct BatteryState {
     pub bias: f64,
     pub bias_var: f64,
     pub covariance: f64,
-    /// Stamp of the last measured value that was looked at, ns; 0 before the first.
+    /// Stamp of the last measured value that was looked at, ns. 0 before the first.
     pub measured_ns: u64,
     /// That value. `counted` is the counted one when it last changed.
     pub measured: f64,
     pub equal_counted: f64,
-    /// Measured minus estimated, while measured values contradict the estimate; else NaN. Since
+    /// Measured minus estimated, while measured values contradict the estimate, else NaN. Since
     /// which stamp, and with which measured value.
     pub jump: f64,
     pub jump_ns: u64,
@@ -504,7 +504,7 @@ pub struct SavedBattery {
 }
 
 impl SavedBattery {
-    /// The battery in a budget; `None` if it has none.
+    /// The battery in a budget. `None` if it has none.
     pub fn new(budget: &Budget) -> Option<Self> {
         let has = |flag| budget.flags & flag != 0;
         let (soc, soc_lo, soc_hi, soc_sd) = match has(budget_flag::CHARGE) {

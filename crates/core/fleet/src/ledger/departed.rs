@@ -33,7 +33,7 @@ impl Account {
 /// Words of [`Departed::lost`].
 pub(crate) const LOST_WORDS: usize = (1 << u16::BITS) / u64::BITS as usize;
 
-/// Ring buffer of accounts in columns, with a fixed capacity; the account dropped for another one
+/// Ring buffer of accounts in columns, with a fixed capacity. The account dropped for another one
 /// is among the oldest.
 #[derive(Debug)]
 pub(crate) struct Departed {
@@ -72,7 +72,7 @@ impl Departed {
         }
     }
 
-    /// Stores an account and replaces one of the same robot; if the buffer is full, the oldest one
+    /// Stores an account and replaces one of the same robot. If the buffer is full, the oldest one
     /// is dropped. Returns true if none was.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
         let known = self.place(account.robot);
@@ -148,7 +148,7 @@ impl Departed {
         self.lost[usize::from(ids / 64)] & (1 << (ids % 64)) != 0
     }
 
-    /// All lost robots, for [`Departed::replace_lost`]; empty if there is none.
+    /// All lost robots, for [`Departed::replace_lost`]. Empty if there is none.
     pub(crate) fn lost(&self) -> &[u64] {
         let any = self.lost.iter().any(|word| *word != 0);
         if any { &self.lost } else { &[] }

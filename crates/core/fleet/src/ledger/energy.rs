@@ -72,7 +72,7 @@ impl Ledger {
         }
     }
 
-    /// Stamp of the newest sample, ns; `None` before the first.
+    /// Stamp of the newest sample, ns. `None` before the first.
     pub fn stamp_ns(&self) -> Option<u64> {
         self.begun.then_some(self.stamp_ns)
     }
@@ -238,7 +238,7 @@ fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, 
     (whole.clamp(i64::MIN.into(), i64::MAX.into()) as i64, sum.rem_euclid(units) as u32)
 }
 
-/// Rounded to the nearest µW, halves away from zero; an absurd forecast saturates.
+/// Rounded to the nearest µW, halves away from zero. An absurd forecast saturates.
 fn microwatts(power_w: f32) -> i64 {
     // Exact: 24 bits times 14. So is adding the half wherever it matters, and `as` saturates.
     let exact_uw = f64::from(power_w) * 1e6;

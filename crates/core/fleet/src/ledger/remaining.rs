@@ -6,7 +6,7 @@ use joulebus_settings::Battery;
 use crate::layout::lanes::{LANES, block};
 use crate::ledger::battery::Estimate;
 
-/// Energy left of a robot; NaN if unknown.
+/// Energy left of a robot. NaN if unknown.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Remaining {
     /// Whether its battery is configured.
@@ -47,7 +47,7 @@ impl Remaining {
         let (lo_j, middle_j, hi_j) = (usable_lo_j as f32, usable_j as f32, usable_hi_j as f32);
         let mean_w = mean_w as f32;
         let seconds = middle_j / mean_w;
-        // Under persistent bias the interval may exclude the forecast; the bounds stay
+        // Under persistent bias the interval may exclude the forecast. The bounds stay
         // conservative.
         let [lo_w, hi_w] = range_w(seconds);
         let (lo_w, hi_w) = (lo_w.min(mean_w), hi_w.max(mean_w));

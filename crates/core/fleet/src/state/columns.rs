@@ -39,7 +39,7 @@ const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 776);
 
 /// Declares the columns once: name, type of a block of robots, and what a check of a saved state
-/// calls it. `apart` are not read where the output of a block is computed; `optional` are empty
+/// calls it. `apart` are not read where the output of a block is computed. `optional` are empty
 /// unless a platform needs them.
 macro_rules! columns {
     (
@@ -55,7 +55,7 @@ macro_rules! columns {
             $($(#[doc = $doc])* pub $optional: Option<&'a $optional_type>,)*
         }
 
-        /// The columns, for the capacity rounded up to a whole block; of a saved state, for the
+        /// The columns, for the capacity rounded up to a whole block. Of a saved state, for the
         /// slots ever used.
         #[derive(Debug, Clone, Default, Serialize, Deserialize)]
         pub(crate) struct Columns {
@@ -100,7 +100,7 @@ macro_rules! columns {
                     .extend_from_slice(&from.$optional[..blocks.min(from.$optional.len())]);)*
             }
 
-            /// Takes the blocks of a saved state, which is [`Columns::check`]ed; others stay. All
+            /// Takes the blocks of a saved state, which is [`Columns::check`]ed. Others stay. All
             /// other slots are free.
             pub(crate) fn restore(&mut self, from: &Self) {
                 let robots = from.admissions.len();
@@ -138,7 +138,7 @@ macro_rules! columns {
                 }
             }
 
-            /// All of them; `words` has a bit for each slot in use.
+            /// All of them. `words` has a bit for each slot in use.
             pub(crate) fn view_mut<'a>(&'a mut self, words: &'a [u64]) -> ColumnsMut<'a> {
                 ColumnsMut {
                     admissions: &mut self.admissions,

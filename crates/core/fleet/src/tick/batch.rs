@@ -62,7 +62,7 @@ impl Batch {
         self.freshness = context.required.freshness;
     }
 
-    /// Adds the rows of a block that are `ready`; `first` is the slot of its first robot.
+    /// Adds the rows of a block that are `ready`. `first` is the slot of its first robot.
     #[inline(always)]
     pub(crate) fn push_block(
         &mut self,
@@ -88,7 +88,7 @@ impl Batch {
         self.slots.is_empty()
     }
 
-    /// Adds a row; there are at most as many as slots in a tile.
+    /// Adds a row. There are at most as many as slots in a tile.
     #[inline(always)]
     pub(crate) fn push(&mut self, slot: usize, row: &Features) {
         let at = self.slots.len();
@@ -122,7 +122,7 @@ impl Batch {
     }
 
     /// The rows from `row` on that are of one block, after [`Batch::infer`] and
-    /// [`Batch::mark_outside`]; and the row behind them.
+    /// [`Batch::mark_outside`], and the row behind them.
     #[inline(always)]
     pub(crate) fn of_block(&self, row: usize) -> Option<(Inferred, usize)> {
         let slots = self.slots.get(row..)?;

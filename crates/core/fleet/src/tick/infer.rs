@@ -1,4 +1,4 @@
-//! Inference: rows through the model, forecasts into windows; and open loop for robots whose next
+//! Inference: rows through the model, forecasts into windows, and open loop for robots whose next
 //! sample is overdue.
 
 // Index loops: the compiler vectorises them.

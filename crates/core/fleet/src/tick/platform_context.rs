@@ -35,9 +35,9 @@ pub(crate) struct PlatformContext {
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
-    /// By what levels are judged; `None` if the energy model states no errors.
+    /// By what levels are judged. `None` if the energy model states no errors.
     pub levels: Option<LevelRules>,
-    /// The power until a battery is empty; `None` if the model says nothing of it.
+    /// The power until a battery is empty. `None` if the model says nothing of it.
     pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
     pub errors: SharedErrors,
@@ -90,7 +90,7 @@ impl PlatformContext {
         }
     }
 
-    /// The errors to which the robots' shadow forecasts add; `None` if none are made.
+    /// The errors to which the robots' shadow forecasts add. `None` if none are made.
     #[inline(always)]
     pub(crate) fn learned_errors(&self) -> Option<&SharedErrors> {
         self.platform.energy_online.then_some(&self.errors)
@@ -120,7 +120,7 @@ impl PossiblePower {
         (self.min_w - apart_w <= forecast_w) & (forecast_w <= self.max_w + apart_w)
     }
 
-    /// The nearest possible forecast, W; NaN stays NaN, and −0 stays −0 on every CPU.
+    /// The nearest possible forecast, W. NaN stays NaN, and −0 stays −0 on every CPU.
     #[inline(always)]
     pub(crate) fn nearest(self, forecast_w: f32) -> f32 {
         let below = if forecast_w < self.min_w { self.min_w } else { forecast_w };

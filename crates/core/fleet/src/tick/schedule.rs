@@ -9,7 +9,7 @@ const CLOSEST: (u64, u64) = (4, 5);
 /// The next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Next {
-    /// Tick; it was due at `due_ns`.
+    /// Tick. It was due at `due_ns`.
     Tick {
         /// When it was due, monotonic ns.
         due_ns: u64,
@@ -23,7 +23,7 @@ pub enum Next {
 
 /// Decides when ticks are executed, and counts skipped ones.
 ///
-/// At most one tick per period; a skipped one is counted and never made up for.
+/// At most one tick per period. A skipped one is counted and never made up for.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     policy: Policy,
@@ -40,7 +40,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// A schedule that begins at `now_ns`; `period_ns` > 0.
+    /// A schedule that begins at `now_ns`. `period_ns` > 0.
     pub fn new(policy: Policy, period_ns: u64, now_ns: u64) -> Self {
         let period_ns = period_ns.max(1);
         Self {
@@ -55,7 +55,7 @@ impl Schedule {
     }
 
     /// The action at `now_ns`. `first_taken_ns`: when the first frame since the last tick was
-    /// taken; `complete`: whether every robot whose sample is due has reported since then.
+    /// taken. `complete`: whether every robot whose sample is due has reported since then.
     pub fn next(&self, now_ns: u64, first_taken_ns: Option<u64>, complete: bool) -> Next {
         let due_ns = match (self.policy, first_taken_ns) {
             (Policy::Timer, _) => self.grid_ns,

@@ -29,7 +29,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All stages; the position is `stage as usize`.
+    /// All stages. The position is `stage as usize`.
     pub const ALL: [Self; 4] = [Self::Features, Self::Network, Self::Bookkeeping, Self::Writing];
 }
 
@@ -133,14 +133,14 @@ impl<'a> Shard<'a> {
     }
 
     /// Two shards: the first has at least `robots` robots, if there are as many, and at most 63
-    /// more; the second has all others. Places continue from the first to the second.
+    /// more. The second has all others. Places continue from the first to the second.
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let words = words_of(self.columns.words, robots).end;
         self.split_words(words)
     }
 
     /// Absorbs samples, forecasts, and writes the forecasts: as many as there are robots, in the
-    /// order of their places; further elements of `forecasts` are unchanged, and robots beyond its
+    /// order of their places. Further elements of `forecasts` are unchanged, and robots beyond its
     /// length are not written.
     pub fn forecast(
         &mut self,

@@ -10,13 +10,13 @@ use super::lanes::{Job, Lanes};
 use super::packed::{Packed, Read};
 use crate::features::{Features, INPUTS};
 
-/// Tiling of a batch; it does not change the bits.
+/// Tiling of a batch. It does not change the bits.
 ///
 /// [`Network::with_tiling`](crate::Network::with_tiling) takes one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Rows output-major; columns batch-major with an output-major remainder. The fastest for every
+    /// Rows output-major. Columns batch-major with an output-major remainder. The fastest for every
     /// batch, and the default.
     ByInput,
     /// Batch-major for whole vectors of robots: a vector holds one value of several robots.
@@ -30,7 +30,7 @@ pub(crate) trait Source: Copy {
     /// Whether batch-major loads are faster than output-major ones.
     const IS_COLUMNS: bool;
 
-    /// `N` rows from `start`, assembled in `space` if necessary; features that are not read are
+    /// `N` rows from `start`, assembled in `space` if necessary. Features that are not read are
     /// unspecified.
     fn rows<'b, const N: usize>(
         &'b self,
@@ -39,7 +39,7 @@ pub(crate) trait Source: Copy {
         space: &'b mut [Features; N],
     ) -> &'b [Features; N];
 
-    /// `R` vectors of rows from `start`, as columns; columns that are not read are left unchanged.
+    /// `R` vectors of rows from `start`, as columns. Columns that are not read are left unchanged.
     fn columns<L: Lanes, const R: usize>(
         self,
         lanes: L,
@@ -89,7 +89,7 @@ impl Source for Rows<'_> {
     }
 }
 
-/// Input in columns of equal length; those that the model does not read may be empty.
+/// Input in columns of equal length. Those that the model does not read may be empty.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; INPUTS]);
 
@@ -129,7 +129,7 @@ impl Source for Columns<'_> {
     }
 }
 
-/// A batch; `R`, `C` and `N` are the CPU's tile sizes of [`BatchMajor`] and [`OutputMajor`].
+/// A batch. `R`, `C` and `N` are the CPU's tile sizes of [`BatchMajor`] and [`OutputMajor`].
 pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) tiling: Tiling,

@@ -15,7 +15,7 @@ use crate::card::TrainingRange;
 use crate::features::{Features, INPUTS};
 use crate::rollout::Rollouts;
 
-/// Implementation of the kernel; all give the same bits.
+/// Implementation of the kernel. All give the same bits.
 ///
 /// ```
 /// use joulebus_predictor::Kernel;
@@ -108,7 +108,7 @@ impl Engine {
         self.batch(packed, tiling, Rows(&rows[..count]), &mut out_w[..count]);
     }
 
-    /// Forecasts in watt; columns that are read have the length of `out_w`.
+    /// Forecasts in watt. Columns that are read have the length of `out_w`.
     pub(crate) fn columns(
         self,
         packed: &Packed,

@@ -1,7 +1,7 @@
 //! Forward pass for a tile of robots, in two tilings.
 //!
 //! - [`BatchMajor`]: a vector holds one value of several robots. Every value of a layer is a
-//!   column; weights are broadcast. Fastest in bulk.
+//!   column. Weights are broadcast. Fastest in bulk.
 //! - [`OutputMajor`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the
 //!   inputs of up to four robots broadcast. Fastest for a few robots.
 //!
@@ -74,10 +74,10 @@ unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
     unsafe { &*std::ptr::from_ref(&scratch.0).cast() }
 }
 
-/// `R` vectors of robots; `C` outputs of them at a time are held in registers.
+/// `R` vectors of robots. `C` outputs of them at a time are held in registers.
 pub(crate) struct BatchMajor<'a, L: Lanes, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
-    /// Features in their units, as columns; those that are not read are unspecified.
+    /// Features in their units, as columns. Those that are not read are unspecified.
     pub(crate) inputs: &'a [[L::Vector; R]; INPUTS],
     /// Forecasts of `R * WIDTH` robots, W.
     pub(crate) out_w: &'a mut [f32],
@@ -186,7 +186,7 @@ fn last_of_columns<L: Lanes, const R: usize>(
 /// `N` robots, contiguous in memory.
 pub(crate) struct OutputMajor<'a, const N: usize> {
     pub(crate) packed: &'a Packed,
-    /// Features in their units; those that are not read are unspecified.
+    /// Features in their units. Those that are not read are unspecified.
     pub(crate) rows: &'a [Features; N],
     /// Forecasts, W.
     pub(crate) out_w: &'a mut [f32; N],

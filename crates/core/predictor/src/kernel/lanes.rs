@@ -4,7 +4,7 @@ use std::mem::MaybeUninit;
 
 /// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU supports them.
 ///
-/// Every operation acts lane by lane and rounds once, as in IEEE 754; so each gives the same bits
+/// Every operation acts lane by lane and rounds once, as in IEEE 754. So each gives the same bits
 /// in every implementation, except for NaN payloads.
 ///
 /// # Safety
@@ -22,9 +22,9 @@ pub(crate) unsafe trait Lanes: Copy {
     const SUMS: usize;
 
     fn splat(self, value: f32) -> Self::Vector;
-    /// The first `WIDTH` values; panics if there are fewer.
+    /// The first `WIDTH` values. Panics if there are fewer.
     fn load(self, values: &[f32]) -> Self::Vector;
-    /// Stores into the first `WIDTH` elements; panics if there are fewer.
+    /// Stores into the first `WIDTH` elements. Panics if there are fewer.
     fn store(self, vector: Self::Vector, places: &mut [f32]);
     /// Same as [`store`](Lanes::store). Afterwards the first `WIDTH` elements are initialised.
     fn store_new(self, vector: Self::Vector, places: &mut [MaybeUninit<f32>]);

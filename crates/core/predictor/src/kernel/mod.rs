@@ -1,6 +1,6 @@
 //! The kernels: one source over a lane type, compiled for several CPUs, in two tilings.
 //!
-//! Robots are never combined, and the operations for each are the reference's, in its order; so
+//! Robots are never combined, and the operations for each are the reference's, in its order. So
 //! neither width nor tiling nor position can change a bit.
 
 #[cfg(target_arch = "x86_64")]

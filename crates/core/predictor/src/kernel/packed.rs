@@ -22,7 +22,7 @@ pub(crate) struct Dense<const I: usize, const L: usize> {
 }
 
 impl<const I: usize, const L: usize> Dense<I, L> {
-    /// `layer` has `L * LINE` outputs and the inputs `read` of `I`; the weights of the others are
+    /// `layer` has `L * LINE` outputs and the inputs `read` of `I`. The weights of the others are
     /// 0.
     fn new(layer: &Layer, read: Range<usize>) -> Dense<I, L> {
         let inputs = read.len();

@@ -13,8 +13,8 @@ pub fn prefetch<T>(values: &[T]) {
         let first = values.as_ptr().cast::<i8>();
         let mut offset = 0;
         while offset < size_of_val(values) {
-            // SAFETY: the instruction reads nothing that a program could see, and faults nowhere;
-            // every x86-64 CPU has it.
+            // SAFETY: the instruction reads nothing that a program could see, and faults nowhere.
+            // Every x86-64 CPU has it.
             unsafe { _mm_prefetch::<_MM_HINT_T1>(first.wrapping_add(offset)) };
             offset += LINE;
         }

@@ -20,7 +20,7 @@ const WIDEST: usize = 32;
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
-/// Lanes `first..first + energy_j.len()` of checked rollouts; `R` and `C` as in [`BatchMajor`].
+/// Lanes `first..first + energy_j.len()` of checked rollouts. `R` and `C` as in [`BatchMajor`].
 pub(crate) struct Roll<'a, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) range: &'a TrainingRange,
@@ -82,7 +82,7 @@ impl Tiles<'_> {
         (&self.rollouts.v_mps[place..], &self.rollouts.omega_radps[place..])
     }
 
-    /// Initial state of the robot of a lane; `lane` counts from the first one that is not done.
+    /// Initial state of the robot of a lane. `lane` counts from the first one that is not done.
     #[inline(always)]
     fn start(&self, lane: usize) -> &RolloutStart {
         &self.rollouts.starts[(self.first + self.done + lane) / self.rollouts.candidates]

@@ -3,7 +3,7 @@
 /// A power, and what it measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PowerReading {
-    /// W; out of the battery is positive.
+    /// W. Out of the battery is positive.
     pub(crate) power_w: f32,
     /// What the power is of.
     pub(crate) of: PowerOf,

@@ -409,7 +409,7 @@ fn limit_resources() {
     let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
     let all = Rlimit { current: maximum, maximum };
     if let Err(error) = setrlimit(Resource::Nofile, all) {
-        tracing::warn!(%error, "the limit of file descriptors stays");
+        tracing::warn!(%error, "the limit of file descriptors is not raised");
     }
     let Rlimit { current, maximum } = getrlimit(Resource::Data);
     let less = Some(current.unwrap_or(u64::MAX).min(MAX_DATA_BYTES));

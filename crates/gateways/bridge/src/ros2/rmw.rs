@@ -1,7 +1,7 @@
 //! ROS 2's messages over zenoh, for robots on `rmw_zenoh_cpp`.
 //!
 //! The program `joulebus-link` has zenoh. `joulebus-link rmw-zenoh` runs as a child and carries the
-//! messages; frames on its stdin and stdout are described in its `rmw.rs`.
+//! messages. Frames on its stdin and stdout are described in its `rmw.rs`.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read as _, Write as _};

@@ -38,7 +38,7 @@ const REQUESTED_GRACE_NS: u64 = 1_500_000_000;
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct StoreView {
     pub(crate) holder: Option<Holder>,
-    /// The last term; 0 before the first.
+    /// The last term. 0 before the first.
     pub(crate) term: u64,
     /// The store's revision of the term's key, 0 if there is none. It changes with the term.
     pub(crate) term_revision: u64,

@@ -147,7 +147,7 @@ fn common(mut values: impl Iterator<Item = u64>) -> Option<u64> {
     values.all(|value| value == first).then_some(first)
 }
 
-/// The minimum of the known values; 0 if none is known.
+/// The minimum of the known values. 0 if none is known.
 fn earliest(values: impl Iterator<Item = u64>) -> u64 {
     values.filter(|value| *value != 0).min().unwrap_or_default()
 }

@@ -27,7 +27,7 @@ struct Prelude {
     /// Release of the sender, padded with zeros.
     release: [u8; RELEASE_BYTES],
     schema: u32,
-    /// Digest of the fleet's shards; 0 without any.
+    /// Digest of the fleet's shards. 0 without any.
     shards: u32,
     /// FNV-1a hash of the fleet's name.
     fleet: u64,
@@ -77,7 +77,7 @@ pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead
 pub(crate) struct FleetId {
     /// FNV-1a hash of its name.
     pub(crate) name: u64,
-    /// Digest of its shards; 0 without any.
+    /// Digest of its shards. 0 without any.
     pub(crate) shards: u32,
 }
 
@@ -135,7 +135,7 @@ impl From<Worker> for LeaderStatus {
 /// Times and counters sent with each frame, or alone if there is none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Status {
-    /// [`Request::asked_ns`] of the newest request that the sender has received; 0 before the
+    /// [`Request::asked_ns`] of the newest request that the sender has received. 0 before the
     /// first.
     pub(crate) asked_ns: u64,
     /// When the sender received it, monotonic ns of the sender.
@@ -146,7 +146,7 @@ pub(crate) struct Status {
     pub(crate) dropped: u64,
     /// State of the sender's worker.
     pub(crate) leader: LeaderStatus,
-    /// Realtime minus monotonic on the sender's host; 0 if its realtime clock is not used.
+    /// Realtime minus monotonic on the sender's host. 0 if its realtime clock is not used.
     pub(crate) realtime_ns: u64,
 }
 

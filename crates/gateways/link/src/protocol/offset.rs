@@ -221,7 +221,7 @@ impl Offset {
         self.realtime(now_ns).is_some()
     }
 
-    /// The offset in use, ns; `None` before the first round trip.
+    /// The offset in use, ns. `None` before the first round trip.
     pub(crate) fn used_ns(&self) -> Option<i128> {
         self.used_ns.filter(|_| self.is_measured())
     }

@@ -43,7 +43,7 @@ impl Claim {
         Some((self.path.clone(), self.file.metadata().ok()?))
     }
 
-    /// The contents of the file; none if it is no text, or may only be written.
+    /// The contents of the file. None if it is no text, or may only be written.
     pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         let _ = (&self.file).read_to_string(&mut text);

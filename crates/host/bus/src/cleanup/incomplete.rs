@@ -27,7 +27,7 @@ const ABANDONED_AFTER_NS: u64 = 250_000_000;
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
-/// Objects in shared memory not completed in time; their creators may be alive.
+/// Objects in shared memory not completed in time. Their creators may be alive.
 pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
     let incomplete = |object: &Object| object.is_incomplete() && object.is_old();
     let found = objects(domain)?.into_iter().filter(incomplete);
@@ -120,7 +120,7 @@ impl Candidates {
         self.objects.is_empty() && self.descriptions.is_empty() && self.nodes.is_empty()
     }
 
-    /// Removes what is old and open in no process; returns the number removed.
+    /// Removes what is old and open in no process. Returns the number removed.
     fn remove(self) -> u64 {
         let Self { mut objects, mut descriptions, mut nodes } = self;
         objects.retain(Object::is_old);

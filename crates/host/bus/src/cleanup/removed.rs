@@ -80,7 +80,7 @@ fn is_written(descriptor: &Path) -> bool {
     };
     let info = fs::read_to_string(process.join("fdinfo").join(number)).unwrap_or_default();
     let flags = info.lines().find_map(|line| line.strip_prefix("flags:"));
-    // Octal; the last two bits are the access mode, 0 for read-only.
+    // Octal. The last two bits are the access mode, 0 for read-only.
     let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim(), 8).ok());
     flags.is_some_and(|flags| flags & 3 != 0)
 }

@@ -6,7 +6,7 @@
 pub struct SweepReport {
     /// Nodes of dead processes that iceoryx2 removed.
     pub dead_nodes: u64,
-    /// Nodes of dead processes that could not be removed; the last member to leave removes them.
+    /// Nodes of dead processes that could not be removed. The last member to leave removes them.
     pub failed_nodes: u64,
     /// Incomplete objects, services and nodes.
     pub incomplete: u64,

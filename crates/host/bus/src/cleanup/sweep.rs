@@ -21,7 +21,7 @@ use crate::{Domain, RootError, STANDBY_FILES, WorkerLock};
 /// `doctor --fix`. The caller must not be a member itself. May be called from any thread.
 ///
 /// # Errors
-/// [`SweepError`]; whatever could be removed has been removed.
+/// [`SweepError`]. Whatever could be removed has been removed.
 pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     let begin = Instant::now();
     loop {

@@ -29,7 +29,7 @@ impl MembersLock {
         Ok(Self { file })
     }
 
-    /// Takes the exclusive lock; false if another process holds it.
+    /// Takes the exclusive lock. False if another process holds it.
     pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
         self.lock(FlockOperation::NonBlockingLockExclusive)
     }
@@ -51,7 +51,7 @@ impl MembersLock {
     }
 
     /// Removes the fleet's directory with this file, that of a killed worker, and the root, if they
-    /// are empty. The caller holds the exclusive lock; a process that opened the file in the
+    /// are empty. The caller holds the exclusive lock. A process that opened the file in the
     /// meantime detects that it is gone and retries.
     pub(crate) fn remove(self, domain: &Domain) {
         if self.is_current(domain).unwrap_or(false) {

@@ -193,7 +193,7 @@ struct Looks {
 }
 
 impl Looks {
-    /// Counts a look that found `owner`; true if it names the holder, or none is visible here.
+    /// Counts a look that found `owner`. True if it names the holder, or none is visible here.
     fn are_enough(&mut self, owner: WorkerOwner) -> bool {
         // A holder without a name may be removing the file of a killed worker.
         if owner.pid.is_some() {

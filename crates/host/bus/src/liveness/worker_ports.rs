@@ -124,7 +124,7 @@ mod tests {
         assert!(!ports.admits(port(10, 0)), "there is no worker");
         for (line, admitted, refused, runs) in [
             ("10 500\n", port(10, 0), port(11, 0), 1),
-            // Another port of the same process, then the next lock holder; the previous one has
+            // Another port of the same process, then the next lock holder. The previous one has
             // ended.
             ("10 500\n", port(10, 9), port(12, 0), 1),
             ("11 600\n", port(11, 1), port(10, 7), 2),

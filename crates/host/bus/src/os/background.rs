@@ -18,7 +18,7 @@ pub trait Steps {
 
 /// Work that is done in rounds, until it is told to end, with a `T`, or fails.
 pub trait Rounds<T, E> {
-    /// Does what is due, and waits for more. Returns a pause before the next round; zero after a
+    /// Does what is due, and waits for more. Returns a pause before the next round. Zero after a
     /// round that has waited.
     ///
     /// # Errors
@@ -32,7 +32,7 @@ pub trait Rounds<T, E> {
     fn finish(self) -> Result<T, E>;
 }
 
-/// A running thread that has opened its ports; stopped when dropped. It ends with a `T`.
+/// A running thread that has opened its ports. Stopped when dropped. It ends with a `T`.
 ///
 /// Belongs to the process that started it: a child made by `fork` has no such thread, and waits for
 /// none.

@@ -2,7 +2,7 @@
 //!
 //! A child has no thread but the one that forked. A lock that another thread of the parent held
 //! stays locked in the child for good. iceoryx2 looks at nodes under such a lock, so the child's
-//! first join would hang. Cleanup threads look once a second; a controller may fork at any time.
+//! first join would hang. Cleanup threads look once a second. A controller may fork at any time.
 #![allow(unsafe_code)] // Registers functions with the C library.
 
 use std::sync::Once;

@@ -59,7 +59,7 @@ pub(crate) fn populate(part: &str) {
 }
 
 /// Populates the mappings of the shared-memory objects whose name contains `part` and that this
-/// process reads: no page fault later. Best effort; mappings over 64 MiB are left to page faults,
+/// process reads: no page fault later. Best effort. Mappings over 64 MiB are left to page faults,
 /// because populating them would take longer than a frame may.
 pub(crate) fn map(part: &str) {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
@@ -118,7 +118,7 @@ impl<'a> Mapping<'a> {
     }
 
     fn populate(&self, advice: Advice) {
-        // SAFETY: populating changes neither the contents nor the protection of a mapping; the
+        // SAFETY: populating changes neither the contents nor the protection of a mapping. The
         // range was just read from the list of this process's mappings, and if it has been unmapped
         // since, the call fails.
         let populated = unsafe {
@@ -126,7 +126,7 @@ impl<'a> Mapping<'a> {
             madvise(start, self.len, advice)
         };
         if let Err(error) = populated {
-            // Not supported by kernels before 5.14; the first frames then cause page faults,
+            // Not supported by kernels before 5.14. The first frames then cause page faults,
             // nothing worse.
             tracing::debug!(%error, path = self.path, "memory was not mapped in advance");
         }

@@ -8,13 +8,13 @@ use rustix::fs::{major, minor};
 use rustix::io::Errno;
 use rustix::process::{Pid, test_kill_process};
 
-/// True if the process exists here; one of another container is not visible.
+/// True if the process exists here. One of another container is not visible.
 pub(crate) fn is_alive(pid: u32) -> bool {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
     pid.is_some_and(|pid| !matches!(test_kill_process(pid), Err(Errno::SRCH)))
 }
 
-/// The processes that hold an exclusive `flock` of `file`, as reported by the kernel; none of
+/// The processes that hold an exclusive `flock` of `file`, as reported by the kernel. None of
 /// another container. On some file systems the kernel reports a device different from that in the
 /// file's metadata: there only `expected` is considered.
 pub(crate) fn lock_holders(file: &File, expected: Option<u32>) -> io::Result<Vec<u32>> {

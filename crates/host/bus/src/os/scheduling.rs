@@ -30,7 +30,7 @@ pub fn schedule_process(asked: &Scheduling) -> Result<Vec<SchedulingError>, Sche
 /// threads, 0 being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
 ///
 /// # Errors
-/// The first refused request; the CPU is requested first.
+/// The first refused request. The CPU is requested first.
 pub fn schedule_thread(asked: &Scheduling, place: usize) -> Result<(), SchedulingError> {
     let [cpu, priority] = requests(asked, place);
     cpu.and(priority)
@@ -76,11 +76,11 @@ fn requests(asked: &Scheduling, place: usize) -> [Result<(), SchedulingError>; 2
 pub struct Rights {
     /// CPUs it may use.
     pub cpus: Vec<usize>,
-    /// Maximum real-time priority of its limit (`RLIMIT_RTPRIO`); `None`: unlimited.
+    /// Maximum real-time priority of its limit (`RLIMIT_RTPRIO`). `None`: unlimited.
     pub priority_limit: Option<u64>,
     /// Whether it may request any priority (`CAP_SYS_NICE`).
     pub may_take_any_priority: bool,
-    /// Memory it may lock (`RLIMIT_MEMLOCK`), bytes; `None`: unlimited.
+    /// Memory it may lock (`RLIMIT_MEMLOCK`), bytes. `None`: unlimited.
     pub memory_limit: Option<u64>,
     /// Whether it may lock any memory (`CAP_IPC_LOCK`).
     pub may_lock_any_memory: bool,
@@ -176,11 +176,11 @@ fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
     sched_setaffinity(None, &set).map_err(|error| refused(error.into()))
 }
 
-/// Sets a real-time priority for the calling thread; threads it starts are scheduled normally.
+/// Sets a real-time priority for the calling thread. Threads it starts are scheduled normally.
 fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     let parameters = libc::sched_param { sched_priority: priority.into() };
     // The raw system call: the function of that name does nothing in some C libraries.
-    // SAFETY: the pointer is to a `sched_param` that lives through the call; the kernel only reads
+    // SAFETY: the pointer is to a `sched_param` that lives through the call. The kernel only reads
     // it. 0 is the calling thread.
     let outcome = unsafe {
         libc::syscall(
@@ -236,7 +236,7 @@ fn lock_memory() -> Result<(), SchedulingError> {
 /// of sleeps by up to 50 µs to save power. For the worker.
 ///
 /// # Errors
-/// The system refuses; the timer slack is unchanged.
+/// The system refuses. The timer slack is unchanged.
 pub fn set_timer_slack() -> io::Result<()> {
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
 }

@@ -30,7 +30,7 @@ impl ConnectionLeak {
         self.clients.len()
     }
 
-    /// True if connections of clients that have left may be kept; `is_idle`: no question waits.
+    /// True if connections of clients that have left may be kept. `is_idle`: no question waits.
     pub(crate) fn needs_reopen(&self, is_idle: bool, now_ns: u64) -> bool {
         let is_quiet = now_ns.saturating_sub(self.left_ns) >= LEAKED_AFTER_NS;
         self.left >= MAX_LEFT || (self.left > 0 && is_idle && is_quiet)

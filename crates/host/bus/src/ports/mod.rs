@@ -54,7 +54,7 @@ impl Bus {
     /// and views cannot take.
     ///
     /// # Errors
-    /// [`OpenError`]; [`OpenError::Places`] names who has the places.
+    /// [`OpenError`]. [`OpenError::Places`] names who has the places.
     pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
         Reader::open(self, limits)
     }

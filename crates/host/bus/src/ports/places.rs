@@ -23,7 +23,7 @@ pub(super) struct Open {
     pub(super) own: &'static [&'static str],
 }
 
-/// Ports of a service; without `open` all places are anybody's.
+/// Ports of a service. Without `open` all places are anybody's.
 pub(super) struct Places<'a, N> {
     pub(super) bus: &'a Bus,
     pub(super) service: Service,
@@ -33,7 +33,7 @@ pub(super) struct Places<'a, N> {
 }
 
 impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
-    /// Makes a port that may stay; else `full`. Who comes where all are taken makes none, and who
+    /// Makes a port that may stay, else `full`. Who comes where all are taken makes none, and who
     /// was one too many gives it back.
     pub(super) fn enter<P, E>(
         &self,
@@ -75,7 +75,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
         OpenError::Places { service: self.service.name(), allowed, holders: holders.join(", ") }
     }
 
-    /// The places that this member is bound to; `None`: all.
+    /// The places that this member is bound to. `None`: all.
     fn limit(&self) -> Option<Open> {
         self.open.filter(|open| !open.own.contains(&self.bus.node.name().as_str()))
     }

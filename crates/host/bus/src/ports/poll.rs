@@ -31,7 +31,7 @@ impl Poller {
     }
 
     /// Sleeps until `deadline_ns` (monotonic), until `peer`, the process of the watched worker, is
-    /// gone, or until a signal arrives; at most 100 ms. A shutdown of the worker, and without
+    /// gone, or until a signal arrives. At most 100 ms. A shutdown of the worker, and without
     /// `peer` its death, is found when the sleep is over. [`Woken::frame`] is never set. Does not
     /// allocate.
     ///

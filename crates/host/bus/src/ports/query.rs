@@ -96,7 +96,7 @@ impl QueryServer {
         let id = server.id().value();
         memory::populate(&id.to_string());
         let need = service::need(bus, &factory, Some(id));
-        // Clients whose question the earlier port took send it again; those not woken, later.
+        // Clients whose question the earlier port took send it again. Those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
             port: Kept::new((server, factory), need),
@@ -143,7 +143,7 @@ impl QueryServer {
     /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
     ///
     /// # Errors
-    /// [`SendError`]; nothing was sent.
+    /// [`SendError`]. Nothing was sent.
     pub fn answer(
         &self,
         query: &OpenQuery,
@@ -169,7 +169,7 @@ impl QueryServer {
         self.asked.wait_until(Some(deadline_ns), None).map(|_| ())
     }
 
-    /// Number of clients; a killed one counts until the cleanup. To be asked before each round of
+    /// Number of clients. A killed one counts until the cleanup. To be asked before each round of
     /// [`QueryServer::receive`], because it notices who has left.
     pub fn clients(&mut self) -> usize {
         let mut now = Vec::new();
@@ -207,7 +207,7 @@ impl OpenQuery {
         process_of(self.request.origin().value())
     }
 
-    /// False once its client has stopped waiting; true of a killed one until the cleanup.
+    /// False once its client has stopped waiting. True of a killed one until the cleanup.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.request.is_connected()
@@ -276,7 +276,7 @@ impl QueryClient {
     }
 
     /// Asks, and waits for the answer until `header.deadline_ns`, at most. Sets number, time and
-    /// listener of the header. Returns the answer's header and words; of a refused question too. A
+    /// listener of the header. Returns the answer's header and words. Of a refused question too. A
     /// worker that has just opened its port, or opens it again, is asked once more.
     ///
     /// # Errors
@@ -308,7 +308,7 @@ impl QueryClient {
         }
     }
 
-    /// As [`QueryClient::ask`], without waiting; gives up an earlier question.
+    /// As [`QueryClient::ask`], without waiting. Gives up an earlier question.
     ///
     /// # Errors
     /// [`QueryError`].
@@ -357,10 +357,10 @@ impl QueryClient {
         }
     }
 
-    /// The answer to the question sent last, if it has arrived; without waiting.
+    /// The answer to the question sent last, if it has arrived. Without waiting.
     ///
     /// # Errors
-    /// [`QueryError`]; the question is given up. [`QueryError::TimedOut`] from `deadline_ns` on.
+    /// [`QueryError`]. The question is given up. [`QueryError::TimedOut`] from `deadline_ns` on.
     pub fn poll(
         &mut self,
         deadline_ns: u64,

@@ -29,7 +29,7 @@ type Port<C> = (Inlet<C>, Factory<C>);
 type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
-/// Reads frames in place; on the worker's channels, only those of the holder of the worker's lock.
+/// Reads frames in place. On the worker's channels, only those of the holder of the worker's lock.
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
     // Dropped in this order: held frame, port, factory, membership.
@@ -88,11 +88,11 @@ impl<C: Channel> Reader<C> {
         })
     }
 
-    /// The oldest queued frame; `None` if the queue is empty. Overwritten frames are detected by
+    /// The oldest queued frame. `None` if the queue is empty. Overwritten frames are detected by
     /// the numbers in the headers.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
+    /// [`ReceiveError`]. The next call may succeed.
     pub fn take_next(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
         Ok(self.receive()?.map(Frame::new))
     }
@@ -101,7 +101,7 @@ impl<C: Channel> Reader<C> {
     /// faster writers do not keep the caller for ever.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
+    /// [`ReceiveError`]. The next call may succeed.
     pub fn take_all(
         &mut self,
         mut each: impl FnMut(&C::Header, &[C::Row]),
@@ -115,10 +115,10 @@ impl<C: Channel> Reader<C> {
         Ok(())
     }
 
-    /// The newest frame, skipping older ones; `None` if there is no new one since the last call.
+    /// The newest frame, skipping older ones. `None` if there is no new one since the last call.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
+    /// [`ReceiveError`]. The next call may succeed.
     pub fn take_latest(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
         let mut latest = None;
         while let Some(newer) = self.receive()? {
@@ -127,14 +127,14 @@ impl<C: Channel> Reader<C> {
         Ok(latest.map(Frame::new))
     }
 
-    /// Receives all queued frames and holds the last one that is `newer` than the held one; returns
+    /// Receives all queued frames and holds the last one that is `newer` than the held one. Returns
     /// whether there was one. `newer` is also passed the number of the worker's run of the frame,
     /// which increases whenever another process has become the worker. The frame is held in shared
     /// memory until a newer one is held or the reader is dropped: [`Reader::held`]. Must not be
     /// combined with the other methods of receiving.
     ///
     /// # Errors
-    /// [`ReceiveError`] if nothing newer was found; the next call may succeed.
+    /// [`ReceiveError`] if nothing newer was found. The next call may succeed.
     pub fn hold_latest(
         &mut self,
         mut newer: impl FnMut(&C::Header, &[C::Row], u64) -> bool,
@@ -165,7 +165,7 @@ impl<C: Channel> Reader<C> {
     }
 
     /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. A process can
-    /// keep two frames of forecasts beside the newest; with more, receiving is an error.
+    /// keep two frames of forecasts beside the newest. With more, receiving is an error.
     #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
@@ -230,7 +230,7 @@ impl<C: Channel> Reader<C> {
         self.repair.is_due(self.failures.count(), clock::monotonic_ns, is_listed)
     }
 
-    /// iceoryx2 does not retry a failed connection; a new port does. The old one is empty, and is
+    /// iceoryx2 does not retry a failed connection. A new port does. The old one is empty, and is
     /// kept if the new one fails to connect as well: it may have less.
     fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
@@ -318,7 +318,7 @@ pub enum ReceiveError {
     /// Files of this process were removed: every further call fails as well.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
-    /// The connection to a writer has failed for three seconds or more; its frames are missing. It
+    /// The connection to a writer has failed for three seconds or more. Its frames are missing. It
     /// is retried every three seconds. A writer that died in the meantime is not an error.
     #[error(
         "{connections} connections to writers failed so far. Are there file descriptors left \

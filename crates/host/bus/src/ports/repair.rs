@@ -14,12 +14,12 @@ const RETRY_EVERY_NS: u64 = 3_000_000_000;
 pub(crate) struct Repair {
     /// Number of failed connections at the last check.
     seen: u64,
-    /// Time of the next retry; none if all connections are established.
+    /// Time of the next retry. None if all connections are established.
     retry_from_ns: Option<u64>,
 }
 
 impl Repair {
-    /// True if connections are to be retried now; then call [`Self::retried`]. Only after a failure
+    /// True if connections are to be retried now. Then call [`Self::retried`]. Only after a failure
     /// the clock is read, and `is_listed` asked whether a failed port still exists.
     pub(crate) fn is_due(
         &mut self,
@@ -55,7 +55,7 @@ mod tests {
 
     const PERIOD: u64 = RETRY_EVERY_NS;
 
-    /// A port of which connections have failed `failed` times, at a time; `listed` is what it is
+    /// A port of which connections have failed `failed` times, at a time. `listed` is what it is
     /// told about the failed ports.
     fn is_due(repair: &mut Repair, failed: u64, now_ns: u64, listed: bool) -> bool {
         repair.is_due(failed, || now_ns, || listed)

@@ -34,7 +34,7 @@ impl SampleReader {
     /// memory once, so what is validated afterwards cannot change.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
+    /// [`ReceiveError`]. The next call may succeed.
     pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
         let Some(mut incoming) = self.next(frame.capacity)? else {
             return Ok(false);
@@ -48,18 +48,18 @@ impl SampleReader {
         Ok(true)
     }
 
-    /// The next frame, to be copied in parts, at most `most` of its samples; `None` if there is
+    /// The next frame, to be copied in parts, at most `most` of its samples. `None` if there is
     /// none.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
+    /// [`ReceiveError`]. The next call may succeed.
     pub fn next(&mut self, most: usize) -> Result<Option<IncomingFrame<'_>>, ReceiveError> {
         let Some(received) = self.reader.receive()? else {
             return Ok(None);
         };
         let source = received.header().publisher_id().value();
         if !self.mapped.contains(&source) {
-            // Bounded, because sources are replaced over months; forgetting one costs one more
+            // Bounded, because sources are replaced over months. Forgetting one costs one more
             // scan.
             if self.mapped.len() == MAPPED {
                 self.mapped.clear();
@@ -84,7 +84,7 @@ impl SampleReader {
 }
 
 /// A frame of samples being received. Each byte is read from shared memory once, into a buffer that
-/// may be small enough to stay in the core's cache; what is validated there cannot change.
+/// may be small enough to stay in the core's cache. What is validated there cannot change.
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
     received: Borrowed<Ipc, [Sample], SampleHeader>,
@@ -199,7 +199,7 @@ impl SampleWriter {
     /// memory, and wakes the worker. [`Sent::readers`] is 0 if no worker runs.
     ///
     /// # Errors
-    /// [`SendError`]; nothing was sent.
+    /// [`SendError`]. Nothing was sent.
     pub fn send(
         &mut self,
         header: SampleHeader,

@@ -58,7 +58,7 @@ impl Waker {
         })
     }
 
-    /// Wakes all waiters. About 1 µs for each that sleeps; allocates only if waiters have joined or
+    /// Wakes all waiters. About 1 µs for each that sleeps. Allocates only if waiters have joined or
     /// left. Returns the number of waiters notified.
     ///
     /// # Errors
@@ -156,7 +156,7 @@ impl Waiter {
     }
 
     /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
-    /// arrives; at most 100 ms. Earlier events are found immediately. Does not allocate.
+    /// arrives. At most 100 ms. Earlier events are found immediately. Does not allocate.
     ///
     /// # Errors
     /// [`WaitError::Removed`] if this process must end, [`WaitError::Listen`] if the listener is
@@ -221,7 +221,7 @@ impl Waiter {
 impl AsFd for Waiter {
     fn as_fd(&self) -> BorrowedFd<'_> {
         // SAFETY: the descriptor is open as long as the listener lives, and the borrow ends with
-        // that of `self`; it is neither closed nor kept.
+        // that of `self`. It is neither closed nor kept.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
 }

@@ -73,7 +73,7 @@ impl<C: Channel> Writer<C> {
     /// memory. Returns the number of readers reached. iceoryx2 allocates once.
     ///
     /// # Errors
-    /// [`SendError`]; nothing was sent.
+    /// [`SendError`]. Nothing was sent.
     pub fn send(
         &mut self,
         header: C::Header,
@@ -122,7 +122,7 @@ impl<C: Channel> Writer<C> {
         let _ = self.port.0.update_connections();
     }
 
-    /// Number of readers of the service; a killed one counts until the cleanup.
+    /// Number of readers of the service. A killed one counts until the cleanup.
     #[must_use]
     pub fn readers(&self) -> usize {
         self.port.1.dynamic_config().number_of_subscribers()

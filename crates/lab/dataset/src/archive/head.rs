@@ -15,7 +15,7 @@ pub struct Head {
     pub trial: u32,
     /// Name of the robot, if the recording has one.
     pub robot: Option<String>,
-    /// Name of the fleet; captures only.
+    /// Name of the fleet. Captures only.
     pub fleet: Option<String>,
     /// Names of the recording's columns that the trial has, maybe without a value.
     pub columns: Vec<String>,
@@ -49,7 +49,7 @@ pub struct RowStamp {
     pub unix_ns: u64,
     /// Time of the row, monotonic ns.
     pub stamp_ns: u64,
-    /// When the row's power was measured, monotonic ns; 0 if that is unknown.
+    /// When the row's power was measured, monotonic ns. 0 if that is unknown.
     pub measured_ns: u64,
     /// Number of the sample with the row's reading, within the epoch of its source.
     pub seq: u64,

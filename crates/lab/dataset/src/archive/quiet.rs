@@ -30,7 +30,7 @@ fn wrap_hook() {
 
 /// The result of `read`, or `None` if it panicked. A panic prints nothing.
 pub(super) fn caught<T>(read: impl FnOnce() -> T) -> Option<T> {
-    // The hook cannot be changed by a thread that panics; then its message is printed.
+    // The hook cannot be changed by a thread that panics. Then its message is printed.
     if !std::thread::panicking() {
         wrap_hook();
     }

@@ -280,7 +280,7 @@ where
     })
 }
 
-/// The trial under the name of its recording; a value that no recording can have is refused as
+/// The trial under the name of its recording. A value that no recording can have is refused as
 /// there.
 fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialError> {
     let mut table = Table {

@@ -62,7 +62,7 @@ pub struct Field {
     pub name: &'static str,
     /// Its type.
     pub kind: Kind,
-    /// Its unit; `1` without one.
+    /// Its unit. `1` without one.
     pub unit: &'static str,
     /// Whether a row may have no value.
     pub is_nullable: bool,

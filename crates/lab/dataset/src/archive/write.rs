@@ -89,7 +89,7 @@ pub fn write<W: Write + Send>(
 }
 
 /// Without compression: readings repeat, and whole numbers rise evenly, so encodings leave little
-/// for it; and nothing in a hostile file can expand.
+/// for it, and nothing in a hostile file can expand.
 fn properties(head: &str) -> WriterProperties {
     let value = |key: &str, value: String| KeyValue::new(key.to_owned(), value);
     let metadata = vec![

@@ -282,7 +282,7 @@ fn check_times(trial: &Trial, found: &mut Findings) {
         }
     }
     let row_of = |file_row: usize| {
-        // `file_row` increases; the notes refer to rows of the file.
+        // `file_row` increases. The notes refer to rows of the file.
         (0..trial.rows()).find(|row| trial.file_row(*row) == file_row)
     };
     for gap in &trial.notes().gaps {
@@ -360,7 +360,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
 }
 
 /// Signs are a convention, so only magnitudes are compared. If the units are wrong, every row
-/// differs; that is reported once, by the unit check.
+/// differs. That is reported once, by the unit check.
 fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
     let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));
     let [Some(power_w), Some(voltage_v), Some(current_a)] = columns else {

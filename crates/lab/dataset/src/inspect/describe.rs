@@ -10,7 +10,7 @@ use super::units::{PowerCheck, power_check};
 use crate::split::group_of;
 use crate::trial::{Column, Trial};
 
-/// Description of a trial. SI units; rows count from 1, a CSV's header not included.
+/// Description of a trial. SI units. Rows count from 1, a CSV's header not included.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrialReport {
     /// The file.
@@ -45,7 +45,7 @@ pub struct TrialReport {
     pub least_power_w: Option<f64>,
     /// Maximum power reading, W.
     pub greatest_power_w: Option<f64>,
-    /// Energy, J: each reading is held until the next row; gaps are excluded.
+    /// Energy, J: each reading is held until the next row. Gaps are excluded.
     pub energy_j: f64,
     /// Power compared with voltage times current, if all three are recorded.
     pub power_check: Option<PowerCheck>,
@@ -81,7 +81,7 @@ pub struct Steps {
 /// A column's values in the SI unit of the [`Column`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColumnReport {
-    /// Its name in a file; files have voltage, current and power in thousandths of the SI unit.
+    /// Its name in a file. Files have voltage, current and power in thousandths of the SI unit.
     pub name: &'static str,
     /// Rows with a value.
     pub values: usize,

@@ -143,7 +143,7 @@ impl fmt::Display for FindingKind {
 pub struct Place {
     /// The file.
     pub file: PathBuf,
-    /// The row in the file, from 1, a CSV's header not included; `None` if it concerns no single
+    /// The row in the file, from 1, a CSV's header not included. `None` if it concerns no single
     /// row.
     pub row: Option<usize>,
     /// The column's name in a file.

@@ -12,7 +12,7 @@ pub struct Holds {
     pub readings: usize,
     /// Number of readings equal to the previous row's.
     pub held: usize,
-    /// `held / readings`; 0 without readings.
+    /// `held / readings`. 0 without readings.
     pub share: f64,
     /// Most frequent run length, rows: 1 if most readings are new. Of two equally frequent lengths,
     /// the shorter.
@@ -38,7 +38,7 @@ pub(super) struct Run {
     pub(super) rows: usize,
 }
 
-/// The runs of equal readings, in order; rows without a reading belong to none and end a run.
+/// The runs of equal readings, in order. Rows without a reading belong to none and end a run.
 pub(super) fn runs(trial: &Trial) -> Vec<Run> {
     let power = trial.column(crate::trial::Column::Power);
     let mut runs: Vec<Run> = Vec::new();

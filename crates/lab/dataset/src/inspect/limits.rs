@@ -25,7 +25,7 @@ impl Range {
 }
 
 /// Thresholds of the check. Values beyond them are more likely recording errors, such as a wrong
-/// unit, than measurements of a wheeled robot; a platform's own limits are narrower.
+/// unit, than measurements of a wheeled robot. A platform's own limits are narrower.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
     /// Commanded and measured linear velocity, m/s.
@@ -40,9 +40,9 @@ pub struct Limits {
     pub voltage_v: Range,
     /// Battery current, A.
     pub current_a: Range,
-    /// Electrical power, W; negative while regenerating.
+    /// Electrical power, W. Negative while regenerating.
     pub power_w: Range,
-    /// Measured state of charge; batteries report a little more than full.
+    /// Measured state of charge. Batteries report a little more than full.
     pub soc: Range,
     /// Allowed difference between power and voltage times current, as a share of the latter.
     pub power_share: f64,
@@ -74,7 +74,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The range of a column in SI units; `None` for an unbounded column.
+    /// The range of a column in SI units. `None` for an unbounded column.
     pub const fn range(&self, column: Column) -> Option<Range> {
         match column {
             Column::Phase => None,

@@ -98,7 +98,7 @@ impl Profiler {
         }
     }
 
-    /// The profile; `None` if there are fewer than two readings or constant power.
+    /// The profile. `None` if there are fewer than two readings or constant power.
     pub fn finish(self) -> Option<Profile> {
         let Self {
             mut readings,

@@ -124,7 +124,7 @@ pub fn describe(sources: &[SourceInfo]) -> String {
     format!("{} recorded trials of {named}", sources.len())
 }
 
-/// The median period of some recordings, s; 0 without any.
+/// The median period of some recordings, s. 0 without any.
 pub fn median_period_s(sources: &[SourceInfo]) -> f32 {
     median_s(sources.iter().map(|source| source.period_s))
 }

@@ -296,7 +296,7 @@ impl Store {
     }
 }
 
-/// The rows of one run; there are at least two samples.
+/// The rows of one run. There are at least two samples.
 fn table(
     path: &Path,
     name: &str,

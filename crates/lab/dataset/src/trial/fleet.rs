@@ -9,7 +9,7 @@ use super::Trial;
 pub struct Playback {
     /// Monotonic time of every trial's first row, ns.
     pub base_ns: u64,
-    /// Time from one frame to the next, ns, in the time of the trials; at least 1.
+    /// Time from one frame to the next, ns, in the time of the trials. At least 1.
     pub frame_period_ns: u64,
     /// Whether a trial restarts when it has ended, each after its own length.
     pub repeat: bool,
@@ -44,7 +44,7 @@ pub enum TrialFleetError {
 /// Many trials as one fleet: every sample once, in frames on a grid of the trials' own time.
 ///
 /// Pure: time is an argument. Trial time 0 is the first row of every trial. A frame holds the
-/// samples that have become due since the previous frame, ordered by robot and then by time; a
+/// samples that have become due since the previous frame, ordered by robot and then by time. A
 /// robot slower than the frame rate is not in every frame. Frames taken one by one, each at its
 /// [`TrialFleet::next_due_ns`], do not depend on how fast they are taken:
 ///
@@ -120,7 +120,7 @@ impl TrialFleet {
         self.players.iter().map(|player| player.samples.len()).sum()
     }
 
-    /// When the next non-empty frame is due, in trial time, ns; `None` at the end, which
+    /// When the next non-empty frame is due, in trial time, ns. `None` at the end, which
     /// [`Playback::repeat`] never reaches.
     pub fn next_due_ns(&self) -> Option<u64> {
         let due_ns = self.players.iter().filter_map(Player::due_ns).min()?;

@@ -294,7 +294,7 @@ fn numbers(kind: u32, bytes: &[u8], is_big: bool) -> Option<Vec<f64>> {
 /// The columns as lines, the first with their names.
 struct Text {
     columns: Vec<(String, Vec<f64>)>,
-    /// The next row; none before the names.
+    /// The next row. None before the names.
     row: Option<usize>,
     line: Vec<u8>,
     taken: usize,

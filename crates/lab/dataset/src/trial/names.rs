@@ -44,7 +44,7 @@ const MPS: &[(&str, f64)] =
 const RADPS: &[(&str, f64)] = &[("radps", 1.0), ("rad_s", 1.0), ("degps", PI / 180.0), ("", 1.0)];
 const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
 
-/// Every quantity; the units of voltage, current and power have to be in the name, except where
+/// Every quantity. The units of voltage, current and power have to be in the name, except where
 /// the layout's names have none.
 const SPELLINGS: [Spelling; 14] = [
     Spelling {
@@ -250,12 +250,12 @@ fn field(name: &str) -> Option<(Quantity, f64)> {
     found.map(|(_, quantity, factor)| (*quantity, *factor))
 }
 
-/// A name in lower case; brackets, dots, slashes, spaces and hyphens count as an underscore.
+/// A name in lower case. Brackets, dots, slashes, spaces and hyphens count as an underscore.
 fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
     for letter in name.chars() {
         match letter {
-            // A unit in brackets; in front of a name it is rostopic's.
+            // A unit in brackets. In front of a name it is rostopic's.
             '%' if plain.ends_with('_') => plain.push_str("percent"),
             ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' | '%' | '#' | ',' => {
                 if !plain.ends_with('_') && !plain.is_empty() {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::table::{Column, Columns, LeftOut, is_held, value};
 
-/// Quality notes. Everything noted is kept in the trial; rows count from 1, the header of a CSV not
+/// Quality notes. Everything noted is kept in the trial. Rows count from 1, the header of a CSV not
 /// included.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialNotes {

@@ -16,7 +16,7 @@ const TIME: usize = 1;
 /// Rows that are read at a time.
 const BLOCK_ROWS: usize = 1 << 14;
 
-/// Reads the array part by part; the size of the file bounds what its header may claim.
+/// Reads the array part by part. The size of the file bounds what its header may claim.
 pub(super) fn read(
     path: &Path,
     mut file: File,
@@ -141,7 +141,7 @@ fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError>
     }
 }
 
-/// Takes a row; `last` is the robot of the row before: its number and its name.
+/// Takes a row. `last` is the robot of the row before: its number and its name.
 fn take_row(
     cell: Cell<'_>,
     at: impl Fn(usize) -> f64,

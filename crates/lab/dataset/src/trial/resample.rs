@@ -81,7 +81,7 @@ const AT_THE_SAME_TIME: f64 = 1e-3;
 const ROUNDING: f64 = 1e-6;
 
 impl Trial {
-    /// The trial on another grid; see [`Table::resampled`].
+    /// The trial on another grid. See [`Table::resampled`].
     ///
     /// # Errors
     /// [`ResampleError`].
@@ -95,7 +95,7 @@ impl Trial {
 impl Table {
     /// The table on another grid, which begins at its first row.
     ///
-    /// A row is held until the next one; before a gap of more than one and a half median periods,
+    /// A row is held until the next one. Before a gap of more than one and a half median periods,
     /// and at the end, for one median period. Times of the grid that no row covers get no row: gaps
     /// are kept. Where a value was not recorded, the values computed from it are NaN: with
     /// [`Method::Mean`] wherever its row contributes, with [`Method::Linear`] between it and the
@@ -217,7 +217,7 @@ fn resample(
     Ok((grid, counts))
 }
 
-/// Contributions to a time of the grid: rows with weights that sum to 1; none in a gap.
+/// Contributions to a time of the grid: rows with weights that sum to 1. None in a gap.
 struct Part {
     number: usize,
     shares: Vec<(usize, f64)>,

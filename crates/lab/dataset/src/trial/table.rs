@@ -31,16 +31,16 @@ pub enum Column {
     Current,
     /// Electrical power, W.
     Power,
-    /// Measured linear velocity, m/s; not in the array layout.
+    /// Measured linear velocity, m/s. Not in the array layout.
     VMeasured,
-    /// Measured angular velocity, rad/s; not in the array layout.
+    /// Measured angular velocity, rad/s. Not in the array layout.
     OmegaMeasured,
-    /// Measured state of charge, 0 to 1; not in the array layout.
+    /// Measured state of charge, 0 to 1. Not in the array layout.
     Soc,
 }
 
 impl Column {
-    /// All columns; the first nine are the last nine of the array layout, in its order.
+    /// All columns. The first nine are the last nine of the array layout, in its order.
     pub const ALL: [Self; 12] = [
         Self::Phase,
         Self::V,
@@ -77,7 +77,7 @@ impl Column {
         }
     }
 
-    /// Unit of the values in files; `1` without one.
+    /// Unit of the values in files. `1` without one.
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Phase | Self::Soc => "1",
@@ -113,7 +113,7 @@ pub struct SourceColumn {
     pub column: Column,
     /// Its name in the file.
     pub name: String,
-    /// Whether its name, or the caller, states the unit; the layout's is assumed otherwise.
+    /// Whether its name, or the caller, states the unit. The layout's is assumed otherwise.
     pub states_unit: bool,
     /// Whether the caller named it.
     pub is_mapped: bool,
@@ -302,12 +302,12 @@ impl Table {
         &self.understood
     }
 
-    /// Rows without a robot name in a table that has one; all written rows name the robot.
+    /// Rows without a robot name in a table that has one. All written rows name the robot.
     pub fn unnamed_rows(&self) -> usize {
         self.unnamed_rows
     }
 
-    /// Time of each row as recorded, s; finite.
+    /// Time of each row as recorded, s. Finite.
     pub fn timestamp_s(&self) -> &[f64] {
         &self.timestamp_s
     }
@@ -629,7 +629,7 @@ impl Tables {
         Ok(Some(parts))
     }
 
-    /// The table of a row's robot; an empty name means none.
+    /// The table of a row's robot. An empty name means none.
     pub(super) fn of(&mut self, cell: Cell<'_>, name: &str) -> Result<&mut Table, TrialError> {
         self.rows += 1;
         let at = match self.tables.len() {
@@ -671,7 +671,7 @@ impl Tables {
         Ok(at)
     }
 
-    /// All tables, with the notes on the whole file; a file without rows gives an empty table.
+    /// All tables, with the notes on the whole file. A file without rows gives an empty table.
     pub(super) fn finish(
         mut self,
         path: &Path,

@@ -16,7 +16,7 @@ use super::table::{
     Cell, Column, LeftOut, SourceColumn, Table, Tables, Take, check_value, is_time,
 };
 
-/// Reads the table part by part; `zipped`: the bytes are gzip, with the size of the file.
+/// Reads the table part by part. `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
@@ -320,7 +320,7 @@ const HEAD_BYTES: u64 = 64 << 10;
 
 /// How the numbers of a text are written.
 struct Numbers {
-    /// Whether a comma is in front of the fraction; unknown until a number tells.
+    /// Whether a comma is in front of the fraction. Unknown until a number tells.
     decimal_comma: Option<bool>,
     /// Whether a number had a point.
     has_point: bool,

@@ -21,7 +21,7 @@ pub struct Row {
 }
 
 impl Trial {
-    /// A trial from rows; `path` names their origin in messages.
+    /// A trial from rows. `path` names their origin in messages.
     ///
     /// # Errors
     /// [`TrialError`]: a value that a sample cannot represent, too many rows, or fewer than two
@@ -47,7 +47,7 @@ impl Trial {
     }
 
     /// The trial in the units of files. A value read from a file with non-SI units may differ in
-    /// the last bit; [`Table::read`] preserves it.
+    /// the last bit. [`Table::read`] preserves it.
     pub fn to_table(&self) -> Table {
         let mut columns = self.columns.clone();
         for (column, values) in Column::ALL.into_iter().zip(&mut columns) {
@@ -120,7 +120,7 @@ impl Form {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
-    /// The operating system's error; an existing file is never overwritten.
+    /// The operating system's error. An existing file is never overwritten.
     #[error("{path}: {source}", path = path.display())]
     Io {
         /// The file.
@@ -170,9 +170,9 @@ pub enum WriteError {
 }
 
 impl Table {
-    /// Writes the table in the format given by the file name's extension; the file must not exist
-    /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs;
-    /// columns without values may be missing.
+    /// Writes the table in the format given by the file name's extension. The file must not exist
+    /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs.
+    /// Columns without values may be missing.
     ///
     /// # Errors
     /// [`WriteError`]: what the format cannot represent is refused, never dropped.
@@ -220,7 +220,7 @@ impl Table {
         zipped.into_inner()?.finish()?.flush()
     }
 
-    /// Whether the array layout can represent the table; returns the robot as the number stored.
+    /// Whether the array layout can represent the table. Returns the robot as the number stored.
     fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
         if self.rows() < 2 {
             return Err(WriteError::TooFewRows { path: path.to_owned(), rows: self.rows() });

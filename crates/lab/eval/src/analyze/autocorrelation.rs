@@ -26,8 +26,8 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
 }
 
 /// Autocorrelation over all trials: deviations from the mean of all readings, pairs within trials.
-/// It includes the variance between trials, so it exceeds the autocorrelation within a trial;
-/// scores over many trials depend on it.
+/// It includes the variance between trials, so it exceeds the autocorrelation within a trial.
+/// Scores over many trials depend on it.
 pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     let each = trials.iter().map(|trial| LagSums::new(trial, lags));
     LagSums::pooled(&each.collect::<Vec<_>>(), lags)

@@ -30,7 +30,7 @@ pub enum AnalyzeError {
     /// A recording cannot be read again.
     #[error(transparent)]
     Trial(#[from] TrialError),
-    /// Moments lack a feature; never caused by data.
+    /// Moments lack a feature. Never caused by data.
     #[error(transparent)]
     Linear(#[from] LinearError),
 }

@@ -7,7 +7,7 @@ use joulebus_dataset::trial::{Resample, ResampleError};
 use super::error::AnalyzeError;
 use crate::score::{Contents, Recording, each};
 
-/// Recordings on one grid; on another than their own they are resampled whenever they are needed.
+/// Recordings on one grid. On another than their own they are resampled whenever they are needed.
 pub(super) struct View<'a> {
     recordings: Vec<&'a Recording>,
     grid: Option<Resample>,

@@ -37,7 +37,7 @@ pub struct Delay {
     pub found: f64,
     /// Median, s. NaN (null in JSON) if too few recordings found the fault.
     pub median_s: f64,
-    /// 90 % quantile, s; NaN likewise.
+    /// 90 % quantile, s. NaN likewise.
     pub q90_s: f64,
 }
 
@@ -66,7 +66,7 @@ impl Delay {
 pub struct Thresholds {
     /// Alarm above, W.
     pub power_w: f64,
-    /// Alarm below, V; `None` without voltages.
+    /// Alarm below, V. `None` without voltages.
     pub voltage_v: Option<f64>,
     /// Share of the recordings that state the rate in which power raises a false alarm.
     pub power_false: f64,

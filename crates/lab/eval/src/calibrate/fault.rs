@@ -101,7 +101,7 @@ fn mean_w(samples: &[Sample]) -> f64 {
     sum_w / f64::max(readings(samples).count() as f64, 1.0)
 }
 
-/// Slope of voltage over power by least squares, V/W, at most 0; 0 without voltages.
+/// Slope of voltage over power by least squares, V/W, at most 0. 0 without voltages.
 fn slope(samples: &[Sample]) -> f64 {
     let pairs: Vec<(f64, f64)> = readings(samples).filter(|(_, v)| v.is_finite()).collect();
     let count = pairs.len().max(1) as f64;

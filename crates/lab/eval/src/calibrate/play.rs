@@ -40,7 +40,7 @@ pub(super) struct Played {
     pub others: [u64; OTHERS.len()],
     /// Time in which the residuals could raise an alarm, s: from their settling on.
     pub watched_s: f64,
-    /// When a fault that began at the time asked for was found, ns; nothing is played after it.
+    /// When a fault that began at the time asked for was found, ns. Nothing is played after it.
     pub found_ns: Option<u64>,
 }
 

@@ -8,7 +8,7 @@ use super::choose::Basis;
 use super::delay::{Delay, Delays, Thresholds};
 use super::play::{KINDS, OTHERS};
 
-/// Limits with their evidence. `Display` is a table; unknown numbers are null in JSON.
+/// Limits with their evidence. `Display` is a table. Unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Calibration {
     /// Robots of the fleet.
@@ -48,7 +48,7 @@ pub struct Calibration {
 /// A half of the recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Evidence {
-    /// Their number; one longer than ten minutes counts once for each piece of ten minutes.
+    /// Their number. One longer than ten minutes counts once for each piece of ten minutes.
     pub recordings: usize,
     /// Their rows.
     pub rows: usize,

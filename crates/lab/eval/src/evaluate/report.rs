@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Evaluation, Forecast, LiveTrial};
 
-/// An evaluation without its steps. `Display` is a table; unknown numbers are null in JSON.
+/// An evaluation without its steps. `Display` is a table. Unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EvaluationReport {
     /// One entry per platform and model, sorted by name.
@@ -41,7 +41,7 @@ pub struct PlatformReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// Whose forecasts were scored; `None` without a trial.
+    /// Whose forecasts were scored. `None` without a trial.
     pub forecast: Option<Forecast>,
     /// Trials.
     pub trials: usize,

@@ -2,7 +2,7 @@
 
 use super::RobotEvaluation;
 
-/// Scored readings of a trial, in order; all columns have the same length.
+/// Scored readings of a trial, in order. All columns have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Series {
     /// Time since the trial's first row, s.

@@ -9,7 +9,7 @@ use joulebus_statistics::metrics::{Additive, CoverageTally, Tally};
 pub(crate) struct Sums {
     /// Blocks of consecutive rows, in order.
     pub(crate) blocks: Vec<Block>,
-    /// Residuals of each forecaster, W; of scored rows only.
+    /// Residuals of each forecaster, W. Of scored rows only.
     pub(crate) residuals_w: Vec<Vec<f32>>,
     /// One entry per horizon.
     pub(crate) horizons: Vec<HorizonSums>,
@@ -25,7 +25,7 @@ pub(crate) struct Block {
     pub(crate) intervals: Vec<CoverageTally>,
 }
 
-/// All origins at one horizon; one entry per forecaster.
+/// All origins at one horizon. One entry per forecaster.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct HorizonSums {
     /// The reading at the horizon.
@@ -57,7 +57,7 @@ impl Block {
         merged
     }
 
-    /// Joins neighbours in pairs; the last may stay alone.
+    /// Joins neighbours in pairs. The last may stay alone.
     pub(crate) fn join_pairs(blocks: &mut Vec<Block>) {
         let pairs = blocks.chunks(2).map(Block::merged);
         *blocks = pairs.collect();

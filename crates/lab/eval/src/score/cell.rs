@@ -39,11 +39,11 @@ pub struct Blocks {
     /// Number of blocks. Below [`joulebus_statistics::bootstrap::MIN_BLOCKS`], there is no
     /// interval.
     pub count: usize,
-    /// Whether each block is a whole trial; otherwise a number of consecutive rows.
+    /// Whether each block is a whole trial. Otherwise a number of consecutive rows.
     pub whole_trials: bool,
 }
 
-/// One forecaster. Undefined scores are NaN, null in JSON; definitions: [`Tally`].
+/// One forecaster. Undefined scores are NaN, null in JSON. Definitions: [`Tally`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ForecasterScore {
     /// Its name.
@@ -136,7 +136,7 @@ impl IntervalScore {
 pub struct HorizonCell {
     /// `all`, or the name of the group, robot or trial.
     pub name: String,
-    /// Trials; a whole trial is a block of the confidence intervals.
+    /// Trials. A whole trial is a block of the confidence intervals.
     pub trials: usize,
     /// One entry per horizon.
     pub horizons: Vec<Horizon>,
@@ -145,7 +145,7 @@ pub struct HorizonCell {
 /// One horizon: the reading `ticks` after the origin's last one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Horizon {
-    /// Ticks ahead; 1 is the corrected forecast.
+    /// Ticks ahead. 1 is the corrected forecast.
     pub ticks: usize,
     /// The same in seconds, at the recordings' median period.
     pub seconds: f64,
@@ -179,7 +179,7 @@ pub struct HorizonScore {
     pub skill: Vec<Skill>,
 }
 
-/// Names of the forecasters, and which of them are models and which baselines; the others are
+/// Names of the forecasters, and which of them are models and which baselines. The others are
 /// members.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Names {

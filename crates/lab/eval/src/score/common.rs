@@ -48,7 +48,7 @@ pub(super) struct Evaluated {
 pub struct BaselineReport {
     /// Its name.
     pub name: String,
-    /// The linear model of the first fold; `None` if there were too few rows to fit it on.
+    /// The linear model of the first fold. `None` if there were too few rows to fit it on.
     pub line: Option<LinearReport>,
     /// Folds in which it could be fitted.
     pub fitted_folds: usize,
@@ -116,7 +116,7 @@ impl Evaluated {
     }
 }
 
-/// Names of the forecasters; models of the same name are distinguished by their hashes.
+/// Names of the forecasters. Models of the same name are distinguished by their hashes.
 fn names(subject: Subject<'_>, options: &Options) -> Names {
     let models = subject.models;
     let base = |model: &Model| {

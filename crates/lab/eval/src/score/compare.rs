@@ -22,7 +22,7 @@ const NEW: usize = 1;
 /// Comparison of two models. Every difference is new minus old.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Name of the platform; `recorded` where period and limits are the recordings'.
+    /// Name of the platform. `recorded` where period and limits are the recordings'.
     pub platform: String,
     /// The old model.
     pub old: ModelReport,
@@ -34,7 +34,7 @@ pub struct Comparison {
     pub warnings: Vec<String>,
     /// The rows that were compared.
     pub design: DesignReport,
-    /// Configuration of the confidence intervals; both models share the draws.
+    /// Configuration of the confidence intervals. Both models share the draws.
     pub bootstrap: Bootstrap,
     /// All recordings.
     pub all: Difference,

@@ -27,7 +27,7 @@ struct Column {
 /// Whether a reference has intervals, and its forecast and their ends for each row, W.
 type ReferenceColumn = (bool, Vec<[f64; 3]>);
 
-/// Results of one recording; empty without rows to evaluate.
+/// Results of one recording. Empty without rows to evaluate.
 pub(super) struct Found<T> {
     /// Sums of the evaluated rows.
     pub(super) sums: Sums,
@@ -35,7 +35,7 @@ pub(super) struct Found<T> {
     pub(super) trained_on: Sums,
     /// Results of the live path of each model.
     pub(super) live: Vec<T>,
-    /// The energy forecasts of each model; empty if not [asked for](Options::energy).
+    /// The energy forecasts of each model. Empty if not [asked for](Options::energy).
     pub(super) energy: Vec<EnergyScores>,
 }
 
@@ -130,7 +130,7 @@ fn live(subject: Subject<'_>, id: u32, trial: &Trial) -> Result<Vec<RobotEvaluat
         None => recorded_platform(id, trial),
     };
     let mut settings = FleetSettings { platforms: vec![platform], ..subject.settings.clone() };
-    // A longer silence frees a robot's slot; here no other robot needs it.
+    // A longer silence frees a robot's slot. Here no other robot needs it.
     let stale_after_ns = settings.platforms[0].stale_after_ns;
     let leave_after_ns = &mut settings.intake.leave_after_ns;
     *leave_after_ns = stale_after_ns.max(*leave_after_ns);
@@ -209,7 +209,7 @@ fn add_rows(
     }
 }
 
-/// Blocks of `length` rows; a remainder of less than half of it joins the last block.
+/// Blocks of `length` rows. A remainder of less than half of it joins the last block.
 fn row_blocks(rows: Range<usize>, length: usize) -> impl Iterator<Item = Range<usize>> {
     let count = ((rows.len() + length / 2) / length).max(1);
     (0..count).map(move |at| {

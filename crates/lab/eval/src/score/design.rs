@@ -57,7 +57,7 @@ impl Design {
     /// recordings has not seen the evaluated rows.
     ///
     /// # Errors
-    /// [`ScoreError::Split`]; [`ScoreError::Recording`] in a split in time.
+    /// [`ScoreError::Split`]. [`ScoreError::Recording`] in a split in time.
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
         let infos = sources(recordings);
         let resume_at = |at: usize, cuts| -> Result<[usize; 2], ScoreError> {
@@ -128,7 +128,7 @@ impl Design {
     }
 
     /// Evaluates every row. The recordings are assigned in turn to up to ten folds, and the
-    /// baselines for each are fitted on the others; a single recording is cut into halves, each
+    /// baselines for each are fitted on the others. A single recording is cut into halves, each
     /// evaluated with baselines from the other. Duplicates of a recording share its fold.
     pub fn folds(recordings: &[Recording]) -> Self {
         let infos = infos(recordings);
@@ -245,7 +245,7 @@ pub struct DesignReport {
     pub description: String,
     /// The split, if one was requested.
     pub split: Option<Split>,
-    /// Number of folds; 1 if evaluated and fitted rows are disjoint as a whole.
+    /// Number of folds. 1 if evaluated and fitted rows are disjoint as a whole.
     pub folds: usize,
     /// Trials with evaluated rows.
     pub trials: usize,

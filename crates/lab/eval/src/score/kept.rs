@@ -15,7 +15,7 @@ const READ_AT_ONCE: usize = 1 << 14;
 pub(super) struct Kept {
     max_in_memory: usize,
     file: Option<File>,
-    /// Numbers in the file; those in memory follow.
+    /// Numbers in the file. Those in memory follow.
     in_file: u64,
     memory: Vec<f32>,
 }

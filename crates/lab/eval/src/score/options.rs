@@ -12,7 +12,7 @@ const MAX_RESAMPLES: u32 = 1_000_000;
 /// Options of scoring.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Horizons of the open loop, ticks, ascending, each 1 to [`MAX_HORIZON`]; empty to disable
+    /// Horizons of the open loop, ticks, ascending, each 1 to [`MAX_HORIZON`]. Empty to disable
     /// it.
     pub horizons: Vec<usize>,
     /// Rows from one origin of the open loop to the next, counted through all recordings, at

@@ -133,7 +133,7 @@ impl Recording {
         Self { held: Held::Stored(place), ..self }
     }
 
-    /// The trial and its rows; read from the file if they are not in memory.
+    /// The trial and its rows. Read from the file if they are not in memory.
     ///
     /// # Errors
     /// [`TrialError`]: the file cannot be read again, or has changed.
@@ -227,7 +227,7 @@ impl PartialEq for Recording {
     }
 }
 
-/// Sources of a split into whole trials. Robots that share a file stay in one part; of fewer than
+/// Sources of a split into whole trials. Robots that share a file stay in one part. Of fewer than
 /// three files each robot is a trial of its own.
 pub(crate) fn sources(recordings: &[Recording]) -> Vec<SourceInfo> {
     let files: BTreeSet<&str> = recordings.iter().map(Recording::file).collect();

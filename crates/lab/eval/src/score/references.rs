@@ -23,7 +23,7 @@ const MAX_SEASON: usize = 512;
 pub enum Reference {
     /// The mean of the robot's readings so far.
     Mean,
-    /// The reading one season before; the newest one where there is no season or none before.
+    /// The reading one season before. The newest one where there is no season or none before.
     Seasonal,
     /// Ridge regression.
     Ridge(Terms),
@@ -143,7 +143,7 @@ pub(super) enum Learned {
     Ridge(Option<Linear>),
 }
 
-/// Forecasts of a reference for each row of a recording, W; without an interval its ends are NaN.
+/// Forecasts of a reference for each row of a recording, W. Without an interval its ends are NaN.
 pub(super) fn forecasts_w(
     (reference, learned): (&Reference, &Learned),
     name: &str,

@@ -14,7 +14,7 @@ use crate::energy::{EnergyErrors, EnergyScores};
 use crate::evaluate::Forecast;
 use joulebus_statistics::bootstrap::Bootstrap;
 
-/// An evaluation: data, models, baselines and scores. `Display` gives tables; in JSON, undefined
+/// An evaluation: data, models, baselines and scores. `Display` gives tables. In JSON, undefined
 /// scores are null.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScoreReport {
@@ -44,7 +44,7 @@ pub struct ScoreReport {
     pub robots: Vec<Cell>,
     /// Cells by trial. Empty if there is only one.
     pub trials: Vec<Cell>,
-    /// Rows from one origin of the open loop to the next; at shorter horizons, as many as the
+    /// Rows from one origin of the open loop to the next. At shorter horizons, as many as the
     /// horizon has ticks.
     pub origins_every: usize,
     /// Open loop, all recordings.
@@ -64,16 +64,16 @@ pub struct ModelReport {
     pub name: String,
     /// Its hash, hexadecimal.
     pub hash: String,
-    /// Whose forecast was scored one tick ahead; open loop is the network's alone.
+    /// Whose forecast was scored one tick ahead. Open loop is the network's alone.
     pub forecast: Forecast,
     /// Names of the forecast's members in the tables. Empty for a single forecaster.
     pub members: Vec<String>,
-    /// Its training data as stated in its file; `None` for persistence.
+    /// Its training data as stated in its file. `None` for persistence.
     pub training_data: Option<String>,
     /// The rows that it was trained on, among those that were to be evaluated. `None` if its file
     /// does not state them.
     pub trained_on: Option<TrainedOn>,
-    /// Errors of its energy forecasts of the evaluated rows; `None` if not
+    /// Errors of its energy forecasts of the evaluated rows. `None` if not
     /// [asked for](super::Options::energy).
     pub energy: Option<EnergyErrors>,
 }

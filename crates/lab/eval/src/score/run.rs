@@ -21,7 +21,7 @@ use crate::evaluate::{Evaluation, LivePool, LiveTrial, RobotEvaluation};
 pub struct Scored {
     /// All scores.
     pub report: ScoreReport,
-    /// The live path of each model, step by step; readings of rows that are not evaluated are not
+    /// The live path of each model, step by step. Readings of rows that are not evaluated are not
     /// scored.
     pub live: Vec<Evaluation>,
 }

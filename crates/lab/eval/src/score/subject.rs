@@ -11,10 +11,10 @@ use super::recording::Recording;
 pub struct Subject<'a> {
     /// Ingest, intervals and alarms of the live path. Its platforms are ignored.
     pub settings: &'a FleetSettings,
-    /// The platform; `None` takes period and limits from each recording
+    /// The platform. `None` takes period and limits from each recording
     /// ([`recorded_platform`](super::recorded_platform)).
     pub platform: Option<&'a Platform>,
-    /// The models; the others are compared with the first.
+    /// The models. The others are compared with the first.
     pub models: &'a [Model],
     /// The recordings.
     pub recordings: &'a [Recording],

@@ -9,7 +9,7 @@ use super::report::{ModelReport, ScoreReport};
 use super::trained_on::{ScoredRows, TrainedOn};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate, MIN_BLOCKS};
 
-/// Maximum number of trials listed individually; of more, only the worst.
+/// Maximum number of trials listed individually. Of more, only the worst.
 const LISTED: usize = 24;
 /// Number of worst trials listed.
 const WORST: usize = 8;
@@ -281,8 +281,8 @@ fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Resu
     Ok(())
 }
 
-/// Two heading lines of a table with R² and MAE of every forecaster: `left`, their names, `right`;
-/// then the column titles.
+/// Two heading lines of a table with R² and MAE of every forecaster: `left`, their names, `right`.
+/// Then the column titles.
 fn write_headings<'a>(
     out: &mut Formatter<'_>,
     left: &str,
@@ -551,7 +551,7 @@ fn write_differences(out: &mut Formatter<'_>, what: &str, all: &[Difference]) ->
     )
 }
 
-/// A file's name without its directory; other names unchanged.
+/// A file's name without its directory. Other names unchanged.
 fn short(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }

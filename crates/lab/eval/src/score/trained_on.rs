@@ -20,7 +20,7 @@ pub struct TrainedOn {
     pub rows: usize,
     /// Rows to be evaluated.
     pub of: usize,
-    /// Their quotient; NaN without a row.
+    /// Their quotient. NaN without a row.
     pub share: f64,
 }
 
@@ -84,7 +84,7 @@ impl Recognised {
         Ok(Self { of })
     }
 
-    /// Rows of the parts that a model was trained on; `None` if that is not known.
+    /// Rows of the parts that a model was trained on. `None` if that is not known.
     fn count<'a>(&self, model: usize, parts: impl Iterator<Item = &'a Part>) -> Option<TrainedOn> {
         let recordings = self.of.get(model)?.as_ref()?;
         let (mut rows, mut of) = (0, 0);

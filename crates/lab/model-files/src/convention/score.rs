@@ -78,7 +78,7 @@ impl Data {
         self.rows.len()
     }
 
-    /// Forecasts every reading; `centre` is subtracted from the velocities before their magnitudes
+    /// Forecasts every reading. `centre` is subtracted from the velocities before their magnitudes
     /// are taken.
     pub(super) fn score(&self, network: &Network, centre: Option<[f32; 2]>) -> Score {
         let inputs: Vec<Features> = self

@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_deviation_nearer_to_the_recordings_rules_the_other_out() {
-        // The checkpoint's deviation of dv is .50; the recordings have .417 per second.
+        // The checkpoint's deviation of dv is .50. The recordings have .417 per second.
         let dv = Spread { mean: 0.0, std: 0.417 };
         let (per_second, per_step) = (dv.distance(0.0, 0.5), dv.distance(0.0, 0.5 * 30.0));
         assert!(is_ruled_out(&[per_step], &[per_second]));

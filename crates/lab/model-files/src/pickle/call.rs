@@ -354,7 +354,7 @@ impl Machine<'_> {
     }
 }
 
-/// Number of elements; `None` on overflow.
+/// Number of elements. `None` on overflow.
 pub(crate) fn product(shape: &[usize]) -> Option<usize> {
     shape.iter().try_fold(1_usize, |product, &size| product.checked_mul(size))
 }

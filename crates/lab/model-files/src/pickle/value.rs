@@ -14,7 +14,7 @@ pub(crate) enum Value {
     None,
     Bool(bool),
     Int(i64),
-    /// An integer beyond 64 bits; its value is not kept.
+    /// An integer beyond 64 bits. Its value is not kept.
     Long,
     Float(f64),
     Text(Box<str>),
@@ -51,7 +51,7 @@ pub(crate) struct Foreign {
     pub(crate) parts: Vec<Id>,
 }
 
-/// Element type of an array; `None`: objects.
+/// Element type of an array. `None`: objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DType {
     pub(super) element: Option<Element>,
@@ -131,7 +131,7 @@ impl Value {
     }
 }
 
-/// The recognised functions and classes; none of them is ever executed.
+/// The recognised functions and classes. None of them is ever executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Global {
     OrderedDict,
@@ -149,7 +149,7 @@ pub(crate) enum Global {
     Layer(&'static str),
 }
 
-/// Layers of `torch.nn.modules` that are read; activations that cannot run are refused by name
+/// Layers of `torch.nn.modules` that are read. Activations that cannot run are refused by name
 /// when the network is found.
 const LAYERS: [&str; 12] = [
     "container.Sequential",

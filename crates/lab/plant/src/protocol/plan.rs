@@ -5,7 +5,7 @@ use super::segment::{BACKWARD_MPS, Course, FORWARD_MPS, Segment, TURN_RADPS};
 use crate::arena::Command;
 use joulebus_statistics::noise::Noise;
 
-/// Segment `number` (from 0) of a protocol; `before` is the last command of the one before.
+/// Segment `number` (from 0) of a protocol. `before` is the last command of the one before.
 pub(super) fn segment(
     protocol: Protocol,
     number: usize,
@@ -133,7 +133,7 @@ const STRUCTURED: [Segment; 51] = [
 const TIMES_S: [f64; 5] = [4.0, 2.0, 1.0, 0.5, 0.1];
 const ACCELERATIONS: usize = 16 * TIMES_S.len();
 
-/// Phases: 0 rest, 1 v rises, 2 v holds, 3 v falls; 4 to 6 the same of ω.
+/// Phases: 0 rest, 1 v rises, 2 v holds, 3 v falls. 4 to 6 the same of ω.
 fn acceleration(number: usize) -> Segment {
     let time_s = TIMES_S[number / 16 % TIMES_S.len()];
     let forward = number % 16 < 8;

@@ -65,7 +65,7 @@ pub(crate) struct Selection {
 
 /// The recordings of one platform.
 pub(crate) struct Section {
-    /// The config's platform; `None` takes each recording as it is.
+    /// The config's platform. `None` takes each recording as it is.
     platform: Option<Platform>,
     /// Its index in the config, which is also its model's.
     pub(crate) place: usize,
@@ -185,7 +185,7 @@ impl Selection {
         }
     }
 
-    /// The evaluated rows; those that a model was trained on are apart.
+    /// The evaluated rows. Those that a model was trained on are apart.
     pub(crate) fn design(&self, section: &Section, models: &[Model]) -> anyhow::Result<Design> {
         let design = self.wanted_design(section)?;
         Ok(design.hold_apart(&section.recordings, models)?)

@@ -43,7 +43,7 @@ pub(crate) struct Archive {
     /// Recordings by name.
     recordings: HashMap<String, u32>,
     next: u32,
-    /// What its folders name; unknown before the first trial.
+    /// What its folders name. Unknown before the first trial.
     levels: Option<Levels>,
     /// Whether a trial may lack some of it.
     is_mixed: bool,

@@ -54,7 +54,7 @@ enum Clock {
 }
 
 impl ImportArguments {
-    /// The mapping of file and options; options take precedence.
+    /// The mapping of file and options. Options take precedence.
     pub(super) fn mapping(&self, current: Option<Sign>) -> anyhow::Result<Mapping> {
         let mut mapping = match &self.mapping {
             None => Mapping::default(),

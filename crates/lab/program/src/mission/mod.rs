@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// Every mission, in parallel; progress on stderr.
+/// Every mission, in parallel. Progress on stderr.
 fn all(
     scenario: &Scenario,
     policies: &[Policy],

@@ -112,7 +112,7 @@ fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
     }
 }
 
-/// Writes the model; returns the number of bytes written.
+/// Writes the model. Returns the number of bytes written.
 fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<usize> {
     let bytes = match kind {
         ExportFormat::Safetensors => network.to_safetensors()?,

@@ -9,7 +9,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-/// Maximum number of entries shown as text; JSON has all.
+/// Maximum number of entries shown as text. JSON has all.
 const SHOWN: usize = 40;
 
 /// Show the contents of a model file: layers, features, normalisation, training range, hash, scores
@@ -56,7 +56,7 @@ struct OwnReport {
     source: String,
     training_data: String,
     training_data_sha256: String,
-    /// Rows that it was trained on and that are recognised; none if its file does not state them.
+    /// Rows that it was trained on and that are recognised. None if its file does not state them.
     trained_rows: Option<u64>,
     /// Time between two steps at which it forecasts, s, if it is known.
     period_s: Option<f32>,

@@ -160,7 +160,7 @@ fn read(paths: &[PathBuf], robot: u32, map: &ColumnMap) -> anyhow::Result<Vec<Re
     Ok(read_recordings(&files, map)?)
 }
 
-/// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.
+/// In a terminal one line is overwritten. Elsewhere every tenth epoch prints a line.
 fn progress(seed: u64, epoch: Epoch, max_epochs: u32) {
     let Epoch { number, validation_loss, .. } = epoch;
     let line =

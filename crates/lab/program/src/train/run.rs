@@ -66,7 +66,7 @@ impl RunArguments {
         Ok(())
     }
 
-    /// Trains and writes the model; none if the run was interrupted and its checkpoint saved.
+    /// Trains and writes the model. None if the run was interrupted and its checkpoint saved.
     pub(super) fn train(
         &self,
         dataset: &Dataset,
@@ -129,7 +129,7 @@ impl RunArguments {
     }
 }
 
-/// Prints one line per epoch; a terminal shows one line that is overwritten.
+/// Prints one line per epoch. A terminal shows one line that is overwritten.
 fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
     let Epoch { number, training_loss, validation_loss, best } = epoch;
     let left = max_epochs.saturating_sub(number);

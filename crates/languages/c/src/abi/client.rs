@@ -52,8 +52,8 @@ pub unsafe extern "C" fn joulebus_client_open(
 /// and JOULEBUS_MAX_QUERY_VALUES values.
 ///
 /// @param question   What is asked.
-/// @param timeout_ns Time to wait, ns; later the worker does not answer any more.
-/// @param answers    Memory for the answers; filled with what they are of. Powers that do not fit
+/// @param timeout_ns Time to wait, ns. Later the worker does not answer any more.
+/// @param answers    Memory for the answers. Filled with what they are of. Powers that do not fit
 ///                   into a frame are left out: power_count is 0 then.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_client_ask(

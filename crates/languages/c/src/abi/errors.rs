@@ -47,7 +47,7 @@ pub extern "C" fn joulebus_last_error() -> *const c_char {
     failure::last()
 }
 
-/// The name of an error, like "thread"; "unknown" of another number.
+/// The name of an error, like "thread", or "unknown" of another number.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_error_name(error: i32) -> *const c_char {
     let names = [

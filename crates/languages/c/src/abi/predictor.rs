@@ -29,7 +29,7 @@ static OPEN: RwLock<Vec<Option<Arc<Model>>>> = RwLock::new(Vec::new());
 /// Opens a model file of joulebus (.safetensors), or a built-in model (builtin:NAME).
 ///
 /// @param header    JOULEBUS_HEADER.
-/// @param model     Its path or name; NULL: builtin:gternal-sim.
+/// @param model     Its path or name. NULL: builtin:gternal-sim.
 /// @param predictor The new handle. Any thread may use it, also several at once.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_predictor_open(
@@ -56,11 +56,11 @@ pub unsafe extern "C" fn joulebus_predictor_open(
 /// row makes that row's forecast NaN and changes no other.
 ///
 /// @param features rows * width values: v, omega, their derivatives, their magnitudes, the last
-///                 five readings, newest first (m, rad, s, W); of width 13 also the age of the
+///                 five readings, newest first (m, rad, s, W). Of width 13 also the age of the
 ///                 newest reading in steps, and 1 where the next is due, else 0.
 /// @param rows     Robots.
 /// @param width    11 or 13. 13 is not copied.
-/// @param power_w  Place for rows forecasts.
+/// @param power_w  Memory for rows forecasts.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_predictor_predict(
     predictor: *mut joulebus_predictor,
@@ -74,7 +74,7 @@ pub unsafe extern "C" fn joulebus_predictor_predict(
         check_width(&model, width)?;
         let values = product("features", &[rows, width])?;
         check_apart(("features", features, values), ("power_w", power_w.cast_const(), rows))?;
-        // SAFETY: the caller's promises, in joulebus.h; both lie apart.
+        // SAFETY: the caller's promises, in joulebus.h. Both lie apart.
         let (features, power_w) =
             unsafe { (array("features", features, values)?, array_mut("power_w", power_w, rows)?) };
         if width == INPUTS {
@@ -98,8 +98,8 @@ pub unsafe extern "C" fn joulebus_predictor_predict(
 /// Energy and power of command sequences, in open loop: the network is fed with its own forecasts.
 ///
 /// @param rollout  The commands, and what each robot starts from.
-/// @param energy_j Place for robots * candidates energies, J.
-/// @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands;
+/// @param energy_j Memory for robots * candidates energies, J.
+/// @param power_w  Memory for robots * candidates * steps powers, W, in the order of the commands.
 ///                 NULL if they are not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_predictor_rollout(
@@ -169,7 +169,7 @@ pub unsafe extern "C" fn joulebus_predictor_hash(
     })
 }
 
-/// Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed
+/// Closes a predictor, by any thread. Calls that use it meanwhile are finished. NULL is closed
 /// already.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_predictor_close(predictor: *mut joulebus_predictor) -> joulebus_error {
@@ -184,7 +184,7 @@ pub extern "C" fn joulebus_predictor_close(predictor: *mut joulebus_predictor) -
     })
 }
 
-/// The model; kept for as long as the call takes.
+/// The model. Kept for as long as the call takes.
 fn model(predictor: *mut joulebus_predictor) -> Result<Arc<Model>, Failure> {
     let place = place(predictor)?;
     // A panic leaves the list as it was.
@@ -260,7 +260,7 @@ unsafe fn starts(of: &joulebus_rollout, readings_w: &[f32]) -> Result<Vec<Rollou
     Ok(readings_w.iter().enumerate().map(start).collect())
 }
 
-/// Memory for results; so many that there is no memory are an error, not the program's end.
+/// Memory for results. So many that there is no memory are an error, not the program's end.
 fn zeros(count: usize) -> Result<Vec<f32>, Failure> {
     let mut zeros = Vec::new();
     zeros.try_reserve_exact(count).map_err(|error| {

@@ -53,15 +53,15 @@ pub unsafe extern "C" fn joulebus_publisher_open(
 }
 
 /// Sends one frame: each robot at most once, numbered and stamped with the current time. Never
-/// blocks; when the worker is too slow, the oldest frame is overwritten, and the worker counts it.
+/// blocks. When the worker is too slow, the oldest frame is overwritten, and the worker counts it.
 /// Values are sent unchecked: what is not finite or beyond the platform's limits is refused by the
 /// worker, counted by reason.
 ///
-/// @param robots      The robots' states; NULL if count is 0.
+/// @param robots      The robots' states. NULL if count is 0.
 /// @param count       How many.
 /// @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0:
 ///                    now.
-/// @param sent        The frame that was sent; NULL if it is not wanted.
+/// @param sent        The frame that was sent. NULL if it is not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_publisher_publish(
     publisher: *mut joulebus_publisher,

@@ -81,7 +81,7 @@ pub unsafe extern "C" fn joulebus_questions_open(
     })
 }
 
-/// Waits until the newest frame is at most two ticks old, and returns its tick and its age; after
+/// Waits until the newest frame is at most two ticks old, and returns its tick and its age. After
 /// the time, those of the frame that there is.
 ///
 /// @param timeout_ns Time to wait, ns.
@@ -109,7 +109,7 @@ pub unsafe extern "C" fn joulebus_questions_wait(
     })
 }
 
-/// The platform of a robot, as the config describes it; of one that belongs to none,
+/// The platform of a robot, as the config describes it. Of one that belongs to none,
 /// JOULEBUS_ERROR_QUESTION.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_questions_platform(
@@ -136,8 +136,8 @@ pub unsafe extern "C" fn joulebus_questions_platform(
 /// @param v_mps       candidates * steps linear velocities, m/s, candidate by candidate.
 /// @param omega_radps As many angular velocities, rad/s.
 /// @param coverage    Coverage of the intervals, 0.5 to 0.999.
-/// @param answers     Place for candidates answers.
-/// @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they
+/// @param answers     Memory for candidates answers.
+/// @param power_w     Memory for candidates * steps powers, W, candidate by candidate. NULL if they
 ///                    are not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_questions_what_if(
@@ -162,7 +162,7 @@ pub unsafe extern "C" fn joulebus_questions_what_if(
             check_apart(column, rows)?;
             check_apart(column, traces)?;
         }
-        // SAFETY: the caller's promises, in joulebus.h; what is written lies apart from all else.
+        // SAFETY: the caller's promises, in joulebus.h. What is written lies apart from all else.
         let (v_mps, omega_radps, rows, power_w) = unsafe {
             (
                 array("v_mps", v_mps, commands)?,
@@ -181,7 +181,7 @@ pub unsafe extern "C" fn joulebus_questions_what_if(
 /// Answers a question as of the newest frame.
 ///
 /// @param question What is asked.
-/// @param answers  Memory for the answers; filled with what they are of.
+/// @param answers  Memory for the answers. Filled with what they are of.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_questions_ask(
     questions: *mut joulebus_questions,

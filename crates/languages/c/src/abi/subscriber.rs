@@ -44,7 +44,7 @@ const NO_FRAME: joulebus_forecasts = joulebus_forecasts {
 ///
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file.
-/// @param name        1 to 128 bytes, shown to operators; need not be unique.
+/// @param name        1 to 128 bytes, shown to operators. Need not be unique.
 /// @param subscriber  The new handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_open(
@@ -79,12 +79,12 @@ pub unsafe extern "C" fn joulebus_subscriber_open(
 }
 
 /// Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a
-/// signal. Of several frames it returns the newest; skipped ones are counted. Frames stay where
+/// signal. Of several frames it returns the newest. Skipped ones are counted. Frames stay where
 /// they are in shared memory: the event's pointers are valid until the next call of
 /// joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close with this
 /// subscriber.
 ///
-/// @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
+/// @param timeout_ns Time to wait, ns. UINT64_MAX for ever, 0 not at all.
 /// @param event      What happened.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_wait(
@@ -107,12 +107,12 @@ pub unsafe extern "C" fn joulebus_subscriber_wait(
 /// A descriptor that is readable when joulebus_subscriber_wait is likely to have something to
 /// return, for event loops: a frame has arrived, or the worker's process has exited. When it is
 /// readable, call joulebus_subscriber_wait with a time of 0 until it returns
-/// JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+/// JOULEBUS_EVENT_KIND_TIMED_OUT. Call it as well where it has not been readable for
 /// look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that
 /// arrives while an earlier one is read. It belongs to the subscriber, and must not be closed.
 ///
 /// @param descriptor     To be polled for reading only.
-/// @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
+/// @param look_within_ns Longest time to wait for it from now on, ns. At most 100 ms.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_readiness(
     subscriber: *mut joulebus_subscriber,
@@ -134,7 +134,7 @@ pub unsafe extern "C" fn joulebus_subscriber_readiness(
     })
 }
 
-/// The newest frame, without waiting, whether or not it was returned before; its header is NULL
+/// The newest frame, without waiting, whether or not it was returned before. Its header is NULL
 /// until the first has arrived. Pointers are valid as of joulebus_subscriber_wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_latest(
@@ -153,7 +153,7 @@ pub unsafe extern "C" fn joulebus_subscriber_latest(
     })
 }
 
-/// One robot of the frame that was returned last, in constant time while no robots join or leave;
+/// One robot of the frame that was returned last, in constant time while no robots join or leave.
 /// NULL if it is not in the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_robot(
@@ -176,11 +176,11 @@ pub unsafe extern "C" fn joulebus_subscriber_robot(
 
 /// Takes the frame that was returned last out of the subscriber, to keep it: there is no current
 /// frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
-/// after the subscriber is closed and the worker has ended. Two may be kept; with more, reading is
+/// after the subscriber is closed and the worker has ended. Two may be kept. With more, reading is
 /// an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
 ///
 /// @param frame The new handle.
-/// @param view  The frame that is kept; NULL if it is not wanted.
+/// @param view  The frame that is kept. NULL if it is not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_take_current(
     subscriber: *mut joulebus_subscriber,

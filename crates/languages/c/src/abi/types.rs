@@ -24,7 +24,7 @@ pub enum joulebus_error {
     Version = 5,
     /// The config, its models, joining the fleet, or a service of it.
     Connect = 6,
-    /// Frames could not be read, or are of another version; the next call may succeed.
+    /// Frames could not be read, or are of another version. The next call may succeed.
     Read = 7,
     /// No frame has arrived yet.
     NoFrame = 8,
@@ -77,7 +77,7 @@ pub struct joulebus_robot_state {
     pub v_mps: f32,
     /// Angular velocity just commanded, after saturation, rad/s.
     pub omega_radps: f32,
-    /// Electrical power just read, W; negative where the platform regenerates.
+    /// Electrical power just read, W. Negative where the platform regenerates.
     pub power_w: f32,
     /// Battery voltage, V.
     pub voltage_v: f32,
@@ -129,7 +129,7 @@ pub struct joulebus_publisher_counts {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_forecasts {
-    /// Its header; NULL if there is no frame.
+    /// Its header. NULL if there is no frame.
     pub header: *const ForecastHeader,
     /// All robots of the frame, in no particular order.
     pub robots: *const Forecast,
@@ -146,7 +146,7 @@ pub struct joulebus_forecasts {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_diagnostics {
-    /// Its header; NULL if there is no frame.
+    /// Its header. NULL if there is no frame.
     pub header: *const DiagnosticHeader,
     /// All robots of the frame, in no particular order.
     pub robots: *const Diagnostic,
@@ -158,7 +158,7 @@ pub struct joulebus_diagnostics {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_budgets {
-    /// Its header; NULL if there is no frame.
+    /// Its header. NULL if there is no frame.
     pub header: *const BudgetHeader,
     /// All robots of the frame, in no particular order.
     pub robots: *const Budget,
@@ -170,7 +170,7 @@ pub struct joulebus_budgets {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_outlooks {
-    /// Its header; NULL if there is no frame.
+    /// Its header. NULL if there is no frame.
     pub header: *const OutlookHeader,
     /// All robots of the frame, in no particular order.
     pub robots: *const Outlook,
@@ -186,9 +186,9 @@ pub enum joulebus_event_kind {
     TimedOut = 0,
     /// A frame that was not returned before.
     Frame = 1,
-    /// The worker has ended; told once.
+    /// The worker has ended. Told once.
     Gone = 2,
-    /// The newest frame is older than two tick periods; told once.
+    /// The newest frame is older than two tick periods. Told once.
     Stale = 3,
     /// A signal arrived, and the program's own handler has run.
     Interrupted = 4,
@@ -268,7 +268,7 @@ pub struct joulebus_waypoint {
     pub x_m: f64,
     /// North, m.
     pub y_m: f64,
-    /// Speed towards it, m/s, limited by the platform's; that of the first point is not used.
+    /// Speed towards it, m/s, limited by the platform's. That of the first point is not used.
     pub speed_mps: f64,
 }
 
@@ -276,7 +276,7 @@ pub struct joulebus_waypoint {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_question {
-    /// JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW:
+    /// JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot. IDLE: robots that stand still. FOLLOW:
     /// robots that follow a path, which are answered the best first.
     pub kind: u32,
     /// JOULEBUS_QUERY_RETURN and HEADING, of FOLLOW.
@@ -291,7 +291,7 @@ pub struct joulebus_question {
     pub reserved: u32,
     /// Ids of the robots.
     pub robots: *const u32,
-    /// How many; one of WHAT_IF.
+    /// How many. One of WHAT_IF.
     pub robot_count: usize,
     /// For WHAT_IF: number of candidates.
     pub candidates: usize,
@@ -301,7 +301,7 @@ pub struct joulebus_question {
     pub v_mps: *const f32,
     /// For WHAT_IF: angular velocities, rad/s, candidate by candidate.
     pub omega_radps: *const f32,
-    /// For FOLLOW: the path; the robots are at its first point.
+    /// For FOLLOW: the path. The robots are at its first point.
     pub path: *const joulebus_waypoint,
     /// For FOLLOW: its points.
     pub points: usize,
@@ -309,8 +309,8 @@ pub struct joulebus_question {
     pub return_x_m: f64,
     /// Where to return to, m.
     pub return_y_m: f64,
-    /// Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING;
-    /// else towards the second point.
+    /// Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING.
+    /// Else towards the second point.
     pub heading_rad: f64,
 }
 
@@ -318,14 +318,14 @@ pub struct joulebus_question {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_answers {
-    /// Place for an answer for each candidate or robot.
+    /// Memory for an answer for each candidate or robot.
     pub rows: *mut AnswerRow,
     /// How many fit: at least as many as there are answers.
     pub row_capacity: usize,
     /// Answers written.
     pub row_count: usize,
-    /// Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
-    /// one robot; NULL if it is not wanted.
+    /// Memory for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
+    /// one robot. NULL if it is not wanted.
     pub power_w: *mut f32,
     /// How many fit.
     pub power_capacity: usize,
@@ -335,7 +335,7 @@ pub struct joulebus_answers {
     pub tick: u64,
     /// Its age when they were computed, ns.
     pub age_ns: u64,
-    /// From asking the worker to its answer, ns; 0 where this process computes.
+    /// From asking the worker to its answer, ns. 0 where this process computes.
     pub took_ns: u64,
 }
 
@@ -355,7 +355,7 @@ pub struct joulebus_platform {
     pub power_max_w: f32,
     /// 0.
     pub reserved: u32,
-    /// Capacity of the battery, J; NaN without one.
+    /// Capacity of the battery, J. NaN without one.
     pub capacity_j: f64,
 }
 

@@ -222,7 +222,7 @@ fn misuse_is_refused_and_the_next_call_works() {
     assert_eq!(finished(&mut worker), "1");
 }
 
-/// Ends the worker; what it says last.
+/// Ends the worker. What it says last.
 fn finished(worker: &mut Member) -> String {
     worker.send_line("end");
     let said = worker.next_line();
@@ -262,7 +262,7 @@ fn the_cpp_layer_works_beside_a_worker_and_its_forecasts_have_the_bits_of_rust()
     finished(&mut worker);
 }
 
-/// The examples of both languages; the worker is killed under a planner, and started again.
+/// The examples of both languages. The worker is killed under a planner, and started again.
 #[test]
 fn the_examples_run_and_a_killed_worker_is_told() {
     let Some(installed) = Installed::new() else {

@@ -22,7 +22,7 @@
     made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
     params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
 
-    forecaster = joulebus.OnlineForecaster(model)            # learns from each robot's readings; needs scikit-learn
+    forecaster = joulebus.OnlineForecaster(model)            # learns from each robot's readings. Needs scikit-learn
     env = gymnasium.make("joulebus/Energy-v0")               # for learning: gymnasium, PettingZoo, JAX
 
 Captures, trials, training and what follows from it need the lab: ``pip install 'joulebus[lab]'``.

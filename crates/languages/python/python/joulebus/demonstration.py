@@ -23,8 +23,8 @@ _PERIOD_S = 1 / 30
 
 
 class Demo:
-    """A running demo: ``planner``, connected to its fleet; ``config``, the fleet's file, for other planners and for the
-    program's verbs (``joulebus watch --config …``); ``robots``, their ids."""
+    """A running demo. ``planner`` is connected to its fleet. ``config`` is the fleet's file, for other planners and for the
+    program's verbs (``joulebus watch --config …``). ``robots`` are their ids."""
 
     planner: Planner
 

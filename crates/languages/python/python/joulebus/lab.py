@@ -143,7 +143,7 @@ def train(
                  ``missing:`` is a number that stands for no value: ``{"missing:": "-999"}``
     current:     sign of the current in files: ``discharge-positive`` (default) or ``discharge-negative``
     accept:      findings to let through, because you know better: ``sign``, ``unit``, ``clock``, … (`joulebus data check`)
-    out:         the model file to write; `Training.save` writes it later
+    out:         the model file to write. `Training.save` writes it later
     progress:    a bar by tqdm, or a function that is called after each epoch with its number, both losses and whether it
                  is the best
 
@@ -192,8 +192,8 @@ def train(
 class Evaluation(_Result):
     """Scores of models and baselines on the same rows.
 
-    ``scores`` maps each forecaster's name to its scores in corrected mode, one tick ahead; ``horizons`` lists those of
-    the open loop; ``series`` has, for each model and trial, the readings and the live path's forecasts of them:
+    ``scores`` maps each forecaster's name to its scores in corrected mode, one tick ahead. ``horizons`` lists those of
+    the open loop. ``series`` has, for each model and trial, the readings and the live path's forecasts of them:
     ``trial``, ``model``, ``time_s``, ``reading_w``, ``forecast_w``, ``lo_w``, ``hi_w``.
     """
 
@@ -296,12 +296,12 @@ def evaluate(
     """Evaluates models on recordings by the live code, as `joulebus eval --model` does.
 
     model:     a file, ``builtin:NAME``, a `Predictor`, a `Training`, or a list of these
-    fit:       recordings that the linear baselines are fitted on; cross-fitted by default
-    split:     evaluates the held-out part of a split, as in `train` with the same recordings and seed; `held_out` is its
+    fit:       recordings that the linear baselines are fitted on. The default is cross-fitting
+    split:     evaluates the held-out part of a split, as in `train` with the same recordings and seed. `held_out` is its
                share, `leave_out` names the units instead
     horizons:  ticks of the open loop, ascending, 1 to 300 (an empty tuple disables it)
     energy:    also scores the energy of the next 1 to 300 s
-    resamples, confidence, block_rows: of the confidence intervals; 0 resamples disable them
+    resamples, confidence, block_rows: of the confidence intervals. 0 resamples disable them
     columns, current, accept: how recordings are read, as of `train`
 
     Period and limits are those of each recording. Rows that a model was trained on, as its file states, are scored apart.
@@ -394,7 +394,7 @@ def analyze(
 
     lags:     of the autocorrelation
     window:   readings that the models may use, 1 to 5
-    resample: fixed grids beside the native series: ``hold``, ``mean``, ``linear``; none for the native series only
+    resample: fixed grids beside the native series: ``hold``, ``mean``, ``linear``. None for the native series only
     rate_hz:  rows per second of the grids
     split, held_out, leave_out, seed: which rows are held out: `split` names what stays together
     model:    models to score as well
@@ -483,10 +483,10 @@ def report(
 ) -> Report:
     """Reports the accuracy of models in figures and tables, as `joulebus report` does.
 
-    recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`; the first model is in every figure
+    recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`. The first model is in every figure
     published: the recordings are the paper's: its numbers are shown
     simulated: runs the paper's experiments on simulated robots instead, without recordings: `draws` times, with `samples`
-               of each trial and at most `max_epochs` of training; `seed` is that of the first draw (1)
+               of each trial and at most `max_epochs` of training. `seed` is that of the first draw (1)
     """
     if simulated != (recordings is None):
         raise ValueError("give recordings, or simulated=True without them")

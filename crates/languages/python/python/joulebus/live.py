@@ -253,7 +253,7 @@ class Planner(_Connection):
         _CONNECTIONS.add(self)
 
     def next(self, timeout: float | None = None) -> Frame | Gone | Stale | None:
-        """The next event; None if there is none within `timeout` seconds. Of several frames it is the newest."""
+        """The next event. None if there is none within `timeout` seconds. Of several frames it is the newest."""
         told = self._ports.wait(timeout)
         if isinstance(told, _native.FrameMemory):
             return Frame(told, self._positions)
@@ -280,7 +280,7 @@ class Planner(_Connection):
         return _table(self._ports.diagnostics(timeout), DIAGNOSTIC)
 
     def budgets(self, timeout: float | None = 1.0) -> Table | None:
-        """The newest budgets: energy drawn and left, state of charge (`joulebus.BUDGET`); None if there is none
+        """The newest budgets: energy drawn and left, state of charge (`joulebus.BUDGET`). None if there is none
         within `timeout` seconds."""
         return _table(self._ports.budgets(timeout), BUDGET)
 

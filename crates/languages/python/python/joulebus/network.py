@@ -21,7 +21,7 @@ def arrays(model: Any = "builtin:gternal-sim", xp: Any = np) -> dict[str, Any]:
     """The numbers of a network: float32 arrays of the module `xp` (numpy, jax.numpy, torch) by name.
 
     ``layers.0.weight`` to ``layers.3.bias``, and the normalisation: ``feature_mean``, ``feature_std``, ``power_mean_w``,
-    ``power_std_w``. `model` is a `Predictor`, a model file, or ``builtin:NAME``. A dict of arrays is a pytree of JAX; with
+    ``power_std_w``. `model` is a `Predictor`, a model file, or ``builtin:NAME``. A dict of arrays is a pytree of JAX. With
     torch, each can be made a parameter.
     """
     found, _ = _contents(model)
@@ -32,7 +32,7 @@ def arrays(model: Any = "builtin:gternal-sim", xp: Any = np) -> dict[str, Any]:
 
 def forward(model: Any = "builtin:gternal-sim", xp: Any = np) -> Callable[[dict[str, Any], Any], Any]:
     """The network as a function ``f(arrays, features)`` of `arrays` and of rows ``(…, 11)`` in SI units, in the order of
-    ``joulebus.FEATURE_NAMES``; it returns the readings expected next, W, ``(…,)``.
+    ``joulebus.FEATURE_NAMES``. It returns the readings expected next, W, ``(…,)``.
 
     `xp` is the module that computes: numpy, jax.numpy or torch. It can be differentiated, compiled and trained further
     there. Forecasts are those of `Predictor.predict` within 1e-5 of the power's scale. Networks that read the age of

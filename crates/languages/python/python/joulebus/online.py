@@ -33,7 +33,7 @@ class OnlineConformal(_base.RegressorMixin, _base.BaseEstimator):  # type: ignor
 
     Each end moves with every reading so that in the long run a share of `coverage` lies inside, whatever the residuals do.
 
-    regressor:   any regressor of scikit-learn, or a `Predictor`, which needs no `fit`; by default linear least squares
+    regressor:   any regressor of scikit-learn, or a `Predictor`, which needs no `fit`. The default is linear least squares
     coverage:    share of the readings inside, 0.5 to 0.99
     rate:        step of an end that a reading missed, as a share of its distance, 0.001 to 0.5
     resolution:  of the readings, in their unit. Residuals below it are not believed

@@ -21,15 +21,15 @@ class Predictor(_native.Predictor):
                  the newest reading, ``freshness`` and ``power_freshness`` (13)
     seed, max_epochs, patience: of `fit`, by the paper's recipe. The same seed gives the same bytes
 
-    ``predict(features)`` takes rows ``(robots, 11)`` in the order of the first 11 ``joulebus.FEATURE_NAMES`` (v, omega, their
-    derivatives, their magnitudes, the last five readings, newest first; m, rad, s, W), or rows of 13 for a model with
-    the age of the newest reading, and returns the readings
-    expected next, W, float32. A NaN in a row makes that row's forecast NaN and changes no other.
+    ``predict(features)`` takes rows ``(robots, 11)`` in the order of the first 11 ``joulebus.FEATURE_NAMES``: v, omega,
+    their derivatives, their magnitudes, and the last five readings, newest first, in m, rad, s, W. A model with the age
+    of the newest reading takes rows of 13. The result is the readings expected next, W, float32. A NaN in a row makes
+    that row's forecast NaN and changes no other.
 
     ``rollout(v, omega)`` takes command sequences ``(steps,)``, ``(robots, steps)`` or ``(robots, candidates, steps)``
-    in m/s and rad/s and returns the energy of each in J and the power of each step in W. ``readings_w`` are the
-    readings before, W (one number, one for each robot, or five, newest first; 3.5 by default), ``before`` the
-    command before, ``step_s`` the time between two steps.
+    in m/s and rad/s, and returns the energy of each in J and the power of each step in W. ``readings_w`` are the
+    readings before, W: one number, one for each robot, or five, newest first. The default is 3.5. ``before`` is the
+    command before, and ``step_s`` the time between two steps.
 
     The bits are those of joulebus itself. Other Python threads run meanwhile, and may use the same object.
     """
@@ -105,7 +105,7 @@ class Predictor(_native.Predictor):
         return self
 
     def __sklearn_tags__(self) -> Any:
-        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without; only
+        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without. Only
         # scikit-learn calls it.
         from sklearn.utils import RegressorTags, Tags, TargetTags
 

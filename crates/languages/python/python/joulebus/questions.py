@@ -90,7 +90,7 @@ class Answers:
 
 
 def _known(name: str, value: Any) -> Any:
-    """A number of Python; None for what is unknown."""
+    """A number of Python. None for what is unknown."""
     if name in _TEXTS:
         return None if value is None else str(value)
     value = value.item()

@@ -38,7 +38,7 @@ def read_arrays(
     One element for each robot and message, in the order of the file: the fields of
     `joulebus.SAMPLE`, `FORECAST`, `DIAGNOSTIC`, `BUDGET` or `OUTLOOK`, to the bit, and of its
     message ``tick`` (number of the source's frame, of samples), ``log_ns`` (received by the
-    recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the capture
+    recorder, Unix ns) and ``sent_ns``. `robots` selects by id. `fleet` is needed where the capture
     has several. From a damaged file, the rows before the damage are returned, with a warning
     `RecordingDamaged`.
     """
@@ -72,7 +72,7 @@ class Trial:
     def write(self, path: str | os.PathLike[str], *, accept: Sequence[str] = ()) -> None:
         """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW).
 
-        A trial with another sign or unit, or other implausible readings, raises `RecordingError`; `accept` names findings
+        A trial with another sign or unit, or other implausible readings, raises `RecordingError`. `accept` names findings
         to let through.
         """
         lab("trials").write_trial(path, self.robot or "", self.columns, _names(accept))

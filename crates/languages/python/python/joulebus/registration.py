@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from ._optional import needed
 
-#: One robot; ``robots=3`` is an arena of three.
+#: One robot. ``robots=3`` is an arena of three.
 ENERGY = "joulebus/Energy-v0"
 
 

@@ -34,7 +34,7 @@ class EnergyRobotarium(_rps.Robotarium):
 
     Arguments beside those of ``Robotarium``, for all robots or one for each:
 
-    battery_j:       energy of a full battery, J; 36,000 (10 Wh) by default
+    battery_j:       energy of a full battery, J. The default is 36,000 (10 Wh)
     initial_soc:     state of charge at the beginning, 0 to 1
     chargers:        positions ``(2, chargers)``, m. A robot within `charger_radius` of one is charged: the nearest, if
                      there are several
@@ -77,7 +77,7 @@ class EnergyRobotarium(_rps.Robotarium):
         self._any_empty = bool(self._batteries.empty().any())
 
     def step(self) -> None:
-        """As of ``Robotarium``; robots with an empty battery stand still."""
+        """As of ``Robotarium``. Robots with an empty battery stand still."""
         if self.initializing:
             super().step()
             return
@@ -131,7 +131,7 @@ def main() -> None:
     # As `python SCRIPT` does.
     sys.argv = sys.argv[1:]
     sys.path[0] = os.path.dirname(os.path.abspath(sys.argv[0]))
-    # This file is `__main__` here; scripts and tests find the class under its own name.
+    # This file is `__main__` here. Scripts and tests find the class under its own name.
     from joulebus.robotarium import EnergyRobotarium as Energy
 
     made: list[Energy] = []

@@ -23,7 +23,7 @@ from ._optional import needed
 gymnasium = needed("gymnasium", "environments")
 _vector = needed("gymnasium.vector", "environments")
 
-#: The Robotarium's: time of a step, s; arena, m; wheels, m and rad/s.
+#: The Robotarium's time of a step (s), arena (m) and wheels (m, rad/s).
 STEP_S = 0.033
 ARENA_M = (-1.6, 1.6, -1.0, 1.0)
 WHEEL_RADIUS_M, BASE_LENGTH_M = 0.016, 0.11
@@ -43,7 +43,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
     model's open-loop forecast for the velocities that the robots really had. A robot with an empty battery stands still
     and draws nothing until it has been charged. Walls stop robots. Robots do not collide.
 
-    robots:          in each arena; None is one robot, without the axis of robots in all arrays
+    robots:          in each arena. None is one robot, without the axis of robots in all arrays
     battery_j, initial_soc: one number, or one for each robot of an arena
     chargers:        positions ``(2, chargers)``, m, the same in every arena
     charge_power_w, charger_radius: W, m
@@ -219,7 +219,7 @@ class EnergyVectorEnv(_vector.VectorEnv):  # type: ignore[misc, name-defined]
 class EnergyEnv(gymnasium.Env):  # type: ignore[misc, name-defined]
     """One arena of `EnergyVectorEnv`, with its arguments: by default one robot, as ``joulebus/Energy-v0``.
 
-    Actions are ``(2,)``, observations ``(8,)``, and each of ``infos`` one number; with ``robots=3`` actions are ``(3, 2)``,
+    Actions are ``(2,)``, observations ``(8,)``, and each of ``infos`` one number. With ``robots=3`` actions are ``(3, 2)``,
     observations ``(3, 8)``, and each of ``infos`` has three.
     """
 
@@ -264,7 +264,7 @@ def _spaces(axis: tuple[int, ...]) -> tuple[Any, Any]:
 
 
 def _limited(v: Any, omega: Any, xp: Any = np) -> tuple[Any, Any]:
-    """What the wheels can do of it; `xp` is the module that computes, numpy or jax.numpy."""
+    """What the wheels can do of it. `xp` is the module that computes, numpy or jax.numpy."""
     half = 0.5 * BASE_LENGTH_M * omega
     left = xp.clip((v - half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)
     right = xp.clip((v + half) / WHEEL_RADIUS_M, -WHEEL_MAX_RADPS, WHEEL_MAX_RADPS)

@@ -23,7 +23,7 @@ enum Message<P> {
 }
 
 impl<P> Teller<P> {
-    /// Tells `progress`; `Break` when nobody waits for the result any more.
+    /// Tells `progress`. `Break` when nobody waits for the result any more.
     pub(super) fn tell(&self, progress: P) -> ControlFlow<()> {
         let sent = self.tell.send(Message::Progress(progress));
         match sent.is_err() || self.is_ended.load(Ordering::Relaxed) {

@@ -37,7 +37,7 @@ impl Inputs {
         Ok(found)
     }
 
-    /// The files of the paths; what is left out of directories is told by `remark`.
+    /// The files of the paths. What is left out of directories is told by `remark`.
     fn files(&self, remark: &mut impl FnMut(String)) -> PyResult<Vec<PathBuf>> {
         if self.paths.is_empty() {
             return Ok(Vec::new());
@@ -50,7 +50,7 @@ impl Inputs {
         Ok(found.files)
     }
 
-    /// Every trial, with all its rows in memory; refuses implausible ones. `id` gives the robot's
+    /// Every trial, with all its rows in memory. Refuses implausible ones. `id` gives the robot's
     /// id for the live path.
     pub(super) fn recordings(
         self,
@@ -61,7 +61,7 @@ impl Inputs {
         self.open(reading, id, u64::MAX, remark)
     }
 
-    /// Every trial; of files, only so many rows are in memory.
+    /// Every trial. Of files, only so many rows are in memory.
     pub(super) fn open(
         self,
         reading: &Reading,

@@ -14,7 +14,7 @@ use crate::recordings::columns;
 type Made<'py> = (String, Option<String>, Bound<'py, PyDict>);
 
 /// The six trials of one robot, and the trials of seven robots together. `progress` is called with
-/// the numbers of trials made and of all; the seven count as one.
+/// the numbers of trials made and of all. The seven count as one.
 #[pyfunction]
 pub(crate) fn simulate<'py>(
     py: Python<'py>,

@@ -20,7 +20,7 @@ use super::{job, json, settings};
 use crate::recordings::{Given, Reading};
 use crate::training::{EpochRow, epoch_row, refused};
 
-/// Arguments of `joulebus.train` beside a recipe; None: the recipe's.
+/// Arguments of `joulebus.train` beside a recipe. None: the recipe's.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Asked {

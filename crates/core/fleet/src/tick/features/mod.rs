@@ -92,7 +92,7 @@ struct Waiting {
 }
 
 impl BuildRows<'_, '_> {
-    /// Resets the per-tick counters of a block's robots, and finds the waiting samples; `None` if
+    /// Resets the per-tick counters of a block's robots, and finds the waiting samples. `None` if
     /// no robot of the block belongs to the platform.
     #[inline(always)]
     fn collect_waiting(

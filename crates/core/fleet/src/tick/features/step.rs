@@ -137,7 +137,7 @@ fn quality_unread(
 
 /// The result of one sample.
 pub(crate) struct Step {
-    /// The one-step-ahead forecast of its reading, W; NaN if there was none.
+    /// The one-step-ahead forecast of its reading, W. NaN if there was none.
     pub expected_w: f32,
     /// Whether a new measurement was due with it.
     pub due: bool,
@@ -146,7 +146,7 @@ pub(crate) struct Step {
     pub ready: bool,
 }
 
-/// Takes a sample with a reading, `elapsed_s` after the previous one; `forecast_w` is its forecast,
+/// Takes a sample with a reading, `elapsed_s` after the previous one. `forecast_w` is its forecast,
 /// one step ahead if `exact`.
 #[inline(always)]
 pub(crate) fn read(
@@ -169,7 +169,7 @@ pub(crate) fn seconds(elapsed_ns: u64) -> f32 {
     (elapsed_ns as f64 * 1e-9) as f32
 }
 
-/// Quality of the forecast after a sample with a reading, as determined by the sample; `have`:
+/// Quality of the forecast after a sample with a reading, as determined by the sample. `have`:
 /// readings in the window.
 #[inline(always)]
 pub(crate) fn quality(

@@ -137,7 +137,7 @@ fn otherwise(
     quality_now(tick, admission, Quality::decode(code, detail), power_w, open_steps).encode()
 }
 
-/// The quality of the output at the time of the tick; `quality`: as of the robot's last sample.
+/// The quality of the output at the time of the tick. `quality`: as of the robot's last sample.
 fn quality_now(
     tick: &TickContext,
     admission: &AdmissionState,

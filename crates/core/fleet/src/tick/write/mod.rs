@@ -62,7 +62,7 @@ pub(crate) struct WriteAccounts<'a, 'b, 'c> {
     pub places: &'a mut AccountPlaces<'c>,
 }
 
-/// Places of the outputs of the second pass that are still to be written; none of an omitted one.
+/// Places of the outputs of the second pass that are still to be written. None of an omitted one.
 pub(crate) struct AccountPlaces<'a> {
     pub diagnostics: slice::IterMut<'a, Diagnostic>,
     pub budgets: slice::IterMut<'a, Budget>,

@@ -26,7 +26,7 @@ pub(crate) enum NameError {
     Type { allowed: String },
 }
 
-/// The type called `name`; `msg/` may be left out.
+/// The type called `name`. `msg/` may be left out.
 pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
     let is_it = |usual: &str| usual == name || usual.replacen("/msg/", "/", 1) == name;
     let found = TYPES.iter().find(|(_, usual)| is_it(usual));

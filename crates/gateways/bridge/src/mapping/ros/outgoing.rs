@@ -121,7 +121,7 @@ pub(crate) fn outlook(name: &str, values: &Object) -> Outlook {
     }
 }
 
-/// One value of a robot; NaN if it is not known.
+/// One value of a robot. NaN if it is not known.
 pub(crate) fn value(field: &OutgoingValue, values: &Object) -> Float64 {
     let data = field.number(values).unwrap_or(f64::NAN);
     Float64 { data }

@@ -1,4 +1,4 @@
-"""A node of ROS 2 by rclpy, told by the same lines of JSON as peer.py; prints what it hears.
+"""A node of ROS 2 by rclpy, told by the same lines of JSON as peer.py. Prints what it hears.
 
     node.py DOMAIN < {"say": topic, "type": name, "fields": {...}} | {"hear": topic, "type": name}
         | {"call": service, "type": name, "fields": {...}} | {"hush": name} | {"graph": node name}

@@ -1,4 +1,4 @@
-"""A participant of ROS 2's DDS by Eclipse Cyclone DDS, or of its zenoh by Eclipse zenoh, told by lines of JSON what to say; prints what it hears.
+"""A participant of ROS 2's DDS by Eclipse Cyclone DDS, or of its zenoh by Eclipse zenoh, told by lines of JSON what to say. Prints what it hears.
 
 Of zenoh it speaks as rmw_zenoh_cpp does in ROS domain 7, and also prints the tokens of the graph.
 
@@ -265,7 +265,7 @@ TYPES = {
 
 
 def made(kind, fields):
-    """A message of these fields; others have their defaults. A text that says nan is NaN."""
+    """A message of these fields. Others have their defaults. A text that says nan is NaN."""
     inner = {field.name: field.type for field in dataclasses.fields(kind)}
 
     def value(name, found):

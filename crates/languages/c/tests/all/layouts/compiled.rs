@@ -9,7 +9,7 @@ use joulebus_wire::{Constant, constants, layouts};
 use super::header::c_name;
 use super::root;
 
-/// A compiler, if it is there; without one the tests skip, and fail with CI=true.
+/// A compiler, if it is there. Without one the tests skip, and fail with CI=true.
 fn compiler(name: &str) -> Option<&str> {
     let found = Command::new(name).arg("--version").output();
     if found.is_ok_and(|output| output.status.success()) {

@@ -16,7 +16,7 @@ fn made() -> String {
     let mut page = format!(
         "# Layout of shared memory\n\n\
          Made from `crates/core/wire` by `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts`, which also compares this page, the C \
-         header and a compiled C program with it; `crates/languages/python/tests/test_layout.py` compares NumPy's types. Schema version \
+         header and a compiled C program with it. `crates/languages/python/tests/test_layout.py` compares NumPy's types. Schema version \
          {SCHEMA_VERSION}.\n\n\
          All structs are `repr(C)`, little endian as the hosts are, aligned to 8 bytes and without padding. Units are those of the \
          names: W, J, s, m, rad, V, A, ns on the monotonic clock. An unknown value is NaN and has its flag cleared.\n"
