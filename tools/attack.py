@@ -65,7 +65,7 @@ def arguments():
     wanted = given.only.split(",") if given.only else known
     unknown = [name for name in wanted if name not in known]
     if unknown:
-        parser.error(f"no attack {', '.join(unknown)}; there are {', '.join(known)}")
+        parser.error(f"no attack {', '.join(unknown)}. There are {', '.join(known)}")
     if not 0 < given.minutes < 1e5:
         parser.error(f"--minutes {given.minutes}: more than 0, less than 100000")
     given.attacks = [attack for attack in ATTACKS if attack[0] in wanted]

@@ -263,7 +263,7 @@ def main():
         return be_peer(arguments)
     unknown = set(arguments.peers) - set(PEERS)
     if unknown:
-        sys.exit(f"no such peer: {', '.join(sorted(unknown))}; there are {', '.join(PEERS)}")
+        sys.exit(f"no such peer: {', '.join(sorted(unknown))}. There are {', '.join(PEERS)}")
     named = [arguments.training, arguments.validation, arguments.held_out]
     if any(named) and not all(named):
         sys.exit("--training, --validation and --held-out belong together")

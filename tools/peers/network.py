@@ -567,7 +567,7 @@ def main():
         return be_peer(arguments)
     unknown = set(arguments.peers) - set(NAMES)
     if unknown:
-        sys.exit(f"no such peer: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+        sys.exit(f"no such peer: {', '.join(sorted(unknown))}. There are {', '.join(NAMES)}")
     if "joulebus" not in arguments.peers:
         arguments.peers.insert(0, "joulebus")
     arguments.directory = arguments.directory.resolve()

@@ -30,6 +30,6 @@ pub(crate) fn check(found: &str) -> Result<(), Failure> {
 /// The remedy when the fleet speaks another version.
 pub(crate) fn remedy() -> String {
     format!(
-        "this library is joulebus {VERSION}: `joulebus --version` on the worker's side says which release to install"
+        "This library is joulebus {VERSION}. `joulebus --version` on the worker's side says which release to install"
     )
 }

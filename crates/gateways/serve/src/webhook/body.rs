@@ -109,7 +109,7 @@ pub(super) fn template(text: &str) -> anyhow::Result<Value> {
     });
     let allowed = || PLACEHOLDERS.map(|name| format!("{{{name}}}")).join(", ");
     match unknown {
-        Some(name) => Err(anyhow!("has {{{name}}}; allowed are {}", allowed())),
+        Some(name) => Err(anyhow!("has {{{name}}}. Allowed are {}", allowed())),
         None => Ok(document),
     }
 }

@@ -115,8 +115,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 fn trials(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
     if paths.is_empty() {
         let what = "the file does not state how its features were computed";
-        let remedy = "give recordings with --data, on which every convention is evaluated";
-        return Err(UsageError(format!("{what}; {remedy}")).into());
+        let remedy = "Give recordings with --data, on which every convention is evaluated";
+        return Err(UsageError(format!("{what}. {remedy}")).into());
     }
     let mut trials = Vec::new();
     for path in paths {

@@ -54,8 +54,8 @@ impl RunArguments {
         if !self.resume && disk::exists(&saved_at) {
             let at = saved_at.display();
             let what = format!("{at} exists, where this run would keep its checkpoint");
-            let remedy = "continue an interrupted run with --resume, or move it away";
-            return Err(UsageError(format!("{what}; {remedy}")).into());
+            let remedy = "Continue an interrupted run with --resume, or move it away";
+            return Err(UsageError(format!("{what}. {remedy}")).into());
         }
         check_kind(&self.out, MODEL_BEGINS).with_context(|| self.out.display().to_string())?;
         let folder = self.out.parent();

@@ -383,7 +383,7 @@ fn not_opened(error: impl ToString) -> Failure {
 
 pub(crate) fn read_failed(error: &ReadError) -> Failure {
     let text = match error {
-        ReadError::Schema { .. } => format!("{error}; {}", version::remedy()),
+        ReadError::Schema { .. } => format!("{error}. {}", version::remedy()),
         _ => error.to_string(),
     };
     Failure::new(joulebus_error::Read, text)
@@ -400,7 +400,7 @@ mod tests {
         for part in [
             "schema version 3",
             "allowed is 4",
-            concat!("this library is joulebus ", env!("CARGO_PKG_VERSION")),
+            concat!("This library is joulebus ", env!("CARGO_PKG_VERSION")),
             "which release to install",
         ] {
             assert!(refused.text.contains(part), "{}", refused.text);

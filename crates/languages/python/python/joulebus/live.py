@@ -127,7 +127,7 @@ class Frame:
             return self.rows[name]
         if name in self._header:
             return self._header[name]
-        raise AttributeError(f"a frame has no {name}; it has {', '.join([*FORECAST.names, *self._header])}")
+        raise AttributeError(f"a frame has no {name}. It has {', '.join([*FORECAST.names, *self._header])}")
 
     @property
     def age_s(self) -> float:
@@ -179,7 +179,7 @@ class Table:
             raise AttributeError(name)
         if name in self.rows.dtype.fields:
             return self.rows[name]
-        raise AttributeError(f"there is no {name}; there are tick, {', '.join(self.rows.dtype.names)}")
+        raise AttributeError(f"there is no {name}. There are tick, {', '.join(self.rows.dtype.names)}")
 
     def __len__(self) -> int:
         return len(self.rows)

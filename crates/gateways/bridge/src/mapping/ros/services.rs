@@ -158,7 +158,7 @@ fn acknowledgement(request: AcknowledgeRequest, robots: &Robots) -> Result<Reque
     let robot = id(robots, &robot)?;
     let alarm = Alarm::ALL.into_iter().find(|alarm| alarm.name() == name).ok_or_else(|| {
         let all = Alarm::ALL.map(Alarm::name).join(", ");
-        format!("{name:?} is no alarm of a robot; allowed are {all}")
+        format!("{name:?} is no alarm of a robot. Allowed are {all}")
     })?;
     Ok(Request::Acknowledge { robot, alarm, by })
 }
