@@ -3,6 +3,8 @@
 
 use std::process::Command;
 
+use joulebus_bus::{CapacityError, Ports, check_capacity};
+use joulebus_config::Config;
 use joulebus_testkit::says;
 use joulebus_tests::{Arena, Child, Ended, Setup, figure, program};
 
@@ -160,6 +162,21 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
     refused("source", &source.wait());
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     figure("row 24, SIGBUS", format_args!("0; worker refused: {needed} bytes needed, {free} free"));
+}
+
+#[test]
+fn the_default_fleet_fits_into_what_a_container_has() {
+    // Docker's default for /dev/shm.
+    const CONTAINER_BYTES: u64 = 64 << 20;
+    let config = Config::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/fleet.toml"));
+    let ports = Ports { sources: 2, workers: 1, planners: 4 };
+    let needed = match check_capacity(&config.unwrap().limits(), ports) {
+        Ok(report) => report.needed_bytes,
+        Err(CapacityError::Memory { needed, .. }) => needed,
+        Err(error) => panic!("{error}"),
+    };
+    assert!(needed <= CONTAINER_BYTES, "{needed} bytes");
+    figure("the default fleet", format_args!("{needed} bytes with two sources and four planners"));
 }
 
 #[test]

@@ -279,22 +279,26 @@ impl Files {
                 (PathBuf::from("-"), Out::Stream(out))
             }
         };
-        let is_file = matches!(out, Out::File(_));
-        let watch = match &out {
-            Out::File(file) => Some(
-                file.watch().map_err(|source| WriteError::Create { path: path.clone(), source })?,
-            ),
-            Out::Stream(_) => None,
-        };
         self.attachments.describe("part", self.parts.to_string());
         let sequences = self.sequences.clone();
-        let writer =
-            Writer::resume(out, settings, &self.attachments, sequences).inspect_err(|_| {
-                // Just created and empty. Failing to remove it does not matter.
-                if is_file {
-                    let _ = disk::remove_file(&path);
-                }
-            })?;
+        let is_file = matches!(out, Out::File(_));
+        let watch = match &out {
+            Out::File(file) => {
+                let watch = file.watch().map(Some);
+                watch.map_err(|source| WriteError::Create { path: path.clone(), source })
+            }
+            Out::Stream(_) => Ok(None),
+        };
+        let opened = watch.and_then(|watch| {
+            let writer = Writer::resume(out, settings, &self.attachments, sequences)?;
+            Ok((watch, writer))
+        });
+        let (watch, writer) = opened.inspect_err(|_| {
+            // Just created, without messages. Failing to remove it does not matter.
+            if is_file {
+                let _ = disk::remove_file(&path);
+            }
+        })?;
         self.parts += 1;
         self.open = Some(Open { path, writer, watch, from_ns: None });
         Ok(())

@@ -126,7 +126,7 @@ impl Recorder {
     /// `streams` are captures of other fleets, written by other processes.
     ///
     /// # Errors
-    /// [`StartError`]. At most an empty file is left behind.
+    /// [`StartError`]. No file is left behind.
     pub fn start(
         config: &Config,
         streams: Vec<Box<dyn Read + Send>>,
@@ -136,15 +136,16 @@ impl Recorder {
         options: &Options,
     ) -> Result<Self, StartError> {
         check_channels(config, options)?;
-        let files = Files::begin(target, attachments, options.clone())?;
         let shared = Arc::new(Shared::new(options));
         let mut recorder = Self { shared, drain: None, streams: Vec::new(), writer: None };
         recorder.start_drain(config, clock, options)?;
         for stream in streams {
             recorder.start_stream(stream, clock)?;
         }
-        let shared = Arc::clone(&recorder.shared);
+        let (shared, options) = (Arc::clone(&recorder.shared), options.clone());
+        // The last step that can fail creates the file, so a start that fails leaves none.
         recorder.writer = Some(Background::start("joulebus-write", move || {
+            let files = Files::begin(target, attachments, options)?;
             Ok::<_, StartError>(FileWriter { files, shared, clock, note_from_ns: 0 })
         })?);
         Ok(recorder)

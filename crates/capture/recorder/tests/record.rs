@@ -16,7 +16,7 @@ use joulebus_capture_format::{
 };
 use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
 use joulebus_capture_recorder::{
-    Options, RecordedChannel, Recorder, Snapshot, Summary, Target, attach, host_clock,
+    Options, RecordedChannel, Recorder, Snapshot, StartError, Summary, Target, attach, host_clock,
 };
 use joulebus_config::Config;
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
@@ -378,6 +378,19 @@ fn existing_files_are_not_changed() {
     let summary = start(true).unwrap().finish();
     assert_eq!(summary.files[0].0, stage.path("run_1.mcap"));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "precious");
+}
+
+#[test]
+fn a_recorder_that_cannot_join_its_fleet_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (root, path) = (folder.path().join("no-folder"), folder.path().join("run.mcap"));
+    std::fs::write(&root, "somebody's").unwrap();
+    let (config, target) = (config("rec", &root), Target::File(path.clone()));
+    let (clock, options) = (host_clock(), Options::default());
+    let refused =
+        Recorder::start(&config, Vec::new(), clock, Attachments::default(), target, &options);
+    assert!(matches!(refused, Err(StartError::Drain(_))), "{refused:?}");
+    assert!(!path.exists());
 }
 
 #[test]

@@ -246,13 +246,12 @@ fn a_limit_of_address_space_or_stack_is_named_and_nobody_is_aborted() {
         let words: Vec<PathBuf> = first.into_iter().chain(words).collect();
         for (limit, says) in LIMITS {
             let mut limited = Command::new("bash");
-            // A recorder that lacks memory for its second thread has begun its file.
-            let _ = fs::remove_file(&new);
             limited.args(["-c", &format!("ulimit {limit}; exec \"$@\""), "bash"]);
             let ended = limited.arg(&program).args(&words).output().unwrap();
             let said = stderr(&ended);
             let is_named = says.iter().all(|part| said.contains(part));
             assert!(is_named && ended.status.code() == Some(1), "{row}, {limit}: {ended:?}");
+            assert!(!new.exists(), "{row}, {limit}");
         }
     }
     assert!(fleet.stale_files().is_empty());

@@ -109,17 +109,23 @@ impl Foxglove {
     }
 
     /// Lets the clients go, and leaves the fleet.
+    ///
+    /// # Errors
+    /// What ended it.
     pub(crate) fn finish(mut self) -> anyhow::Result<FoxgloveReport> {
-        let lost = self.recorder.finish().messages_lost();
+        let summary = self.recorder.finish();
         // The recorder has closed the pipe, and the forwarding thread has ended.
         let forward = self.forward.join();
         forward.map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
         self.guard.stop();
         end(self.server.stop());
+        if let Some(reason) = summary.failure {
+            return Err(anyhow::anyhow!(reason));
+        }
         Ok(FoxgloveReport {
             address: self.address,
             messages: self.sent.load(Ordering::Relaxed),
-            lost,
+            lost: summary.messages_lost(),
         })
     }
 }

@@ -36,6 +36,7 @@ pub use stored::Stored;
 pub use table::{Column, LeftOut, SourceColumn, Table};
 pub use write::{Form, Row, WriteError};
 
+pub(crate) use capture::try_is_capture;
 pub(crate) use table::Cell;
 
 use table::{Appended, Columns};

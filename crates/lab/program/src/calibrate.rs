@@ -85,7 +85,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return Err(UsageError(format!("{what}. Name another file with --out")).into());
     }
     let config = args.config.load()?;
-    args.check_config()?;
+    // Looked for once: a file that is gone when it is read is an error.
+    let files: Vec<RecordedFile> =
+        args.recordings.find()?.into_iter().map(RecordedFile::new).collect();
+    args.check_config(&files)?;
     let place = args.place(&config)?;
     let own = &config.settings().platforms[place];
     let model = match &args.model {
@@ -93,7 +96,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => load_models(&config)?.swap_remove(place),
     };
     let map = args.recordings.map_of(&config, place)?;
-    let (trials, recorded) = args.trials(own, &map)?;
+    let (trials, recorded) = trials(&files, own, &map)?;
     let implausible = args.accept.or_configured(&config, [place])?.judge(&trials)?;
     let robots = args.robots.unwrap_or(recorded);
     say(&format!(
@@ -126,14 +129,25 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// A file of recordings, as it was found.
+pub(crate) struct RecordedFile {
+    path: PathBuf,
+    is_capture: bool,
+}
+
+impl RecordedFile {
+    pub(crate) fn new(path: PathBuf) -> Self {
+        Self { is_capture: is_capture(&path), path }
+    }
+}
+
 impl Args {
     /// Recordings that are no captures are of nobody's platform but the one that a config names:
     /// the built-in one has the limits of another robot.
-    fn check_config(&self) -> anyhow::Result<()> {
-        let files = self.recordings.find()?;
-        match files.iter().find(|file| !is_capture(file)) {
+    fn check_config(&self, files: &[RecordedFile]) -> anyhow::Result<()> {
+        match files.iter().find(|file| !file.is_capture) {
             Some(file) if self.config.is_builtin() => {
-                let what = format!("which platform recorded {}?", file.display());
+                let what = format!("which platform recorded {}?", file.path.display());
                 let remedy = "name its fleet's config with --config. `joulebus config init` makes \
                     one from recordings";
                 Err(UsageError(format!("{what} {remedy}")).into())
@@ -158,30 +172,6 @@ impl Args {
         let place = settings.platforms.iter().position(|one| one == named);
         // `platform` has found it among them, so there is an index.
         Ok(place.unwrap_or_default())
-    }
-
-    /// The recordings of the platform's robots, and the robots of the capture that has most. In
-    /// other recordings, names of robots are no ids: all are of the platform.
-    fn trials(&self, own: &Platform, map: &ColumnMap) -> anyhow::Result<(Vec<Trial>, u32)> {
-        let is_own = |trial: &Trial| {
-            // `fleet/7` in a capture of several fleets.
-            let id = trial.robot_name().and_then(|name| name.rsplit('/').next());
-            let id = id.and_then(|id| id.parse::<u32>().ok());
-            id.is_some_and(|id| own.robots.iter().any(|ids| ids.contains(&id)))
-        };
-        let (mut trials, mut robots) = (Vec::new(), 1);
-        for file in self.recordings.find()? {
-            let mut read = Trial::read_mapped(&file, map)?;
-            if is_capture(&file) {
-                let all = read.len();
-                read.retain(is_own);
-                left_out(&file, all - read.len());
-                let names: BTreeSet<_> = read.iter().filter_map(Trial::robot_name).collect();
-                robots = robots.max(u32::try_from(names.len()).unwrap_or(u32::MAX));
-            }
-            trials.extend(read);
-        }
-        Ok((trials, robots))
     }
 
     /// The platform's file with the limits.
@@ -223,6 +213,34 @@ impl Args {
         );
         Ok(platform_file(&title, &keys))
     }
+}
+
+/// The recordings of the platform's robots, and the robots of the capture that has most. In
+/// other recordings, names of robots are no ids: all are of the platform.
+pub(crate) fn trials(
+    files: &[RecordedFile],
+    own: &Platform,
+    map: &ColumnMap,
+) -> anyhow::Result<(Vec<Trial>, u32)> {
+    let is_own = |trial: &Trial| {
+        // `fleet/7` in a capture of several fleets.
+        let id = trial.robot_name().and_then(|name| name.rsplit('/').next());
+        let id = id.and_then(|id| id.parse::<u32>().ok());
+        id.is_some_and(|id| own.robots.iter().any(|ids| ids.contains(&id)))
+    };
+    let (mut trials, mut robots) = (Vec::new(), 1);
+    for RecordedFile { path, is_capture } in files {
+        let mut read = Trial::read_mapped(path, map)?;
+        if *is_capture {
+            let all = read.len();
+            read.retain(is_own);
+            left_out(path, all - read.len());
+            let names: BTreeSet<_> = read.iter().filter_map(Trial::robot_name).collect();
+            robots = robots.max(u32::try_from(names.len()).unwrap_or(u32::MAX));
+        }
+        trials.extend(read);
+    }
+    Ok((trials, robots))
 }
 
 fn left_out(file: &Path, robots: usize) {

@@ -184,7 +184,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if args.train {
         make(&places.models, &mut several)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
-        split = train_recordings(&args.from, &args.columns, &places.model, full, count)?;
+        split = train_recordings(&files, &args.columns, &places.model, full, count)?;
         if split.is_none() {
             return Ok(Outcome::Failed);
         }
@@ -211,7 +211,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for warning in &warnings {
         say(&format!("warning: {warning}"));
     }
-    let (file, from) = (word(&places.fleet), recordings(&args.from)?);
+    let (file, from) = (word(&places.fleet), recordings(&args.from));
     let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
     if model.is_none() {

@@ -11,10 +11,8 @@ const NAMED: usize = 3;
 
 /// The recordings of a call. A shell may have made hundreds of one pattern: where they are all
 /// those of a directory, that one is named.
-///
-/// # Errors
-/// The recordings cannot be found again.
-pub(crate) fn recordings(paths: &[PathBuf]) -> anyhow::Result<String> {
+/// One that is gone by now is named like the others: the result is there.
+pub(crate) fn recordings(paths: &[PathBuf]) -> String {
     if paths.len() > NAMED
         && let Some(directory) = paths[0].parent()
     {
@@ -22,16 +20,17 @@ pub(crate) fn recordings(paths: &[PathBuf]) -> anyhow::Result<String> {
             true => Path::new("."),
             false => directory,
         };
-        let files = |paths: &[PathBuf]| -> anyhow::Result<BTreeSet<PathBuf>> {
-            let files = find(paths)?.files.into_iter();
-            Ok(files.map(|file| file.canonicalize().unwrap_or(file)).collect())
+        let files = |paths: &[PathBuf]| -> Option<BTreeSet<PathBuf>> {
+            let files = find(paths).ok()?.files.into_iter();
+            Some(files.map(|file| file.canonicalize().unwrap_or(file)).collect())
         };
-        if files(&[directory.to_owned()])? == files(paths)? {
-            return Ok(word(directory));
+        let found = files(paths);
+        if found.is_some() && files(&[directory.to_owned()]) == found {
+            return word(directory);
         }
     }
     let words: Vec<String> = paths.iter().map(|path| word(path)).collect();
-    Ok(words.join(" "))
+    words.join(" ")
 }
 
 /// A directory for a config that does not exist yet, as a word of the shell.
@@ -54,11 +53,12 @@ mod tests {
         for file in &files {
             std::fs::write(file, "time,power_W\n0,1\n").expect("writable");
         }
-        let named = |files: &[PathBuf]| recordings(files).expect("they exist");
-        assert_eq!(named(&files), word(folder.path()));
+        assert_eq!(recordings(&files), word(folder.path()));
         let three: Vec<String> = files[..3].iter().map(|file| word(file)).collect();
-        assert_eq!(named(&files[..3]), three.join(" "));
+        assert_eq!(recordings(&files[..3]), three.join(" "));
         std::fs::write(folder.path().join("e.csv"), "time,power_W\n0,1\n").expect("writable");
-        assert_eq!(named(&files).split(' ').count(), 4);
+        assert_eq!(recordings(&files).split(' ').count(), 4);
+        std::fs::remove_file(&files[0]).expect("removable");
+        assert_eq!(recordings(&files).split(' ').count(), 4);
     }
 }

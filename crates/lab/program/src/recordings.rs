@@ -192,3 +192,43 @@ impl From<Resampling> for Method {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::calibrate::{RecordedFile, trials};
+    use crate::train::train_recordings;
+
+    #[test]
+    fn a_recording_that_is_gone_when_it_is_read_is_named() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let files = ["gone.csv", "kept.csv"].map(|name| folder.path().join(name));
+        let rows: String = (0..300).map(|row| format!("{}.{},2\n", row / 10, row % 10)).collect();
+        for file in &files {
+            std::fs::write(file, format!("time,power_W\n{rows}")).expect("writable");
+        }
+        let found = find_recordings(&[folder.path().to_owned()]).expect("two recordings");
+        assert_eq!(found, files);
+        std::fs::remove_file(&files[0]).expect("removable");
+        let (map, columns) = (ColumnMap::default(), ColumnArguments::default());
+        let with_ids: Vec<(u32, PathBuf)> = (3..).zip(found.clone()).collect();
+        let recorded = found.iter().map(|path| RecordedFile::new(path.clone()));
+        let recorded: Vec<RecordedFile> = recorded.collect();
+        let text =
+            "[fleet]\nname = \"t\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-3\"]\n";
+        let config = Config::parse(text, Path::new("fleet.toml")).expect("a config");
+        let own = &config.settings().platforms[0];
+        let out = folder.path().join("model");
+        for (verb, error) in [
+            ("eval, train trials, analyze", open(found.clone(), &map).err().map(Into::into)),
+            ("eval of a config's robots", open_with_ids(&with_ids, &map).err().map(Into::into)),
+            ("calibrate", trials(&recorded, own, &map).err()),
+            ("config init --train", train_recordings(&found, &columns, &out, false, 2).err()),
+        ] {
+            let error: anyhow::Error = error.unwrap_or_else(|| panic!("{verb}: it is missed"));
+            assert!(format!("{error:#}").contains("gone.csv"), "{verb}: {error:#}");
+        }
+    }
+}

@@ -90,10 +90,10 @@ fn a_fleet_that_does_not_fit_is_refused_with_bytes_needed_and_free() {
         sample_frames: 256,
         forecast_frames: 64,
     };
-    let Err(CapacityError::Memory { needed, free }) =
-        check_capacity(&huge.checked().unwrap(), ports)
-    else {
-        panic!("terabytes cannot fit");
+    let refused = check_capacity(&huge.checked().unwrap(), ports).unwrap_err();
+    assert!(refused.to_string().contains("in a container `--shm-size`"), "{refused}");
+    let CapacityError::Memory { needed, free } = refused else {
+        panic!("terabytes cannot fit: {refused}");
     };
     assert!(needed > free && needed > 1 << 40, "{needed} {free}");
 

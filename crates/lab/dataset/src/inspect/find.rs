@@ -1,14 +1,14 @@
 //! Expands files, directories and patterns into a list of recordings.
 
 use std::collections::HashSet;
-use std::fs;
+use std::fs::{self, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
 
 use joulebus_files::foreign;
 
 use crate::archive::{is_archive, listings};
-use crate::trial::{Form, is_capture};
+use crate::trial::{Form, is_capture, try_is_capture};
 
 /// Recordings found.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -151,8 +151,13 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 
 /// Whether a file of a directory is a recording. Its name decides (`.parquet` belongs to an
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
-/// have to be converted.
-pub fn is_recording(path: &Path) -> bool {
+/// have to be converted. A regular file that is gone by now, or cannot be read, is one: its reader
+/// reports it.
+fn is_recording(path: &Path, metadata: &Metadata) -> bool {
+    if metadata.is_file() {
+        return has_ending(path) || try_is_capture(path).unwrap_or(true);
+    }
+    // A link, perhaps.
     (has_ending(path) && path.is_file()) || is_capture(path)
 }
 
@@ -179,8 +184,7 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
         let metadata = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
         if metadata.is_dir() {
             walk(&path, found)?;
-        } else if (metadata.is_file() && has_ending(&path)) || is_recording(&path) {
-            // A regular file that is gone by now is an error of its reader, not another file.
+        } else if is_recording(&path, &metadata) {
             found.files.push(path);
         } else {
             found.others.push(path);
@@ -191,4 +195,20 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
 
 fn io_error(path: &Path, source: io::Error) -> FindError {
     FindError::Io { path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_that_is_gone_after_the_first_look_is_left_to_its_reader() {
+        let folder = tempfile::tempdir().unwrap();
+        let metadata = fs::symlink_metadata(tempfile::NamedTempFile::new().unwrap()).unwrap();
+        for (name, expected) in
+            [("a.csv", true), ("a.npy", true), ("a.mat", true), ("a.mcap", true), ("a.txt", false)]
+        {
+            assert_eq!(is_recording(&folder.path().join(name), &metadata), expected, "{name}");
+        }
+    }
 }

@@ -26,14 +26,21 @@ const HEAD_BYTES: u64 = 64;
 
 /// Whether a file is named `.mcap` and written by joulebus, by its first record.
 pub fn is_capture(path: &Path) -> bool {
+    try_is_capture(path).unwrap_or(false)
+}
+
+/// The same.
+///
+/// # Errors
+/// The operating system's, if a file of that name cannot be read.
+pub(crate) fn try_is_capture(path: &Path) -> io::Result<bool> {
     if path.extension().is_none_or(|extension| extension != "mcap") {
-        return false;
+        return Ok(false);
     }
     let mut head = Vec::new();
-    let read =
-        joulebus_files::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    joulebus_files::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
     let name = b"joulebus";
-    read.is_ok() && head.starts_with(MCAP_MAGIC) && head.windows(name.len()).any(|at| at == name)
+    Ok(head.starts_with(MCAP_MAGIC) && head.windows(name.len()).any(|at| at == name))
 }
 
 /// One run of a robot's source: samples whose time advances, without a discontinuity.

@@ -99,21 +99,21 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on recordings that were judged before, by the default recipe. Returns the split, or none
+/// Trains on files of recordings that were judged before, by the default recipe. Returns the split, or none
 /// if the run was interrupted. `full` states that velocities are recorded. A few trials are split
 /// in time, because there is none to hold out.
 ///
 /// # Errors
 /// The recordings cannot be read or are too few, or the model cannot be written.
 pub(crate) fn train_recordings(
-    paths: &[PathBuf],
+    files: &[PathBuf],
     columns: &ColumnArguments,
     out: &std::path::Path,
     full: bool,
     count: usize,
 ) -> anyhow::Result<Option<Split>> {
     let features = if full { FeatureChoice::Full } else { FeatureChoice::Power };
-    trials::Args::new(paths, columns, out, features, count).train()
+    trials::Args::new(files, columns, out, features, count).train()
 }
 
 /// Path of the checkpoint of an unfinished run: beside the model.

@@ -93,7 +93,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let mut report =
         TrainReport::new(Some(&args.run.out), &trained, start.elapsed(), Some(summary));
-    report.next = args.next()?;
+    report.next = args.next();
     judgement::report(output, &report, implausible)?;
     Ok(Outcome::Done)
 }
@@ -132,16 +132,16 @@ impl Args {
     }
 
     /// Commands for the trained model.
-    fn next(&self) -> anyhow::Result<Vec<String>> {
-        let (recordings, model) = (recordings(&self.paths)?, word(&self.run.out));
+    fn next(&self) -> Vec<String> {
+        let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
         let reading = self.columns.options() + &self.accept.option();
         let lab = free_lab();
-        Ok(vec![
+        vec![
             format!("joulebus eval {recordings} --model {model}{reading}"),
             format!(
                 "joulebus config init --from {recordings} --model {model} --out {lab}{reading}"
             ),
-        ])
+        ]
     }
 
     /// Trains without a report. Returns the split, or none if the run was interrupted.

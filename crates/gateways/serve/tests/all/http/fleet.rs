@@ -94,10 +94,23 @@ impl Fleet {
 
     /// The same, without waiting until it serves.
     pub(crate) fn serve_at_any(&self, socket: &Path) -> Child {
+        self.serve_alone(&["--socket", socket.to_str().unwrap()])
+    }
+
+    /// Starts a server of what the words say alone.
+    pub(crate) fn serve_alone(&self, words: &[&str]) -> Child {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
-        command.arg("--socket").arg(socket).arg("--config");
-        command.arg(self.path()).env_remove("JOULEBUS_LOG");
+        command.args(words).arg("--config").arg(self.path()).env_remove("JOULEBUS_LOG");
         Child::spawn("serve", command)
+    }
+
+    /// Removes its shared memory, as logind does when a user logs out.
+    pub(crate) fn remove(&self) {
+        for path in self.stale_files() {
+            let removed = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+            // Members may have removed it at the same time.
+            assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
+        }
     }
 
     /// Files left behind by the fleet.

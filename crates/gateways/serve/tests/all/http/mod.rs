@@ -506,3 +506,23 @@ fn signals_end_the_server_whatever_clients_do() {
         assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
     }
 }
+
+#[test]
+fn a_server_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+    for words in [
+        &["--http", "127.0.0.1:0"][..],
+        &["--foxglove", "--port", "0"],
+        &["--webhook", "http://127.0.0.1:1/"],
+    ] {
+        let fleet = Fleet::new();
+        let mut worker = fleet.worker();
+        let mut server = fleet.serve_alone(words);
+        server.wait_for_line(" fleet http");
+        fleet.remove();
+        let ended = server.wait();
+        assert_eq!(ended.code(), Some(1), "{words:?}: {ended:?}");
+        assert!(ended.text().is_empty(), "{words:?}: {ended:?}");
+        says(&ended.errors(), ["error: ", "RemoveIPC"]);
+        assert_eq!(worker.wait().code(), Some(1));
+    }
+}
