@@ -215,25 +215,18 @@ fn sources_that_documents_and_comments_name_exist() {
     assert!(checked > 60, "only {checked} paths were found");
 }
 
-/// Names of functions in Rust, Python and C++, by file.
-fn functions() -> Vec<(String, String)> {
-    let sources = documents().into_iter().filter(|(path, _)| !path.ends_with(".md"));
-    let names = sources.flat_map(|(path, text)| {
-        let found = ["fn ", "def "].map(|begin| {
-            let after = text.split(begin).skip(1);
-            after.filter_map(|rest| Some(rest.split_once('(')?.0.to_owned())).collect::<Vec<_>>()
-        });
-        found.concat().into_iter().map(move |name| (path.clone(), name))
-    });
-    names.collect()
-}
-
 /// Pages of decisions name the tests of a promise below a heading of its own.
 #[test]
 fn tests_that_decisions_name_exist() {
-    let functions: BTreeSet<String> = functions().into_iter().map(|(_, name)| name).collect();
+    let documents = documents();
+    let mut functions = BTreeSet::new();
+    for (_, text) in documents.iter().filter(|(path, _)| !path.ends_with(".md")) {
+        for begin in ["fn ", "def "] {
+            functions.extend(text.split(begin).skip(1).filter_map(|rest| rest.split('(').next()));
+        }
+    }
     let (mut checked, mut missing) = (0, Vec::new());
-    for (path, text) in documents().iter().filter(|(path, _)| path.starts_with("docs/decisions/")) {
+    for (path, text) in documents.iter().filter(|(path, _)| path.starts_with("docs/decisions/")) {
         let (_, after) = text.split_once("\n## Tests\n").unwrap_or_default();
         let section = after.split("\n## ").next().unwrap();
         for name in section.split('`').skip(1).step_by(2) {
@@ -245,47 +238,6 @@ fn tests_that_decisions_name_exist() {
     }
     assert!(missing.is_empty(), "{missing:#?}");
     assert!(checked > 60, "only {checked} names of tests were found");
-}
-
-/// The page of peers has a table of peer, version, what is exchanged, and test: a script with a
-/// filter of pytest, or program, target and filter of cargo. Versions of Debian are not pinned.
-#[test]
-fn peers_have_their_pinned_version_and_their_test() {
-    let page = fs::read_to_string(root().join("docs/measured/peers.md")).unwrap();
-    let table = page.split("\n## ").nth(1).unwrap().split("\n\n").next().unwrap();
-    let (functions, files) = (functions(), files());
-    let locks = files.iter().filter(|path| path.ends_with(".lock") || path.ends_with(".json"));
-    let locks = locks.map(|path| fs::read_to_string(root().join(path)).unwrap_or_default());
-    let of_sources = documents().into_iter().filter(|(path, _)| !path.ends_with(".md"));
-    let pins: Vec<String> = of_sources.map(|(_, text)| text).chain(locks).collect();
-    let (mut checked, mut missing) = (0, Vec::new());
-    for row in table.lines().skip(3) {
-        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-        let (peer, version, test) = (cells[1], cells[2], cells[4].trim_matches('`'));
-        let versions = version.split([' ', ',']).filter(|word| word.matches('.').count() >= 2);
-        for version in versions.filter(|_| !version.starts_with("Debian")) {
-            checked += 1;
-            if !pins.iter().any(|text| text.contains(version)) {
-                missing.push(format!("{peer}: nothing pins {version}"));
-            }
-        }
-        let (place, filter) = test.split_once(' ').unwrap_or((test, ""));
-        let filter = filter.trim_start_matches("-k ");
-        let within = match place.split_once('/') {
-            Some(("tools", _)) if filter.is_empty() => place.to_owned(),
-            Some(("tools", _)) => "crates/languages/python/tests/".to_owned(),
-            Some((program, "bin")) => format!("/{program}/src/"),
-            Some((program, target)) => format!("/{program}/tests/{target}/"),
-            None => place.to_owned(),
-        };
-        let is_in = |path: &&String| format!("/{path}").contains(&within);
-        let is_file = files.iter().filter(is_in).any(|path| path.contains(filter));
-        if !is_file && !functions.iter().any(|(path, name)| is_in(&path) && name.contains(filter)) {
-            missing.push(format!("{peer}: no test {test}"));
-        }
-    }
-    assert!(missing.is_empty(), "{missing:#?}");
-    assert!(checked > 25, "only {checked} versions were found");
 }
 
 #[test]
