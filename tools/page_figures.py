@@ -19,8 +19,8 @@ What a missing file would have stays as it is. A bare figure is a number with a 
 a table that is in neither marker. Code, the journal and generated pages have none, nor has
 a paragraph, an item of a list or a row of a table with `<!-- definition -->`. docs/figures/bare.tsv has their number
 in each page, which may only shrink.
-The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`, and for those
-that a command `cargo test` of any page names.
+The check also looks for the tests that RELIABILITY.md and docs/measured name in a column `test`, for
+those that a command `cargo test` of any page names, and for what pins the versions of peers.
 Standard library only.
 """
 import argparse
@@ -442,7 +442,11 @@ def sources(folder, target):
 
 
 def is_test(folders, text):
-    """Whether there is what a table's cell names: [PACKAGE/TARGET ]NAME."""
+    """Whether there is what a table's cell names: [PACKAGE/TARGET ]NAME, or a script with pytest's -k."""
+    if text.startswith("tools/"):
+        script, _, name = text.partition(" -k ")
+        tests = [path.name + path.read_text() for path in ROOT.glob("crates/languages/python/tests/test_*.py")]
+        return (ROOT / script.split()[0]).exists() and any(name in test for test in tests)
     target, _, name = text.rpartition(" ") if " " in text else (text, "", "") if "/" in text else ("tests/system", "", text)
     package, _, target = target.partition("/")
     files = sources(folders[package], target) if package in folders else []
@@ -463,7 +467,7 @@ def missing_tests():
             elif column is None:
                 column = cells.index("test") if "test" in cells else -1
             elif 0 <= column < len(cells):
-                tests = [text for text in re.findall(r"`([^`]+)`", cells[column]) if not text.startswith(("cargo ", "tools/", "JOULEBUS_"))]
+                tests = [text for text in re.findall(r"`([^`]+)`", cells[column]) if not text.startswith(("cargo ", "JOULEBUS_"))]
                 problems += [f"{page.relative_to(ROOT)}:{number}: no test {text}" for text in tests if not is_test(folders, text)]
     return problems
 
@@ -514,6 +518,16 @@ def wrong_commands():
     return problems
 
 
+def missing_pins():
+    """Versions in the table of peers that nothing pins. Debian's are of the machine."""
+    table = (ROOT / "docs/measured/peers.md").read_text().split("## Tested with\n")[1].split("\n\n")[0]
+    cells = [row.split(" | ")[1] for row in table.splitlines() if " | " in row]
+    versions = {version for cell in cells if "Debian" not in cell for version in re.findall(r"\d+\.\d+\.\d+", cell)}
+    pins = [ROOT / "Cargo.lock", *(ROOT / "tools").rglob("*.*"), *(ROOT / "crates").rglob("*.lock")]
+    pinned = "".join(path.read_text(errors="replace") for path in pins if path.suffix in (".json", ".lock", ".py", ".sh"))
+    return [f"docs/measured/peers.md: nothing pins {version}" for version in sorted(versions) if version not in pinned]
+
+
 def check(folder, write):
     known, absent, problems, stale = suites(folder), set(), [], []
     problems += of_one_run(known) if folder == FIGURES else []
@@ -540,7 +554,7 @@ def check(folder, write):
                                 "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
-        problems += missing_tests() + wrong_commands()
+        problems += missing_tests() + wrong_commands() + missing_pins()
     if stale:
         print(f"fewer bare figures than {BASELINE.relative_to(ROOT)} says, so --write: {', '.join(stale)}")
     for problem in problems:
