@@ -22,7 +22,7 @@ initial_soc_lo = 0.9
 fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     // In `joulebus run` this thread runs beside the tick.
-    let server = PlanServer::start(&Config::load(fleet.config())?)?;
+    let server = PlanServer::start(&Config::load(fleet.config())?, None)?;
     server.serve();
     server.wait_until_open();
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;

@@ -95,7 +95,7 @@ impl Fleet {
         ) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         let stop = AtomicBool::new(false);
-        let server = PlanServer::start(&self.config)?;
+        let server = PlanServer::start(&self.config, None)?;
         let mut worker = Worker::open(&self.config)?;
         server.serve();
         server.wait_until_open();

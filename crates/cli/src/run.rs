@@ -4,11 +4,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
+use std::sync::mpsc::sync_channel;
 
 use anyhow::Context as _;
 use joulebus_config::{Config, ModelSource};
 use joulebus_models::load_models;
-use joulebus_plan_server::{PlanServer, QueryReport};
+use joulebus_plan_server::{MAX_NORMALS, PlanServer, QueryReport};
 use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
@@ -56,13 +57,15 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let started = RecorderProcess::start(&args.config, file);
         started.inspect_err(|error| say(&format!("nothing is recorded: {error:#}")))
     });
-    let questions = PlanServer::start(&config)?;
+    let (asked, normals) = sync_channel(MAX_NORMALS);
+    let questions = PlanServer::start(&config, Some(asked))?;
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker =
         if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
+    worker.take_normals_from(normals);
     if args.standby {
         let waits = format!(
             "standing by: {}. It serves when the link of this host permits it",

@@ -7,7 +7,7 @@ use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, Ticks, tick_flag};
 
 use crate::outbox::LeftOut;
 
-/// Collects the frames that ingest takes, and sends the list after each tick.
+/// Collects the frames that ingest takes and the new normals, and sends the list after each tick.
 #[derive(Debug)]
 pub(crate) struct Journal {
     writer: Writer<Ticks>,
@@ -24,7 +24,7 @@ impl Journal {
 
     /// Records a frame that is passed to ingest with the time `now_ns`.
     pub(crate) fn note(&mut self, frame: &IncomingFrame<'_>, now_ns: u64) {
-        if self.taken.len() == self.writer.max_len() {
+        if !self.has_room() {
             self.unlisted = self.unlisted.saturating_add(1);
             return;
         }
@@ -38,6 +38,17 @@ impl Journal {
             samples: frame.len() as u32,
             truncated: frame.truncated() as u32,
         });
+    }
+
+    /// Whether the list takes another row.
+    pub(crate) fn has_room(&self) -> bool {
+        self.taken.len() < self.writer.max_len()
+    }
+
+    /// Records that the power of a robot becomes its normal. To be called while there is
+    /// [room](Journal::has_room).
+    pub(crate) fn note_new_normal(&mut self, robot: u32, now_ns: u64) {
+        self.taken.push(TakenFrame::new_normal(robot, now_ns));
     }
 
     /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next

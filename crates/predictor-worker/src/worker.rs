@@ -3,6 +3,7 @@
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
@@ -68,6 +69,8 @@ pub struct Worker {
     current_permit: Arc<CurrentPermit>,
     /// Set for a worker that needs a permit.
     standby: Option<Standby>,
+    /// Robots whose power is their new normal.
+    normals: Option<Receiver<u32>>,
 }
 
 /// State of a worker that needs a permit.
@@ -261,6 +264,7 @@ impl Worker {
             header,
             current_permit,
             standby: None,
+            normals: None,
         })
     }
 
@@ -389,6 +393,12 @@ impl Worker {
         self.turns = turns;
     }
 
+    /// Takes robots from there whose power a person acknowledged as their new normal: see
+    /// [`Fleet::take_as_normal`]. The channel's bound is how many wait for a tick at most.
+    pub fn take_normals_from(&mut self, normals: Receiver<u32>) {
+        self.normals = Some(normals);
+    }
+
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
     /// Samples that arrived before are taken, and counted in the report. The fleet belongs to this
     /// process until [`Worker::finish`].
@@ -494,8 +504,23 @@ impl Worker {
         }
     }
 
+    /// Takes the new normals that wait. Those for which the journal has no room wait for the next
+    /// tick. Neither blocks nor locks: whoever sends them does not wait for room in the channel.
+    fn take_normals(&mut self, now_ns: u64) {
+        let Some(normals) = &self.normals else {
+            return;
+        };
+        while self.journal.has_room()
+            && let Ok(robot) = normals.try_recv()
+        {
+            self.journal.note_new_normal(robot, now_ns);
+            self.fleet.take_as_normal(robot);
+        }
+    }
+
     fn tick(&mut self, due_ns: u64, start_ns: u64) {
         let missed = self.missed;
+        self.take_normals(start_ns);
         let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);

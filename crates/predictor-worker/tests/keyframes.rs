@@ -5,6 +5,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, FrameBuf, clock};
@@ -151,6 +152,10 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
             break;
         };
         for taken in taken {
+            if let Some(robot) = taken.new_normal_of() {
+                fleet.take_as_normal(robot);
+                continue;
+            }
             let key = (taken.source_epoch, taken.frame_seq);
             let Some((header, samples)) = recorded.samples.get(&key) else {
                 return compared; // The recorder was too slow, which this test does not cover.
@@ -167,6 +172,14 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
         for (place, budget) in recorded.budgets.get(&tick).into_iter().flatten().enumerate() {
             let again = fleet.budget(place);
             assert_eq!(format!("{budget:?}"), format!("{again:?}"), "tick {tick}");
+        }
+        if let Some(keyframe) = recorded.keyframes.get(&tick) {
+            let bytes = [keyframe, &fleet.state()].map(|state| {
+                let mut bytes = Vec::new();
+                state.encode_into(&mut bytes);
+                bytes
+            });
+            assert!(bytes[0] == bytes[1], "the state after tick {tick}");
         }
     }
     compared
@@ -185,6 +198,8 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         let early = scope.spawn(|| record(&config, &early_ready, &read_early, &stop));
         eventually(|| early_ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
+        let (ask, normals) = sync_channel(4);
+        worker.take_normals_from(normals);
         scope.spawn(|| feed(&config, &stop));
         // Ticks only when both have read all but the last few, because on a busy machine frames
         // would be overwritten before they are read.
@@ -199,6 +214,11 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
             }
         };
         run(150);
+        // One of them is not in the fleet.
+        for robot in [7, 8, 9_999] {
+            ask.send(robot).unwrap();
+        }
+        run(1);
         let late = scope.spawn(|| record(&config, &late_ready, &read_late, &stop));
         // Tick only after the late reader has opened its ports, and wait for its first frame. It
         // may get no processor for so long that frames are overwritten.
@@ -211,6 +231,9 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         (early.join().unwrap(), late.join().unwrap())
     });
     assert!(early.keyframes.contains_key(&0), "the state before the first tick");
+    let taken = early.ticks.values().flat_map(|(_, taken)| taken);
+    let normals: Vec<u32> = taken.filter_map(TakenFrame::new_normal_of).collect();
+    assert_eq!(normals, [7, 8, 9_999]);
     let compared = verify(&config, &early, 0);
     assert!(compared > 100 * ROBOTS as usize, "{compared} forecasts compared");
     let first = *late.keyframes.keys().next().expect("a late reader gets a keyframe at once");

@@ -402,7 +402,7 @@ pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
 }
 
 pub(crate) fn worker(config: &Config) -> Result<Program, String> {
-    let questions = PlanServer::start(config).map_err(|error| error.to_string())?;
+    let questions = PlanServer::start(config, None).map_err(|error| error.to_string())?;
     let opened = Worker::open(config).map_err(|error| error.to_string())?;
     questions.serve();
     Ok(Program::Worker(Box::new(opened), Box::new(questions)))

@@ -28,7 +28,8 @@ pub(super) type SampleFrame = Frame<Samples>;
 #[derive(Debug, Default)]
 pub(super) struct TickParts {
     pub(super) journal: Option<Frame<Ticks>>,
-    /// The frames of the journal, in its order. `None` where the capture lacks one.
+    /// The frames of the journal, in its order. `None` where the capture lacks one, and for a new
+    /// normal.
     pub(super) frames: Vec<Option<SampleFrame>>,
     /// Missing frames and their positions. None until the tick is the next one of its run.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
@@ -392,7 +393,7 @@ impl FrameStore {
         parts.frames.resize_with(taken.len(), || None);
         for (place, taken) in taken.iter().enumerate() {
             let frame = &mut parts.frames[place];
-            if frame.is_none() {
+            if frame.is_none() && taken.new_normal_of().is_none() {
                 let key = (taken.source_id, taken.source_epoch, taken.frame_seq);
                 *frame = self.get(key);
                 if frame.is_none() {

@@ -21,6 +21,7 @@ struct Taken {
     robot: u32,
     alarm: &'static str,
     by: String,
+    new_normal: bool,
 }
 
 pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<Outcome> {
@@ -38,10 +39,20 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
         );
         return Err(UsageError(text).into());
     }
+    if args.new_normal && !alarm.is_of_level() {
+        let text = format!(
+            "{} cannot be the new normal, allowed: LevelHigh, LevelLow. Acknowledge it without \
+             --new-normal",
+            alarm.name()
+        );
+        return Err(UsageError(text).into());
+    }
     let config = args.config.load()?;
     let mut client = PlanClient::with_config(&config, "acknowledge")?;
-    client.acknowledge(robot, alarm, &by, WITHIN)?;
-    output.report(&Taken { fleet: config.fleet().to_owned(), robot, alarm: alarm.name(), by })?;
+    let new_normal = args.new_normal;
+    client.acknowledge(robot, alarm, &by, new_normal, WITHIN)?;
+    let (fleet, alarm) = (config.fleet().to_owned(), alarm.name());
+    output.report(&Taken { fleet, robot, alarm, by, new_normal })?;
     Ok(Outcome::Done)
 }
 
@@ -71,7 +82,8 @@ fn name(by: Option<&str>) -> Result<String, UsageError> {
 
 impl fmt::Display for Taken {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { robot, alarm, by, .. } = self;
-        writeln!(out, "robot {robot}: {alarm} acknowledged by {by}")
+        let Self { robot, alarm, by, new_normal, .. } = self;
+        let how = if *new_normal { " as the new normal" } else { "" };
+        writeln!(out, "robot {robot}: {alarm} acknowledged{how} by {by}")
     }
 }

@@ -29,11 +29,14 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms run.mcap                          history of a capture\n  \
     joulebus alarms --explain BiasHigh                what it means and what to check\n  \
     joulebus alarms --acknowledge 7 BiasHigh --by ann\n  \
+    joulebus alarms --acknowledge 7 LevelHigh --new-normal    the load stays: compare with it\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, each change is one line, or one object with --format json. WorkerGone and WorkerStale \
     are alarms of the worker itself. Alarms that are already raised at the start are shown as \
     raised at that time.\n\
     An acknowledgement lasts until the alarm ends. If the alarm returns, it is raised again. \
+    With --new-normal an alarm of the robot's own level ends within a tick: the robot learns its \
+    level anew, and a further change is found after some three seconds. \
     WorkerGone and WorkerStale cannot be acknowledged, because no worker could take the \
     acknowledgement.\n\
     --on-alarm runs its command with `sh -c` for each change, one after the other, each for at \
@@ -67,6 +70,10 @@ pub(crate) struct Args {
     /// Who acknowledges it [default: the user's name, from the environment]
     #[arg(long, value_name = "NAME", requires = "acknowledge")]
     by: Option<String>,
+    /// The alarm ends, and what the robot draws from now on is its own level, as with a payload:
+    /// of LevelHigh and LevelLow
+    #[arg(long, requires = "acknowledge")]
+    new_normal: bool,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {

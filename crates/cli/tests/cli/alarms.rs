@@ -183,12 +183,12 @@ fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
     (code(&ended), stdout(&ended) + &stderr(&ended))
 }
 
-/// What the verb has shown of robot 1 being silent so far: each change, and by whom it is
+/// What the verb has shown of an alarm of robot 1 so far: each change, and by whom it is
 /// acknowledged.
-fn of_robot_1(program: &mut Program) -> Vec<String> {
+fn of_robot_1(program: &mut Program, alarm: &str) -> Vec<String> {
     let lines = program.shown();
     let lines = lines.iter().map(|line| -> Value { serde_json::from_str(line).unwrap() });
-    let of_it = lines.filter(|line| line["robot"] == 1 && line["alarm"] == "NoData");
+    let of_it = lines.filter(|line| line["robot"] == 1 && line["alarm"] == alarm);
     let shown = of_it.map(|line| {
         let word = |of: &Value| of.as_str().unwrap_or("nobody").to_owned();
         format!("{} {}", word(&line["change"]), word(&line["acknowledged"]["by"]))
@@ -212,7 +212,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     publish(&fleet);
     let ended_with = |program: &mut Program, expected: &[&str]| {
         eventually(&format!("{expected:?}"), || {
-            of_robot_1(program)
+            of_robot_1(program, "NoData")
                 .ends_with(&expected.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>())
         });
     };
@@ -228,6 +228,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
         (&["1", "Nothing"], "allowed: NoData"),
         (&["1"], "2 values"),
         (&["1", "NoData", "--by", "\n"], "control characters"),
+        (&["1", "NoData", "--new-normal"], "allowed: LevelHigh, LevelLow"),
     ] {
         let (status, said) = acknowledge(&fleet, wrong);
         assert!(status == 2 && said.contains(reason), "{wrong:?}: {status} {said}");
@@ -270,4 +271,43 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     let verified = output(["replay", "--verify", capture.to_str().unwrap()]);
     assert!(matches!(code(&verified), 0 | 3), "{}", stdout(&verified));
     assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verified() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let capture = fleet.path("run.mcap");
+    let mut recorder = Program::start({
+        let mut record = fleet.joulebus("record");
+        record.arg("-o").arg(&capture);
+        record
+    });
+    recorder.wait_for_stderr("recording");
+    let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
+    watcher.wait_for_stderr("alarms of fleet cli");
+    let source = Program::start(fleet.joulebus("publish sim --robots 3 --fault 1=load:6@8"));
+    let shown = |program: &mut Program, expected: &[&str]| {
+        eventually(&format!("{expected:?}"), || of_robot_1(program, "LevelHigh") == expected);
+    };
+    shown(&mut watcher, &["raised nobody"]);
+    let (status, said) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
+    assert_eq!((status, &*said), (0, "robot 1: LevelHigh acknowledged as the new normal by ann\n"));
+    // The load goes on.
+    shown(&mut watcher, &["raised nobody", "acknowledged ann", "cleared ann"]);
+    let (status, said) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
+    assert!(status == 1 && said.contains("is not raised"), "{said}");
+    source.end(Signal::TERM);
+    assert!(matches!(code(&watcher.end(Signal::TERM)), 0 | 3));
+    assert!(matches!(code(&recorder.end(Signal::TERM)), 0 | 3));
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
+
+    let history = json(&output(["alarms", "--format", "json", capture.to_str().unwrap()]));
+    let mut episodes = history["alarms"].as_array().unwrap().iter();
+    let load = episodes.find(|it| it["robot"] == 1 && it["alarm"] == "LevelHigh").unwrap();
+    assert_eq!((&load["acknowledged"]["by"], &load["end"]), (&"ann".into(), &"cleared".into()));
+    let verified = output(["replay", "--verify", "--format", "json", capture.to_str().unwrap()]);
+    let report = json(&verified);
+    assert_eq!(report["differences"], 0, "{report}");
+    assert!(report["ticks_verified"].as_u64() > Some(200), "{report}");
 }

@@ -78,19 +78,23 @@ impl Question {
     }
 }
 
-/// Encodes that the person `by` acknowledges an alarm, for the fleet whose name has this hash.
+/// Encodes that the person `by` acknowledges an alarm, also as the robot's new normal, for the
+/// fleet whose name has this hash.
 ///
 /// # Errors
-/// [`Acknowledgement::new`] says which names are allowed.
+/// [`Acknowledgement::new`] says which names are allowed, and [`Alarm::is_of_level`] which alarms
+/// can be the new normal.
 pub fn encode_acknowledgement(
     robot: u32,
     alarm: Alarm,
     by: &str,
+    new_normal: bool,
     fleet: u64,
 ) -> Result<(QueryHeader, Vec<f64>), Refused> {
     if Acknowledgement::new(robot, alarm, 0, by).is_none() {
         return Err(no_name(by));
     }
+    check_new_normal(alarm, new_normal)?;
     let name = by.chars().map(u32::from);
     let values: Vec<f64> =
         [robot, alarm.code().into()].into_iter().chain(name).map(f64::from).collect();
@@ -98,6 +102,7 @@ pub fn encode_acknowledgement(
         schema: SCHEMA_VERSION,
         fleet,
         kind: QueryKind::Acknowledge.code(),
+        flags: flag(new_normal, query_flag::NEW_NORMAL),
         robots: 1,
         steps: count(values.len() - 2),
         ..QueryHeader::default()
@@ -123,9 +128,25 @@ pub fn decode_acknowledgement(
         let text = format!("{code} is no code of an alarm of a robot");
         Refused::new(QueryRefusal::Question, text)
     })?;
+    check_new_normal(alarm, header.flags & query_flag::NEW_NORMAL != 0)?;
     let name = values[2..].iter().map(|value| value_as_char(*value));
     let name: String = name.map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
     Acknowledgement::new(id, alarm, at_ns, &name).ok_or_else(|| no_name(&name))
+}
+
+/// Refuses an alarm that does not compare a robot with its own level.
+fn check_new_normal(alarm: Alarm, new_normal: bool) -> Result<(), Refused> {
+    if new_normal && !alarm.is_of_level() {
+        let of_level = Alarm::ALL.into_iter().filter(|alarm| alarm.is_of_level());
+        let allowed: Vec<&str> = of_level.map(Alarm::name).collect();
+        let text = format!(
+            "{} cannot be the new normal, allowed: {}. Acknowledge it without that",
+            alarm.name(),
+            allowed.join(", ")
+        );
+        return Err(Refused::new(QueryRefusal::Question, text));
+    }
+    Ok(())
 }
 
 fn value_as_char(value: f64) -> Option<char> {
@@ -189,8 +210,12 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
 }
 
 fn kind(header: &QueryHeader) -> Result<QueryKind, Refused> {
+    let allowed = |kind: &QueryKind| match kind {
+        QueryKind::Acknowledge => query_flag::NEW_NORMAL,
+        QueryKind::WhatIf | QueryKind::Idle | QueryKind::Follow => query_flag::ALL,
+    };
     let known = QueryKind::decode(header.kind)
-        .filter(|_| header.flags & !query_flag::ALL == 0 && header.reserved == 0);
+        .filter(|kind| header.flags & !allowed(kind) == 0 && header.reserved == 0);
     known.ok_or_else(|| {
         let (kind, flags, reserved) = (header.kind, header.flags, header.reserved);
         let text =

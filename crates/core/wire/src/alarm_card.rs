@@ -79,6 +79,13 @@ impl Alarm {
         }
     }
 
+    /// Whether it compares a robot with its own earlier level: it can be acknowledged as the new
+    /// normal.
+    #[must_use]
+    pub const fn is_of_level(self) -> bool {
+        matches!(self, Self::LevelHigh | Self::LevelLow)
+    }
+
     /// The level that this alarm means.
     #[must_use]
     pub const fn level(self) -> Level {
@@ -260,10 +267,11 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "LevelHigh",
         level: Level::Warn,
         meaning: "The robot draws more than it did before for the same commands. The alarm stays \
-            until the power is back or the worker restarts. Meanwhile the worker does not learn \
-            the new level.",
+            until the power is back, somebody acknowledges it as the new normal, or the worker \
+            restarts. Meanwhile the worker does not learn the new level.",
         check: "What has changed: a load, the floor or slope, a dragging wheel, a device that was \
-            switched on? If the change is intended, such as a payload, acknowledge the alarm.",
+            switched on? If the change is intended, such as a payload, acknowledge it as the new \
+            normal.",
         keys: &["alarms.level_limit"],
         found_within: "seconds if the power doubles, ten seconds if it rises by two fifths, a \
             minute if it rises by 30 % a minute (after five seconds of known commands)",
@@ -272,10 +280,11 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         name: "LevelLow",
         level: Level::Warn,
         meaning: "The robot draws less than it did before for the same commands. The alarm stays \
-            until the power is back or the worker restarts. Meanwhile the worker does not learn \
-            the new level.",
+            until the power is back, somebody acknowledges it as the new normal, or the worker \
+            restarts. Meanwhile the worker does not learn the new level.",
         check: "Does it drive at all? Look for a wheel in the air, a stalled driver, commands \
-            that do not reach it. Was a load taken off? Is the gain of the power monitor right?",
+            that do not reach it. Is the gain of the power monitor right? If a load was taken off, \
+            acknowledge it as the new normal.",
         keys: &["alarms.level_limit"],
         found_within: "seconds if the power halves (after five seconds of known commands)",
     },

@@ -1,5 +1,5 @@
-//! The journal: which frames the worker took in each tick, in which order and at which time. It
-//! suffices to recompute the tick.
+//! The journal: which frames the worker took in each tick, in which order and at which time, and
+//! which levels became the new normal. It suffices to recompute the tick.
 
 use crate::declare::ZeroCopySend;
 use crate::rows;
@@ -20,7 +20,8 @@ rows! {
     /// One frame of samples that a tick took. 40 bytes.
     ///
     /// Identifies the frame. Its samples are those of the frame with the same source, epoch and
-    /// number on [`crate::Samples`].
+    /// number on [`crate::Samples`]. A row may instead be a new normal: `truncated` is 2³² − 1, and
+    /// `frame_seq` is the id of the robot whose own level was forgotten before the tick.
     #[derive(Eq)]
     pub struct TakenFrame: "joulebus.TakenFrame.v1", 40 {
         /// [`crate::SampleHeader::source_id`] of the frame.
@@ -40,9 +41,34 @@ rows! {
     }
 }
 
+impl TakenFrame {
+    /// [`TakenFrame::truncated`] of a row that is no frame. Frames are far smaller.
+    const NO_FRAME: u32 = u32::MAX;
+
+    /// Not a frame: a person acknowledged the power of `robot` as its new normal.
+    #[must_use]
+    pub const fn new_normal(robot: u32, taken_ns: u64) -> Self {
+        Self {
+            source_id: 0,
+            source_epoch: 0,
+            frame_seq: robot as u64,
+            taken_ns,
+            samples: 0,
+            truncated: Self::NO_FRAME,
+        }
+    }
+
+    /// The robot, if the row is a [new normal](TakenFrame::new_normal).
+    #[must_use]
+    pub const fn new_normal_of(&self) -> Option<u32> {
+        // Only the worker writes it: a robot's id.
+        if self.truncated == Self::NO_FRAME { Some(self.frame_seq as u32) } else { None }
+    }
+}
+
 rows! {
     /// Header of a tick's journal: the slice lists the frames taken since the previous tick, in the
-    /// order in which they were taken.
+    /// order in which they were taken, and then the new normals.
     #[derive(Eq)]
     pub struct TickHeader: "joulebus.TickHeader.v1", 48 {
         /// [`crate::SCHEMA_VERSION`].

@@ -46,7 +46,8 @@ pub enum QueryKind {
     Idle,
     /// The energy of a path, and of returning. Of several robots, the best first.
     Follow,
-    /// No question: a person acknowledges an alarm.
+    /// No question: a person acknowledges an alarm, maybe as the [new
+    /// normal](query_flag::NEW_NORMAL).
     Acknowledge,
 }
 
@@ -79,7 +80,9 @@ bits! {
         pub const HEADING: u32 = 1 << 1;
         /// One robot's: the power of every step is wanted.
         pub const POWER: u32 = 1 << 2;
-        /// All bits that this version knows.
+        /// Of an acknowledgement: the level that the robot has now is its own from here on.
+        pub const NEW_NORMAL: u32 = 1 << 3;
+        /// All bits of a question about a plan that this version knows.
         pub const ALL: u32 = RETURN | HEADING | POWER;
     }
 }

@@ -34,7 +34,7 @@ impl Place {
         let mut place = Self { questions: None, lock: None };
         if let Side::Other { follow, .. } = &settings.side {
             if follow.is_some() {
-                place.questions = Some(PlanServer::start(config)?);
+                place.questions = Some(PlanServer::start(config, None)?);
             }
             place.lock = Some(WorkerLock::acquire(&config.domain()?)?);
         }

@@ -6,6 +6,8 @@ const dialog = document.getElementById("card");
 const form = document.getElementById("acknowledge");
 /** Where the browser keeps the person's name. */
 const NAME = "joulebus.name";
+/** Those that compare a robot with its own level, which can be the new normal. */
+const OF_LEVEL = ["LevelHigh", "LevelLow"];
 const part = (name) => dialog.querySelector(`[data-card="${name}"]`);
 /** The answer of the server, asked for once. */
 let cards = null;
@@ -42,7 +44,9 @@ function showAcknowledged(alarm, robot, board) {
   part("by").textContent = by ? `Acknowledged by ${by.by} at ${format.timeOfDay(format.unixMs(by.at_unix_ns))}.` : "";
   part("answer").textContent = "";
   // No worker raised it.
-  form.hidden = !raised || Boolean(by) || alarm === "Implausible";
+  const [known, normal] = form.elements.as;
+  [known.hidden, normal.hidden] = [Boolean(by), !OF_LEVEL.includes(alarm)];
+  form.hidden = !raised || (known.hidden && normal.hidden) || alarm === "Implausible";
   form.elements.by.value = localStorage.getItem(NAME) ?? "";
   Object.assign(form.dataset, { alarm, robot });
 }
@@ -51,13 +55,14 @@ async function acknowledge(event) {
   event.preventDefault();
   const { alarm, robot } = form.dataset;
   const by = form.elements.by.value.trim();
+  const isNormal = event.submitter?.value === "normal";
   localStorage.setItem(NAME, by);
   part("answer").textContent = "Asking the worker";
   try {
     const reply = await fetch("/api/v1/alarms/acknowledge", {
       method: "POST",
       headers: { "Content-Type": "application/json" },
-      body: JSON.stringify({ robot: Number(robot), alarm, by }),
+      body: JSON.stringify({ robot: Number(robot), alarm, by, new_normal: isNormal }),
     });
     if (reply.ok) dialog.close();
     else part("answer").textContent = (await reply.json()).error ?? reply.statusText;

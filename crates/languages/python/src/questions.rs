@@ -36,6 +36,7 @@ pub(crate) fn acknowledge(
     robot: u32,
     alarm: &str,
     by: &str,
+    new_normal: bool,
     timeout_s: f64,
 ) -> PyResult<()> {
     let mut all = Alarm::ALL.into_iter();
@@ -50,7 +51,8 @@ pub(crate) fn acknowledge(
         let failed = |error: &dyn std::fmt::Display| ConnectError::new_err(error.to_string());
         let config = Config::load(config).map_err(|error| failed(&error))?;
         let client = PlanClient::with_config(&config, &name);
-        let taken = client.map_err(|error| failed(&error))?.acknowledge(robot, alarm, by, timeout);
+        let mut client = client.map_err(|error| failed(&error))?;
+        let taken = client.acknowledge(robot, alarm, by, new_normal, timeout);
         taken.map_err(|error| PyRuntimeError::new_err(error.to_string()))
     })
 }

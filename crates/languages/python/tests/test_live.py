@@ -524,6 +524,8 @@ def test_an_alarm_is_acknowledged_once_it_is_raised(fleet):
             next_event(planner, joulebus.Frame)
             with pytest.raises(RuntimeError, match="is not raised"):
                 planner.acknowledge(3, "NoData", "ann")
+            with pytest.raises(RuntimeError, match="allowed: LevelHigh, LevelLow"):
+                planner.acknowledge(3, "NoData", "ann", new_normal=True)
             with pytest.raises(ValueError, match="NoData"):
                 planner.acknowledge(3, "WorkerGone", "ann")
 

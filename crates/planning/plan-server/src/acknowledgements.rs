@@ -121,10 +121,14 @@ impl Acknowledged {
         Ok(raised)
     }
 
-    /// Acknowledges an alarm, of which the newest diagnostics say whether it is raised.
+    /// Acknowledges an alarm, of which the newest diagnostics say whether it is raised. One that
+    /// was entered before only has to be raised still.
     pub(crate) fn enter(&mut self, row: Acknowledgement, is_raised: bool) -> Result<(), Refused> {
+        let is_new = !self.table.rows.contains(&row);
         self.table.enter(row, is_raised)?;
-        self.due_ns = 0;
+        if is_new {
+            self.due_ns = 0;
+        }
         Ok(())
     }
 

@@ -3,7 +3,9 @@
 use joulebus_bus::{OpenQuery, PeerWatch};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{Question, Refused, decode_acknowledgement};
-use joulebus_wire::{Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal};
+use joulebus_wire::{
+    Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal, query_flag,
+};
 
 /// A question's process is watched from this age on, ns: most are answered before.
 const WATCHED_FROM_NS: u64 = 1_000_000;
@@ -78,6 +80,11 @@ impl Job {
             State::Acknowledging(row) => Some(row),
             State::Waiting(_) | State::Working(_) => None,
         }
+    }
+
+    /// Whether it acknowledges an alarm as the new normal.
+    pub(crate) const fn is_new_normal(&self) -> bool {
+        self.acknowledgement().is_some() && self.header.flags & query_flag::NEW_NORMAL != 0
     }
 
     /// Whether it has waited long enough for a new frame. `has_frame`: there is an old one.

@@ -10,7 +10,7 @@
 //!
 //! let config = joulebus_config::Config::load("configs/fleet.toml")?;
 //! // Before the worker is opened: a thread inherits its scheduling.
-//! let server = PlanServer::start(&config)?;
+//! let server = PlanServer::start(&config, None)?;
 //! // Once this process holds the fleet's worker lock.
 //! server.serve();
 //! server.wait_until_open();
@@ -26,7 +26,8 @@
 //! answers any. It serves the process that has used least of its time first, robot by robot. It
 //! refuses what it cannot answer, with a reason, and records questions and answers for readers.
 //!
-//! **Alarms.** It also takes acknowledgements of alarms, and publishes which are acknowledged.
+//! **Alarms.** It also takes acknowledgements of alarms, and publishes which are acknowledged. It
+//! passes those as the new normal on to the worker's tick.
 //!
 //! **Units** are those of `joulebus-plan`: W, J, s, m, rad.
 //!
@@ -51,6 +52,7 @@ mod server;
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -66,6 +68,8 @@ use server::Server;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
 const OPEN_EVERY: Duration = Duration::from_millis(20);
+/// Robots whose new normal waits for the worker's next tick, at most.
+pub const MAX_NORMALS: usize = 64;
 /// Timeout of the first opening, for which a worker waits, and the interval of its checks.
 const OPEN_WITHIN: Duration = Duration::from_secs(2);
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -114,15 +118,18 @@ impl PlanServer {
     /// opened, because the thread would inherit the worker's CPUs and priority. It opens nothing
     /// yet.
     ///
+    /// `normals` leads to the worker of this process. It gets the ids of robots whose power is
+    /// acknowledged as their new normal. Without it such an acknowledgement is refused.
+    ///
     /// # Errors
     /// [`StartError`].
-    pub fn start(config: &Config) -> Result<Self, StartError> {
+    pub fn start(config: &Config, normals: Option<SyncSender<u32>>) -> Result<Self, StartError> {
         let shared = Arc::new(Shared::default());
         let thread = if config.queries().answer {
             let models = Fleet::new(config.settings(), &load_models(config)?);
             let (config, shared) = (config.clone(), Arc::clone(&shared));
             Some(Background::start("joulebus-queries", move || {
-                Ok::<_, StartError>(Answering::new(config, models, shared))
+                Ok::<_, StartError>(Answering::new(config, models, shared, normals))
             })?)
         } else {
             None
@@ -176,6 +183,7 @@ struct Answering {
     config: Config,
     models: Fleet,
     shared: Arc<Shared>,
+    normals: Option<SyncSender<u32>>,
     server: Option<Server>,
     begun_ns: u64,
     counts: QueryCounts,
@@ -185,12 +193,18 @@ struct Answering {
 }
 
 impl Answering {
-    fn new(config: Config, models: Fleet, shared: Arc<Shared>) -> Self {
+    fn new(
+        config: Config,
+        models: Fleet,
+        shared: Arc<Shared>,
+        normals: Option<SyncSender<u32>>,
+    ) -> Self {
         yield_to_the_worker(config.queries().nice);
         Self {
             config,
             models,
             shared,
+            normals,
             server: None,
             begun_ns: clock::monotonic_ns(),
             counts: QueryCounts::default(),
@@ -201,7 +215,7 @@ impl Answering {
 
     fn open(&mut self) {
         let before = (self.begun_ns, self.counts, self.table.clone());
-        match Server::open(&self.config, &self.models, before) {
+        match Server::open(&self.config, &self.models, self.normals.as_ref(), before) {
             Ok(server) => {
                 self.server = Some(server);
                 self.failures = 0;

@@ -1,5 +1,7 @@
 //! The ports, and the order in which questions are answered.
 
+use std::sync::mpsc::{SyncSender, TrySendError};
+
 use joulebus_bus::{Bus, Limits, QueryServer, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
@@ -23,6 +25,9 @@ const MAX_OF_A_PROCESS: usize = 4;
 const MAX_RENEWALS: u32 = 3;
 /// Pause while a frame of the fleet is awaited, ns.
 const FRAME_POLL_NS: u64 = 1_000_000;
+/// Time for which an alarm is acknowledged before it ends as the new normal, ns: those who look for
+/// changes ten times a second see by whom.
+const SHOWN_NS: u64 = 250_000_000;
 /// Time after the last client has left until plan states are not read any more, ns.
 const LINGER_NS: u64 = 5_000_000_000;
 
@@ -43,6 +48,8 @@ pub(crate) struct Server {
     limits: Limits,
     fair: Fair,
     counts: QueryCounts,
+    /// To the worker of this process, if there is one.
+    normals: Option<SyncSender<u32>>,
     /// When a client was connected last, monotonic ns.
     asked_ns: u64,
 }
@@ -53,6 +60,7 @@ impl Server {
     pub(crate) fn open(
         config: &Config,
         models: &Fleet,
+        normals: Option<&SyncSender<u32>>,
         (begun_ns, counts, table): (u64, QueryCounts, Table),
     ) -> Result<Self, ServerError> {
         let bus = Bus::join(&config.domain()?, "queries")?;
@@ -70,6 +78,7 @@ impl Server {
             limits,
             fair: Fair::default(),
             counts,
+            normals: normals.cloned(),
             asked_ns: 0,
         })
     }
@@ -148,6 +157,10 @@ impl Server {
             let of_process = self.jobs.iter().filter(|other| other.client == job.client);
             if let Err(refused) = checked {
                 self.refuse(job, &refused)?;
+            } else if job.is_new_normal() && self.normals.is_none() {
+                let text = "this host has no worker that takes a new normal: ask on the host that \
+                            has one, or only acknowledge the alarm";
+                self.refuse(job, &Refused::new(QueryRefusal::Kind, text.to_owned()))?;
             } else if of_process.count() >= MAX_OF_A_PROCESS {
                 let text = format!(
                     "{MAX_OF_A_PROCESS} questions of process {} wait already: ask when they are answered",
@@ -170,16 +183,44 @@ impl Server {
         let Some(raised) = self.acknowledged.look(ports, &asked)? else {
             return Ok(());
         };
+        let shown_ns = clock::monotonic_ns().saturating_sub(SHOWN_NS);
+        let mut place = 0;
         for (row, is_raised) in asked.into_iter().zip(raised) {
-            let place = self.jobs.iter().position(|job| job.acknowledgement().is_some());
-            let Some(place) = place else { break };
+            let mut waiting = self.jobs.iter().skip(place);
+            let Some(passed) = waiting.position(|job| job.acknowledgement().is_some()) else {
+                break;
+            };
+            place += passed;
+            let is_new_normal = self.jobs[place].is_new_normal();
+            let entered = self.acknowledged.enter(row, is_raised);
+            if is_new_normal && entered.is_ok() && row.at_ns > shown_ns {
+                place += 1;
+                continue;
+            }
             let job = self.jobs.remove(place);
-            match self.acknowledged.enter(row, is_raised) {
+            let taken = entered.and_then(|()| match is_new_normal {
+                true => self.pass_on(row.robot),
+                false => Ok(()),
+            });
+            match taken {
                 Ok(()) => self.answer(job, |_| Reply::default())?,
                 Err(refused) => self.refuse(job, &refused)?,
             }
         }
         Ok(())
+    }
+
+    /// Has the next tick of the worker take the power of a robot as its new normal.
+    fn pass_on(&self, robot: u32) -> Result<(), Refused> {
+        let sent = self.normals.as_ref().map_or(Ok(()), |worker| worker.try_send(robot));
+        sent.map_err(|error| {
+            let (reason, why) = match error {
+                TrySendError::Full(_) => (QueryRefusal::Busy, "too many wait. Ask again"),
+                TrySendError::Disconnected(_) => (QueryRefusal::Ending, "the worker ends"),
+            };
+            let text = format!("robot {robot} is acknowledged, but not as its new normal: {why}");
+            Refused::new(reason, text)
+        })
     }
 
     /// Reads plan states from the first question about a plan on, while there are clients: without,

@@ -13,7 +13,7 @@ use joulebus_plan_server::PlanServer;
 use joulebus_planner::PlanClient;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{OnDrop, counting};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{Alarm, SCHEMA_VERSION, Sample, SampleHeader};
 
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
@@ -79,7 +79,7 @@ fn ask(config: &Config, answered: &AtomicU64, stop: &AtomicBool) {
 fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
     let root = PathBuf::from(format!("/dev/shm/joulebus-test-asked-{}", std::process::id()));
     let config = config(&root);
-    let server = PlanServer::start(&config).unwrap();
+    let server = PlanServer::start(&config, None).unwrap();
     let mut worker = Worker::open(&config).unwrap();
     server.serve();
     server.wait_until_open();
@@ -110,6 +110,11 @@ fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
             "five a tick are iceoryx2's, {shed} without diagnostics"
         );
     });
+    // No channel leads from this thread to the worker, as on a host without one.
+    let mut client = PlanClient::with_config(&config, "person").unwrap();
+    let refused = client.acknowledge(7, Alarm::LevelHigh, "ann", true, PATIENCE).unwrap_err();
+    assert!(refused.to_string().contains("no worker that takes a new normal"), "{refused}");
+    drop(client);
     let report = server.finish();
     assert!(report.answered >= 250, "{report:?}");
     let _ = worker.finish();

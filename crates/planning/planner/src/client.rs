@@ -109,19 +109,23 @@ impl PlanClient {
     }
 
     /// Acknowledges an alarm of a robot in the name of the person `by`, until the alarm ends.
-    /// Returns when the worker has taken it, which is after its next diagnostics.
+    /// Returns when the worker has taken it, which is after its next diagnostics. With
+    /// `new_normal` the alarm ends: what the robot draws from now on is its own level.
     ///
     /// # Errors
-    /// [`ClientError`]: among others, the alarm is not raised, or the name is none
-    /// ([`joulebus_wire::Acknowledgement::new`]).
+    /// [`ClientError`]: among others, the alarm is not raised, the name is none
+    /// ([`joulebus_wire::Acknowledgement::new`]), or the alarm cannot be the new normal
+    /// ([`Alarm::is_of_level`]).
     pub fn acknowledge(
         &mut self,
         robot: u32,
         alarm: Alarm,
         by: &str,
+        new_normal: bool,
         timeout: Duration,
     ) -> Result<(), ClientError> {
-        let (mut header, values) = encode_acknowledgement(robot, alarm, by, self.fleet)?;
+        let (mut header, values) =
+            encode_acknowledgement(robot, alarm, by, new_normal, self.fleet)?;
         let asked = Asked::now(timeout);
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;

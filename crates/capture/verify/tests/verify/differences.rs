@@ -27,6 +27,12 @@ const START_NS: u64 = 60_000 * MS;
 const KEYFRAME_EVERY: u64 = 40;
 const KEYFRAME_LATE: u64 = 6;
 const PIECE_BYTES: usize = 1_000;
+/// A robot that draws three times as much from a step on, and the tick in which a person has
+/// acknowledged that as its new normal. Every third reading is new, so it takes a while to be
+/// judged.
+const LOADED: u32 = 2;
+const LOADED_FROM: u64 = 500;
+const NEW_NORMAL_AT: u64 = 640;
 
 /// A simulated worker, with everything that it and its sources send, in order.
 struct Simulation {
@@ -93,6 +99,9 @@ impl Simulation {
         let mut samples = Vec::new();
         for robot in robots {
             let mut sample = healthy(*robot, self.step, self.now_ns, PERIOD_NS);
+            if *robot == LOADED && self.step >= LOADED_FROM {
+                sample.power_w *= 3.0;
+            }
             match self.noise.next_u64() % 40 {
                 0 => continue,
                 1 => sample.power_w = f32::NAN,
@@ -136,6 +145,16 @@ impl Simulation {
             self.sent.push(Message::of::<Samples>(header, samples));
         }
         let start_ns = self.now_ns + 2 * MS;
+        // Also in the last tick before a keyframe, and in the first one after it.
+        let normal = match self.tick + 1 {
+            NEW_NORMAL_AT => Some(LOADED),
+            tick if tick % KEYFRAME_EVERY < 2 => Some(LOADED + 1),
+            _ => None,
+        };
+        if let Some(robot) = normal {
+            self.fleet.take_as_normal(robot);
+            taken.push(TakenFrame::new_normal(robot, start_ns));
+        }
         let missed = self.noise.next_u64().is_multiple_of(10);
         let intake = self.fleet.tick(start_ns, missed);
         self.tick += 1;
@@ -591,6 +610,22 @@ fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
     let first = report.first.clone().unwrap();
     assert_eq!((first.tick, first.robot), (60, Some(robot)), "{report}");
     assert!(report.differences > 1, "an error in a ledger persists: {report}");
+}
+
+#[test]
+fn a_new_normal_that_the_journal_lacks_shows_as_the_alarm_that_it_ended() {
+    let mut messages = recorded(5, NEW_NORMAL_AT + 10);
+    let report = verify(entries(messages.clone()));
+    assert!(report.is_clean(), "{report}");
+    let row = messages.iter_mut().find_map(|message| {
+        let rows = &mut message.frame_mut::<Ticks>()?.rows;
+        rows.pop_if(|taken| taken.new_normal_of() == Some(LOADED))
+    });
+    assert!(row.is_some());
+    let report = verify(entries(messages));
+    let first = report.first.clone().unwrap();
+    assert_eq!((first.tick, first.robot), (NEW_NORMAL_AT, Some(LOADED)), "{report}");
+    assert_eq!(&*first.field, "diagnostic.alarms", "{report}");
 }
 
 #[test]

@@ -19,6 +19,9 @@
 //! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
 //! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
 //!
+//! **New normal.** A person can acknowledge the level, for instance of a payload. The robot then
+//! learns its own level anew, and is judged after [`SETTLE_S`]. Its scatter stays.
+//!
 //! **Where levels come and go.** An alarm that ends by itself doubles the robot's variances
 //! ([`GROWTH`]): on changing ground it is raised a few times, and then more seldom.
 //!
@@ -214,6 +217,22 @@ impl Level {
         }
     }
 
+    /// The power from now on is the robot's own level: what it drew before is forgotten, and its
+    /// alarms end. Its scatter stays.
+    fn accept(&mut self) {
+        *self = Self {
+            quick_s: 0.0,
+            slow_s: 0.0,
+            own_s: 0.0,
+            own_w: 0.0,
+            own_command_w: 0.0,
+            square: 0.0,
+            product: 0.0,
+            raised: 0,
+            ..*self
+        };
+    }
+
     /// Takes a sample, and raises and clears the alarms. Without branches.
     #[inline(always)]
     pub(crate) fn observe(&mut self, rules: &LevelRules, sample: &LevelSample) {
@@ -364,6 +383,13 @@ impl Level {
 }
 
 impl LevelLanes {
+    /// The robot in a lane is compared with its level from now on.
+    pub(crate) fn accept(&mut self, lane: usize) {
+        let mut level = self.get(lane);
+        level.accept();
+        self.set(lane, true, level);
+    }
+
     /// Takes the samples of the robots in the mask.
     #[inline(always)]
     pub(crate) fn observe(

@@ -64,6 +64,17 @@ impl Fleet {
         }
     }
 
+    /// A person says that the power of a robot is its new normal: alarms of its level end, and its
+    /// power is compared with that from now on. Does nothing if the robot is not in the fleet, or
+    /// its level is not judged.
+    pub fn take_as_normal(&mut self, robot: u32) {
+        if let Some(slot) = self.find(robot)
+            && let Some(levels) = self.columns.levels.get_mut(slot / LANES)
+        {
+            levels.accept(slot % LANES);
+        }
+    }
+
     fn accept(
         &mut self,
         header: &SampleHeader,

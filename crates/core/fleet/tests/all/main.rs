@@ -7,6 +7,7 @@ mod budgets;
 mod independence;
 mod intake;
 mod left_out;
+mod levels;
 mod limits;
 mod oracle;
 mod recycling;

@@ -3,10 +3,12 @@
 use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, rank,
+    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict,
+    decode_acknowledgement, encode_acknowledgement, rank,
 };
 use joulebus_wire::{
-    AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
+    Alarm, AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
+    query_flag,
 };
 use proptest::prelude::*;
 
@@ -67,6 +69,36 @@ fn questions_and_replies_survive_their_payloads() {
         header.schema = SCHEMA_VERSION;
         reply.encode(&mut header, &mut words);
         assert_eq!(Reply::decode(&header, &words), Ok(reply), "{question:?}");
+    }
+}
+
+#[test]
+fn only_an_alarm_of_the_own_level_is_acknowledged_as_the_new_normal() {
+    for alarm in Alarm::ALL {
+        let encode = |new_normal| encode_acknowledgement(7, alarm, "ann", new_normal, FLEET);
+        let (known, values) = encode(false).unwrap();
+        let flagged = QueryHeader { flags: query_flag::NEW_NORMAL, ..known };
+        let decode = |header| decode_acknowledgement(header, &values, FLEET, 5);
+        let taken = decode(&known).unwrap();
+        assert_eq!((taken.robot, taken.alarm(), taken.by()), (7, alarm, "ann"));
+        if matches!(alarm, Alarm::LevelHigh | Alarm::LevelLow) {
+            assert_eq!(encode(true).unwrap().0, flagged);
+            assert_eq!(decode(&flagged), Ok(taken));
+            continue;
+        }
+        // As a program that does not check it would ask.
+        for refused in [encode(true).unwrap_err(), decode(&flagged).unwrap_err()] {
+            assert_eq!(refused.reason, QueryRefusal::Question);
+            let text = &refused.text;
+            assert!(text.starts_with(alarm.name()), "{text}");
+            assert!(text.contains("allowed: LevelHigh, LevelLow"), "{text}");
+        }
+    }
+    for question in questions() {
+        let (mut header, values) = question.encode(FLEET).unwrap();
+        header.flags |= query_flag::NEW_NORMAL;
+        let refused = Question::decode(&header, &values, FLEET).unwrap_err();
+        assert_eq!(refused.reason, QueryRefusal::Kind, "{question:?}");
     }
 }
 

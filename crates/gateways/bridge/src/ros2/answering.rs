@@ -105,7 +105,7 @@ impl Answering {
                 Ok(answered(&answer.reply, (answer.tick, answer.age_ns), &self.robots))
             }
             Request::Acknowledge { robot, alarm, by } => {
-                client.acknowledge(robot, alarm, &by, WITHIN)?;
+                client.acknowledge(robot, alarm, &by, false, WITHIN)?;
                 Ok(acknowledged())
             }
         }

@@ -22,6 +22,9 @@ pub(super) struct Acknowledge {
     alarm: String,
     /// Name of the person.
     by: String,
+    /// Whether the alarm ends, and the robot's power is its own level from now on.
+    #[serde(default)]
+    new_normal: bool,
 }
 
 impl Acknowledge {
@@ -39,7 +42,7 @@ impl Acknowledge {
         };
         let client = PlanClient::with_config(config, "page");
         let mut client = client.map_err(|error| ApiError::busy(error.to_string()))?;
-        let taken = client.acknowledge(self.robot, alarm, &self.by, WITHIN);
+        let taken = client.acknowledge(self.robot, alarm, &self.by, self.new_normal, WITHIN);
         taken.map(|()| self).map_err(|error| match error {
             ClientError::Refused(refused) => match refused.reason {
                 QueryRefusal::NotRaised => ApiError::new(StatusCode::CONFLICT, refused.text),

@@ -21,7 +21,7 @@ pub(crate) fn member() {
         return;
     };
     let config = Config::load(path).unwrap();
-    let server = PlanServer::start(&config).unwrap();
+    let server = PlanServer::start(&config, None).unwrap();
     let mut worker = Worker::open(&config).unwrap();
     server.serve();
     send_to_test("ready");

@@ -343,14 +343,18 @@ class Planner(_Connection):
             return Answers(asked.idle(ids, idle_s, coverage, timeout))
         return Answers(asked.follow(ids, path, speed, heading, back_to, coverage, power, timeout))
 
-    def acknowledge(self, robot: int, alarm: str, by: str, *, timeout: float = 5.0) -> None:
+    def acknowledge(
+        self, robot: int, alarm: str, by: str, *, new_normal: bool = False, timeout: float = 5.0
+    ) -> None:
         """Acknowledges a raised alarm in the name of the person `by`, until the alarm ends.
-        Everybody sees who acknowledged it, and when.
+        Everybody sees who acknowledged it, and when. With `new_normal` a ``LevelHigh`` or
+        ``LevelLow`` ends: the robot is compared with its present power from now on, as with a payload.
 
-        ``RuntimeError`` if the alarm is not raised, or no worker takes it within `timeout` seconds.
+        ``RuntimeError`` if the alarm is not raised or cannot be the new normal, or no worker takes
+        it within `timeout` seconds.
         """
         self._ports.check()
-        _native.acknowledge(self._joined, robot, alarm, by, timeout)
+        _native.acknowledge(self._joined, robot, alarm, by, new_normal, timeout)
 
     def close(self) -> None:
         """Leaves the fleet. Further use is refused. Closing again does nothing."""

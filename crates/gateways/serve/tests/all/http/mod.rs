@@ -171,10 +171,12 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3);
     let of = |alarm: &str| json!({"robot": 1, "alarm": alarm, "by": "ann"}).to_string();
     let good = of("NoData");
+    let new_normal = good.replace('}', ",\"new_normal\":true}");
     for (body, header, status, reason) in [
         (&*good, JSON, 409, "NoData of robot 1 is not raised"),
         (&of("WorkerGone"), JSON, 400, "allowed: NoData"),
         (&good.replace("ann", ""), JSON, 400, "is no name"),
+        (&new_normal, JSON, 400, "allowed: LevelHigh, LevelLow"),
         (&good.replace('1', "-1"), JSON, 400, "openapi.json"),
         (&good, "Content-Type: text/plain", 415, "application/json"),
         (&good, "Content-Type: application/json\r\nSec-Fetch-Site: cross-site", 403, ""),
@@ -194,7 +196,7 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     };
     becomes("silence", Some(Value::Null));
     let taken = acknowledge(&address, &good, JSON);
-    assert_eq!(taken.text(), r#"{"robot":1,"alarm":"NoData","by":"ann"}"#);
+    assert_eq!(taken.text(), r#"{"robot":1,"alarm":"NoData","by":"ann","new_normal":false}"#);
     becomes("who", Some("ann".into()));
     let view = Events::open(&address, "").view;
     assert_eq!(by(&view["alarms"]), Some("ann".into()));

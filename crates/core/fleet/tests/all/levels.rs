@@ -1,0 +1,91 @@
+//! A robot against its own earlier level, and what a person acknowledges as its new normal.
+
+use joulebus_fleet::Fleet;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source};
+use joulebus_wire::{Alarm, AlarmSet, Sample};
+
+const ROBOT: u32 = 7;
+
+/// A fleet with one robot, whose command does not change.
+struct Bench {
+    fleet: Fleet,
+    source: Source,
+    step: u64,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let mut settings = world::settings(1);
+        // A third of the shipped limit: 18 % of what the robot draws.
+        settings.alarms.level_limit = 4.0;
+        let fleet = Fleet::new(settings, world::models()).unwrap();
+        Self { fleet, source: Source::new(1, 1), step: 0 }
+    }
+
+    fn tick(&mut self, power_w: f32) -> Option<Alarm> {
+        self.step += 1;
+        let now_ns = 60_000 * MS + self.step * PERIOD_NS;
+        let scatter_w = 0.05 * (self.step as f32 * 0.31).sin();
+        let sample = Sample::new(ROBOT, self.step, now_ns).command(0.1, 0.5);
+        let sample = sample.reading(power_w + scatter_w, now_ns);
+        self.source.tick(&mut self.fleet, &[sample], now_ns);
+        self.raised()
+    }
+
+    /// The alarm of its level.
+    fn raised(&self) -> Option<Alarm> {
+        let alarms = AlarmSet(world::diagnostic(&self.fleet, ROBOT).alarms);
+        alarms.iter().find(|alarm| alarm.is_of_level())
+    }
+
+    /// Draws the power for a minute. Returns the first alarm, and its time from the start, s.
+    fn draw(&mut self, power_w: f32) -> Option<(Alarm, f64)> {
+        let ticks = 60_000 * MS / PERIOD_NS;
+        let raised = (0..ticks).map(|tick| (tick, self.tick(power_w))).collect::<Vec<_>>();
+        assert_eq!(raised.last().unwrap().1, self.raised());
+        let first = raised.iter().find_map(|(tick, alarm)| Some((alarm.as_ref()?, tick)))?;
+        Some((*first.0, *first.1 as f64 * PERIOD_NS as f64 * 1e-9))
+    }
+}
+
+#[test]
+fn a_load_that_is_the_new_normal_is_quiet_and_a_further_change_is_found_as_soon() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.draw(3.6), None);
+    for (power_w, alarm) in [
+        (3.6 * 1.4, Alarm::LevelHigh),
+        (3.6 * 1.4 * 1.4, Alarm::LevelHigh),
+        (3.6 * 1.4, Alarm::LevelLow),
+        (3.6, Alarm::LevelLow),
+    ] {
+        let (found, after_s) = bench.draw(power_w).unwrap();
+        assert!(found == alarm && after_s < 5.0, "{power_w} W: {found:?} after {after_s} s");
+        assert_eq!(bench.raised(), Some(alarm), "it stays for the rest of the minute");
+        bench.fleet.take_as_normal(ROBOT);
+        assert_eq!(bench.tick(power_w), None, "it ends in the next tick");
+        assert_eq!(bench.draw(power_w), None, "{power_w} W");
+    }
+}
+
+#[test]
+fn a_new_normal_of_a_robot_that_is_not_judged_changes_nothing() {
+    let mut bench = Bench::new();
+    let state = |fleet: &Fleet| {
+        let mut bytes = Vec::new();
+        fleet.state().encode_into(&mut bytes);
+        bytes
+    };
+    bench.fleet.take_as_normal(ROBOT);
+    bench.tick(3.6);
+    let before = state(&bench.fleet);
+    bench.fleet.take_as_normal(ROBOT + 1);
+    assert!(state(&bench.fleet) == before, "a robot that is not in the fleet");
+    // Of a platform whose model states no errors.
+    let mut fleet = world::fleet(1);
+    let mut source = Source::new(1, 1);
+    let sample = Sample::new(201, 1, 60_000 * MS).command(0.1, 0.5).reading(3.6, 60_000 * MS);
+    source.tick(&mut fleet, &[sample], 60_000 * MS);
+    let before = state(&fleet);
+    fleet.take_as_normal(201);
+    assert!(state(&fleet) == before, "a robot without a level");
+}
