@@ -18,8 +18,12 @@ if [ "$from" != "$(cat "$home/made-from" 2>/dev/null)" ]; then
     command -v python3.11 >/dev/null || skip 'the wheels are for python3.11'
     command -v cmake >/dev/null && command -v c++ >/dev/null || skip 'cmake or a C++ compiler is missing'
     rm -rf "$home"
-    { python3.11 -m venv "$home" && "$home/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes \
-        --no-build-isolation --requirement "$lock"; } >&2 || skip 'there are no wheels of it for this machine, or no PyPI'
+    install() {
+        "$home/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --no-build-isolation --requirement "$1"
+    }
+    # empy has no wheel, and a fresh environment of Python 3.11 cannot make one without `wheel`.
+    { python3.11 -m venv "$home" && install <(grep -A1 '^wheel==' "$lock") && install "$lock"; } >&2 \
+        || skip 'there are no wheels of it for this machine, or no PyPI'
     # The wheels name the Python that they were built with.
     include=$("$home/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
     grep -rl --include '*.cmake' /opt/python/ "$home/share" | xargs sed -i \

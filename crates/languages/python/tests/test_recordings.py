@@ -68,12 +68,14 @@ def test_a_capture_is_read_with_the_bits_that_a_planner_saw(capture):
 
 def test_the_lines_of_the_document_make_of_it_what_rerun_plots(capture, tmp_path, monkeypatch):
     # It is large: tested where it is installed.
-    pytest.importorskip("rerun")
+    rerun = pytest.importorskip("rerun")
     page = (ROOT / "docs/how-to/python-lab.md").read_text()
     lines = page.split("<!-- Rerun -->")[1].split("```python\n")[1].split("```")[0]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.mcap").symlink_to(capture[0])
     exec(compile(lines, "docs/how-to/python-lab.md", "exec"), {})
+    # It writes the rest when a program ends.
+    rerun.disconnect()
     assert (tmp_path / "run.rrd").stat().st_size > 4096
 
 

@@ -35,6 +35,7 @@ use crate::mapping::account::Reason;
 use crate::mapping::ros::discovery::{GRAPH, ParticipantEntities, announced};
 use crate::mapping::ros::incoming::Received;
 use crate::mapping::ros::names::{dds_topic, dds_type, ros_type};
+use crate::mapping::ros::outgoing::{RosWhat, STATUS_BYTES};
 use crate::mapping::ros::services::Service;
 use crate::ros2::answering::Asked;
 use crate::ros2::raw::Raw;
@@ -51,8 +52,10 @@ pub(crate) use sink::{Counts, RosSink};
 /// Maximum number of queued messages of a topic. Of several between two samples the newest counts.
 const READ_DEPTH: i32 = 16;
 /// Minimum and maximum number of messages of a topic that are kept for readers that have not
-/// acknowledged them.
+/// acknowledged them. RustDDS also keeps as many of a latched topic until its first reader comes.
 const WRITE_DEPTH: (u64, u64) = (256, 2_048);
+/// Maximum size of the diagnostics that are kept, bytes, and a number that is kept in any case.
+const MAX_DIAGNOSTICS: (usize, u64) = (64 << 20, 32);
 /// Time until a reader that does not acknowledge loses its lease, with a margin. The leases of ROS
 /// 2 are 10 and 20 s.
 const LEASE_NS: u64 = 30_000_000_000;
@@ -189,18 +192,17 @@ impl Ros2 {
         publisher: &Publisher,
         write: &RosWrite,
     ) -> Result<Topic, Ros2Error> {
-        let (least, most) = WRITE_DEPTH;
-        let kept = write.what.kept(self.reading.robots.len());
-        let depth = (LEASE_NS / write.every_ns).clamp(least, most) as i32;
+        let depth = depth(write, self.reading.robots.len());
         // Reliable is compatible with reliable and best-effort subscribers. A message for a full
         // queue is counted at once, because the bridge never waits for a reader.
         let qos = QosPolicyBuilder::new()
             .reliable(rustdds::Duration::ZERO)
-            .durability(match kept {
-                0 => Durability::Volatile,
-                _ => Durability::TransientLocal,
+            .durability(if write.what.is_latched() {
+                Durability::TransientLocal
+            } else {
+                Durability::Volatile
             })
-            .history(History::KeepLast { depth: kept.max(1) as i32 })
+            .history(History::KeepLast { depth: 1 })
             .resource_limits(ResourceLimits {
                 max_samples: depth,
                 max_instances: 1,
@@ -393,6 +395,18 @@ impl Ros2 {
         }
         self.reading.shared.log_news();
     }
+}
+
+/// The number of messages of a topic that are kept for readers that have not acknowledged them.
+fn depth(write: &RosWrite, robots: usize) -> i32 {
+    let (least, most) = WRITE_DEPTH;
+    let depth = (LEASE_NS / write.every_ns).clamp(least, most);
+    let (bytes, least) = MAX_DIAGNOSTICS;
+    let most = match write.what {
+        RosWhat::Diagnostics => (bytes / ((robots + 1) * STATUS_BYTES)) as u64,
+        _ => most,
+    };
+    depth.min(most.max(least)) as i32
 }
 
 /// Returns when the connection has to end.

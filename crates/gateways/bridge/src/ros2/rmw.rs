@@ -82,7 +82,7 @@ impl Zenoh {
             for (robot, name) in of_robot.chain(of_fleet) {
                 places.push((robot, write.len() as u32));
                 let mut topic = topic(&wanted.topic.of(name), wanted.what.type_name());
-                topic["kept"] = wanted.what.kept(reading.robots.len()).into();
+                topic["kept"] = u8::from(wanted.what.is_latched()).into();
                 write.push(topic);
             }
             topics.push(places);

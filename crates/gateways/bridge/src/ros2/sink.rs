@@ -158,8 +158,6 @@ impl RosSink {
             }
             status
         }));
-        for array in diagnostics(times.now_unix_ns, &statuses) {
-            self.counts.write(writer, array);
-        }
+        self.counts.write(writer, encode(&diagnostics(times.now_unix_ns, statuses)));
     }
 }

@@ -19,15 +19,21 @@ pub(crate) struct Fleet {
 
 impl Fleet {
     pub(crate) fn new() -> Self {
+        Self::with_robots(10)
+    }
+
+    /// A fleet of robots from 0 on.
+    pub(crate) fn with_robots(robots: u32) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let root = format!("/dev/shm/jbbridge-{}-{number}", std::process::id());
+        let (capacity, last) = (2 * robots, robots - 1);
         let text = format!(
-            "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+            "[fleet]\nname = \"lab\"\ncapacity = {capacity}\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbbrdg_\"\n\
              [intake]\nmax_sources = 4\nleave_after_s = 4\n[readers]\nmax_planners = 8\n\
              [ledger]\ncheckpoint = \"\"\n\
-             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\nhold_max_s = 5\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{last}\"]\nhold_max_s = 5\n\
              [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0\n"
         );
         let directory = tempfile::tempdir().unwrap();
@@ -37,6 +43,14 @@ impl Fleet {
 
     pub(crate) fn config(&self) -> PathBuf {
         self.directory.path().join("fleet.toml")
+    }
+
+    /// Starts a source of all robots' samples.
+    pub(crate) fn source(&self, robots: u32) -> Child {
+        let mut command = Command::new(joulebus());
+        command.args(["publish", "sim", "--robots", &robots.to_string(), "--config"]);
+        command.arg(self.config()).env_remove("JOULEBUS_LOG");
+        Child::spawn("publish", command)
     }
 
     /// Starts a worker.

@@ -286,5 +286,5 @@ def _each(name: str, given: Any, robots: int, most: float = np.inf) -> np.ndarra
     low = found > 0.0 if most == np.inf else found >= 0.0
     if found.shape not in ((), (robots,)) or not (low & (found <= most) & np.isfinite(found)).all():
         bounds = f"0 to {most:g}" if most < np.inf else "finite numbers above 0"
-        raise ValueError(f"{name} is {given}, allowed are {bounds}, one or {robots}")
+        raise ValueError(f"{name} is {given}, allowed are {bounds}: one for all robots, or {robots}")
     return np.broadcast_to(found, (robots,)).copy()

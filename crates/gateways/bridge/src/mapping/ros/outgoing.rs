@@ -7,8 +7,7 @@
 use joulebus_consumer::wire::OUTLOOK_S;
 use joulebus_publisher::Implausible;
 use joulebus_ros_messages::{
-    BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Outlook, RosError,
-    Time, encode,
+    BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Outlook, Time,
 };
 use serde_json::Value;
 
@@ -18,8 +17,8 @@ use crate::mapping::simulated::ClockState;
 
 /// `diagnostic_msgs/DiagnosticStatus`: not measured.
 const STALE: u8 = 3;
-/// Maximum number of robots in a `diagnostic_msgs/DiagnosticArray`, some 40 kB.
-const MAX_STATUSES: usize = 32;
+/// Size of a robot's status with alarms and all values, bytes.
+pub(crate) const STATUS_BYTES: usize = 1_300;
 /// Values of a robot that are not among the diagnostics: fields of the status itself, times of
 /// values, and how long a ledger has counted.
 const NOT_DIAGNOSED: [&str; 8] = [
@@ -61,14 +60,9 @@ impl RosWhat {
         !matches!(self, Self::Diagnostics)
     }
 
-    /// Number of messages that a late subscriber gets. 0: none, because they would be old.
-    pub(crate) const fn kept(self, robots: usize) -> usize {
-        match self {
-            Self::Budget => 1,
-            // An array for so many robots, and one status of the worker.
-            Self::Diagnostics => (robots + 1).div_ceil(MAX_STATUSES),
-            Self::Forecast | Self::Outlook | Self::Value => 0,
-        }
+    /// Whether a late subscriber gets the last message. Others would be old.
+    pub(crate) const fn is_latched(self) -> bool {
+        matches!(self, Self::Budget | Self::Diagnostics)
     }
 
     /// Its type in ROS 2.
@@ -212,14 +206,9 @@ pub(crate) fn add_clock(status: &mut DiagnosticStatus, clock: ClockState) {
     status.level = status.level.max(1);
 }
 
-/// The statuses in CDR arrays.
-pub(crate) fn diagnostics(
-    now_unix_ns: u64,
-    statuses: &[DiagnosticStatus],
-) -> impl Iterator<Item = Result<Vec<u8>, RosError>> {
-    statuses.chunks(MAX_STATUSES).map(move |statuses| {
-        encode(&DiagnosticArray { header: header(now_unix_ns, ""), status: statuses.to_vec() })
-    })
+/// All statuses in one message, because a subscriber of a latched topic keeps one.
+pub(crate) fn diagnostics(now_unix_ns: u64, status: Vec<DiagnosticStatus>) -> DiagnosticArray {
+    DiagnosticArray { header: header(now_unix_ns, ""), status }
 }
 
 /// A battery whose voltage is known, and whether it is charged.
@@ -266,7 +255,7 @@ fn number(values: &Object, value: &str) -> f64 {
 mod tests {
     use joulebus_plausibility::Source;
     use joulebus_publisher::{Judgement, RobotState};
-    use joulebus_ros_messages::{Message, RosType};
+    use joulebus_ros_messages::{Message, RosType, encode};
     use serde_json::json;
 
     use super::*;
@@ -369,12 +358,7 @@ mod tests {
         assert_eq!((status.level, status.message.as_str()), (1, "implausible sign"));
         let last = &status.values.last().unwrap().value;
         assert!(last.contains("negate = true"), "{last}");
-        for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {
-            let statuses = vec![status.clone(); robots];
-            let messages: Vec<_> = diagnostics(1, &statuses).collect();
-            assert_eq!(messages.len(), arrays);
-            assert_eq!(RosWhat::Diagnostics.kept(robots), (robots + 1).div_ceil(32));
-            assert!(messages.iter().all(|it| it.as_ref().unwrap().len() < 60_000));
-        }
+        let bytes = encode(&diagnostics(1, vec![status; 100])).unwrap().len();
+        assert!(bytes < 100 * STATUS_BYTES, "{bytes}");
     }
 }

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 use crate::fleet::Fleet;
 use joulebus_testkit::Child;
-use peer::{Peer, RosDomain, cyclonedds};
+use peer::{Peer, RosDomain, cyclonedds, ros2};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -327,6 +327,48 @@ fn a_robot_on_its_charger_charges_and_its_batterys_power_is_no_load() {
     assert!(readings.iter().all(is_load), "{readings:?}");
     bridge.stop();
     worker.stop();
+}
+
+/// Starts a subscriber that keeps one message, as most do of a latched topic, beside a bridge.
+fn late_subscriber(start: impl FnOnce(&RosDomain) -> Peer) {
+    const ROBOTS: u32 = 100;
+    let (fleet, domain) = (Fleet::with_robots(ROBOTS), RosDomain::take());
+    let mut worker = fleet.worker();
+    let mut source = fleet.source(ROBOTS);
+    let rarely = format!("{DIAGNOSTICS}\ntopic = \"/rarely\"\nevery_s = 3000");
+    let file = file_with(&keys(&domain), &[COMMANDS], &[DIAGNOSTICS, &rarely]);
+    let file = file.replace("1-3", &format!("0-{}", ROBOTS - 1));
+    let mut bridge = fleet.bridge(&file, "in ROS domain");
+    let mut late = start(&domain);
+    for topic in ["/rarely", "/diagnostics"] {
+        let (kind, depth) = ("DiagnosticArray", 1);
+        late.order(&json!({"hear": topic, "type": kind, "transient_local": true, "depth": depth}));
+    }
+    let all = |array: &Value| array["status"].as_array().unwrap().len() == ROBOTS as usize + 1;
+    late.wait_for("/rarely", 0, all);
+    // More than 64 KiB, when each robot has its values.
+    late.wait_for("/diagnostics", 0, |array| {
+        let is_known = |status: &Value| text(status, "power_w").parse::<f64>().is_ok();
+        array["status"].as_array().unwrap().iter().filter(|it| is_known(it)).count()
+            == ROBOTS as usize
+    });
+    let report = bridge.end().json();
+    assert_eq!(report["not_written"], 0, "{report}");
+    source.end();
+    worker.stop();
+}
+
+#[test]
+fn late_subscribers_of_cyclone_dds_get_the_diagnostics_of_every_robot_in_one_message() {
+    let Some(python) = cyclonedds() else { return };
+    late_subscriber(|domain| Peer::start(&python, domain));
+}
+
+#[test]
+#[ignore = "needs ROS 2, which tools/ros2.sh makes in minutes"]
+fn late_subscribers_of_nodes_of_ros_2_get_the_diagnostics_of_every_robot_in_one_message() {
+    let Some(ros2) = ros2() else { return };
+    late_subscriber(|domain| Peer::node(&ros2, domain));
 }
 
 #[test]

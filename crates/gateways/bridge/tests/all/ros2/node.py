@@ -14,13 +14,14 @@ os.environ["ROS_DOMAIN_ID"] = sys.argv[1]
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Twist
 from joulebus_msgs.msg import Outlook
 from joulebus_msgs.srv import Acknowledge, WhatIf
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
-TYPES = {kind.__name__: kind for kind in (Acknowledge, BatteryState, Outlook, Twist, WhatIf)}
+TYPES = {kind.__name__: kind for kind in (Acknowledge, BatteryState, DiagnosticArray, Outlook, Twist, WhatIf)}
 
 
 def fill(message, fields):
@@ -72,8 +73,9 @@ def main():
         kind = TYPES[order["type"]]
         if "hear" in order:
             topic = order["hear"]
-            heard = node.create_subscription(kind, topic, lambda it: tell(topic, plain(it)), qos_profile_sensor_data)
-            kept.append(heard)
+            latched = QoSProfile(depth=order.get("depth", 10), durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            qos = latched if order.get("transient_local") else qos_profile_sensor_data
+            kept.append(node.create_subscription(kind, topic, lambda it: tell(topic, plain(it)), qos))
         elif "say" in order:
             topic, message = order["say"], fill(kind(), order["fields"])
             publisher = publishers.get(topic) or node.create_publisher(kind, topic, qos_profile_sensor_data)

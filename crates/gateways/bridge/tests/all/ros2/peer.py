@@ -303,7 +303,7 @@ def qos(order):
     return Qos(
         Policy.Reliability.BestEffort if order.get("best_effort") else reliable,
         Policy.Durability.TransientLocal if order.get("transient_local") else Policy.Durability.Volatile,
-        Policy.History.KeepLast(10),
+        Policy.History.KeepLast(order.get("depth", 10)),
     )
 
 
@@ -386,7 +386,7 @@ class Zenoh:
 
         key = self.key(name, kind, order)
         if order.get("transient_local"):
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=10)
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=order.get("depth", 10))
             self.kept.append(zenoh.ext.declare_advanced_subscriber(self.session, key, hear, history=history, subscriber_detection=True))
         else:
             self.kept.append(self.session.declare_subscriber(key, hear))

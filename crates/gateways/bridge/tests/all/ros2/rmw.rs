@@ -129,17 +129,17 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
 #[test]
 fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() {
     let Some(python) = cyclonedds() else { return };
-    let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
+    let (fleet, address) = (Fleet::with_robots(101), format!("tcp/127.0.0.1:{}", free_port()));
     let _worker = fleet.worker();
     let mut early = Peer::within(&python, &address);
     let latched = json!({
-        "hear": "/diagnostics", "type": "DiagnosticArray", "transient_local": true,
+        "hear": "/diagnostics", "type": "DiagnosticArray", "transient_local": true, "depth": 1,
     });
     early.order(&latched);
     // Nothing is written again.
     let rarely = format!("{DIAGNOSTICS}\nevery_s = 3000");
     let file = file_with("domain_id = 7", &[BATTERY], &[&rarely, FORECAST]);
-    let mut bridge = bridge(&fleet, &address, &file, "4 written");
+    let mut bridge = bridge(&fleet, &address, &file.replace("1-3", "1-100"), "101 written");
     let token = format!(
         "/%diagnostics/diagnostic_msgs::msg::dds_::DiagnosticArray_/{}/:1:,1:,:,:,,",
         hash("DiagnosticArray")
@@ -151,6 +151,7 @@ fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() 
     let told = late.wait_for("/diagnostics", 0, |_| true);
     assert_eq!(told["attached"]["number"], 1, "{told}");
     assert_eq!(told["status"][0]["hardware_id"], "bridge", "{told}");
+    assert_eq!(told["status"].as_array().map(Vec::len), Some(101), "{told}");
     // A later topic shows that nothing came twice.
     for peer in [&mut early, &mut late] {
         peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
