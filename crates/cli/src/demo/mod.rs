@@ -3,6 +3,7 @@
 mod account;
 mod capture;
 mod place;
+mod run_ahead;
 mod show;
 mod summary;
 
@@ -17,12 +18,14 @@ use joulebus_program::installed::find_program;
 use joulebus_program::output::{Format, Output, say};
 use joulebus_program::stop::Stop;
 
+use crate::publish::plant;
 use crate::supervisor::{Event, Supervisor, Task};
 use crate::watch::PlannerReport;
 
 use account::{Account, SourceRun, WorkerAccount};
 use capture::Captured;
 use place::Place;
+use run_ahead::RunAhead;
 use summary::{Planted, Summary};
 
 const WORKER: &str = "worker";
@@ -185,7 +188,8 @@ impl Demo<'_> {
         if !stop.is_asked() {
             self.show(place.config(), &feed, stop, began_ns)?;
         }
-        self.finish(feed)
+        let platform = place.config().settings().platforms.first();
+        self.finish(feed, platform.map_or(0, |platform| platform.period_ns))
     }
 
     fn source(&self, place: &Place) -> Task {
@@ -264,7 +268,7 @@ impl Demo<'_> {
     }
 
     /// Stops the source first, drains, then stops planner and recorder, then the worker.
-    fn finish(&mut self, feed: Feed) -> anyhow::Result<Summary> {
+    fn finish(&mut self, feed: Feed, period_ns: u64) -> anyhow::Result<Summary> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
         let told = samples_sent(&source.stdout);
@@ -289,7 +293,7 @@ impl Demo<'_> {
         if let (None, Some(status)) = (&report, planner.status) {
             say(&format!("the planner left no report: {status}"));
         }
-        Ok(Summary::new(
+        let mut summary = Summary::new(
             &board,
             self.account(&board, told),
             report,
@@ -297,7 +301,20 @@ impl Demo<'_> {
             (self.args.seed, duration_s),
             self.deaths(),
             captured,
-        ))
+        );
+        summary.run_ahead = Some(self.run_ahead(&board, period_ns)?);
+        Ok(summary)
+    }
+
+    /// Runs the source's robots again, as many as time allows, and ahead.
+    fn run_ahead(&self, board: &Board, period_ns: u64) -> anyhow::Result<RunAhead> {
+        let affordable = run_ahead::affordable(board.steps.len(), period_ns);
+        let robots = affordable.clamp(1, self.args.robots);
+        let ids: Vec<u32> = (0..robots).collect();
+        let planted = self.planted.iter().filter(|planted| planted.robot < robots);
+        let faults: Result<Vec<_>, String> = planted.map(|it| it.argument().parse()).collect();
+        let plant = plant(self.args.seed, &ids, &faults.map_err(anyhow::Error::msg)?)?;
+        Ok(run_ahead::run_ahead(board, plant, period_ns))
     }
 
     /// `told`: number of samples sent, reported by the last run of the source.

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::account::Account;
 use super::capture::Captured;
 use super::place::LeftBehind;
+use super::run_ahead::RunAhead;
 use crate::view::count;
 use crate::watch::PlannerReport;
 
@@ -76,6 +77,8 @@ pub(super) struct Summary {
     planner: Option<PlannerReport>,
     /// Scores of the outlooks, by horizon. `None` if no second was metered.
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
+    /// Scores of the newest outlooks over 60 s, by the same robots run ahead.
+    pub(super) run_ahead: Option<RunAhead>,
     /// Scores of the last worker.
     scores: Scores,
     stand_out: Vec<StandsOut>,
@@ -119,6 +122,7 @@ impl Summary {
             samples,
             planner,
             ahead: board.ahead(),
+            run_ahead: None,
             scores: board.scores(),
             unnoticed: planted.iter().filter(unnoticed).cloned().collect(),
             stand_out,
@@ -193,23 +197,33 @@ impl Summary {
         writeln!(out, "energy     ahead, if each robot goes on as now: error of the energy, %")?;
         writeln!(
             out,
-            "  {:<12}{:>9}{:>14}{:>14}{:>9}{:>16}",
+            "  {:<22}{:>7}{:>14}{:>13}{:>8}{:>16}",
             "over", "outlook", "last reading", "mean of 5 s", "inside", "interval score"
         )?;
         let percent = |share: Option<f64>| {
             share.map_or_else(|| "–".to_owned(), |share| format!("{:.1}", 100.0 * share))
         };
-        for scores in ahead.iter().filter(|scores| scores.compared > 0) {
+        let mut row = |scores: &AheadScores, label: &str| {
             writeln!(
                 out,
-                "  {:<12}{:>9}{:>14}{:>14}{:>9}{:>16}",
-                format!("{} s", scores.horizon_s),
+                "  {:<22}{:>7}{:>14}{:>13}{:>8}{:>16}",
+                format!("{} s{label}", scores.horizon_s),
                 percent(scores.error),
                 percent(scores.last_reading_error),
                 percent(scores.mean_5s_error),
                 percent(scores.coverage),
                 percent(scores.interval_score)
-            )?;
+            )
+        };
+        for scores in ahead.iter().filter(|scores| scores.compared > 0) {
+            row(scores, "")?;
+        }
+        match &self.run_ahead {
+            Some(RunAhead::Scores(scores)) => row(scores, ", simulated ahead")?,
+            Some(RunAhead::NotScored(why)) => {
+                writeln!(out, "  60 s, simulated ahead: not scored, {why}")?;
+            }
+            None => {}
         }
         writeln!(
             out,

@@ -11,8 +11,8 @@ pub(super) const HELP: &str = "ROBOT=KIND[@SECONDS]";
 
 /// A fault of a simulated robot, from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct FaultArgument {
-    pub(super) robot: u32,
+pub(crate) struct FaultArgument {
+    pub(crate) robot: u32,
     pub(super) fault: Fault,
     /// When it begins, s after the start.
     pub(super) from_s: f64,

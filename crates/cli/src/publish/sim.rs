@@ -19,9 +19,6 @@ use joulebus_wire::{Sample, sample_flag};
 use super::fault::{self, FaultArgument};
 use joulebus_program::platform::platform;
 
-/// Maximum step of the simulation, ns.
-const MAX_STEP_NS: u64 = 1_000_000_000;
-
 /// Publish a simulated fleet of GTernal robots until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -66,7 +63,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.config.load()?;
     let platform = args.platform(&config)?;
     let ids = args.ids(platform)?;
-    let plant = args.plant(&ids)?;
+    let plant = plant(args.seed, &ids, &args.faults)?;
     let name = match &args.name {
         Some(name) => name.clone(),
         None => format!("sim-{}", ids[0]),
@@ -119,18 +116,19 @@ impl Args {
         }
         Ok(ids)
     }
+}
 
-    fn plant(&self, ids: &[u32]) -> anyhow::Result<Plant> {
-        let mut plant = Plant::new(self.seed, ids.len());
-        for FaultArgument { robot, fault, from_s } in &self.faults {
-            let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
-                let (first, last) = (ids[0], ids[ids.len() - 1]);
-                UsageError(format!("--fault for robot {robot}, the robots are {first} to {last}"))
-            })?;
-            plant = plant.with_fault(place, *fault, *from_s)?;
-        }
-        Ok(plant)
+/// The simulated robots of some ids, at least one.
+pub(crate) fn plant(seed: u64, ids: &[u32], faults: &[FaultArgument]) -> anyhow::Result<Plant> {
+    let mut plant = Plant::new(seed, ids.len());
+    for FaultArgument { robot, fault, from_s } in faults {
+        let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
+            let (first, last) = (ids[0], ids[ids.len() - 1]);
+            UsageError(format!("--fault for robot {robot}, the robots are {first} to {last}"))
+        })?;
+        plant = plant.with_fault(place, *fault, *from_s)?;
     }
+    Ok(plant)
 }
 
 struct Robot {
@@ -190,7 +188,6 @@ impl Source {
             // After a stall the newest grid time is used. Earlier ones are skipped.
             let passed_ns = slot.skipped.saturating_mul(period_ns);
             let stamp_ns = slot.intended_ns.saturating_add(passed_ns);
-            self.advance(stamp_ns - base_ns);
             self.send(slot.intended_ns, stamp_ns, base_ns)?;
         }
         self.report.ticks_skipped = grid.skipped();
@@ -198,20 +195,9 @@ impl Source {
         Ok(())
     }
 
-    /// Simulates the robots up to `until_ns` after the plant's start.
-    fn advance(&mut self, until_ns: u64) {
-        loop {
-            let left_ns = until_ns.saturating_sub(self.plant.now_ns());
-            if left_ns == 0 {
-                return;
-            }
-            self.plant.step(left_ns.min(MAX_STEP_NS) as f64 / 1e9);
-        }
-    }
-
     fn send(&mut self, intended_ns: u64, stamp_ns: u64, base_ns: u64) -> Result<(), PublishError> {
         self.frame.clear();
-        let robots = self.robots.iter_mut().zip(self.plant.step(0.0));
+        let robots = self.robots.iter_mut().zip(self.plant.advance(stamp_ns - base_ns));
         self.frame.extend(robots.map(|(robot, reading)| robot.sample(reading, stamp_ns, base_ns)));
         self.link.send(intended_ns, &self.frame, &mut self.report)?;
         Ok(())

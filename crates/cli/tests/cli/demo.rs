@@ -111,11 +111,18 @@ fn counts_add_up_and_no_files_are_left() {
         let (code, summary) = demo.summary();
         assert_eq!(code, 0, "{summary:#}");
         let read = &summary["planner"]["latency"]["total"]["count"];
-        let is_seen = read.as_u64() > Some(0) && summary["scores"]["mae_w"].is_number();
+        let is_seen = read.as_u64() > Some(0)
+            && summary["scores"]["mae_w"].is_number()
+            && summary["run_ahead"]["scores"]["compared"] == 5;
         is_seen.then_some((demo, summary))
     };
     // Retries where a process got no processor for most of the three seconds.
-    let (demo, summary) = (0..5).find_map(run).expect("no forecast was scored");
+    let (demo, summary) = (0..5).find_map(run).expect("no forecast was scored, or no run ahead");
+    let minute = &summary["run_ahead"]["scores"];
+    assert_eq!(minute["horizon_s"], 60.0);
+    for error in ["error", "last_reading_error", "mean_5s_error"] {
+        assert!((0.0..0.5).contains(&minute[error].as_f64().unwrap()), "{minute}");
+    }
     let samples = &summary["samples"];
     let sent = count(&samples["sent"]);
     // 90 frames of five robots, minus those that the source skips on a busy machine.

@@ -4,7 +4,7 @@
 //! outlook, from its last reading, and from its mean power over 5 s. As soon as the ledger has
 //! metered the horizon without a gap, the energy that was drawn is known to the µJ.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
     Budget, Forecast, OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, budget_flag, forecast_flag,
@@ -17,6 +17,8 @@ use crate::scores::known;
 const MEAN_NS: u64 = 5_000_000_000;
 /// Interval of the points that it is computed from, ns.
 const POINT_NS: u64 = 250_000_000;
+/// Place of the horizon of 60 s.
+const MINUTE: usize = 2;
 /// Share of errors outside the interval.
 const MISSES: f64 = 0.1;
 
@@ -61,6 +63,8 @@ struct Shadow {
 struct Robot {
     shadows: [Option<Shadow>; OUTLOOK_HORIZONS],
     points: VecDeque<Metered>,
+    /// The newest forecast over 60 s, and its stamp, ns.
+    newest: Option<(u64, Shadow)>,
 }
 
 impl Robot {
@@ -115,6 +119,21 @@ impl Sums {
         self.width_j += hi_j - lo_j;
         self.interval_score_j += hi_j - lo_j + 2.0 / MISSES * beyond_j;
     }
+
+    fn scores(&self, horizon_s: f32) -> AheadScores {
+        let of = |joules: f64| known(joules / self.measured_j);
+        let bounded = |joules: f64| known(joules / self.bounded_j);
+        AheadScores {
+            horizon_s,
+            compared: self.compared,
+            error: of(self.error_j),
+            last_reading_error: of(self.last_error_j),
+            mean_5s_error: of(self.mean_error_j),
+            coverage: known(self.inside as f64 / self.bounded as f64),
+            width: bounded(self.width_j),
+            interval_score: bounded(self.interval_score_j),
+        }
+    }
 }
 
 /// Scores of the outlooks over one horizon, all robots, over the comparisons that this planner has
@@ -159,6 +178,20 @@ impl Ahead {
         let robot = self.robots.entry(outlook.robot).or_default();
         let mean_w = robot.mean_w(now);
         let is_read = forecast.flags & forecast_flag::READING != 0;
+        let open = |place: usize| {
+            let watts = |joules: f32| f64::from(joules) / f64::from(OUTLOOK_S[place]);
+            let outlook_w = outlook.expected_j(place).map(watts);
+            outlook_w.zip(mean_w).filter(|_| is_read).map(|(outlook_w, mean_w)| {
+                let bounds_j = outlook.bounds_j(place);
+                Shadow {
+                    from: now,
+                    outlook_w,
+                    bounds_w: bounds_j.map(|(lo_j, hi_j)| (watts(lo_j), watts(hi_j))),
+                    last_w: forecast.reading_w.into(),
+                    mean_w,
+                }
+            })
+        };
         for (place, horizon_s) in OUTLOOK_S.map(f64::from).into_iter().enumerate() {
             let shadow = &mut robot.shadows[place];
             if let Some(open) = shadow {
@@ -168,38 +201,31 @@ impl Ahead {
                     None => {}
                 }
             }
-            let watts = |joules: f32| f64::from(joules) / horizon_s;
-            let outlook_w = outlook.expected_j(place).map(watts);
-            *shadow = outlook_w.zip(mean_w).filter(|_| is_read).map(|(outlook_w, mean_w)| {
-                let bounds_j = outlook.bounds_j(place);
-                Shadow {
-                    from: now,
-                    outlook_w,
-                    bounds_w: bounds_j.map(|(lo_j, hi_j)| (watts(lo_j), watts(hi_j))),
-                    last_w: forecast.reading_w.into(),
-                    mean_w,
-                }
-            });
+            *shadow = open(place);
         }
+        robot.newest = open(MINUTE).map(|shadow| (outlook.stamp_ns, shadow)).or(robot.newest);
     }
 
     /// The scores of every horizon.
     pub(crate) fn scores(&self) -> [AheadScores; OUTLOOK_HORIZONS] {
-        std::array::from_fn(|place| {
-            let sums = &self.sums[place];
-            let of = |joules: f64| known(joules / sums.measured_j);
-            let bounded = |joules: f64| known(joules / sums.bounded_j);
-            AheadScores {
-                horizon_s: OUTLOOK_S[place],
-                compared: sums.compared,
-                error: of(sums.error_j),
-                last_reading_error: of(sums.last_error_j),
-                mean_5s_error: of(sums.mean_error_j),
-                coverage: known(sums.inside as f64 / sums.bounded as f64),
-                width: bounded(sums.width_j),
-                interval_score: bounded(sums.interval_score_j),
+        std::array::from_fn(|place| self.sums[place].scores(OUTLOOK_S[place]))
+    }
+
+    /// The newest outlooks: robot, stamp, ns, and reading, W.
+    pub(crate) fn newest(&self) -> impl Iterator<Item = (u32, u64, f64)> {
+        let robots = self.robots.iter();
+        robots.filter_map(|(id, robot)| robot.newest.map(|(at_ns, it)| (*id, at_ns, it.last_w)))
+    }
+
+    /// The scores of the newest outlooks, of the robots that draw `drawn_j` over 60 s.
+    pub(crate) fn score_minute(&self, drawn_j: &BTreeMap<u32, f64>) -> AheadScores {
+        let mut sums = Sums::default();
+        for (robot, drawn_j) in drawn_j {
+            if let Some((_, shadow)) = self.robots.get(robot).and_then(|robot| robot.newest) {
+                sums.add(&shadow, (OUTLOOK_S[MINUTE].into(), *drawn_j));
             }
-        })
+        }
+        sums.scores(OUTLOOK_S[MINUTE])
     }
 
     /// Forgets robots that have left.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
     Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, OUTLOOK_HORIZONS,
-    Outlook, QueryCounts, budget_flag, forecast_flag,
+    Outlook, QueryCounts, Sample, budget_flag, forecast_flag,
 };
 
 use crate::ahead::{Ahead, AheadScores};
@@ -19,6 +19,8 @@ const TRACKED_ROBOTS: usize = 512;
 const NOTES: usize = 200;
 /// Maximum number of separate runs of workers and of sources. Beyond it the two oldest are merged.
 const RUNS: usize = 1_024;
+/// Maximum number of steps of a source: half an hour at 30 Hz.
+const STEPS: usize = 54_000;
 /// Departed robots whose alarms are kept.
 const RAISED_ROBOTS: usize = 16_384;
 
@@ -159,6 +161,9 @@ pub struct Board {
     pub recent_us: VecDeque<u64>,
     /// Samples that each run of a source has sent, by its epoch. Empty without a tap.
     pub sent: BTreeMap<u64, u64>,
+    /// Stamp, ns, and power, W, of the first sample of each frame of the newest run of a source.
+    /// Oldest first, and none after the first half an hour. Empty without a tap.
+    pub steps: Vec<(u64, f32)>,
     /// Frames seen.
     pub frames: u64,
     /// Frames overwritten before this planner read them.
@@ -187,6 +192,7 @@ impl Board {
             stages: Stages::new(),
             recent_us: VecDeque::new(),
             sent: BTreeMap::new(),
+            steps: Vec::new(),
             frames: 0,
             frames_missed: 0,
             queries: None,
@@ -374,6 +380,19 @@ impl Board {
         Some(self.ahead.scores()).filter(|[shortest, ..]| shortest.compared > 0)
     }
 
+    /// The newest outlook of each robot: robot, the stamp from which on it applies, ns, and the
+    /// reading at that time, W.
+    pub fn newest_outlooks(&self) -> impl Iterator<Item = (u32, u64, f64)> {
+        self.ahead.newest()
+    }
+
+    /// Scores of the newest outlooks over 60 s, of the robots whose energy over that time is given,
+    /// J.
+    #[must_use]
+    pub fn score_minute(&self, drawn_j: &BTreeMap<u32, f64>) -> AheadScores {
+        self.ahead.score_minute(drawn_j)
+    }
+
     /// Scores of the forecasts.
     #[must_use]
     pub fn scores(&self) -> Scores {
@@ -387,8 +406,16 @@ impl Board {
         self.runs.len() + self.merged_runs
     }
 
-    /// Run `epoch` of a source has sent `samples`.
-    pub fn source_sent(&mut self, epoch: u64, samples: u64) {
+    /// Run `epoch` of a source has sent `samples`, the last ones in a frame that begins with
+    /// `first`.
+    pub fn source_sent(&mut self, epoch: u64, samples: u64, first: Option<&Sample>) {
+        let newest = self.sent.last_key_value().map(|(newest, _)| *newest);
+        if newest.is_none_or(|newest| newest < epoch) {
+            self.steps.clear();
+        }
+        if newest.is_none_or(|newest| newest <= epoch) && self.steps.len() < STEPS {
+            self.steps.extend(first.map(|first| (first.stamp_ns, first.power_w)));
+        }
         let sent = self.sent.entry(epoch).or_default();
         *sent = samples.max(*sent);
         if self.sent.len() > RUNS
@@ -583,14 +610,20 @@ mod tests {
                 ..Diagnostic::default()
             };
             board.diagnostics(&[raising], 0);
-            board.source_sent(epoch, 4);
+            board.source_sent(epoch, 4, Some(&Sample::new(0, 0, epoch)));
             assert!(board.runs.len() <= RUNS && board.sent.len() <= RUNS);
+            assert!(board.steps.iter().map(|(stamp_ns, _)| *stamp_ns).eq([epoch]));
             assert!(board.raised.len() <= RAISED_ROBOTS && board.rows.len() == 1);
         }
         assert_eq!(board.workers(), 100_000);
         assert_eq!((board.accepted(), board.ticks().0), (300_000, 200_000));
         assert_eq!(board.dropped().get(DropReason::Backlog), 100_000);
         assert_eq!(board.sent.values().sum::<u64>(), 400_000);
+        for stamp_ns in 0..=STEPS as u64 {
+            board.source_sent(100_001, stamp_ns, Some(&Sample::new(0, stamp_ns, stamp_ns)));
+            board.source_sent(7, 4, Some(&Sample::new(0, 0, stamp_ns)));
+        }
+        assert_eq!((board.steps.len(), board.steps[1].0), (STEPS, 1));
     }
 
     #[test]

@@ -145,6 +145,21 @@ impl Plant {
         &self.readings
     }
 
+    /// Same as [`Plant::step`], up to a time since the plant's start, ns, in steps of at most one
+    /// second. The steps are part of what determines the readings, like the seed.
+    pub fn advance(&mut self, until_ns: u64) -> &[SimReading] {
+        while self.now_ns < until_ns {
+            self.step((until_ns - self.now_ns) as f64 / 1e9);
+        }
+        &self.readings
+    }
+
+    /// Energy that each robot has really drawn from its battery, in order, J, also before the
+    /// start. It advances with the polls of the power monitor, ten times a second.
+    pub fn drawn_j(&self) -> impl Iterator<Item = f64> {
+        self.robots.iter().map(|robot| robot.body.drawn_j())
+    }
+
     /// Nanoseconds since the plant's start.
     pub fn now_ns(&self) -> u64 {
         self.now_ns
