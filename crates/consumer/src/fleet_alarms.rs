@@ -19,8 +19,8 @@ use crate::{
 pub struct FleetAlarm {
     /// The robot. `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]. Of sources `Implausible`. For the worker `WorkerGone`
-    /// or `WorkerStale`. [`AlarmCard::named`] has its meaning.
+    /// Name of the [`joulebus_wire::Alarm`], or `Implausible` for an alarm of a source. Alarms of
+    /// the worker are `WorkerGone` and `WorkerStale`. [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -28,7 +28,8 @@ pub struct FleetAlarm {
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,
-    /// When it was raised, monotonic ns. Later than that if it was when the program began.
+    /// When it was raised, monotonic ns. If that was before the program began, when the program
+    /// first saw it.
     pub raised_ns: u64,
     /// The acknowledgement since it was raised.
     pub acknowledged: Option<Acknowledgement>,

@@ -109,8 +109,8 @@ impl FeatureSet {
         self.end() - self.first()
     }
 
-    /// Index in [`Features`] of the first feature read. The features up to [`FeatureSet::end`] are
-    /// read.
+    /// Index in [`Features`] of the first feature read. All those from there to
+    /// [`FeatureSet::end`] are read.
     pub const fn first(self) -> usize {
         if self.needs_command() { 0 } else { FEATURES - LAGS }
     }

@@ -24,7 +24,7 @@ pub struct Layer {
 pub struct Normalisation {
     /// Mean of each feature, in its unit.
     pub feature_mean: Features,
-    /// Standard deviation of each feature. 0 for a constant feature, which is then ignored.
+    /// Standard deviation of each feature. It is 0 for a constant feature, which is then ignored.
     pub feature_std: Features,
     /// Mean power, W.
     pub power_mean_w: f32,

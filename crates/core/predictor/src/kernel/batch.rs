@@ -16,8 +16,8 @@ use crate::features::{Features, INPUTS};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Rows output-major. Columns batch-major with an output-major remainder. The fastest for every
-    /// batch, and the default.
+    /// Output-major for rows. Batch-major for columns, with an output-major remainder. This is the
+    /// fastest for every batch, and the default.
     ByInput,
     /// Batch-major for whole vectors of robots: a vector holds one value of several robots.
     BatchMajor,
