@@ -12,9 +12,25 @@ use crate::{
     Subscriber, WorkerState,
 };
 
-/// A raise or an end of an alarm, of a robot or of the worker.
+/// A raise or an end of an alarm, of a robot or of the worker. [`FleetAlarms`] passes them on.
 ///
-/// [`FleetAlarms`] has an example.
+/// ```
+/// use joulebus_consumer::wire::{AlarmCard, Level};
+/// use joulebus_consumer::{Change, FleetAlarm};
+///
+/// let raised = FleetAlarm {
+///     robot: None,
+///     alarm: "WorkerStale",
+///     level: Level::Error,
+///     change: Change::Raised,
+///     at_ns: 2_000_000_000,
+///     raised_ns: 2_000_000_000,
+///     acknowledged: None,
+/// };
+/// let cleared = FleetAlarm { change: Change::Cleared, at_ns: 5_500_000_000, ..raised };
+/// assert_eq!((raised.lasted_s(), cleared.lasted_s()), (None, Some(3.5)));
+/// assert!(AlarmCard::named(raised.alarm).is_some());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
     /// The robot. `None` for the worker.

@@ -37,6 +37,22 @@ type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 /// [`readiness`](Self::readiness) is for programs that wait for something else as well.
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
+///
+/// The [crate](crate)'s page has an example of waiting. A planner with a rhythm of its own takes
+/// what is newest:
+///
+/// ```no_run
+/// # use joulebus_consumer::{Subscriber, WorkerState};
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut subscriber = Subscriber::connect("configs/fleet.toml")?;
+/// subscriber.latest()?;
+/// if subscriber.worker() == WorkerState::Alive && let Some(frame) = subscriber.current() {
+///     let fleet_w: f32 = frame.iter().filter_map(|robot| robot.expected_w()).sum();
+///     println!("the fleet will draw {fleet_w:.0} W");
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Subscriber {
     reader: Reader<Forecasts>,
     waiting: Waiting,

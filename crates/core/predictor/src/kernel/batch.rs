@@ -12,7 +12,15 @@ use crate::features::{Features, INPUTS};
 
 /// Tiling of a batch. It does not change the bits.
 ///
-/// [`Network::with_tiling`](crate::Network::with_tiling) takes one.
+/// ```
+/// # use joulebus_predictor::{Features, Network, Tiling};
+/// # fn example(network: Network, rows: &[Features]) {
+/// let (mut usual_w, mut other_w) = (vec![0.0; rows.len()], vec![0.0; rows.len()]);
+/// network.predict(rows, &mut usual_w);
+/// network.with_tiling(Tiling::BatchMajor).predict(rows, &mut other_w);
+/// assert_eq!(usual_w, other_w);
+/// # }
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
