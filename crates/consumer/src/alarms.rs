@@ -57,7 +57,7 @@ pub struct AlarmChange {
     pub change: Change,
     /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
     pub at_ns: u64,
-    /// When it was raised, ns. Later than that if it already was in the first frame.
+    /// When it was raised, ns. If the first frame had it already, the time of that frame.
     pub raised_ns: u64,
     /// The acknowledgement of this raise, if there is one. Earlier raises do not count.
     pub acknowledged: Option<Acknowledgement>,
@@ -260,7 +260,8 @@ impl AlarmHistory {
         })
     }
 
-    /// The alarms that are raised: robot, alarm, and when it was raised, ns. By robot and alarm.
+    /// The alarms that are raised, in the order of robots and alarms: robot, alarm, and when it was
+    /// raised, ns.
     pub fn raised(&self) -> impl Iterator<Item = (u32, Alarm, u64)> {
         let mut robots: Vec<u32> = self.robots.keys().copied().collect();
         robots.sort_unstable();

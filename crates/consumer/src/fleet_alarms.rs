@@ -12,15 +12,31 @@ use crate::{
     Subscriber, WorkerState,
 };
 
-/// A raise or an end of an alarm, of a robot or of the worker.
+/// A raise or an end of an alarm, of a robot or of the worker. [`FleetAlarms`] passes them on.
 ///
-/// [`FleetAlarms`] has an example.
+/// ```
+/// use joulebus_consumer::wire::{AlarmCard, Level};
+/// use joulebus_consumer::{Change, FleetAlarm};
+///
+/// let raised = FleetAlarm {
+///     robot: None,
+///     alarm: "WorkerStale",
+///     level: Level::Error,
+///     change: Change::Raised,
+///     at_ns: 2_000_000_000,
+///     raised_ns: 2_000_000_000,
+///     acknowledged: None,
+/// };
+/// let cleared = FleetAlarm { change: Change::Cleared, at_ns: 5_500_000_000, ..raised };
+/// assert_eq!((raised.lasted_s(), cleared.lasted_s()), (None, Some(3.5)));
+/// assert!(AlarmCard::named(raised.alarm).is_some());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
     /// The robot. `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]. Of sources `Implausible`. For the worker `WorkerGone`
-    /// or `WorkerStale`. [`AlarmCard::named`] has its meaning.
+    /// Name of the [`joulebus_wire::Alarm`], or `Implausible` for an alarm of a source. Alarms of
+    /// the worker are `WorkerGone` and `WorkerStale`. [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -28,7 +44,8 @@ pub struct FleetAlarm {
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,
-    /// When it was raised, monotonic ns. Later than that if it was when the program began.
+    /// When it was raised, monotonic ns. If that was before the program began, when the program
+    /// first saw it.
     pub raised_ns: u64,
     /// The acknowledgement since it was raised.
     pub acknowledged: Option<Acknowledgement>,

@@ -60,9 +60,9 @@ impl<'a, C: Channel> Frame<'a, C> {
         self.robots.iter()
     }
 
-    /// The robot with the id `robot`, if the frame has it. Usually one look-up in a table that is
-    /// kept from frame to frame. When a robot has moved or is missing, one pass over the frame, at
-    /// most once per frame.
+    /// The robot with the id `robot`, if the frame has it. It usually takes one look-up in a table
+    /// that is kept from frame to frame. When a robot has moved or is missing, it takes one pass
+    /// over the frame, at most once per frame.
     #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&'a C::Row> {
         // Rows of other channels have no robot.

@@ -44,10 +44,10 @@
 //!
 //! **Lifetimes.** A frame lies in shared memory. It is borrowed from the [`Subscriber`], or from
 //! the [`Feed`] of another channel, each of which holds exactly one. It is unchanged until the next
-//! call that takes a newer one. Copy what you need longer: rows are `Copy`. Or keep up to two
-//! frames of forecasts where they lie ([`Subscriber::take_current`]). [`Frame::robot`] takes
-//! constant time while no robots join or leave. Feeds are separate, so that a frame of each may be
-//! borrowed at the same time.
+//! call that takes a newer one. Copy what you need longer: rows are `Copy`. Or keep
+//! up to two frames of forecasts where they lie ([`Subscriber::take_current`]). [`Frame::robot`]
+//! takes constant time while no robots join or leave. Feeds are separate, so that a frame of each
+//! may be borrowed at the same time.
 //!
 //! **Errors** state the remedy: [`ConnectError`] at the start and for a feed, [`ReadError`] later.
 //! After the latter the subscriber remains usable. [`error`] has the errors that they contain.

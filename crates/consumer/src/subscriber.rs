@@ -37,6 +37,22 @@ type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 /// [`readiness`](Self::readiness) is for programs that wait for something else as well.
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
+///
+/// The [crate](crate)'s page has an example of waiting. A planner with a rhythm of its own takes
+/// what is newest:
+///
+/// ```no_run
+/// # use joulebus_consumer::{Subscriber, WorkerState};
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut subscriber = Subscriber::connect("configs/fleet.toml")?;
+/// subscriber.latest()?;
+/// if subscriber.worker() == WorkerState::Alive && let Some(frame) = subscriber.current() {
+///     let fleet_w: f32 = frame.iter().filter_map(|robot| robot.expected_w()).sum();
+///     println!("the fleet will draw {fleet_w:.0} W");
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Subscriber {
     reader: Reader<Forecasts>,
     waiting: Waiting,
@@ -103,9 +119,9 @@ impl Waiting {
 pub enum Event<'a> {
     /// A frame that was not returned before.
     Frame(Frame<'a, Forecasts>),
-    /// The worker has ended. Reported once.
+    /// The worker has ended. This is reported once.
     Gone(End),
-    /// The newest frame is older than two tick periods. Reported once.
+    /// The newest frame is older than two tick periods. This is reported once.
     Stale {
         /// Time since it was sent, ns.
         age_ns: u64,
@@ -179,7 +195,7 @@ impl Subscriber {
         })
     }
 
-    /// Longest time between two looks of a polling subscriber. `None` for one that ticks wake.
+    /// Longest time between two looks of a polling subscriber. `None` if every tick wakes it.
     #[must_use]
     pub const fn look_every(&self) -> Option<Duration> {
         match &self.waiting {
@@ -189,8 +205,8 @@ impl Subscriber {
     }
 
     /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
-    /// signal arrives, or `timeout` is over. Of several frames it returns the newest. Skipped ones
-    /// are counted in [`Frame::arrival`]. A frame takes precedence over the other events.
+    /// signal arrives, or `timeout` is over. It returns the newest of several frames, and counts
+    /// those skipped in [`Frame::arrival`]. A frame takes precedence over the other events.
     /// Allocates nothing.
     ///
     /// # Errors
@@ -300,7 +316,7 @@ impl Subscriber {
     }
 
     /// The longest time to wait for [`Subscriber::readiness`] before [`Subscriber::wait_next`] is
-    /// called anyway. At most 100 ms.
+    /// called anyway. It is at most 100 ms.
     #[must_use]
     pub fn look_within(&self) -> Duration {
         let left_ns = self.next_look_ns().saturating_sub(clock::monotonic_ns());

@@ -48,7 +48,15 @@ pub enum End {
 
 /// Gap before a frame of forecasts.
 ///
-/// [`Frame`](crate::Frame) has an example.
+/// ```no_run
+/// # fn example(frame: &joulebus_consumer::Frame<'_, joulebus_consumer::Forecasts>) {
+/// let arrival = frame.arrival();
+/// if arrival.restarted {
+///     println!("ticks count from 1 again: another run of the worker");
+/// }
+/// println!("{} ticks were missed", arrival.ticks_missed);
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Arrival {

@@ -6,7 +6,7 @@ use joulebus_bus::clock;
 
 /// A time on the grid.
 ///
-/// [`Grid`] and [`Pace`] have examples.
+/// [`Grid`] has an example without a clock, [`Pace`] one with the monotonic clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Slot {

@@ -101,6 +101,35 @@ fn the_check_of_names_finds_a_shared_one() {
     assert!(names["B"][1].contains("soc"));
 }
 
+/// Each public type's page has an example, or a link to the one that shows it.
+#[test]
+fn each_public_type_of_an_sdk_has_an_example_or_names_one() {
+    let mut types = 0;
+    for of in ["publisher", "consumer", "planning/planner", "core/predictor"] {
+        let mut sources = Vec::new();
+        files(&root().join("crates").join(of).join("src"), "rs", &mut sources);
+        for source in sources {
+            let text = fs::read_to_string(source).unwrap();
+            // An item, its attributes and its comment have no empty line between them.
+            for item in text.split("\n\n") {
+                let mut lines = item.lines().filter_map(|line| line.strip_prefix("pub "));
+                let is_type = |line: &&str| {
+                    ["struct ", "enum ", "trait ", "type "]
+                        .iter()
+                        .any(|word| line.starts_with(word))
+                };
+                let Some(line) = lines.find(is_type) else {
+                    continue;
+                };
+                types += 1;
+                let shows = item.contains("/// ```") || item.contains(" has an example");
+                assert!(shows, "{of}: {line} has no example, and no \"[`X`] has an example.\"");
+            }
+        }
+    }
+    assert!(types > 50, "only {types} types were found");
+}
+
 /// `main` prints its error in `Debug` form: of a `Box<dyn Error>` these are the names of fields, of
 /// `anyhow::Error` the message and its causes.
 #[test]

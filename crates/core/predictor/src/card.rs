@@ -115,7 +115,7 @@ impl TrainingRange {
 
 /// Scores on held-out data, of the network and of persistence.
 ///
-/// A [`ModelCard`] has it.
+/// [`ModelCard`] has an example.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Number of forecasts scored.
@@ -138,7 +138,18 @@ const ROBOTARIUM_STEP_S: f32 = 0.033;
 /// Identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
 /// computed and compared by `joulebus_dataset::trained_rows`.
 ///
-/// A [`ModelCard`] has it.
+/// ```
+/// # use joulebus_predictor::ModelCard;
+/// # fn example(card: &ModelCard) {
+/// match &card.trained_rows {
+///     Some(trained) => {
+///         let hashes: usize = trained.blocks.iter().map(|blocks| blocks.hashes.len()).sum();
+///         println!("{} rows, recognised by {hashes} hashes", trained.rows);
+///     }
+///     None => println!("no recording can be recognised"),
+/// }
+/// # }
+/// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrainedRows {
     /// Rows that weights were fitted to or that chose among them, in early stopping.
@@ -149,7 +160,7 @@ pub struct TrainedRows {
 
 /// Hashes of blocks of the same number of rows.
 ///
-/// [`TrainedRows`] has them.
+/// [`TrainedRows`] has an example.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TrainedBlocks {
     /// Rows of each, at least 1.
@@ -160,7 +171,19 @@ pub struct TrainedBlocks {
 
 /// Origin and scores of a network.
 ///
-/// [`Network`](crate::Network) has an example.
+/// ```
+/// use joulebus_predictor::{FeatureSet, INPUTS, ModelCard, Scores, TrainingRange};
+///
+/// let rows = [[1.0; INPUTS], [3.0; INPUTS]];
+/// let card = ModelCard {
+///     name: "courier".to_owned(),
+///     step_s: Some(0.1),
+///     scores: Scores { network_mae_w: 0.2, persistence_mae_w: 0.5, ..Scores::default() },
+///     ..ModelCard::new(TrainingRange::of(FeatureSet::PowerOnly, rows.iter()))
+/// };
+/// assert_eq!(card.period_s(), Some(0.1));
+/// assert!(card.scores.network_mae_w < card.scores.persistence_mae_w);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelCard {
     /// Display name.

@@ -106,7 +106,21 @@ impl ModelError {
 
 /// Errors of rollouts.
 ///
-/// [`Rollouts`](crate::Rollouts) has an example of a rollout.
+/// ```
+/// # use joulebus_predictor::{LAGS, Model, Persistence, ReadingAge, ResidualStats, RolloutStart};
+/// use joulebus_predictor::{RolloutError, Rollouts};
+///
+/// # let model = Model::Persistence(Persistence::new(ResidualStats::default())?);
+/// # let age = ReadingAge::UNKNOWN;
+/// # let start = RolloutStart { command: None, lag_w: [4.0; LAGS], reading_age: age };
+/// // One candidate of one robot is one lane.
+/// let (v_mps, omega_radps) = (&[0.2; 10], &[0.0; 10]);
+/// let rollouts =
+///     Rollouts { starts: &[start], candidates: 1, steps: 10, step_s: 0.5, v_mps, omega_radps };
+/// let refused = model.rollout(&rollouts, 0..2, &mut [0.0; 2], None);
+/// assert_eq!(refused, Err(RolloutError::Lanes { start: 0, end: 2, allowed: 1 }));
+/// # Ok::<(), joulebus_predictor::ModelError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RolloutError {
@@ -135,7 +149,7 @@ pub enum RolloutError {
 
 /// A slice has another length than the others require.
 ///
-/// [`Model::predict_columns`](crate::Model::predict_columns) returns it.
+/// [`Model::predict_columns`](crate::Model::predict_columns) has an example.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{column} has {found} values, allowed: {allowed}")]
 pub struct LengthError {

@@ -12,6 +12,8 @@ pub const FEATURES: usize = 11;
 pub const INPUTS: usize = FEATURES + 2;
 
 /// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. Unknown values are NaN.
+///
+/// [`features`](features()) has an example.
 pub type Features = [f32; INPUTS];
 
 /// Name of each feature with its unit. The power readings come newest first.
@@ -39,6 +41,16 @@ pub const FEATURE_NAMES: [&str; INPUTS] = [
 /// NaN, so that the forecast is visibly invalid instead of plausible and wrong.
 ///
 /// The reading-age features are NaN: [`crate::ReadingAge::fill`] sets them.
+///
+/// ```
+/// use joulebus_predictor::{FEATURE_NAMES, features};
+///
+/// // 0.2 m/s, half a second after 0.1 m/s. The newest reading is 4.2 W.
+/// let row = features(0.2, 0.0, Some((0.1, 0.0, 0.5)), &[4.2, 4.0, 4.0, 4.0, 4.0]);
+/// let value = |name| FEATURE_NAMES.iter().position(|known| *known == name).map(|at| row[at]);
+/// assert_eq!(value("dv_mps2"), Some(0.2));
+/// assert_eq!(value("power_lag1_w"), Some(4.2));
+/// ```
 #[inline(always)]
 pub fn features(
     v_mps: f32,
@@ -109,8 +121,8 @@ impl FeatureSet {
         self.end() - self.first()
     }
 
-    /// Index in [`Features`] of the first feature read. The features up to [`FeatureSet::end`] are
-    /// read.
+    /// Index in [`Features`] of the first feature read. All those from there to
+    /// [`FeatureSet::end`] are read.
     pub const fn first(self) -> usize {
         if self.needs_command() { 0 } else { FEATURES - LAGS }
     }

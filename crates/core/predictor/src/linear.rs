@@ -57,7 +57,7 @@ impl Linear {
     }
 
     /// The forecast of the next reading for one row, W: the bias, then each weight times its
-    /// feature, added in order. Not finite if one of them is not.
+    /// feature, added in order. It is not finite if one of them is not.
     pub fn predict(&self, row: &Features) -> f32 {
         let read = self.feature_set.range();
         canonical(read.fold(self.bias_w, |sum, at| sum + self.weights[at] * row[at]))

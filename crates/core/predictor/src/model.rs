@@ -17,16 +17,16 @@ use crate::rollout::Rollouts;
 /// The forecaster of one platform.
 ///
 /// ```
-/// use joulebus_predictor::{LAGS, Model, Persistence, ResidualStats, features};
+/// use joulebus_predictor::{Model, Persistence, ResidualStats, features};
 ///
 /// let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
 /// let model = Model::Persistence(Persistence::new(residual)?);
-/// // The newest reading comes first.
-/// let row = features(0.2, 0.0, None, &[4.2, 4.0, 4.0, 4.0, 4.0]);
-/// let mut forecast_w = [0.0];
-/// model.predict(&[row], &mut forecast_w);
-/// assert_eq!(forecast_w, [4.2]);
-/// assert_eq!(LAGS, 5);
+/// // A row for each robot: one drives at 0.2 m/s, one stands. The newest reading comes first.
+/// let driving = features(0.2, 0.0, None, &[4.2, 4.0, 4.0, 4.0, 4.0]);
+/// let standing = features(0.0, 0.0, None, &[1.5, 1.5, 1.6, 1.5, 1.5]);
+/// let mut forecasts_w = [0.0; 2];
+/// model.predict(&[driving, standing], &mut forecasts_w);
+/// assert_eq!(forecasts_w, [4.2, 1.5]);
 /// # Ok::<(), joulebus_predictor::ModelError>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -77,6 +77,22 @@ impl Model {
     /// `features[f][i]` is feature `f` of row `i`. The same bits.
     ///
     /// Columns of features that the model does not read ([`Model::feature_set`]) may be empty.
+    ///
+    /// ```
+    /// # use joulebus_predictor::{INPUTS, LengthError, Model, Persistence, ResidualStats};
+    /// # let model = Model::Persistence(Persistence::new(ResidualStats::default())?);
+    /// // Readings of two robots, W.
+    /// let mut columns: [&[f32]; INPUTS] = [&[]; INPUTS];
+    /// for lag in model.feature_set().range() {
+    ///     columns[lag] = &[4.2, 1.5];
+    /// }
+    /// let mut forecasts_w = [0.0; 2];
+    /// model.predict_columns(columns, &mut forecasts_w)?;
+    /// assert_eq!(forecasts_w, [4.2, 1.5]);
+    /// let refused = model.predict_columns(columns, &mut [0.0; 3]);
+    /// assert_eq!(refused, Err(LengthError { column: "power_lag1_w", found: 2, allowed: 3 }));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`LengthError`] where a column that is read, or is not empty, has another length than

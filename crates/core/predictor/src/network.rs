@@ -189,7 +189,7 @@ impl Network {
     }
 }
 
-/// Weights times values, summed in the order of the inputs, plus bias. One for each output.
+/// For each output the weights times values, summed in the order of the inputs, plus bias.
 fn affine(layer: &Layer, values: &[f64]) -> impl Iterator<Item = f64> {
     let rows = layer.weights.chunks_exact(values.len());
     rows.zip(&layer.bias).map(move |(weights, bias)| {

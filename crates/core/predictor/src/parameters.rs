@@ -24,7 +24,7 @@ pub struct Layer {
 pub struct Normalisation {
     /// Mean of each feature, in its unit.
     pub feature_mean: Features,
-    /// Standard deviation of each feature. 0 for a constant feature, which is then ignored.
+    /// Standard deviation of each feature. It is 0 for a constant feature, which is then ignored.
     pub feature_std: Features,
     /// Mean power, W.
     pub power_mean_w: f32,
@@ -34,12 +34,39 @@ pub struct Normalisation {
 
 /// Everything that determines a forecast.
 ///
-/// ```no_run
-/// # fn example(network: &joulebus_predictor::Network) {
-/// let parameters = network.parameters();
-/// println!("power: {} W on average", parameters.normalisation.power_mean_w);
-/// println!("first layer: {} weights", parameters.layers[0].weights.len());
-/// # }
+/// Weights that were trained elsewhere make a [`Network`](crate::Network):
+///
+/// ```
+/// # use joulebus_predictor::{Activation, FeatureSet, HIDDEN, INPUTS, TrainingRange};
+/// use joulebus_predictor::{Layer, ModelCard, Network, Normalisation, Parameters};
+///
+/// # let range = TrainingRange::of(FeatureSet::Full, [[1.0; INPUTS]].iter());
+/// let layer = |inputs, outputs| Layer {
+///     weights: vec![0.01; inputs * outputs],
+///     bias: vec![0.0; outputs],
+/// };
+/// let [first, second, third] = HIDDEN;
+/// let feature_set = FeatureSet::Full;
+/// let parameters = Parameters {
+///     feature_set,
+///     normalisation: Normalisation {
+///         feature_mean: [0.0; INPUTS],
+///         feature_std: [1.0; INPUTS],
+///         power_mean_w: 4.0,
+///         power_std_w: 1.5,
+///     },
+///     activation: Activation::GeluErf,
+///     layers: [
+///         layer(feature_set.inputs(), first),
+///         layer(first, second),
+///         layer(second, third),
+///         layer(third, 1),
+///     ],
+/// };
+/// let network = Network::new(parameters, ModelCard::new(range))?;
+/// // Features of 0 give the mean power.
+/// assert_eq!(network.predict_reference_f32(&[0.0; INPUTS]), 4.0);
+/// # Ok::<(), joulebus_predictor::ModelError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {

@@ -31,11 +31,11 @@ use crate::features::{FEATURES, Features};
 pub struct ReadingAge {
     /// Samples since the last measurement, or [`NEVER`].
     age_steps: u8,
-    /// Samples from one measurement to the next. 0 until two have been seen.
+    /// Samples from one measurement to the next, 0 until two have been seen.
     interval_steps: u8,
 }
 
-/// Value of the age before the first measurement. One more than the maximum age.
+/// Value of the age before the first measurement: one more than the maximum age.
 const NEVER: u8 = u8::MAX;
 
 impl ReadingAge {
@@ -104,7 +104,7 @@ impl ReadingAge {
         self.age_steps != NEVER && self.interval_steps > 0
     }
 
-    /// Samples since the last measurement, 0 to 254. `None` before the first. Saturates at 254.
+    /// Samples since the last measurement, at most 254. `None` before the first.
     pub fn age_steps(&self) -> Option<u8> {
         (self.age_steps != NEVER).then_some(self.age_steps)
     }

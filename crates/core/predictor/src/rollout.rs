@@ -70,7 +70,8 @@ pub struct Rollouts<'a> {
 }
 
 impl Rollouts<'_> {
-    /// Robots times candidates. Saturates: such a number fits no slice and is refused later.
+    /// Robots times candidates. An overflow saturates: that number fits no slice and is refused
+    /// later.
     pub fn lanes(&self) -> usize {
         self.starts.len().saturating_mul(self.candidates)
     }

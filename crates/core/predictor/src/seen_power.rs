@@ -21,7 +21,7 @@ const SPREADS: usize = 16;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SeenPower {
-    /// The newest reading's maximum in training, W, above 0. Scales both axes.
+    /// The newest reading's maximum in training, W, above 0. It scales both axes.
     top_w: u32,
     bits: [u64; LEVELS * SPREADS / 64],
 }

@@ -26,7 +26,7 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     /// A row of a frame.
     type Row: Row;
 
-    /// The robot of a row. None where rows are not of [`FrameRows::Robots`].
+    /// The robot of a row. `None` where rows are not of [`FrameRows::Robots`].
     #[must_use]
     fn robot(row: &Self::Row) -> Option<u32> {
         let id = bytemuck::bytes_of(row).first_chunk();
@@ -98,10 +98,10 @@ pub trait FrameHeader: Row {
     /// Puts the frame at another place, sent by process `pid`.
     fn set_place(&mut self, pid: u32, place: Place);
 
-    /// When the frame was sent, monotonic ns. None where that is not stated.
+    /// When the frame was sent, monotonic ns. `None` where that is not stated.
     fn sent_ns(&self) -> Option<u64>;
 
-    /// When the frame was sent, Unix ns. None where that is not stated.
+    /// When the frame was sent, Unix ns. `None` where that is not stated.
     fn sent_unix_ns(&self) -> Option<u64>;
 
     /// States when the frame is sent, monotonic ns and Unix ns, where it states that.

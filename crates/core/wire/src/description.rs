@@ -28,7 +28,7 @@ pub struct Constant {
     pub name: String,
     /// Its value.
     pub value: u64,
-    /// Its comment, as [`StructLayout::doc`]. Empty for codes.
+    /// Its comment, as [`StructLayout::doc`], empty for codes.
     pub doc: &'static str,
 }
 

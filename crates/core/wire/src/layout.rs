@@ -27,12 +27,12 @@ pub trait Row: Payload {
     /// Its fields in the order of memory, without padding.
     const LAYOUT: StructLayout;
 
-    /// Calls `each` with every [`FieldRole::Instant`]. 0 is one that is not known.
+    /// Calls `each` with every [`FieldRole::Instant`]. An unknown one is 0.
     fn instants(&mut self, each: impl FnMut(&mut u64)) {
         each_at(self, const { &offsets::<Self>([false, true, false]) }, each);
     }
 
-    /// Calls `each` with every [`FieldRole::Run`]. 0 is one that is not known.
+    /// Calls `each` with every [`FieldRole::Run`]. An unknown one is 0.
     fn runs(&mut self, each: impl FnMut(&mut u64)) {
         each_at(self, const { &offsets::<Self>([false, false, true]) }, each);
     }
@@ -125,9 +125,9 @@ pub struct FieldLayout {
     pub name: &'static str,
     /// Its comment, in Markdown: a line of the source is a line.
     pub doc: &'static str,
-    /// Its type. That of the elements, if it is an array.
+    /// Its type, or that of its elements if it is an array.
     pub of: FieldType,
-    /// Elements. `None` if it is no array.
+    /// Number of elements. `None` if it is no array.
     pub elements: Option<usize>,
     /// Bytes from the beginning of the struct.
     pub offset: usize,
@@ -154,9 +154,9 @@ pub struct StructLayout {
 
 /// The type of a field of a row.
 pub trait Described {
-    /// Its own. That of its elements, if it is an array.
+    /// This type, or that of its elements if it is an array.
     const OF: FieldType;
-    /// Elements. `None` if it is no array.
+    /// Number of elements. `None` if it is no array.
     const ELEMENTS: Option<usize> = None;
 }
 

@@ -6,10 +6,10 @@
 //!
 //! | kind | values of the question |
 //! |---|---|
-//! | [`QueryKind::WhatIf`] | the robot's id. Then v in m/s, ω in rad/s for each candidate's steps |
+//! | [`QueryKind::WhatIf`] | the robot's id, then v in m/s, ω in rad/s for each candidate's steps |
 //! | [`QueryKind::Idle`] | ids of the robots |
-//! | [`QueryKind::Follow`] | ids of the robots. Then x in m, y in m, speed to it in m/s per point |
-//! | [`QueryKind::Acknowledge`] | the robot's id. The alarm's code. Then the characters of a name |
+//! | [`QueryKind::Follow`] | ids of the robots, then x in m, y in m, speed to it in m/s per point |
+//! | [`QueryKind::Acknowledge`] | the robot's id, the alarm's code, then the characters of a name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
@@ -44,7 +44,7 @@ pub enum QueryKind {
     WhatIf,
     /// The energy of standing still.
     Idle,
-    /// The energy of a path, and of returning. Of several robots, the best first.
+    /// The energy of a path, and of returning. Several robots are answered best first.
     Follow,
     /// No question: a person acknowledges an alarm, maybe as the [new
     /// normal](query_flag::NEW_NORMAL).
@@ -408,7 +408,7 @@ pub fn push_record(
 /// A record with the values of its question and the words of its answer.
 pub type Record<'a> = (QueryRecord, &'a [f64], &'a [u64]);
 
-/// The records in the payload of a frame. Ends at the first that exceeds it.
+/// The records in the payload of a frame, up to the first that exceeds it.
 pub fn records(mut payload: &[u64]) -> impl Iterator<Item = Record<'_>> {
     std::iter::from_fn(move || {
         let (head, rest) = payload.split_at_checked(RECORD_HEAD_WORDS)?;
@@ -420,7 +420,7 @@ pub fn records(mut payload: &[u64]) -> impl Iterator<Item = Record<'_>> {
     })
 }
 
-/// Rows, powers and refusal's text of an answer. Empty where the header's lengths exceed the words.
+/// Rows, powers and refusal's text of an answer, empty where the header's lengths exceed the words.
 #[must_use]
 pub fn answer_parts<'a>(
     header: &AnswerHeader,

@@ -32,11 +32,11 @@ pub enum DropReason {
     BadFlags,
     /// More samples of one robot in one tick than allowed.
     Backlog,
-    /// Overwritten in the buffer before the worker took it. Known from the frame header.
+    /// Overwritten in the buffer before the worker took it, as known from the frame header.
     Overflow,
     /// The frame has another schema version.
     Schema,
-    /// Sent before the worker was connected. Known from the frame header.
+    /// Sent before the worker was connected, as known from the frame header.
     BeforeJoin,
     /// More sources than the worker tracks.
     TooManySources,
@@ -104,7 +104,7 @@ impl DropCounts {
         self.counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Counts since `earlier`. All counts when `earlier` is of another run.
+    /// Counts since `earlier`, or all counts when `earlier` is of another run.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let mut newer = Self::default();

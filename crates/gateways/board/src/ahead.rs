@@ -39,7 +39,7 @@ impl Metered {
         }
     }
 
-    /// Time and energy since an earlier ledger, s and J. None if time is missing between the two.
+    /// Time and energy since an earlier ledger, s and J. `None` if time is missing between the two.
     fn since(&self, earlier: &Self) -> Option<(f64, f64)> {
         let metered_ns = self.metered_ns.checked_sub(earlier.metered_ns)?;
         let drawn_uj = self.drawn_uj.checked_sub(earlier.drawn_uj)?;

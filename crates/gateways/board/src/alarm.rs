@@ -24,7 +24,7 @@ pub struct AlarmRecord {
     /// The acknowledgement since it was raised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acknowledged: Option<AcknowledgedRecord>,
-    /// What it means and what to do. Only of a raise.
+    /// What it means and what to do, for a raise only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub card: Option<CardRecord>,
 }

@@ -129,7 +129,7 @@ pub struct Row {
     pub budget: Option<Budget>,
     /// The newest reading and the forecast made for it.
     pub point: Option<Point>,
-    /// Points of the last eight seconds, oldest first. Empty in large fleets.
+    /// Points of the last eight seconds, oldest first, and none in large fleets.
     pub track: VecDeque<Point>,
     /// The newest reading minus the forecast published for it, W.
     pub residual_w: Option<f64>,
@@ -147,7 +147,7 @@ pub struct Board {
     pub is_reliable: bool,
     /// Robots by id.
     pub rows: BTreeMap<u32, Row>,
-    /// The newest outlooks by robot. Empty unless they are read.
+    /// The newest outlooks by robot, none unless they are read.
     pub outlooks: HashMap<u32, Outlook>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
     pub raised: BTreeMap<u32, Vec<Raised>>,
@@ -159,7 +159,7 @@ pub struct Board {
     pub stages: Stages,
     /// Latencies of the newest frames, µs, oldest first.
     pub recent_us: VecDeque<u64>,
-    /// Samples that each run of a source has sent, by its epoch. Empty without a tap.
+    /// Samples that each run of a source has sent, by its epoch. It is empty without a tap.
     pub sent: BTreeMap<u64, u64>,
     /// Stamp, ns, and power, W, of the first sample of each frame of the newest run of a source.
     /// Oldest first, and none after the first half an hour. Empty without a tap.
@@ -170,7 +170,7 @@ pub struct Board {
     pub frames_missed: u64,
     /// Number of questions about plans, if the worker reports it.
     pub queries: Option<QueryCounts>,
-    /// Event log: time since the start, s, and text. Oldest first.
+    /// Event log, oldest first: time since the start, s, and text.
     pub notes: VecDeque<(f64, String)>,
     pooled: Pooled,
     ahead: Ahead,

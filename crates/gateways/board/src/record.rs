@@ -99,7 +99,7 @@ pub struct OutlookRecord {
 }
 
 impl OutlookRecord {
-    /// An outlook. What is unknown is none.
+    /// An outlook. Unknown values are `None`.
     #[must_use]
     pub fn new(outlook: &Outlook) -> Self {
         let joules = |of: [f32; OUTLOOK_HORIZONS]| of.map(|joules| known(joules.into()));

@@ -18,7 +18,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A destination of the fleet's values: the topics of a broker, or those of ROS 2.
 pub(crate) trait Sink: Send {
-    /// Publishes whatever is due. Never blocks. Called at least every 100 ms.
+    /// Publishes whatever is due, without blocking. It is called at least every 100 ms.
     fn publish(&mut self, board: &Board, times: Times);
 
     /// Counts what could not be published by the end.

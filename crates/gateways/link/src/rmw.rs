@@ -33,8 +33,8 @@ use crate::protocol::rmw::{
 
 /// Index of frames that are no message.
 const NOTICE: u32 = u32::MAX;
-/// Maximum size of a message that is passed on, bytes. Of a longer one so many bytes are passed on
-/// and one more: the bridge refuses it.
+/// Maximum size of a message that is passed on, bytes. A longer one is cut to one byte more, so
+/// that the bridge refuses it.
 const MAX_BYTES: usize = 65_536;
 /// Maximum size of the line that names all topics, bytes.
 const MAX_ASKED_BYTES: u64 = 8 << 20;
@@ -267,7 +267,7 @@ fn announce(token: &Sample, seen: &mut HashSet<String>) {
     }
 }
 
-/// Writes a frame to the bridge. That it no longer reads is seen at the end of stdin.
+/// Writes a frame to the bridge. A failure is ignored: the bridge has ended, and stdin ends too.
 fn pass_on(index: u32, message: &[u8]) {
     static OUTPUT: Mutex<()> = Mutex::new(());
     let _whole = lock(&OUTPUT);

@@ -176,7 +176,7 @@ impl<'a> Section<'a> {
         self.values.names(&path) || self.values.sections.contains_key(&path)
     }
 
-    /// A problem of a key of this section. Of the section itself if `name` is empty.
+    /// A problem of a key of this section, or of the section itself if `name` is empty.
     #[must_use]
     pub fn problem(&self, name: &str, what: String, remedy: &str) -> Problem {
         let (key, remedy) = (self.shown(name), remedy.to_owned());
@@ -193,7 +193,7 @@ impl<'a> Section<'a> {
         self.values.sections.contains_key(&path).then(|| Self { path, ..self.clone() })
     }
 
-    /// A section of this section. With the defaults of its keys if the file does not have it.
+    /// A section of this section. If the file does not have it, its keys have their defaults.
     #[must_use]
     pub fn or_defaults(&self, name: &str) -> Self {
         Self { path: self.path(name), ..self.clone() }
@@ -250,7 +250,7 @@ impl<'a> Section<'a> {
         T::deserialize(StrDeserializer::<Error>::new(&text)).ok()
     }
 
-    /// A list of texts. Empty if it is not set.
+    /// A list of texts, empty if it is not set.
     #[must_use]
     pub fn texts(&self, name: &str) -> Vec<Text> {
         let Some(Value::Texts(texts)) = self.values.get(&self.path(name)) else {

@@ -224,14 +224,14 @@ impl Config {
     }
 
     /// The keys that a platform of [`Config::settings`] sets, each value with its origin, for
-    /// [`platform_file`](crate::platform_file). Empty if there is no such platform.
+    /// [`platform_file`](crate::platform_file), none if there is no such platform.
     #[must_use]
     pub fn platform_keys(&self, platform: usize) -> &[Assignment] {
         self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
     }
 
-    /// How recordings of a platform of [`Config::settings`] are read. Empty if it does not say, or
-    /// if there is no such platform.
+    /// How recordings of a platform of [`Config::settings`] are read. No option is set if the
+    /// config does not say, or if there is no such platform.
     #[must_use]
     pub fn recordings(&self, platform: usize) -> RecordingOptions {
         self.recordings.get(platform).cloned().unwrap_or_default()
@@ -450,7 +450,7 @@ impl Builder<'_> {
         })
     }
 
-    /// The platform's limits. Of those that it does not set, the fleet's.
+    /// The platform's limits, and the fleet's where the platform sets none.
     fn limits(&self, fleet: &Self) -> Option<AlarmLimits> {
         let limit = |name: &str| {
             let own = self.single(&format!("platform.alarms.{name}"));

@@ -474,8 +474,8 @@ fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     )
 }
 
-/// Room for the robots that the platforms list, unless the file states how many. Without that for
-/// [`UNASKED_ROBOTS`] at most.
+/// Room for as many robots as the file states. If it states no number, room for those that the
+/// platforms list, at most [`UNASKED_ROBOTS`].
 pub(crate) fn room(read: &FleetFile) -> Option<u32> {
     match read.values.get("fleet.capacity") {
         Some(_) => read.values.integer("fleet.capacity"),

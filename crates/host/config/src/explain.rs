@@ -14,7 +14,7 @@ pub struct Explanation {
     pub key: &'static str,
     /// The file that it belongs to.
     pub file: File,
-    /// Unit. Empty if there is none.
+    /// Unit, empty if there is none.
     pub unit: &'static str,
     /// Allowed values, as text.
     pub range: String,

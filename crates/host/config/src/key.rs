@@ -11,14 +11,14 @@ use crate::cpus;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Key {
     /// Its path, sections separated by dots. Keys of a platform file begin with `platform.`, which
-    /// is omitted in that file. Of a section with several names they are separated by `|`. `*` is
-    /// any name.
+    /// is omitted in that file. `|` separates the names of a section that has several. `*` is any
+    /// name.
     pub path: &'static str,
     /// The file that it belongs to.
     pub file: File,
     /// Kind and range of its value.
     pub kind: ValueKind,
-    /// Unit of the value. Empty if there is none.
+    /// Unit of the value, empty if there is none.
     pub unit: &'static str,
     /// Its default.
     pub default: DefaultValue,

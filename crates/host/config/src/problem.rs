@@ -17,7 +17,7 @@ pub struct Problem {
     pub file: String,
     /// The line, from 1. `None` if something is missing from the whole file.
     pub line: Option<usize>,
-    /// The key, with its sections. Empty if the text is not TOML.
+    /// The key, with its sections, or nothing if the text is not TOML.
     pub key: String,
     /// The found and the allowed value.
     pub what: String,
@@ -82,13 +82,13 @@ pub enum ConfigError {
     /// The config is refused.
     #[error("{}", listed(.0))]
     Refused(
-        /// All problems. At least one.
+        /// All problems, at least one.
         Vec<Problem>,
     ),
 }
 
 impl ConfigError {
-    /// All problems. Empty if the file could not be read.
+    /// All problems, none if the file could not be read.
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         match self {

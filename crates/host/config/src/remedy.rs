@@ -139,7 +139,7 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
 /// length.
 const MAX_PATH_BYTES: usize = 100;
 
-/// The keys that a file may set, each with a path of its own. Without a file all keys.
+/// The keys that a file may set, or all keys without a file, each with a path of its own.
 fn allowed(file: Option<File>) -> impl Iterator<Item = (String, &'static Key)> {
     let keys = keys().filter(move |key| file.is_none_or(|file| file.allows(key)));
     keys.flat_map(|key| key.paths().into_iter().map(move |path| (path, key)))

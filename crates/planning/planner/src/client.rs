@@ -66,7 +66,7 @@ pub struct Answered {
     pub worker_epoch: u64,
     /// Tick of the plan states.
     pub tick: u64,
-    /// Tick of the budgets. 0 without any.
+    /// Tick of the budgets, 0 without any.
     pub budget_tick: u64,
     /// Age of the plan states when the answer was sent, ns.
     pub age_ns: u64,
@@ -162,7 +162,8 @@ impl PlanClient {
     /// Does not wait.
     ///
     /// # Errors
-    /// [`ClientError`]. The question is given up. At the end of its time [`QueryError::TimedOut`].
+    /// [`ClientError`], which is [`QueryError::TimedOut`] at the end of its time. The question is
+    /// given up then.
     pub fn poll(&mut self) -> Result<Option<Answered>, ClientError> {
         let Some(asked) = self.asked.take() else {
             return Ok(None);

@@ -14,7 +14,26 @@ use joulebus_wire::AnswerHeader;
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
 /// reader of shared memory. The [`Robot`]s that it gives do not.
 ///
-/// The [crate](crate)'s page has an example.
+/// The [crate](crate)'s page asks one robot. To find the robot for a task, ask all:
+///
+/// ```no_run
+/// # use std::time::Duration;
+/// # use joulebus_planner::Planner;
+/// use joulebus_plan::{Path, Point, rank};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut planner = Planner::connect("configs/fleet.toml")?;
+/// let view = planner.wait(Duration::from_secs(1))?;
+/// let robots: Vec<_> = view.ids().filter_map(|id| view.robot(id)).collect();
+/// // In m, at 0.2 m/s, and back to the dock. The intervals cover 90 %.
+/// let dock = Point::new(0.0, 0.0);
+/// let path = Path::new(&[dock, Point::new(2.0, 1.0)], 0.2);
+/// if let Some(best) = rank(&robots, &path, Some(dock), 0.9)?.first() {
+///     println!("robot {}: {:?}", best.robot, best.trip.answer.verdict);
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Planner {
     subscriber: Subscriber,
     states: Feed<PlanStates>,

@@ -332,7 +332,7 @@ impl Encoder {
         self.word(number, 1);
     }
 
-    /// Writes a number, except 0. Floats always.
+    /// Writes a number unless it is 0. A float is always written.
     #[inline]
     fn number(&mut self, field: &Field, of: Number, from: &[u8]) {
         let (key, used) = field.key;

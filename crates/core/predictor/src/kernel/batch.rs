@@ -12,12 +12,20 @@ use crate::features::{Features, INPUTS};
 
 /// Tiling of a batch. It does not change the bits.
 ///
-/// [`Network::with_tiling`](crate::Network::with_tiling) takes one.
+/// ```
+/// # use joulebus_predictor::{Features, Network, Tiling};
+/// # fn example(network: Network, rows: &[Features]) {
+/// let (mut usual_w, mut other_w) = (vec![0.0; rows.len()], vec![0.0; rows.len()]);
+/// network.predict(rows, &mut usual_w);
+/// network.with_tiling(Tiling::BatchMajor).predict(rows, &mut other_w);
+/// assert_eq!(usual_w, other_w);
+/// # }
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Rows output-major. Columns batch-major with an output-major remainder. The fastest for every
-    /// batch, and the default.
+    /// Output-major for rows. Batch-major for columns, with an output-major remainder. This is the
+    /// fastest for every batch, and the default.
     ByInput,
     /// Batch-major for whole vectors of robots: a vector holds one value of several robots.
     BatchMajor,

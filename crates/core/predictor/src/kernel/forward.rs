@@ -1,9 +1,9 @@
 //! Forward pass for a tile of robots, in two tilings.
 //!
 //! - [`BatchMajor`]: a vector holds one value of several robots. Every value of a layer is a
-//!   column. Weights are broadcast. Fastest in bulk.
+//!   column, and weights are broadcast. It is the fastest in bulk.
 //! - [`OutputMajor`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the
-//!   inputs of up to four robots broadcast. Fastest for a few robots.
+//!   inputs of up to four robots broadcast. It is the fastest for a few robots.
 //!
 //! Both perform the operations of [`Network::predict_reference_f32`](crate::Network) in its order,
 //! for each robot separately.

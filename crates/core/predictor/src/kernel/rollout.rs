@@ -20,7 +20,8 @@ const WIDEST: usize = 32;
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
-/// Lanes `first..first + energy_j.len()` of checked rollouts. `R` and `C` as in [`BatchMajor`].
+/// Lanes `first..first + energy_j.len()` of checked rollouts, with the `R` and `C` of
+/// [`BatchMajor`].
 pub(crate) struct Roll<'a, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) range: &'a TrainingRange,

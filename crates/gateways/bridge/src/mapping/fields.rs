@@ -9,7 +9,7 @@ use crate::mapping::units::{Quantity, Unit};
 /// The position of a value in a document.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Place {
-    /// JSON pointer (RFC 6901). Empty for the whole document.
+    /// JSON pointer (RFC 6901), empty for the whole document.
     pub(crate) pointer: String,
     /// A second one, for documents without the first.
     pub(crate) or: Option<&'static str>,

@@ -4,7 +4,7 @@
 //! Commands and readings arrive in messages of their own, each at its own rate. A sample is made of
 //! the newest ones:
 //! - A reading that was in no sample yet is a new measurement, made when its message arrived,
-//!   because a robot's clock is not this host's. Of several readings between two samples the newest
+//!   because a robot's clock is not this host's. The newest of several readings between two samples
 //!   counts.
 //! - The same reading again is *held* until `reading_holds_s`. Then the sample has none, and the
 //!   worker bridges the gap.

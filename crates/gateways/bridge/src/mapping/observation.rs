@@ -3,7 +3,7 @@
 /// A power, and what it measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PowerReading {
-    /// W. Out of the battery is positive.
+    /// The power, W, positive out of the battery.
     pub(crate) power_w: f32,
     /// What the power is of.
     pub(crate) of: PowerOf,

@@ -19,7 +19,7 @@ const MISSED_NS: u64 = 5_000_000_000;
 const RATE_NS: u64 = 5_000_000_000;
 /// Factor by which the rate differs from the one that was told, before it is told again.
 const OTHER_RATE: f64 = 1.5;
-/// How far a message's stamp may lie from the clock. Of a fast simulation, clock and message come
+/// How far a message's stamp may lie from the clock. In a fast simulation, clock and message come
 /// far apart.
 const NEAR_NS: u64 = 10_000_000_000;
 

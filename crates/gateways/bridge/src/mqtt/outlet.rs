@@ -20,7 +20,7 @@ pub(crate) struct Outgoing {
     pub(crate) expires_s: Option<u32>,
 }
 
-/// Hands messages to the connection. Never blocks.
+/// Hands messages to the connection, without blocking.
 #[derive(Debug)]
 pub(crate) struct Outlet {
     queue: Mutex<VecDeque<Outgoing>>,

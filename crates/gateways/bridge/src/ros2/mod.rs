@@ -49,7 +49,7 @@ pub(crate) use reading::{CLOCK_TOPIC, Reading};
 pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
 
-/// Maximum number of queued messages of a topic. Of several between two samples the newest counts.
+/// Maximum number of queued messages of a topic. The newest of several between two samples counts.
 const READ_DEPTH: i32 = 16;
 /// Minimum and maximum number of messages of a topic that are kept for readers that have not
 /// acknowledged them. RustDDS also keeps as many of a latched topic until its first reader comes.

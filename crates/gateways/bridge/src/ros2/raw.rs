@@ -8,7 +8,7 @@ use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAda
 
 use crate::mapping::ros::incoming::Received;
 
-/// Plain CDR. Of other encodings the reader only reports that a message came.
+/// Plain CDR. For other encodings the reader only reports that a message came.
 const ENCODINGS: &[RepresentationIdentifier] =
     &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE];
 

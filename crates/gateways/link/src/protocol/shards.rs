@@ -8,7 +8,7 @@ pub(crate) struct Shard {
     pub(crate) name: String,
     /// Names of the links of its candidates: the worker and its standbys.
     pub(crate) workers: Vec<String>,
-    /// First and last ids, sorted and disjoint. Empty if hashing assigns the robots.
+    /// First and last ids, sorted and disjoint, or none if hashing assigns the robots.
     pub(crate) robots: Vec<(u32, u32)>,
 }
 
@@ -48,7 +48,7 @@ impl Shards {
         self.digest
     }
 
-    /// The shard of a robot. With lists `None` if no shard has it.
+    /// The shard of a robot. `None` if no shard lists it.
     pub(crate) fn of_robot(&self, robot: u32) -> Option<usize> {
         if !self.is_hashed {
             let has = |shard: &Shard| {

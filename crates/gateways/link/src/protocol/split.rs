@@ -16,7 +16,7 @@ struct Account {
     /// When it was last used, counted in frames of all sources.
     used: u64,
     all: u64,
-    /// Samples sent to each shard before its next frame. From it a shard's worker detects losses.
+    /// Samples sent to each shard before its next frame, by which its worker detects losses.
     of_shards: Vec<u64>,
 }
 

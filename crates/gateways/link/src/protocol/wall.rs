@@ -17,7 +17,7 @@ const INEXACT_NS: u64 = 100;
 /// This host's realtime clock, with the bound between the clocks of two hosts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RealtimeClock {
-    /// Realtime minus monotonic, ns. Never 0.
+    /// Realtime minus monotonic, ns, never 0.
     pub(crate) realtime_ns: u64,
     pub(crate) within_ns: u64,
 }

@@ -91,7 +91,7 @@ pub(super) struct Place {
 }
 
 impl Connections {
-    /// Takes a slot for a connection. One of the reserve if requests in progress take all others.
+    /// Takes a slot for a connection, from the reserve if requests in progress take all others.
     pub(super) fn enter(self: &Arc<Self>) -> Place {
         let mut open = self.lock();
         let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;

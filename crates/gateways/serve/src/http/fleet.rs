@@ -30,7 +30,7 @@ pub(super) struct FleetRecord {
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
     recorders: Option<Vec<Recorder>>,
-    /// Scores of the outlooks that clients have asked for, by horizon. None if none were compared.
+    /// Scores of the outlooks that clients have asked for, by horizon, if any were compared.
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
 }
 

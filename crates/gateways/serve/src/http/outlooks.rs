@@ -10,7 +10,7 @@ const PATIENCE_NS: u64 = 1_000_000_000;
 /// of most scrapers.
 const LEAVE_AFTER_NS: u64 = 90_000_000_000;
 
-/// Takes the outlooks. None if they do not arrive.
+/// Takes the outlooks: an empty list if they do not arrive.
 pub(super) type Reply = oneshot::Sender<Vec<Outlook>>;
 
 /// Requests for outlooks.

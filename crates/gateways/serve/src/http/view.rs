@@ -20,7 +20,7 @@ pub(super) struct View {
     pub(super) descending: bool,
     /// Empty: all.
     search: String,
-    /// Selected levels by [`Level::code`]. None selected means all.
+    /// Selected levels by [`Level::code`]. If none is selected, all are.
     levels: [bool; 4],
     pub(super) from: usize,
     count: usize,

@@ -1,5 +1,5 @@
 //! Announcements of other participants: topics of robots that the mapping does not have, or of
-//! another type. And that of this one: the node of the graph.
+//! another type. It also announces this participant as a node of the graph.
 
 use serde::Serialize;
 

@@ -32,8 +32,8 @@ const NOT_DIAGNOSED: [&str; 8] = [
     "unmetered_s",
 ];
 
-/// The values of a robot among the diagnostics, beside its alarms. Not those of outlooks, which the
-/// worker would have to compute.
+/// The values of a robot among the diagnostics, beside its alarms. Those of outlooks are not among
+/// them, because the worker would have to compute them.
 fn diagnosed() -> impl Iterator<Item = &'static str> {
     value_names().filter(|name| !NOT_DIAGNOSED.contains(name) && !is_of_outlook(name))
 }
