@@ -170,6 +170,8 @@ describe("a fleet of 20 robots", () => {
       await entry.locator("button.alarm").click();
       await dialog.getByLabel("Your name").fill("ann");
       assert.deepEqual(await axeFindings(page), []);
+      // Only of an alarm of the robot's own level.
+      assert.equal(await dialog.getByRole("button", { name: "New normal" }).isVisible(), false);
       await dialog.getByRole("button", { name: "Acknowledge" }).click();
       await dialog.waitFor({ state: "hidden" });
       await entry.getByText("acknowledged by ann").waitFor();

@@ -70,8 +70,7 @@ pub(crate) struct Args {
     /// Who acknowledges it [default: the user's name, from the environment]
     #[arg(long, value_name = "NAME", requires = "acknowledge")]
     by: Option<String>,
-    /// The alarm ends, and what the robot draws from now on is its own level, as with a payload:
-    /// of LevelHigh and LevelLow
+    /// The power is the robot's new normal, as with a payload: LevelHigh or LevelLow ends
     #[arg(long, requires = "acknowledge")]
     new_normal: bool,
 }

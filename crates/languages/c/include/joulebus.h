@@ -135,7 +135,9 @@
 #define JOULEBUS_QUERY_HEADING 0x2u
 /** One robot's: the power of every step is wanted. */
 #define JOULEBUS_QUERY_POWER 0x4u
-/** All bits that this version knows. */
+/** Of an acknowledgement: the level that the robot has now is its own from here on. */
+#define JOULEBUS_QUERY_NEW_NORMAL 0x8u
+/** All bits of a question about a plan that this version knows. */
 #define JOULEBUS_QUERY_ALL 0x7u
 
 /** mean_j, lo_j and hi_j are known. */

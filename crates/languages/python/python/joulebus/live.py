@@ -348,7 +348,7 @@ class Planner(_Connection):
     ) -> None:
         """Acknowledges a raised alarm in the name of the person `by`, until the alarm ends.
         Everybody sees who acknowledged it, and when. With `new_normal` a ``LevelHigh`` or
-        ``LevelLow`` ends: the robot is compared with its present power from now on, as with a payload.
+        ``LevelLow`` ends: from now on the robot is compared with its present power.
 
         ``RuntimeError`` if the alarm is not raised or cannot be the new normal, or no worker takes
         it within `timeout` seconds.
