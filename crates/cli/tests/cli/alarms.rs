@@ -40,6 +40,17 @@ fn publish(fleet: &Fleet) {
 }
 
 #[test]
+fn the_workers_log_has_one_line_for_an_alarm_of_many_robots() {
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    fleet.output("publish sim --robots 10 --duration 1").exits(0);
+    worker.wait_for_stderr("alarm raised of 10 robots");
+    let log = stderr(&worker.end(Signal::TERM).exits(0));
+    let mut lines = log.lines().filter(|line| line.contains("NoData") && line.contains("raised"));
+    assert!(lines.all(|line| line.contains("of 10 robots") && line.contains("0-9")), "{log}");
+}
+
+#[test]
 fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     let fleet = Fleet::new();
     let (hook, capture) = (fleet.path("told"), fleet.path("run.mcap"));
