@@ -64,6 +64,8 @@ const LEASE_NS: u64 = 30_000_000_000;
 const ANNOUNCE_PAUSE: Duration = Duration::from_millis(1);
 /// Maximum number of remembered writers. They are remembered so that each is counted once.
 const MAX_ANNOUNCED: usize = 100_000;
+/// Time without any message after which the log names the usual reason.
+const SILENCE: Duration = Duration::from_secs(5);
 /// Maximum memory of this process, bytes. A thousand robots take a tenth of it.
 const MAX_DATA_BYTES: u64 = 1 << 30;
 
@@ -81,6 +83,9 @@ const CYCLONE: [u8; 2] = [1, 0x10];
 
 /// The open participant and its readers.
 pub(crate) struct Ros2 {
+    /// Announces the node to participants that come later. Dropped before the participant, without
+    /// which RustDDS logs an error.
+    graph: Option<DdsWriter>,
     participant: DomainParticipant,
     reading: Reading,
     incoming: Vec<Incoming>,
@@ -90,8 +95,6 @@ pub(crate) struct Ros2 {
     services: Vec<(DataReader<Received, Raw>, String)>,
     /// The topic of each of our endpoints, for error messages.
     endpoints: HashMap<GUID, String>,
-    /// Announces the node to participants that come later.
-    graph: Option<DdsWriter>,
 }
 
 impl Ros2 {
@@ -320,6 +323,7 @@ impl Ros2 {
         let mut events = pin!(listener.as_async_status_stream());
         let mut seen = HashSet::new();
         let encoding = Reason::WrongEncoding;
+        let (mut silence, mut has_looked) = (pin!(sleep(SILENCE)), messages.is_empty());
         loop {
             tokio::select! {
                 Some((of, read)) = messages.next() => match read {
@@ -341,8 +345,24 @@ impl Ros2 {
                     Err(error) => return Err(Ros2Error::Ended(error)),
                 },
                 Some(event) = events.next() => self.heed(event, &mut seen),
+                () = &mut silence, if !has_looked => {
+                    has_looked = true;
+                    self.warn_if_silent();
+                }
                 () = closed(&self.reading.shared) => return Ok(()),
             }
+        }
+    }
+
+    /// Robots on another middleware are invisible.
+    fn warn_if_silent(&self) {
+        if self.reading.shared.messages() == 0 {
+            tracing::warn!(
+                domain_id = self.participant.domain_id(),
+                "no message of a robot has come by DDS in {} s. For robots on rmw_zenoh_cpp, set \
+                 RMW_IMPLEMENTATION=rmw_zenoh_cpp for the bridge too",
+                SILENCE.as_secs()
+            );
         }
     }
 

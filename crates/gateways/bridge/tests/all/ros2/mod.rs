@@ -352,7 +352,11 @@ fn late_subscriber(start: impl FnOnce(&RosDomain) -> Peer) {
         array["status"].as_array().unwrap().iter().filter(|it| is_known(it)).count()
             == ROBOTS as usize
     });
-    let report = bridge.end().json();
+    // Nobody publishes commands.
+    bridge.wait_for_line("no message of a robot has come by DDS");
+    let ended = bridge.end();
+    assert!(!ended.errors().contains("Cannot remove Writer"), "{ended:?}");
+    let report = ended.json();
     assert_eq!(report["not_written"], 0, "{report}");
     source.end();
     worker.stop();

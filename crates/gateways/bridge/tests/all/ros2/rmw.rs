@@ -107,7 +107,7 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
 fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_has_zenoh() {
     let Some(python) = cyclonedds() else { return };
     let (fleet, address) = (Fleet::new(), format!("tcp/127.0.0.1:{}", free_port()));
-    let _worker = fleet.worker();
+    let mut worker = fleet.worker();
     let mut bridge = bridge(&fleet, &address, &file(), OPEN);
     bridge.wait_for_line("no zenoh router and no other node is reached");
     let mut peer = Peer::within(&python, &address);
@@ -123,6 +123,8 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
     let ended = bridge.wait();
     assert_eq!(ended.code(), Some(1), "{ended:?}");
     assert!(ended.errors().contains("joulebus-link rmw-zenoh has ended: signal: 9"), "{ended:?}");
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
 
 /// Subscribers as rmw_zenoh has them for latched topics: zenoh-ext's, which ask for the history.
@@ -130,7 +132,7 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
 fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() {
     let Some(python) = cyclonedds() else { return };
     let (fleet, address) = (Fleet::with_robots(101), format!("tcp/127.0.0.1:{}", free_port()));
-    let _worker = fleet.worker();
+    let mut worker = fleet.worker();
     let mut early = Peer::within(&python, &address);
     let latched = json!({
         "hear": "/diagnostics", "type": "DiagnosticArray", "transient_local": true, "depth": 1,
@@ -162,4 +164,6 @@ fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() 
         assert_eq!(arrays, 1);
     }
     bridge.stop();
+    worker.stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
