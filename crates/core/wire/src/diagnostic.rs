@@ -231,8 +231,8 @@ pub enum Alarm {
 }
 
 names! {
-    /// All alarms that can be raised, in the order of their codes. The most important of a
-    /// level comes first.
+    /// All alarms that can be raised, in the order of their codes. The most important of a level
+    /// comes first.
     pub Alarm:
         NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
         OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical

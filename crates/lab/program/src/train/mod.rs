@@ -99,9 +99,9 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on files of recordings that were judged before, by the default recipe. Returns the split, or none
-/// if the run was interrupted. `full` states that velocities are recorded. A few trials are split
-/// in time, because there is none to hold out.
+/// Trains on files of recordings that were judged before, by the default recipe. Returns the split,
+/// or none if the run was interrupted. `full` states that velocities are recorded. A few trials are
+/// split in time, because there is none to hold out.
 ///
 /// # Errors
 /// The recordings cannot be read or are too few, or the model cannot be written.
