@@ -37,6 +37,12 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     objects.map(|entry| entry.path()).chain(root).collect()
 }
 
+/// Removes a file or a folder, as others may do at the same time.
+pub fn remove(path: &Path) {
+    let removed = std::fs::remove_file(path).or_else(|_| std::fs::remove_dir_all(path));
+    assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
+}
+
 /// The `joulebus` program beside `program`, another one of the same build. Built if it is missing.
 pub fn joulebus_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();

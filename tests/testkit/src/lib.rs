@@ -21,7 +21,8 @@ pub mod trials;
 
 pub use certificates::certificates;
 pub use child::{
-    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, link_beside, run,
+    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, link_beside,
+    remove, run,
 };
 pub use confined::{MemoryGroup, as_in_docker};
 pub use end_signals::{end_signals, ignores};

@@ -1,20 +1,14 @@
 //! Files of a running fleet that are removed, as by `rm` or systemd-logind's `RemoveIPC`: running
 //! processes detect it and exit with the reason, and processes started afterwards work.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use joulebus_testkit::remove;
 use joulebus_tests::{Arena, Child, ReaderLine, Setup, Spread, eventually, figure};
 use rustix::process::Signal;
 
 const NOTICED: &str = "while this process used it";
-
-fn remove(path: &Path) {
-    let removed = fs::remove_file(path).or_else(|_| fs::remove_dir_all(path));
-    // The fleet may have removed files of a directory at the same time.
-    assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
-}
 
 /// Removes the fleet's objects in shared memory with such a suffix.
 fn remove_objects(arena: &Arena, end: &str) {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use joulebus_testkit::{Child, Ended, MemoryGroup, as_in_docker, eventually};
+use joulebus_testkit::{Child, Ended, MemoryGroup, as_in_docker, eventually, remove};
 use serde_json::Value;
 
 use crate::host::{
@@ -399,6 +399,22 @@ fn the_next_link_works_when_the_kernel_has_killed_one_for_memory() {
     }
     planner.leave();
     desk.end();
+}
+
+#[test]
+fn a_link_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+    let (here, there, address) = (Host::new(), Host::new(), free_address());
+    let mut worker = here.worker();
+    let mut links =
+        [here.link(&of_worker(&address, &[])), there.link(&of_other("desk", &address, FOLLOW))];
+    for host in [&here, &there] {
+        host.stale_files().iter().for_each(|path| remove(path));
+    }
+    for link in &mut links {
+        let ended = link.wait();
+        assert!(ended.code() == Some(1) && ended.errors().contains("RemoveIPC"), "{ended:?}");
+    }
+    assert_eq!(worker.wait().code(), Some(1));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::net::{TcpListener, TcpStream};
 use std::thread;
 use std::time::Duration;
 
-use joulebus_testkit::{Child, MemoryGroup, as_in_docker, eventually};
+use joulebus_testkit::{Child, MemoryGroup, as_in_docker, eventually, remove};
 use rumqttc::QoS;
 use serde_json::Value;
 
@@ -106,6 +106,18 @@ fn the_next_bridge_works_when_the_kernel_has_killed_one_for_memory() {
         }
     }
     worker.stop();
+}
+
+#[test]
+fn a_bridge_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
+    fleet.stale_files().iter().for_each(|path| remove(path));
+    let ended = bridge.wait();
+    assert!(ended.code() == Some(1) && ended.errors().contains("RemoveIPC"), "{ended:?}");
+    assert_eq!(worker.wait().code(), Some(1));
 }
 
 #[test]

@@ -104,15 +104,6 @@ impl Fleet {
         Child::spawn("serve", command)
     }
 
-    /// Removes its shared memory, as logind does when a user logs out.
-    pub(crate) fn remove(&self) {
-        for path in self.stale_files() {
-            let removed = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
-            // Members may have removed it at the same time.
-            assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
-        }
-    }
-
     /// Files left behind by the fleet.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let domain = self.config.domain().unwrap();

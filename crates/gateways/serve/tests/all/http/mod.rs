@@ -16,7 +16,9 @@ use std::process::Command;
 use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_connect::findings::FindingsFile;
-use joulebus_testkit::{MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, says};
+use joulebus_testkit::{
+    MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, remove, says,
+};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -520,7 +522,7 @@ fn a_server_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
         let mut worker = fleet.worker();
         let mut server = fleet.serve_alone(words);
         server.wait_for_line(" fleet http");
-        fleet.remove();
+        fleet.stale_files().iter().for_each(|path| remove(path));
         let ended = server.wait();
         assert_eq!(ended.code(), Some(1), "{words:?}: {ended:?}");
         assert!(ended.text().is_empty(), "{words:?}: {ended:?}");
