@@ -197,7 +197,7 @@ impl Summary {
         writeln!(out, "energy     ahead, if each robot goes on as now: error of the energy, %")?;
         writeln!(
             out,
-            "  {:<22}{:>7}{:>14}{:>13}{:>8}{:>16}",
+            "  {:<22}{:>7}{:>13}{:>12}{:>8}{:>16}",
             "over", "outlook", "last reading", "mean of 5 s", "inside", "interval score"
         )?;
         let percent = |share: Option<f64>| {
@@ -206,7 +206,7 @@ impl Summary {
         let mut row = |scores: &AheadScores, label: &str| {
             writeln!(
                 out,
-                "  {:<22}{:>7}{:>14}{:>13}{:>8}{:>16}",
+                "  {:<22}{:>7}{:>13}{:>12}{:>8}{:>16}",
                 format!("{} s{label}", scores.horizon_s),
                 percent(scores.error),
                 percent(scores.last_reading_error),
