@@ -89,6 +89,9 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
         let what = format!("{:?} is named twice: every link needs a name of its own", twice.name);
         return Err(UsageError(what).into());
     }
+    if !args.replace {
+        connect_to(&worker.endpoint(args.port), &args.out, others)?;
+    }
     let (authority, new_authority) = authority(&args.out)?;
     let mut reports = Vec::new();
     for host in &hosts {
@@ -119,6 +122,25 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
     let folder = args.out.clone();
     output.report(&InitReport { folder, new_authority, hosts: reports, add_to_worker })?;
     Ok(Outcome::Done)
+}
+
+/// Refuses a new address of the worker's host while files from before name another one.
+fn connect_to(endpoint: &str, folder: &Path, others: &[Host<'_>]) -> anyhow::Result<()> {
+    for file in others.iter().map(|host| folder.join(host.name).join("link.toml")) {
+        if file.exists() {
+            let text = joulebus_files::read_to_string(&file, MAX_BYTES)
+                .with_context(|| file.display().to_string())?;
+            if !text.contains(&format!("{endpoint:?}")) {
+                let what = format!(
+                    "{} was there before, and does not connect to {endpoint}. Name the address and --port as \
+                     before, or write all files and certificates anew with --replace",
+                    file.display()
+                );
+                return Err(UsageError(what).into());
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The authority of the folder, made if it has none.

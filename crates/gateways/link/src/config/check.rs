@@ -28,8 +28,7 @@ impl Check {
             joulebus_files::read_to_string(&path, MAX_FILE_BYTES).map(drop)
         };
         if let Err(error) = read {
-            let remedy = "docs/how-to/standby.md has what each file contains, and the commands that make \
-                          the fleet's certificates";
+            let remedy = "docs/how-to/hosts.md has the command that makes the fleet's certificates";
             self.add(text.problem(&format!("cannot be read: {error}"), remedy));
         }
         path

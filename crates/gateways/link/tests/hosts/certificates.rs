@@ -246,8 +246,11 @@ fn init_writes_files_and_certificates_that_check_compares() {
     }
     let key = |host: &Host, name: &str| host.read(&format!("made/{name}/{name}.key"));
     let before = key(&host, "edge-1");
+    // Its file has another port, so the new host would connect elsewhere.
+    let refused = init(&["edge-2"]);
+    assert!(refused.code() == Some(2) && refused.errors().contains("--replace"), "{refused:?}");
     // What is there stays, so that it may have been copied and changed.
-    let more = init(&["edge-2"]);
+    let more = init(&["edge-2", "--port", "17447"]);
     assert!(more.text().contains("from = \"edge-2\""), "{more:?}");
     assert_eq!(key(&host, "edge-1"), before);
     assert_eq!(init(&["--replace", "--days", "1"]).code(), Some(0));

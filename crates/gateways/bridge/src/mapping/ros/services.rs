@@ -287,7 +287,7 @@ mod tests {
         };
         let (alarm, by) = (Alarm::StuckSensor, "Ada".to_owned());
         assert_eq!(of("StuckSensor"), Ok(Request::Acknowledge { robot: 1, alarm, by }));
-        assert!(of("WorkerGone").unwrap_err().contains("allowed are "));
+        assert!(of("WorkerGone").unwrap_err().contains("Allowed are "));
     }
 
     #[test]
