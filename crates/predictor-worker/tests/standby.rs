@@ -150,9 +150,15 @@ impl Scene {
         let begun = Instant::now();
         while !condition(worker) {
             worker.turn().unwrap();
-            assert!(begun.elapsed() < PATIENCE, "{what}: not after {PATIENCE:?}");
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "{what}: not after {PATIENCE:?}. {:?} sent, {:?} frames, {:?} looks, accounts {:?}",
+                self.sent,
+                self.frames,
+                self.looks,
+                self.accounts()
+            );
         }
-        let _ = self;
     }
 
     /// Waits until the planner has read all that was sent before: it may get no processor for a
