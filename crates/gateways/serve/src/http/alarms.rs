@@ -137,4 +137,13 @@ mod tests {
             assert!(is_known(name), "{name} is no alarm");
         }
     }
+
+    #[test]
+    fn the_page_offers_the_new_normal_of_each_alarm_that_can_have_one() {
+        let named: Vec<&str> =
+            Alarm::ALL.into_iter().filter(|alarm| alarm.is_of_level()).map(Alarm::name).collect();
+        let line = format!("const OF_LEVEL = {};", serde_json::json!(named)).replace(',', ", ");
+        let page = include_str!("../../page/card.js");
+        assert!(page.contains(&line), "the page needs {line}");
+    }
 }
