@@ -20,7 +20,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 
 def source(file):
     """The source of a crate, whose folder is not named."""
-    found = [path for path in (ROOT / "crates").glob(f"**/{file}") if "target" not in path.parts]
+    found = [path for path in (ROOT / "crates").glob(f"**/{file}") if "target" not in path.relative_to(ROOT).parts]
     if len(found) != 1:
         sys.exit(f"{file}: {len(found)} files of that name below crates/, wanted 1")
     return found[0]
