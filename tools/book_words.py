@@ -103,7 +103,9 @@ def sources():
         text = (ROOT / path).read_text()
         for tool, kind, name in dict.fromkeys(re.findall(r"^<!-- (?:generated (?:in part )?by (tools/\w+\.py)|(figures|benchmark): (\w+) -->)", text, re.MULTILINE)):
             is_benchmark = kind == "benchmark" or name == "worth"
-            yield path, name or "tables", f"`{tool}`" if tool else "`docs/measured/benchmark.csv`" if is_benchmark else f"`docs/figures/{name}.json`"
+            folder = "docs/figures/campaigns" if (ROOT / f"docs/figures/campaigns/{name}.json").exists() else "docs/figures"
+            file = "docs/measured/benchmark.csv" if is_benchmark else "configs/models" if name == "models" else f"{folder}/{name}.json"
+            yield path, name or "tables", f"`{tool or file}`"
 
 
 def sections(commits, revisions):
