@@ -45,7 +45,7 @@ MODELS = ROOT / "configs/models"
 BASELINE = FIGURES / "bare.tsv"
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 BENCHMARK = ROOT / "docs/measured/benchmark.csv"
-INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.%]+))? -->).*?(<!-- /figure -->)")
+INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.,%]+))? -->).*?(<!-- /figure -->)")
 BENCHMARK_BLOCK = re.compile(r"(<!-- benchmark: (\w+) -->\n).*?(<!-- end of benchmark -->)", re.DOTALL)
 SPREAD = ("p50", "p99", "p999", "max")
 
@@ -317,7 +317,7 @@ def model_file(file):
 def models():
     """What the files of the models that ship state."""
     found, cards = [], {}
-    for file in sorted(MODELS.glob("*.safetensors")):
+    for file in sorted(MODELS.glob("*.safetensors"), key=lambda file: file.stem):
         card = cards[file.stem] = model_file(file)
         rate = re.search(r"([\d.]+) Hz", card["training_data"])
         powers = [place for place, name in enumerate(card["features"].split(",")) if name.startswith("power_lag")]
@@ -347,7 +347,7 @@ def shipped(suite):
     for name, card in suite["cards"].items():
         robot, *_, licence = card["source"].split(", ") if ", " in card["source"] else ("simulated GTernal", "")
         data = f"simulation, seed {card['seed']}" if not licence else f"{card['training_data'].split()[0]} recordings, {licence}"
-        rows.append([f"`builtin:{name}`", robot, f"{of['period_ms', name]:.5g} ms", data,
+        rows.append([f"`builtin:{name}`", robot, f"{round(of['period_ms', name], 2):g} ms", data,
                       f"{watts(of['lowest_w', name])} to {watts(of['highest_w', name])} W", INPUTS[card["feature_set"]]])
     return table(["model", "robot", "period", "trained on", "range of power in the training", "inputs"], rows)
 
@@ -452,7 +452,9 @@ def value(suites, file, name, case, quantile, shown):
 
 
 def benchmark_table(what):
-    """A table of docs/measured/benchmark.md."""
+    """A table of docs/measured/benchmark.md, or that of docs/reference/models.md."""
+    if what == "models":
+        return shipped_scores()
     with open(BENCHMARK) as file:
         rows = list(csv.DictReader(file))
     tasks, forecasters = unique(row["task"] for row in rows), unique(row["forecaster"] for row in rows)
@@ -469,6 +471,23 @@ def benchmark_table(what):
     }[what]
     body = [[task, *(cell(of[task, name]) if (task, name) in of else "–" for name in names)] for task in tasks]
     return table(["task", *names], body)
+
+
+def shipped_scores():
+    """Scores of the models of real robots on the trials that they hold out: docs/reference/models.md."""
+    of = benchmark()
+    number = lambda value, form=".3f": format(value, form).replace("-", "−").replace("%", " %")
+    bounded, names = ["joulebus (online)", "joulebus (network)", "persistence"], ["AR(5)", "ridge, AR(5) + velocities", "mean so far"]
+    bounds = lambda column, case: f"{number(of[column, case])} [{number(of[f'{column}_lo', case])}, {number(of[f'{column}_hi', case])}]"
+    rows = []
+    for robot in ("robotino", "husky", "rover"):
+        case = lambda name: f"{robot}/trial, {name}"
+        online = case("joulebus (online)")
+        beside = 1 - (1 - of["r2", online]) / (1 - of["r2", case("AR(5)")])
+        rows.append([robot, f"{of['rows', online]:,.0f}", *(bounds("r2", case(name)) for name in bounded), *(number(of["r2", case(name)]) for name in names),
+                     bounds("skill", online), number(beside), number(of["coverage", online], ".1%"), number(of["energy_bias", online], ".1%")])
+    return table(["model", "rows", "R² online", "network", "persistence", "AR(5)", "ridge, AR(5) + velocities", "mean so far",
+                  "skill of online against persistence", "against AR(5)", "coverage of the 90 % interval", "energy"], rows)
 
 
 def worth():
