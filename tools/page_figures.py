@@ -307,6 +307,13 @@ def unfinished_campaigns():
     return problems
 
 
+def unwritten_blocks():
+    """Blocks of pages that nothing writes."""
+    written = {*RENDER, *WRITERS, *campaigns(), "worth"}
+    return [f"{name}: nothing writes the block {match[2]}: docs/figures/campaigns/{match[2]}.json is missing"
+            for name, page in pages().items() for match in BLOCK.finditer(page.read_text()) if match[2] not in written]
+
+
 def model_file(file):
     """The metadata of a model's file."""
     with open(file, "rb") as opened:
@@ -359,10 +366,20 @@ RENDER = {
     "gate": gate,
 }
 
+# Blocks whose rows another program writes into the page, or a test compares with it.
+ENERGY, FORECASTS = "tools/energy_tables.py", "tools/forecast_tables.py"
+WRITERS = {
+    "energy_halves": ENERGY, "energy_groups": ENERGY, "outlooks": ENERGY, "verdicts": ENERGY, "starts": ENERGY,
+    "forecasts": FORECASTS, "online_learning": FORECASTS,
+    "freshness": "joulebus-eval --example freshness", "mission": "joulebus mission",
+    "plant": "every_figure_of_the_paper_is_within_its_band_on_average_and_in_the_docs",
+}
+
 
 # What is no sentence: blocks and figures that are filled in, code, comments, targets of links.
 FILLED = [
-    re.compile(r"<!-- (figures|benchmark|cards|doors|keys)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (figures|benchmark)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (cards|doors|keys)\b[^>]*-->.*?<!-- \1\b[^>]*-->", re.DOTALL),
     re.compile(r"^ *```.*?^ *```", re.DOTALL | re.MULTILINE),
     re.compile(r"<!-- figure: .*?<!-- /figure -->"),
     re.compile(r"<!--.*?-->", re.DOTALL),
@@ -695,7 +712,7 @@ def check(folder, write):
                                 "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
-        problems += missing_tests() + wrong_commands() + missing_pins() + unfinished_campaigns()
+        problems += missing_tests() + wrong_commands() + missing_pins() + unfinished_campaigns() + unwritten_blocks()
     if stale:
         print(f"fewer bare figures than {BASELINE.relative_to(ROOT)} says, so --write: {', '.join(stale)}")
     for problem in problems:
