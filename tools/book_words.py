@@ -16,6 +16,8 @@ import re
 import subprocess
 import textwrap
 
+import page_figures
+
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs/measured/book.md"
 DOORS = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "RELEASING.md", "RELIABILITY.md", "SECURITY.md"]
@@ -103,7 +105,10 @@ def sources():
         text = (ROOT / path).read_text()
         for tool, kind, name in dict.fromkeys(re.findall(r"^<!-- (?:generated (?:in part )?by (tools/\w+\.py)|(figures|benchmark): (\w+) -->)", text, re.MULTILINE)):
             is_benchmark = kind == "benchmark" or name == "worth"
-            yield path, name or "tables", f"`{tool}`" if tool else "`docs/measured/benchmark.csv`" if is_benchmark else f"`docs/figures/{name}.json`"
+            folder = "docs/figures/campaigns" if (ROOT / f"docs/figures/campaigns/{name}.json").exists() else "docs/figures"
+            file = "docs/measured/benchmark.csv" if is_benchmark else "configs/models" if name == "models" else f"{folder}/{name}.json"
+            file = page_figures.WRITERS.get(name, file)
+            yield path, name or "tables", f"`{tool or file}`"
 
 
 def sections(commits, revisions):

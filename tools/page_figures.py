@@ -15,6 +15,8 @@ with commit and date. All files are of one commit and one machine (tools/gate_co
 
 The second has a file, a figure's name, its case, a quantile (p50 if none is named) and a format of Python. With `*`
 min and max are those of all cases. `benchmark` is docs/measured/benchmark.csv: a column, [task, forecaster].
+`models` is what the files in configs/models state. docs/figures/campaigns/NAME.json has what was measured once,
+with date, command and the rows of its table: {date, command, machine, corner, columns: {name: {title, format}}, rows}.
 What a missing file would have stays as it is. A bare figure is a number with a unit in a sentence or
 a table that is in neither marker. Code, the journal and generated pages have none, nor has
 a paragraph, an item of a list or a row of a table with `<!-- definition -->`. docs/figures/bare.tsv has their number
@@ -30,6 +32,7 @@ import fnmatch
 import json
 import pathlib
 import re
+import struct
 import sys
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
@@ -37,10 +40,12 @@ import figures  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs/figures"
+CAMPAIGNS = FIGURES / "campaigns"
+MODELS = ROOT / "configs/models"
 BASELINE = FIGURES / "bare.tsv"
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 BENCHMARK = ROOT / "docs/measured/benchmark.csv"
-INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.%]+))? -->).*?(<!-- /figure -->)")
+INLINE = re.compile(r"(<!-- figure: (\w+)\.(\w+)(?:\[([^\]]*)\])?(?:\.(\w+))?(?::([\w.,%]+))? -->).*?(<!-- /figure -->)")
 BENCHMARK_BLOCK = re.compile(r"(<!-- benchmark: (\w+) -->\n).*?(<!-- end of benchmark -->)", re.DOTALL)
 SPREAD = ("p50", "p99", "p999", "max")
 
@@ -243,16 +248,138 @@ def spreads(suite):
     return "\n\n".join(parts)
 
 
+def shown_cell(value, form):
+    if value is None:
+        return "–"
+    return value if isinstance(value, str) else format(value, form).replace("%", " %").replace("-", "−")
+
+
+def campaign(suite):
+    """The table of docs/figures/campaigns/NAME.json."""
+    columns = suite["columns"].values()
+    body = [[case, *(shown_cell(value, column.get("format", "")) for value, column in zip(values, columns, strict=True))]
+            for case, values in suite["rows"].items()]
+    return table([suite["corner"], *(column["title"] for column in columns)], body)
+
+
+def expanded(suite):
+    """A campaign with the figures of its rows, as other files have them."""
+    found = [{"name": name, "case": case, "unit": "", "format": column.get("format", ""), "p50": value}
+             for case, values in suite.get("rows", {}).items()
+             for (name, column), value in zip(suite["columns"].items(), values) if not isinstance(value, str)]
+    return suite | {"reports": [{"figures": found}]}
+
+
+FAULTS = {"none": "none", "extra_load": "extra load +{:.0%}", "drift": "drift +{:.0%}/min", "gain": "gain +{:.0%}",
+          "stuck_sensor": "stuck sensor", "dropout": "dropout"}
+
+
+def alarms(suite):
+    """Limits and delays of `joulebus calibrate --format json`."""
+    def cell(delay):
+        times = [delay["median_s"], delay["q90_s"]]
+        return ", ".join([f"{delay['found']:.0%}", *(["–" if time is None else f"{time:.1f}" for time in times] if times != [None, None] else [])])
+
+    detectors, limits = ("calibrated", "textbook", "power", "voltage"), suite["thresholds"]
+    head = ["calibrated", f"textbook, {suite['textbook_per_robot_h']:.0f} false alarms an hour",
+            *(name + (f", false in {false:.0%}" if (false := limits[f"{name}_false"]) else "") for name in detectors[2:])]
+    rows = [[FAULTS[delays["fault"]].format(delays.get("share")), *(cell(delays[name]) for name in detectors)] for delays in suite["delays"]]
+    chosen = [[f"`{limit['key']}`", f"{limit['before']:g}", f"{limit['value']:g}"] for limit in suite["limits"]]
+    return "\n\n".join([table(["limit", "default then", "calibrated"], chosen), table(["fault", *head], rows).replace("%", " %")])
+
+
+def campaigns():
+    return {file.stem: expanded(json.loads(file.read_text())) for file in sorted(CAMPAIGNS.glob("*.json"))}
+
+
+def unfinished_campaigns():
+    """Campaigns that do not say when and how they were measured, or that no page includes."""
+    texts = [page.read_text() for page in pages().values()]
+    problems = []
+    for name, suite in campaigns().items():
+        file = f"{(CAMPAIGNS / name).relative_to(ROOT)}.json"
+        problems += [f"{file}: no {key}" for key in ("date", "command") if not suite.get(key)]
+        including = [text for text in texts if f"<!-- figures: {name} -->" in text or f"<!-- figure: {name}." in text]
+        if not including:
+            problems.append(f"{file}: no page includes it, so remove it")
+        elif not any(" ".join(suite.get("command", "").split()) in " ".join(text.split()) for text in including):
+            problems.append(f"{file}: no page that includes it has its command")
+    return problems
+
+
+def unwritten_blocks():
+    """Blocks of pages that nothing writes."""
+    written = {*RENDER, *WRITERS, *campaigns(), "worth"}
+    return [f"{name}: nothing writes the block {match[2]}: docs/figures/campaigns/{match[2]}.json is missing"
+            for name, page in pages().items() for match in BLOCK.finditer(page.read_text()) if match[2] not in written]
+
+
+def model_file(file):
+    """The metadata of a model's file."""
+    with open(file, "rb") as opened:
+        (length,) = struct.unpack("<Q", opened.read(8))
+        return json.loads(opened.read(length))["__metadata__"]
+
+
+def models():
+    """What the files of the models that ship state."""
+    found, cards = [], {}
+    for file in sorted(MODELS.glob("*.safetensors"), key=lambda file: file.stem):
+        card = cards[file.stem] = model_file(file)
+        rate = re.search(r"([\d.]+) Hz", card["training_data"])
+        powers = [place for place, name in enumerate(card["features"].split(",")) if name.startswith("power_lag")]
+        bound = lambda key, pick: pick(float(card[key].split(",")[place]) for place in powers)
+        its = {
+            "period_ms": 1e3 * float(card["step_s"]) if "step_s" in card else 1e3 / float(rate[1]),
+            "lowest_w": bound("feature_min", min), "highest_w": bound("feature_max", max),
+            "network_mae_mw": 1e3 * float(card["score_network_mae_w"]), "network_r2": float(card["score_network_r2"]),
+            "persistence_mae_mw": 1e3 * float(card["score_persistence_mae_w"]), "persistence_r2": float(card["score_persistence_r2"]),
+            "rows": int(card["score_rows"]),
+        }
+        found += [{"name": name, "case": file.stem, "unit": "", "p50": value} for name, value in its.items()]
+    return {"reports": [{"figures": found}], "cards": cards}
+
+
+INPUTS = {
+    "full": "velocities, five readings", "power_only": "five readings",
+    "freshness": "velocities, five readings, the age of the reading",
+}
+
+
+def shipped(suite):
+    """The models that ship: docs/reference/models.md."""
+    of = {(figure["name"], figure["case"]): figure["p50"] for figure in suite["reports"][0]["figures"]}
+    watts = lambda power: f"{power:,.{0 if power == 0 or power >= 1000 else 1}f}"
+    rows = []
+    for name, card in suite["cards"].items():
+        robot, *_, licence = card["source"].split(", ") if ", " in card["source"] else ("simulated GTernal", "")
+        data = f"simulation, seed {card['seed']}" if not licence else f"{card['training_data'].split()[0]} recordings, {licence}"
+        rows.append([f"`builtin:{name}`", robot, f"{round(of['period_ms', name], 2):g} ms", data,
+                      f"{watts(of['lowest_w', name])} to {watts(of['highest_w', name])} W", INPUTS[card["feature_set"]]])
+    return table(["model", "robot", "period", "trained on", "range of power in the training", "inputs"], rows)
+
+
 RENDER = {
+    "models": shipped, "alarms": alarms,
     "kernel": kernel, "tick": tick, "rollout": rollout, "peers": peers, "instructions": instructions,
     "plan": spreads, "questions": spreads, "learning": tick, "latency": spreads, "transport": spreads,
     "gate": gate,
 }
 
+# Blocks whose rows another program writes into the page, or a test compares with it.
+ENERGY, FORECASTS = "tools/energy_tables.py", "tools/forecast_tables.py"
+WRITERS = {
+    "energy_halves": ENERGY, "energy_groups": ENERGY, "outlooks": ENERGY, "verdicts": ENERGY, "starts": ENERGY,
+    "forecasts": FORECASTS, "online_learning": FORECASTS,
+    "freshness": "joulebus-eval --example freshness", "mission": "joulebus mission",
+    "plant": "every_figure_of_the_paper_is_within_its_band_on_average_and_in_the_docs",
+}
+
 
 # What is no sentence: blocks and figures that are filled in, code, comments, targets of links.
 FILLED = [
-    re.compile(r"<!-- (figures|benchmark|cards|doors|keys)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (figures|benchmark)\b[^>]*-->.*?<!-- end\b[^>]*-->", re.DOTALL),
+    re.compile(r"<!-- (cards|doors|keys)\b[^>]*-->.*?<!-- \1\b[^>]*-->", re.DOTALL),
     re.compile(r"^ *```.*?^ *```", re.DOTALL | re.MULTILINE),
     re.compile(r"<!-- figure: .*?<!-- /figure -->"),
     re.compile(r"<!--.*?-->", re.DOTALL),
@@ -307,6 +434,14 @@ def suites(folder):
     return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
 
 
+def known_suites(folder):
+    """The files of one run, the campaigns, and what the models' files state."""
+    measured, once = suites(folder), campaigns()
+    if twice := sorted(measured.keys() & (once.keys() | {"models"})):
+        sys.exit(f"{CAMPAIGNS.relative_to(ROOT)}: {', '.join(twice)} is in {folder.name} too, so rename it")
+    return measured | once | {"models": models()}
+
+
 def benchmark():
     """docs/measured/benchmark.csv by column and [task, forecaster]."""
     with open(BENCHMARK) as file:
@@ -322,19 +457,21 @@ def value(suites, file, name, case, quantile, shown):
     else:
         reports = suites.get(file, {"reports": []})["reports"]
         of = {(figure["name"], figure["case"]): figure for report in reports for figure in report["figures"]}
-    found = [figure.get(quantile) for (known, its), figure in of.items()
-             if known == name and (case is None or fnmatch.fnmatchcase(its, case))]
-    found = [number for number in found if isinstance(number, (int, float))]
+    found = [figure for (known, its), figure in of.items() if known == name and (case is None or its == case or fnmatch.fnmatchcase(its, case))]
+    shown = next((figure["format"] for figure in found if "format" in figure), None) if shown is None else shown
+    found = [number for figure in found if isinstance(number := figure.get(quantile), (int, float))]
     if len(found) > 1 and quantile in ("min", "max"):
         found = [min(found) if quantile == "min" else max(found)]
     if len(found) != 1:
         return None
-    text = format(found[0], shown) if shown else figures.shown(found[0])
+    text = figures.shown(found[0]) if shown is None else format(found[0], shown)
     return text.replace("%", " %").replace("-", "−")
 
 
 def benchmark_table(what):
-    """A table of docs/measured/benchmark.md."""
+    """A table of docs/measured/benchmark.md, or that of docs/reference/models.md."""
+    if what == "models":
+        return shipped_scores()
     with open(BENCHMARK) as file:
         rows = list(csv.DictReader(file))
     tasks, forecasters = unique(row["task"] for row in rows), unique(row["forecaster"] for row in rows)
@@ -351,6 +488,23 @@ def benchmark_table(what):
     }[what]
     body = [[task, *(cell(of[task, name]) if (task, name) in of else "–" for name in names)] for task in tasks]
     return table(["task", *names], body)
+
+
+def shipped_scores():
+    """Scores of the models of real robots on the trials that they hold out: docs/reference/models.md."""
+    of = benchmark()
+    number = lambda value, form=".3f": format(value, form).replace("-", "−").replace("%", " %")
+    bounded, names = ["joulebus (online)", "joulebus (network)", "persistence"], ["AR(5)", "ridge, AR(5) + velocities", "mean so far"]
+    bounds = lambda column, case: f"{number(of[column, case])} [{number(of[f'{column}_lo', case])}, {number(of[f'{column}_hi', case])}]"
+    rows = []
+    for robot in ("robotino", "husky", "rover"):
+        case = lambda name: f"{robot}/trial, {name}"
+        online = case("joulebus (online)")
+        beside = 1 - (1 - of["r2", online]) / (1 - of["r2", case("AR(5)")])
+        rows.append([robot, f"{of['rows', online]:,.0f}", *(bounds("r2", case(name)) for name in bounded), *(number(of["r2", case(name)]) for name in names),
+                     bounds("skill", online), number(beside), number(of["coverage", online], ".1%"), number(of["energy_bias", online], ".1%")])
+    return table(["model", "rows", "R² online", "network", "persistence", "AR(5)", "ridge, AR(5) + velocities", "mean so far",
+                  "skill of online against persistence", "against AR(5)", "coverage of the 90 % interval", "energy"], rows)
 
 
 def worth():
@@ -387,9 +541,10 @@ def filled(name, text, suites, absent, problems):
         begin, file, end = match.groups()
         if file == "worth":
             return f"{begin}{worth()}\n{end}"
-        if file not in suites or file not in RENDER:
+        render = RENDER.get(file, campaign if "rows" in suites.get(file, {}) else None)
+        if file not in suites or render is None:
             return match[0]
-        return f"{begin}{date(suites[file])}{RENDER[file](suites[file])}\n{end}"
+        return f"{begin}{date(suites[file])}{render(suites[file])}\n{end}"
 
     def inline(match):
         begin, *figure, end = match.groups()
@@ -407,7 +562,10 @@ def filled(name, text, suites, absent, problems):
 
 
 def date(suite):
-    """Day and commit of a file's run."""
+    """Day and commit of a file's run, or day and machine of a campaign."""
+    if "command" in suite:
+        day = datetime.date.fromisoformat(suite["date"])
+        return f"Measured on {day.day} {day:%B %Y}{', ' + suite['machine'] if 'machine' in suite else ''}.\n\n"
     return f"{suite['date']}, commit {suite['commit'][:8]}. " if "commit" in suite else ""
 
 
@@ -529,8 +687,8 @@ def missing_pins():
 
 
 def check(folder, write):
-    known, absent, problems, stale = suites(folder), set(), [], []
-    problems += of_one_run(known) if folder == FIGURES else []
+    known, absent, problems, stale = known_suites(folder), set(), [], []
+    problems += of_one_run(suites(folder)) if folder == FIGURES else []
     for name, page in pages().items():
         before = page.read_text()
         after = filled(name, before, known, absent, problems)
@@ -554,7 +712,7 @@ def check(folder, write):
                                 "Include a figure of docs/figures, or add <!-- definition -->. "
                                 "Where text has moved between pages: --write")
         stale = [name for name, count in (allowed or {}).items() if now.get(name, 0) < count]
-        problems += missing_tests() + wrong_commands() + missing_pins()
+        problems += missing_tests() + wrong_commands() + missing_pins() + unfinished_campaigns() + unwritten_blocks()
     if stale:
         print(f"fewer bare figures than {BASELINE.relative_to(ROOT)} says, so --write: {', '.join(stale)}")
     for problem in problems:
@@ -589,7 +747,7 @@ def main():
         for number, figure in bare((ROOT / given.bare).read_text()):
             print(f"{given.bare}:{number}: {figure}")
     elif given.names is not None:
-        for file, suite in suites(given.figures).items():
+        for file, suite in known_suites(given.figures).items():
             for figure in (figure for report in suite["reports"] for figure in report["figures"] if file.startswith(given.names)):
                 print(f"{file}.{figure['name']}[{figure['case']}]  {figures.shown(figure['p50'])} {figure['unit']}")
     else:
