@@ -143,9 +143,16 @@ impl RobotState {
 
 /// Last published sequence number and stamp of each robot. When there are twice as many robots as a
 /// frame holds, those not published for longest are forgotten.
+///
+/// Frames name the robots of a fleet in the same order, so a robot is looked for behind the one
+/// before it first.
 #[derive(Debug)]
 pub(crate) struct Registry {
-    robots: HashMap<u32, Last>,
+    robots: Vec<(u32, Last)>,
+    /// Place of each robot.
+    places: HashMap<u32, usize>,
+    /// Place behind the last robot's.
+    next: usize,
     most: usize,
     /// Number and stamp from which a robot continues that is new, or was forgotten, ns.
     seq_floor: u64,
@@ -164,7 +171,9 @@ impl Registry {
     /// For frames of at most `capacity` robots.
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
-            robots: HashMap::new(),
+            robots: Vec::new(),
+            places: HashMap::new(),
+            next: 0,
             most: capacity.saturating_mul(2),
             seq_floor: 0,
             stamp_floor_ns: 0,
@@ -174,7 +183,8 @@ impl Registry {
     /// The sample of `state` in frame `frame`, issued at `now_ns`. Allocates for robots that are
     /// new. `None` when the frame has the robot already.
     pub(crate) fn sample(&mut self, state: &RobotState, frame: u64, now_ns: u64) -> Option<Sample> {
-        let before = self.robots.get(&state.robot).copied();
+        let place = self.place(state.robot);
+        let before = place.map(|place| self.robots[place].1);
         if before.is_some_and(|last| last.frame == frame) {
             return None;
         }
@@ -194,19 +204,35 @@ impl Registry {
             measured_ns: state.power_w.map(|_| measured_ns).or(repeated_ns),
             frame,
         };
-        self.robots.insert(state.robot, last);
+        self.set(place, (state.robot, last));
         Some(sample(state, seq, stamp_ns, measured_ns))
+    }
+
+    fn place(&self, robot: u32) -> Option<usize> {
+        let is_next = self.robots.get(self.next).is_some_and(|(next, _)| *next == robot);
+        if is_next { Some(self.next) } else { self.places.get(&robot).copied() }
+    }
+
+    fn set(&mut self, place: Option<usize>, robot: (u32, Last)) {
+        let place = place.unwrap_or(self.robots.len());
+        if let Some(known) = self.robots.get_mut(place) {
+            *known = robot;
+        } else {
+            self.places.insert(robot.0, place);
+            self.robots.push(robot);
+        }
+        self.next = place + 1;
     }
 
     /// Forgets the half that was not published for longest. A robot that comes back continues above
     /// the numbers and stamps of all that were forgotten, so its own still rise.
     fn forget_half(&mut self) {
-        let mut frames: Vec<u64> = self.robots.values().map(|last| last.frame).collect();
+        let mut frames: Vec<u64> = self.robots.iter().map(|(_, last)| last.frame).collect();
         let (_, median, _) = frames.select_nth_unstable(self.most / 2);
         // A frame holds at most half as many robots: some are older, and those of this frame stay.
         let oldest = *median;
         let (seq_floor, stamp_floor_ns) = (&mut self.seq_floor, &mut self.stamp_floor_ns);
-        self.robots.retain(|_, last| {
+        self.robots.retain(|(_, last)| {
             let stays = last.frame >= oldest;
             if !stays {
                 *seq_floor = (*seq_floor).max(last.seq + 1);
@@ -214,6 +240,8 @@ impl Registry {
             }
             stays
         });
+        let places = self.robots.iter().enumerate();
+        self.places = places.map(|(place, (robot, _))| (*robot, place)).collect();
     }
 }
 
