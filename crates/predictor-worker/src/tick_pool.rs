@@ -4,16 +4,19 @@
 //! another thread, and this thread runs every part that no other has begun by then: waking a thread
 //! takes longer than the tick of a thousand robots.
 
-use std::cell::Cell;
-use std::sync::Mutex;
+use std::cell::OnceCell;
+use std::sync::{Arc, Mutex};
 
-use joulebus_bus::{Scheduling, clock, schedule_thread};
+use joulebus_bus::{Scheduling, ThreadsApart, clock, schedule_thread};
 use joulebus_fleet::{Accounts, Batch, Outputs, Shard, Stage};
 use joulebus_wire::Forecast;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// Minimum number of robots per part: two tiles.
-const MIN_ROBOTS: usize = 1024;
+/// Minimum number of robots per part.
+const MIN_ROBOTS: usize = 256;
+/// How many times as many robots as for forecasts the second pass is shared from. Until then the
+/// other processors are left to the planners that the forecasts have woken.
+const ACCOUNTS_FROM: usize = 8;
 /// Parts per thread, so that a thread that wakes late still finds work.
 const PARTS: usize = 8;
 
@@ -21,6 +24,8 @@ const PARTS: usize = 8;
 #[derive(Debug)]
 pub struct TickPool {
     scratch: Vec<Mutex<ThreadScratch>>,
+    /// The other threads. `None` if each has a CPU by the config, or there is none.
+    apart: Option<Arc<ThreadsApart>>,
     /// Minimum number of robots of a parallel tick.
     from: usize,
 }
@@ -47,10 +52,14 @@ pub(crate) struct StageTimes(pub [u64; Stage::ALL.len()]);
 thread_local! {
     /// The pool of this thread. A thread cannot leave its pool: the pool lasts as long as the
     /// thread, and later tick pools of the thread use it.
-    static POOL: Cell<Option<ThreadPool>> = const { Cell::new(None) };
+    static POOL: OnceCell<(ThreadPool, Option<Arc<ThreadsApart>>)> = const { OnceCell::new() };
 }
 
-fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPoolBuildError> {
+fn pool(
+    threads: usize,
+    scheduling: Scheduling,
+    apart: Option<Arc<ThreadsApart>>,
+) -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .num_threads(threads)
         .use_current_thread()
@@ -58,6 +67,10 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
         .start_handler(move |place| {
             if let Err(refused) = schedule_thread(&scheduling, place) {
                 tracing::warn!("{refused}");
+            }
+            // The calling thread has place 0.
+            if let Some((apart, other)) = apart.as_ref().zip(place.checked_sub(1)) {
+                apart.join(other);
             }
         })
         .build()
@@ -79,12 +92,16 @@ impl TickPool {
             _ if threads <= 1 => 1,
             Some(_) => threads.min(rayon::current_num_threads()),
             None => {
-                let pool = pool(threads, scheduling.clone()).map_err(TickPoolError)?;
-                POOL.with(|of_thread| of_thread.set(Some(pool)));
+                let apart = scheduling.cpus.is_empty().then(|| ThreadsApart::new(threads - 1));
+                let apart = apart.map(Arc::new);
+                let pool =
+                    pool(threads, scheduling.clone(), apart.clone()).map_err(TickPoolError)?;
+                POOL.with(|of_thread| of_thread.set((pool, apart)).ok());
                 threads
             }
         };
-        Ok(Self { scratch: (0..threads).map(|_| Mutex::default()).collect(), from })
+        let apart = POOL.with(|of_thread| of_thread.get().and_then(|(_, apart)| apart.clone()));
+        Ok(Self { scratch: (0..threads).map(|_| Mutex::default()).collect(), apart, from })
     }
 
     /// Whether a tick of that many robots is parallel.
@@ -93,15 +110,32 @@ impl TickPool {
         self.scratch.len() > 1 && robots >= self.from
     }
 
+    /// Wakes a thread that will share a tick of that many robots. Waking takes some 100 µs, and the
+    /// thread looks for work some 20 µs before it sleeps again. So call it that long before.
+    pub fn wake(&self, robots: usize) {
+        if self.shares(robots) {
+            self.keep_apart();
+            rayon::join(|| (), || ());
+        }
+    }
+
+    fn keep_apart(&self) {
+        if let Some(apart) = &self.apart {
+            apart.keep_off();
+        }
+    }
+
     /// Ticks all robots in one pass, on all threads if there are enough robots.
     pub fn run(&self, shard: Shard<'_>, outputs: Outputs<'_>) {
-        self.pass(shard, outputs, |shard, batch, outputs, on| shard.run(batch, outputs, on));
+        self.pass(shard, outputs, self.from, |shard, batch, outputs, on| {
+            shard.run(batch, outputs, on);
+        });
     }
 
     /// The first of two passes of a tick.
     pub fn forecast(&self, shard: Shard<'_>, forecasts: &mut [Forecast]) {
         let outputs = Outputs { forecasts, ..Outputs::default() };
-        self.pass(shard, outputs, |shard, batch, outputs, on| {
+        self.pass(shard, outputs, self.from, |shard, batch, outputs, on| {
             shard.forecast(batch, outputs.forecasts, on);
         });
     }
@@ -109,15 +143,19 @@ impl TickPool {
     /// The second pass.
     pub fn account(&self, shard: Shard<'_>, accounts: Accounts<'_>) {
         let outputs = Outputs { accounts, ..Outputs::default() };
-        self.pass(shard, outputs, |shard, batch, outputs, on| {
+        let from = self.from.saturating_mul(ACCOUNTS_FROM);
+        self.pass(shard, outputs, from, |shard, batch, outputs, on| {
             shard.account(batch, outputs.accounts, on);
         });
     }
 
-    fn pass(&self, shard: Shard<'_>, outputs: Outputs<'_>, work: Pass) {
+    fn pass(&self, shard: Shard<'_>, outputs: Outputs<'_>, from: usize, work: Pass) {
         let robots = shard.len();
-        let part = match self.shares(robots) {
-            true => robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS),
+        let part = match self.scratch.len() > 1 && robots >= from {
+            true => {
+                self.keep_apart();
+                robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS)
+            }
             false => robots,
         };
         self.divide(shard, outputs, part, work);

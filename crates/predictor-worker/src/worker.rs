@@ -439,6 +439,10 @@ impl Worker {
         match self.schedule.next(now_ns, taken_ns, self.fleet.complete(now_ns)) {
             Next::Wait { until_ns } => {
                 self.waiter.wait_until(Some(until_ns), None)?;
+                // Of several frames of a tick only the first wakes the pool.
+                if self.fleet.intake().frames == 0 {
+                    self.pool.wake(self.fleet.len());
+                }
                 Ok(false)
             }
             Next::Tick { due_ns } => {

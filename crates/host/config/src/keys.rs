@@ -107,7 +107,7 @@ pub const KEYS: &[Key] = &[
 
     key("worker.threads", int(0..=64), "threads", DefaultValue::Integer(0),
         "Threads of a parallel tick, at most as many as cpus lists. 0: one per entry of cpus. Without cpus: one per processor, at most 8."),
-    key("worker.threads_from", int(bounds::CAPACITY), "robots", DefaultValue::Integer(4000),
+    key("worker.threads_from", int(bounds::CAPACITY), "robots", DefaultValue::Integer(512),
         "Number of robots from which ticks run in parallel. Below, a second thread wakes too late to help."),
     key("worker.cpus", ValueKind::Text(TextRule::Cpus), "", DefaultValue::Text(""),
         "CPUs that the tick threads are pinned to, one each, the main tick thread first. Empty: not pinned."),

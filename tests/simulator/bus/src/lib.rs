@@ -21,7 +21,7 @@ pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
     CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,
     ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, WaitError, Woken,
-    WorkerLockError, schedule_process, schedule_thread,
+    ThreadsApart, WorkerLockError, schedule_process, schedule_thread,
 };
 pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;

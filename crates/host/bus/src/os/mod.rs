@@ -1,5 +1,6 @@
 //! The operating system: clocks, memory, scheduling, files.
 
+pub(crate) mod apart;
 pub(crate) mod background;
 pub mod clock;
 pub(crate) mod files;
