@@ -24,13 +24,9 @@ impl Journal {
 
     /// Records a frame that is passed to ingest with the time `now_ns`.
     pub(crate) fn note(&mut self, frame: &IncomingFrame<'_>, now_ns: u64) {
-        if !self.has_room() {
-            self.unlisted = self.unlisted.saturating_add(1);
-            return;
-        }
         let header = frame.header();
         // Both counts are bounded by the capacity of a frame, far below 2^32.
-        self.taken.push(TakenFrame {
+        self.list(TakenFrame {
             source_id: header.source_id,
             source_epoch: header.source_epoch,
             frame_seq: header.frame_seq,
@@ -45,10 +41,17 @@ impl Journal {
         self.taken.len() < self.writer.max_len()
     }
 
-    /// Records that the power of a robot becomes its normal. To be called while there is
-    /// [room](Journal::has_room).
+    /// Records that the power of a robot becomes its normal.
     pub(crate) fn note_new_normal(&mut self, robot: u32, now_ns: u64) {
-        self.taken.push(TakenFrame::new_normal(robot, now_ns));
+        self.list(TakenFrame::new_normal(robot, now_ns));
+    }
+
+    fn list(&mut self, row: TakenFrame) {
+        if self.has_room() {
+            self.taken.push(row);
+        } else {
+            self.unlisted = self.unlisted.saturating_add(1);
+        }
     }
 
     /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next

@@ -514,11 +514,13 @@ impl Worker {
         let Some(normals) = &self.normals else {
             return;
         };
-        while self.journal.has_room()
-            && let Ok(robot) = normals.try_recv()
-        {
+        while let Ok(robot) = normals.try_recv() {
             self.journal.note_new_normal(robot, now_ns);
             self.fleet.take_as_normal(robot);
+            // After one at least: the frames of a flooding source may fill each journal.
+            if !self.journal.has_room() {
+                break;
+            }
         }
     }
 

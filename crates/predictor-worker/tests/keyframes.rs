@@ -248,6 +248,54 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
 }
 
 #[test]
+fn a_flood_of_frames_holds_no_new_normal_back() {
+    let root = PathBuf::from(format!("/dev/shm/joulebus-test-flood-{}", std::process::id()));
+    let text = format!(
+        "[fleet]\nname = \"flood\"\ncapacity = 1\n\
+         [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
+         [intake]\nbuffer_frames = 2\nmax_sources = 1\n\
+         [ledger]\ncheckpoint = \"\"\n\
+         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0\"]\n",
+        root.display()
+    );
+    let config = Config::parse(&text, &root.join("nowhere")).unwrap();
+    let mut worker = Worker::open(&config).unwrap();
+    let (ask, normals) = sync_channel(1);
+    worker.take_normals_from(normals);
+    let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
+    let mut writer = bus.sample_writer(&config.limits(), 1).unwrap();
+    let mut ticks = bus.reader::<Ticks>(&config.limits()).unwrap();
+    let mut header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        source_id: 1,
+        source_epoch: clock::unix_ns(),
+        ..SampleHeader::default()
+    };
+    for _ in 0..5 {
+        ask.try_send(0).expect("the tick before took it");
+        let mut has_ticked = false;
+        while !has_ticked {
+            // As many as are buffered, which is as many as a journal lists.
+            for _ in 0..2 {
+                header.sent_ns = clock::monotonic_ns();
+                let sample = Sample::new(0, header.frame_seq, header.sent_ns).command(0.1, 0.5);
+                writer.send(header, 1, |_| sample).unwrap();
+                (header.frame_seq, header.samples_before) =
+                    (header.frame_seq + 1, header.samples_before + 1);
+            }
+            has_ticked = worker.turn().unwrap();
+        }
+    }
+    while let Some(frame) = ticks.take_next().unwrap() {
+        assert!(frame.header().unlisted > 0, "{:?}", frame.header());
+    }
+    drop((writer, ticks, bus));
+    let _ = worker.finish();
+    let _ = std::fs::remove_dir(&root);
+    assert!(!root.exists(), "stale files: {root:?}");
+}
+
+#[test]
 fn plan_states_and_outlooks_are_computed_while_somebody_reads_them() {
     let root = format!("/dev/shm/joulebus-test-on-demand-{}", std::process::id());
     let config = config(&PathBuf::from(root));

@@ -144,7 +144,10 @@ impl WhatIf {
     fn work(&mut self) {
         while let Some(event) = self.assembler.next_event() {
             if let Event::Tick { parts, .. } = event {
-                let missing = parts.frames.iter().filter(|frame| frame.is_none());
+                let taken = parts.journal.iter().flat_map(|journal| &journal.rows);
+                let missing = taken
+                    .zip(&parts.frames)
+                    .filter(|(taken, frame)| frame.is_none() && taken.new_normal_of().is_none());
                 self.frames_missing += missing.count() as u64;
                 self.ticks += u64::from(parts.journal.is_some());
                 self.recorded.tick(&parts);

@@ -46,6 +46,8 @@ function showAcknowledged(alarm, robot, board) {
   // No worker raised it.
   const [known, normal] = form.elements.as;
   [known.hidden, normal.hidden] = [Boolean(by), !OF_LEVEL.includes(alarm)];
+  // The Enter key would press it even while it is hidden.
+  known.disabled = known.hidden;
   form.hidden = !raised || (known.hidden && normal.hidden) || alarm === "Implausible";
   form.elements.by.value = localStorage.getItem(NAME) ?? "";
   Object.assign(form.dataset, { alarm, robot });

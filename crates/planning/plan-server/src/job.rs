@@ -30,6 +30,8 @@ pub(crate) struct Job {
     pub(crate) state: State,
     /// Number of times that its computation restarted because the robots' state had become stale.
     pub(crate) renewals: u32,
+    /// When its acknowledgement was first entered, monotonic ns.
+    pub(crate) entered_ns: Option<u64>,
     watch: Option<PeerWatch>,
 }
 
@@ -64,6 +66,7 @@ impl Job {
             answer: AnswerHeader::default(),
             state,
             renewals: 0,
+            entered_ns: None,
             watch: None,
         };
         (job, checked)

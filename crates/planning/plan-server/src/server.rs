@@ -183,7 +183,7 @@ impl Server {
         let Some(raised) = self.acknowledged.look(ports, &asked)? else {
             return Ok(());
         };
-        let shown_ns = clock::monotonic_ns().saturating_sub(SHOWN_NS);
+        let now_ns = clock::monotonic_ns();
         let mut place = 0;
         for (row, is_raised) in asked.into_iter().zip(raised) {
             let mut waiting = self.jobs.iter().skip(place);
@@ -191,17 +191,22 @@ impl Server {
                 break;
             };
             place += passed;
-            let is_new_normal = self.jobs[place].is_new_normal();
             let entered = self.acknowledged.enter(row, is_raised);
-            if is_new_normal && entered.is_ok() && row.at_ns > shown_ns {
+            let job = &mut self.jobs[place];
+            let is_new_normal = job.is_new_normal();
+            // Not from when it was asked: its row is sent after this.
+            let shown_ns = now_ns.saturating_sub(*job.entered_ns.get_or_insert(now_ns));
+            if is_new_normal && entered.is_ok() && shown_ns < SHOWN_NS {
                 place += 1;
                 continue;
             }
-            let job = self.jobs.remove(place);
-            let taken = entered.and_then(|()| match is_new_normal {
-                true => self.pass_on(row.robot),
-                false => Ok(()),
-            });
+            let mut job = self.jobs.remove(place);
+            // Else the answer would be that its time is over, although the worker took it.
+            let taken = match job.is_over(now_ns) {
+                Some(refused) => Err(refused),
+                None if is_new_normal => entered.and_then(|()| self.pass_on(row.robot)),
+                None => entered,
+            };
             match taken {
                 Ok(()) => self.answer(job, |_| Reply::default())?,
                 Err(refused) => self.refuse(job, &refused)?,

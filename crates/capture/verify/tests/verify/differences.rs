@@ -6,7 +6,7 @@ use std::sync::Arc;
 use joulebus_capture_format::{
     Attachments, CaptureSettings, Entry, Frame, Message, MessageKind, Query, Reader, Times, Writer,
 };
-use joulebus_capture_verify::{Loss, Output, Verification, Verifier};
+use joulebus_capture_verify::{Loss, Output, Verification, Verifier, WhatIf};
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
@@ -626,6 +626,18 @@ fn a_new_normal_that_the_journal_lacks_shows_as_the_alarm_that_it_ended() {
     let first = report.first.clone().unwrap();
     assert_eq!((first.tick, first.robot), (NEW_NORMAL_AT, Some(LOADED)), "{report}");
     assert_eq!(&*first.field, "diagnostic.alarms", "{report}");
+}
+
+#[test]
+fn a_comparison_of_models_takes_new_normals_and_does_not_miss_them_as_frames() {
+    let mut what_if =
+        WhatIf::new(world::settings(CAPACITY), world::models(), world::models()).unwrap();
+    let messages = recorded(5, NEW_NORMAL_AT + 10);
+    entries(messages).into_iter().for_each(|entry| what_if.push(entry));
+    let found = what_if.finish();
+    assert_eq!((found.ticks, found.frames_missing), (NEW_NORMAL_AT + 10, 0), "{found}");
+    let loaded = found.robots.iter().find(|it| it.robot == LOADED).unwrap();
+    assert_eq!(loaded.recorded.ticks_in_alarm, loaded.other.ticks_in_alarm, "{found}");
 }
 
 #[test]

@@ -45,7 +45,11 @@ impl Acknowledge {
         let taken = client.acknowledge(self.robot, alarm, &self.by, self.new_normal, WITHIN);
         taken.map(|()| self).map_err(|error| match error {
             ClientError::Refused(refused) => match refused.reason {
-                QueryRefusal::NotRaised => ApiError::new(StatusCode::CONFLICT, refused.text),
+                // Of the latter kind is a new normal on a host without a worker: asking again does
+                // not help.
+                QueryRefusal::NotRaised | QueryRefusal::Kind => {
+                    ApiError::new(StatusCode::CONFLICT, refused.text)
+                }
                 QueryRefusal::Question => wrong(refused.text),
                 _ => ApiError::busy(refused.text),
             },

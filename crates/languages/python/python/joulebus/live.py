@@ -351,7 +351,8 @@ class Planner(_Connection):
         ``LevelLow`` ends: from now on the robot is compared with its present power.
 
         ``RuntimeError`` if the alarm is not raised or cannot be the new normal, or no worker takes
-        it within `timeout` seconds.
+        it within `timeout` seconds. A new normal is taken after a quarter of a second at the
+        earliest. If `timeout` ends before, the alarm is acknowledged, and does not end.
         """
         self._ports.check()
         _native.acknowledge(self._joined, robot, alarm, by, new_normal, timeout)
