@@ -20,8 +20,8 @@ pub use begin::{begin, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
     CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,
-    ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, WaitError, Woken,
-    ThreadsApart, WorkerLockError, schedule_process, schedule_thread,
+    ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, ThreadsApart, WaitError,
+    Woken, WorkerLockError, schedule_process, schedule_thread,
 };
 pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;

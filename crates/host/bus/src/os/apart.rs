@@ -76,10 +76,11 @@ mod tests {
         let all = sched_getaffinity(None).unwrap();
         let apart = ThreadsApart::new(1);
         let ((begun, is_begun), (go, is_over)) = (channel(), channel());
+        let joined = &apart;
         thread::scope(|scope| {
-            let other = scope.spawn(|| {
-                apart.join(0);
-                apart.join(1);
+            let other = scope.spawn(move || {
+                joined.join(0);
+                joined.join(1);
                 begun.send(()).unwrap();
                 is_over.recv().unwrap();
                 sched_getaffinity(None).unwrap()
