@@ -37,10 +37,13 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     objects.map(|entry| entry.path()).chain(root).collect()
 }
 
-/// Removes a file or a folder, as others may do at the same time.
+/// Removes a file or a folder, as others may do at the same time. They may also create files in the
+/// folder between its listing and its removal.
 pub fn remove(path: &Path) {
-    let removed = std::fs::remove_file(path).or_else(|_| std::fs::remove_dir_all(path));
-    assert!(removed.is_ok() || !path.exists(), "{}: {removed:?}", path.display());
+    eventually(&format!("{} is removed", path.display()), || {
+        let removed = std::fs::remove_file(path).or_else(|_| std::fs::remove_dir_all(path));
+        removed.is_ok() || !path.exists()
+    });
 }
 
 /// The `joulebus` program beside `program`, another one of the same build. Built if it is missing.
