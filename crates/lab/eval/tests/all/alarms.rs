@@ -25,15 +25,24 @@ struct Raised {
     /// Number of times that an alarm of a robot without a fault was raised, and robot hours.
     false_alarms: u32,
     hours: f64,
+    /// Number of times that the level of a robot with a fault was alarmed.
+    levels: usize,
 }
 
 /// Plays `robots` of a seed for `seconds`, with the shipped configuration.
 fn play(seed: u64, robots: u32, seconds: f64, planted: &[Planted<'_>]) -> Raised {
-    play_as(true, seed, robots, seconds, planted)
+    play_as((true, false), seed, robots, seconds, planted)
 }
 
-/// The same; `online`: whether the forecasts learn online.
-fn play_as(online: bool, seed: u64, robots: u32, seconds: f64, planted: &[Planted<'_>]) -> Raised {
+/// The same; `online`: whether the forecasts learn online; `accepts`: whether each alarm of a level
+/// is accepted at once as the new normal.
+fn play_as(
+    (online, accepts): (bool, bool),
+    seed: u64,
+    robots: u32,
+    seconds: f64,
+    planted: &[Planted<'_>],
+) -> Raised {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/fleet.toml");
     let config = Config::load(file).expect("the shipped configuration");
     let (_, file) = builtin_model("gternal-sim").expect("it ships");
@@ -75,8 +84,13 @@ fn play_as(online: bool, seed: u64, robots: u32, seconds: f64, planted: &[Plante
             for alarm in alarms.iter().filter(|alarm| !had.has(*alarm)) {
                 let at_s = (now_ns - BASE_NS) as f64 * 1e-9;
                 raised.first_s.entry((robot, alarm.name())).or_insert(at_s);
+                if accepts && alarm.is_of_level() {
+                    fleet.take_as_normal(robot);
+                }
                 if planted.iter().all(|(faulty, ..)| *faulty != robot as usize) {
                     raised.false_alarms += 1;
+                } else {
+                    raised.levels += usize::from(alarm.is_of_level());
                 }
             }
         }
@@ -154,24 +168,28 @@ fn planted_faults_are_found_in_seconds_even_from_the_start() {
 #[test]
 fn a_load_is_found_in_seconds_and_its_alarm_stays() {
     let load = Fault::ExtraLoad { power_w: 1.5 };
-    let (mut found_s, mut stays) = (Vec::new(), 0);
+    let (mut found_s, mut stays, mut accepted) = (Vec::new(), 0, 0);
     for seed in 1..=4 {
         let planted = [0, 1, 2].map(|robot| (robot, load, 30.0, &[Alarm::LevelHigh][..]));
         let run = play(seed, 5, 300.0, &planted);
         found_s.extend(found_after_s(&planted, &run));
         let at_end = (0..3).filter(|it| run.at_end.contains(&(*it, Alarm::LevelHigh.name())));
         stays += at_end.count();
+        // In the same tick, whatever the robot does in the three seconds in which it learns.
+        accepted += play_as((true, true), seed, 5, 300.0, &planted).levels;
     }
     found_s.sort_by(f64::total_cmp);
     println!("found after {found_s:.1?} s, {stays} of 12 stay for 270 s");
     assert!(found_s[9] <= 10.0 && stays == 12, "{found_s:.1?}, {stays}");
+    assert_eq!(accepted, 12, "a new normal is alarmed again");
 }
 
 /// The published forecast learns the fault, the alarm does not: it is raised and stays.
 #[test]
 fn what_is_published_does_not_change_what_is_alarmed() {
     let planted = faults(10.0);
-    let [online, network] = [true, false].map(|online| play_as(online, 5, 5, 40.0, &planted));
+    let [online, network] =
+        [true, false].map(|online| play_as((online, false), 5, 5, 40.0, &planted));
     assert_eq!(online.first_s, network.first_s);
     assert!(online.first_s.contains_key(&(0, Alarm::BiasHigh.name())), "{:?}", online.first_s);
 }
