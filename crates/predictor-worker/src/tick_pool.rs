@@ -2,7 +2,7 @@
 //!
 //! The thread that creates the pool belongs to it, so that a tick starts without waiting for
 //! another thread, and this thread runs every part that no other has begun by then: waking a thread
-//! takes longer than the tick of a thousand robots.
+//! takes as long as the forecasts of some hundred robots.
 
 use std::cell::OnceCell;
 use std::sync::{Arc, Mutex};
@@ -24,7 +24,7 @@ const PARTS: usize = 8;
 #[derive(Debug)]
 pub struct TickPool {
     scratch: Vec<Mutex<ThreadScratch>>,
-    /// The other threads. `None` if each has a CPU by the config, or there is none.
+    /// The other threads, unless each has a CPU by the config. `None` if there is none.
     apart: Option<Arc<ThreadsApart>>,
     /// Minimum number of robots of a parallel tick.
     from: usize,
@@ -52,13 +52,13 @@ pub(crate) struct StageTimes(pub [u64; Stage::ALL.len()]);
 thread_local! {
     /// The pool of this thread. A thread cannot leave its pool: the pool lasts as long as the
     /// thread, and later tick pools of the thread use it.
-    static POOL: OnceCell<(ThreadPool, Option<Arc<ThreadsApart>>)> = const { OnceCell::new() };
+    static POOL: OnceCell<(ThreadPool, Arc<ThreadsApart>)> = const { OnceCell::new() };
 }
 
 fn pool(
     threads: usize,
     scheduling: Scheduling,
-    apart: Option<Arc<ThreadsApart>>,
+    apart: Arc<ThreadsApart>,
 ) -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -68,10 +68,8 @@ fn pool(
             if let Err(refused) = schedule_thread(&scheduling, place) {
                 tracing::warn!("{refused}");
             }
-            // The calling thread has place 0.
-            if let Some((apart, other)) = apart.as_ref().zip(place.checked_sub(1)) {
-                apart.join(other);
-            }
+            // Not of place 0, which is the calling thread's.
+            apart.join(place);
         })
         .build()
 }
@@ -92,22 +90,26 @@ impl TickPool {
             _ if threads <= 1 => 1,
             Some(_) => threads.min(rayon::current_num_threads()),
             None => {
-                let apart = scheduling.cpus.is_empty().then(|| ThreadsApart::new(threads - 1));
-                let apart = apart.map(Arc::new);
+                let count = if scheduling.cpus.is_empty() { threads } else { 0 };
+                let apart = Arc::new(ThreadsApart::new(count));
                 let pool =
                     pool(threads, scheduling.clone(), apart.clone()).map_err(TickPoolError)?;
                 POOL.with(|of_thread| of_thread.set((pool, apart)).ok());
                 threads
             }
         };
-        let apart = POOL.with(|of_thread| of_thread.get().and_then(|(_, apart)| apart.clone()));
+        let apart = POOL.with(|of_thread| of_thread.get().map(|(_, apart)| Arc::clone(apart)));
         Ok(Self { scratch: (0..threads).map(|_| Mutex::default()).collect(), apart, from })
     }
 
     /// Whether a tick of that many robots is parallel.
     #[must_use]
     pub fn shares(&self, robots: usize) -> bool {
-        self.scratch.len() > 1 && robots >= self.from
+        self.shares_from(self.from, robots)
+    }
+
+    fn shares_from(&self, from: usize, robots: usize) -> bool {
+        self.scratch.len() > 1 && robots >= from
     }
 
     /// Wakes a thread that will share a tick of that many robots. Waking takes some 100 µs, and the
@@ -151,7 +153,7 @@ impl TickPool {
 
     fn pass(&self, shard: Shard<'_>, outputs: Outputs<'_>, from: usize, work: Pass) {
         let robots = shard.len();
-        let part = match self.scratch.len() > 1 && robots >= from {
+        let part = match self.shares_from(from, robots) {
             true => {
                 self.keep_apart();
                 robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS)
