@@ -60,6 +60,10 @@ impl Etcd {
         Some(etcd)
     }
 
+    pub(crate) fn pid(&self) -> u32 {
+        self.server.as_ref().unwrap().pid()
+    }
+
     pub(crate) fn endpoint(&self) -> String {
         let scheme = self.certificates.as_ref().map_or("http", |_| "https");
         format!("{scheme}://{}:{}", self.host, self.port)

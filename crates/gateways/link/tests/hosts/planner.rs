@@ -33,6 +33,8 @@ pub(crate) struct Frame {
     /// When it was read.
     pub(crate) read_ns: u64,
     pub(crate) runs: u64,
+    /// Samples that the worker has dropped or never received.
+    pub(crate) dropped: u64,
     pub(crate) rows: Vec<Row>,
 }
 
@@ -60,6 +62,7 @@ pub(crate) fn run() {
                 period_ns: frame.header().period_ns,
                 read_ns: clock::monotonic_ns(),
                 runs,
+                dropped: frame.header().samples_dropped.total(),
                 rows: frame.robots().iter().take(ROWS).map(row).collect(),
             }),
             Event::Gone(end) => Seen::Gone(format!("{end:?}")),
@@ -91,6 +94,10 @@ impl Reader {
         let mut member = Member::spawn("planner", command);
         assert_eq!(member.next_line(), "joined");
         Self(member)
+    }
+
+    pub(crate) fn pid(&self) -> u32 {
+        self.0.pid()
     }
 
     pub(crate) fn next(&mut self) -> Seen {
