@@ -1,6 +1,8 @@
-/* A planner: reads forecasts where the worker has written them, and stops relying on them when the worker ends.
+/* A planner: reads forecasts where the worker has written them, and stops relying on them when the
+ worker ends.
  *
- *     ./planner fleet.toml [FRAMES]     ends after so many frames, by Ctrl-C, or after ten seconds without any
+ *     ./planner fleet.toml [FRAMES]     ends after so many frames, by Ctrl-C, or after ten seconds
+ *     without any
  */
 #include <inttypes.h>
 #include <joulebus.h>

@@ -1,4 +1,5 @@
-// A fleet controller: publishes the commands and power readings of twenty robots, 30 times a second.
+// A fleet controller: publishes the commands and power readings of twenty robots, 30 times a
+// second.
 //
 //     ./controller fleet.toml [FRAMES]          without FRAMES until Ctrl-C
 #include <chrono>

@@ -1,6 +1,7 @@
 // A stub of what this example needs of Open-RMF (rmf_battery::MotionPowerSink and DevicePowerSink,
-// rmf_traffic::Trajectory), written for it: the shape of the interface without the library, so that the example builds anywhere. In an adapter of yours, include
-// Open-RMF's headers instead. Its trajectory has positions and velocities as Eigen vectors and times of rmf_traffic.
+// rmf_traffic::Trajectory), written for it: the shape of the interface without the library, so that
+// the example builds anywhere. In an adapter of yours, include Open-RMF's headers instead. Its
+// trajectory has positions and velocities as Eigen vectors and times of rmf_traffic.
 #ifndef JOULEBUS_EXAMPLE_MOTION_POWER_SINK_HPP
 #define JOULEBUS_EXAMPLE_MOTION_POWER_SINK_HPP
 
@@ -9,7 +10,8 @@
 
 namespace rmf_traffic {
 
-/// Positions (x in m, y in m, yaw in rad) and velocities at times, between which a robot moves smoothly.
+/// Positions (x in m, y in m, yaw in rad) and velocities at times, between which a robot moves
+/// smoothly.
 class Trajectory {
 public:
     struct Waypoint {

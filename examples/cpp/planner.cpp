@@ -1,4 +1,5 @@
-// A planner: reads forecasts where the worker has written them, and asks what a plan costs before it moves.
+// A planner: reads forecasts where the worker has written them, and asks what a plan costs before
+// it moves.
 //
 //     ./planner fleet.toml [FRAMES]             without FRAMES until Ctrl-C
 #include <chrono>

@@ -1,6 +1,7 @@
-// Answers Open-RMF's questions what a trajectory and a time at rest cost a battery by what joulebus has learned of the
-// very robot, instead of by mass, friction and inertia of its type. Says what the battery has, and when tasks must be
-// planned again because a charge was cancelled. The interface is a stub (motion_power_sink.hpp).
+// Answers Open-RMF's questions what a trajectory and a time at rest cost a battery by what joulebus
+// has learned of the very robot, instead of by mass, friction and inertia of its type. Says what
+// the battery has, and when tasks must be planned again because a charge was cancelled. The
+// interface is a stub (motion_power_sink.hpp).
 //
 //     ./rmf_adapter fleet.toml ROBOT
 #include <algorithm>
@@ -19,17 +20,18 @@
 
 namespace {
 
-/// The charge that one robot loses, moving or at rest. As of the newest frame, so a planner of tasks sees today's load.
-/// Belongs to the thread that made it.
+/// The charge that one robot loses, moving or at rest. As of the newest frame, so a planner of
+/// tasks sees today's load. Belongs to the thread that made it.
 class JoulebusPowerSink : public rmf_battery::MotionPowerSink, public rmf_battery::DevicePowerSink {
 public:
-    /// `coverage`: the answer is the upper end of the interval. A planner that must not strand asks for 0.99.
+    /// `coverage`: the answer is the upper end of the interval. A planner that must not strand asks
+    /// for 0.99.
     JoulebusPowerSink(joulebus::Questions questions, std::uint32_t robot, const joulebus_platform &platform,
                       float coverage)
         : questions_(std::move(questions)), robot_(robot), platform_(platform), coverage_(coverage) {}
 
-    /// The share of the battery that the trajectory takes at most. NaN where that is unknown, which no planner takes for
-    /// enough.
+    /// The share of the battery that the trajectory takes at most. NaN where that is unknown, which
+    /// no planner takes for enough.
     double compute_change_in_charge(const rmf_traffic::Trajectory &trajectory) const override {
         const auto &waypoints = trajectory.waypoints;
         if (waypoints.size() < 2 || !(platform_.capacity_j > 0.0)) {
@@ -67,8 +69,8 @@ public:
         return share(answer ? answer->energy_hi_j() : std::nullopt);
     }
 
-    /// The share that the battery has at least: for the adapter's `update_battery_soc`. Measured, also while a charge
-    /// goes on or was cancelled.
+    /// The share that the battery has at least: for the adapter's `update_battery_soc`. Measured,
+    /// also while a charge goes on or was cancelled.
     double state_of_charge() const {
         const auto answer = at_rest(platform_.period_s);
         const bool is_known = answer && (answer->flags & JOULEBUS_ANSWER_LEFT) != 0;
@@ -90,7 +92,8 @@ private:
         return done->rows.front();
     }
 
-    /// The command of a differential drive at a time between two waypoints: the velocity along the heading.
+    /// The command of a differential drive at a time between two waypoints: the velocity along the
+    /// heading.
     std::pair<float, float> command(const rmf_traffic::Trajectory::Waypoint &from,
                                     const rmf_traffic::Trajectory::Waypoint &to, double time_s) const {
         const double span_s = to.time_s - from.time_s;
@@ -113,14 +116,15 @@ private:
     float coverage_;
 };
 
-/// Open-RMF plans the tasks after a charge with the charge that it expects, and keeps them if the charge is cancelled
-/// (rmf_ros2 #460). This says when they must be planned again.
+/// Open-RMF plans the tasks after a charge with the charge that it expects, and keeps them if the
+/// charge is cancelled (rmf_ros2 #460). This says when they must be planned again.
 class ChargePlan {
 public:
     /// Tasks are planned for a robot that leaves the charger with this share.
     void expect(double share) { expected_ = share; }
 
-    /// Whether the robot has left the charger with less, as of its share and whether it charges. Says so once.
+    /// Whether the robot has left the charger with less, as of its share and whether it charges.
+    /// Says so once.
     bool must_replan(double share, bool charges) {
         const bool has_left = charged_ && !charges;
         charged_ = charges;

@@ -4,7 +4,10 @@ export const SORTS = ["urgency", "robot", "soc", "left", "power", "level"];
 const LEVELS = ["ok", "warn", "error", "stale"];
 const VIEWS = ["robots", "alarms", "worker"];
 
-/** @returns {{view: string, robot: number|null, sort: string, descending: boolean, search: string, levels: string[]}} */
+/**
+ * @returns {{view: string, robot: number|null, sort: string, descending: boolean, search: string,
+ * levels: string[]}}
+ */
 export function read(search) {
   const query = new URLSearchParams(search);
   const robot = /^\d{1,10}$/.test(query.get("robot") ?? "") ? Number(query.get("robot")) : null;

@@ -18,7 +18,10 @@ const rank = (alarm) => RANKS.indexOf(LEVELS[alarm] ?? "warn");
 /** Names of alarms, the worst first, otherwise as they came. */
 export const worstFirst = (alarms) => alarms.toSorted((a, b) => rank(a) - rank(b));
 
-/** Makes a list show these entries: each a list of [class, text, address or robot of an alarm, or nothing]; what is equal stays. */
+/**
+ * Makes a list show these entries: each a list of [class, text, address or robot of an alarm, or
+ * nothing]; what is equal stays.
+ */
 function fill(list, entries) {
   while (list.children.length > entries.length) list.lastElementChild.remove();
   entries.forEach((parts, at) => {

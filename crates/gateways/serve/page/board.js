@@ -56,8 +56,8 @@ function takeDelta(board, delta) {
 }
 
 /**
- * Applies one message of the stream. False if it does not continue what was read before: the caller then
- * has to ask for a whole view.
+ * Applies one message of the stream. False if it does not continue what was read before: the caller
+ * then has to ask for a whole view.
  */
 export function take(board, kind, message) {
   if (kind === "view") takeView(board, message);

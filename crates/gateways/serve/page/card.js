@@ -1,4 +1,5 @@
-// An alarm's card: what it means, what to check, which keys set it, how soon it is found, and who has acknowledged it.
+// An alarm's card: what it means, what to check, which keys set it, how soon it is found, and who
+// has acknowledged it.
 
 import * as format from "./format.js";
 

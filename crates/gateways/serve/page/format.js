@@ -25,7 +25,9 @@ function withUnit(text, unit) {
   return text === null ? UNKNOWN : text + SPACE + unit;
 }
 
-/** Decimals of a power that show a hundredth of a watt of a small robot and no noise of a large one. */
+/**
+ * Decimals of a power that show a hundredth of a watt of a small robot and no noise of a large one.
+ */
 export function wattDecimals(scaleW) {
   const size = Math.abs(scaleW);
   if (!(size >= 20)) return 2;
@@ -120,7 +122,8 @@ export function range(lo, hi, text) {
 }
 
 /**
- * Age of a robot's newest reading, s, or null: its age in the newest sample, and that of the sample where it is late.
+ * Age of a robot's newest reading, s, or null: its age in the newest sample, and that of the sample
+ * where it is late.
  * @param agedS how old the newest frame is where it should be newer, s
  */
 export function readingAgeS(robot, agedS) {

@@ -1,5 +1,5 @@
-// The list of robots: a table whose rows outside the view do not exist. The server sorts, filters and cuts;
-// the list asks for the window that it shows.
+// The list of robots: a table whose rows outside the view do not exist. The server sorts, filters
+// and cuts; the list asks for the window that it shows.
 
 import { worstFirst } from "./alarms.js";
 import * as format from "./format.js";

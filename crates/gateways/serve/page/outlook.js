@@ -1,4 +1,5 @@
-// The energy that a robot will draw if it goes on as it does: a fan of the mean power over each horizon, and its energy.
+// The energy that a robot will draw if it goes on as it does: a fan of the mean power over each
+// horizon, and its energy.
 
 import * as format from "./format.js";
 
@@ -6,7 +7,10 @@ const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 400;
 const HEIGHT = 90;
 
-/** Rows of an outlook: horizon, energy and bounds in J, and their mean powers in W. What is unknown is null. */
+/**
+ * Rows of an outlook: horizon, energy and bounds in J, and their mean powers in W. What is unknown
+ * is null.
+ */
 export function rows(outlook) {
   return outlook.horizon_s.map((horizonS, at) => {
     const [energy, lo, hi] = [outlook.energy_j[at], outlook.energy_lo_j[at], outlook.energy_hi_j[at]];
@@ -15,7 +19,10 @@ export function rows(outlook) {
   });
 }
 
-/** Points of the fan in a box: those of the line, and the outline of the band. The horizons have equal distances. */
+/**
+ * Points of the fan in a box: those of the line, and the outline of the band. The horizons have
+ * equal distances.
+ */
 export function fan(all, width, height) {
   const known = all.filter((row) => format.isKnown(row.watts));
   if (known.length === 0) return { line: [], band: [] };

@@ -68,7 +68,10 @@ function connect() {
   stream.open(`/api/v1/stream?${query}`);
 }
 
-/** A browser keeps few connections to one host: a tab that is not visible gives its stream back and only asks for sums. */
+/**
+ * A browser keeps few connections to one host: a tab that is not visible gives its stream back and
+ * only asks for sums.
+ */
 function showOrHide() {
   hidden?.abort();
   hidden = null;
@@ -208,7 +211,10 @@ function showTotals() {
   byId("empty").textContent = filtered ? "No robot matches. Escape in the search field clears it." : "No robots yet.";
 }
 
-/** Alarms, what is wrong with worker or connection, and the fleet: what a tab shows that is not visible. */
+/**
+ * Alarms, what is wrong with worker or connection, and the fleet: what a tab shows that is not
+ * visible.
+ */
 function showTitle(state, text) {
   const alarms = board.fleet?.totals.alarms ?? 0;
   const parts = [state === "gone" || state === "stale" ? text : "", board.fleet?.fleet ?? "", "joulebus"];
@@ -216,7 +222,10 @@ function showTitle(state, text) {
   if (document.title !== title) document.title = title;
 }
 
-/** What the connection and the worker are like now: state, short text, and the sentence for the banner. */
+/**
+ * What the connection and the worker are like now: state, short text, and the sentence for the
+ * banner.
+ */
 function condition() {
   const silentMs = messageAt === null ? Infinity : performance.now() - messageAt;
   const old = messageAt === null ? "" : ` The values are those of ${format.duration(Math.floor(silentMs / 1000))} ago.`;

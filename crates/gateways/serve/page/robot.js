@@ -1,4 +1,5 @@
-// One robot: what it draws against what was forecast, what its battery holds, what was learned, its alarms.
+// One robot: what it draws against what was forecast, what its battery holds, what was learned, its
+// alarms.
 
 import { changeItems, raisedItems } from "./alarms.js";
 import { Charts } from "./charts.js";

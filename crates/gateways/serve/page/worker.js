@@ -1,4 +1,5 @@
-// The worker's health: how long ticks take, what was dropped, how old forecasts are when they arrive.
+// The worker's health: how long ticks take, what was dropped, how old forecasts are when they
+// arrive.
 
 import * as format from "./format.js";
 

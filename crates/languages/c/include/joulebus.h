@@ -1,32 +1,37 @@
 /**
  * @file
- * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
- * robot fleets. docs/tutorial/cpp.md introduces it. joulebus.hpp is a layer above for C++17.
+ * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a
+ * shared-memory energy broker for robot fleets. docs/tutorial/cpp.md introduces it. joulebus.hpp is
+ * a layer above for C++17.
  *
- * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
+ * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c
+ * --test all layouts.
  *
- * Errors. Calls return a joulebus_error. joulebus_last_error() has the message. After an error a call has written no
- * results, unless its comment says otherwise. No call aborts the program because of its arguments or of what it reads.
+ * Errors. Calls return a joulebus_error. joulebus_last_error() has the message. After an error a
+ * call has written no results, unless its comment says otherwise. No call aborts the program
+ * because of its arguments or of what it reads.
  *
- * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it. A call by another
- * thread is refused (JOULEBUS_ERROR_THREAD), also one that closes it. Each thread may open its own. A predictor may be
- * used by any thread. A signal handler must make no call. If it does, the call that it interrupted is not disturbed.
- * The handler's calls on the same handle are refused.
+ * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened
+ * it. A call by another thread is refused (JOULEBUS_ERROR_THREAD), also one that closes it. Each
+ * thread may open its own. A predictor may be used by any thread. A signal handler must make no
+ * call. If it does, the call that it interrupted is not disturbed. The handler's calls on the same
+ * handle are refused.
  *
- * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS). The parent's memory is
- * not disturbed. Open other handles in the child. Handles of a process may be of several fleets.
+ * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS).
+ * The parent's memory is not disturbed. Open other handles in the child. Handles of a process may
+ * be of several fleets.
  *
- * Handles are numbers in the shape of pointers. A handle that is closed, NULL or invalid is refused. Closing twice is an
- * error and nothing else. A handle that is open when its thread ends stays open until the process ends. Other members of
- * the fleet then remove what is left.
+ * Handles are numbers in the shape of pointers. A handle that is closed, NULL or invalid is
+ * refused. Closing twice is an error and nothing else. A handle that is open when its thread ends
+ * stays open until the process ends. Other members of the fleet then remove what is left.
  *
- * The caller promises that every pointer that is not NULL points to as many elements as the call says, aligned, in
- * memory that no other thread changes meanwhile. NULL is allowed where a comment says so, and for arrays without
- * elements. Texts are UTF-8 and end with a zero. Do not write to what a call returns in shared memory. You may read it
- * until the time that the call states.
+ * The caller promises that every pointer that is not NULL points to as many elements as the call
+ * says, aligned, in memory that no other thread changes meanwhile. NULL is allowed where a comment
+ * says so, and for arrays without elements. Texts are UTF-8 and end with a zero. Do not write to
+ * what a call returns in shared memory. You may read it until the time that the call states.
  *
- * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock (joulebus_monotonic_ns()). Unknown values
- * have their flag cleared, and are NaN.
+ * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock
+ * (joulebus_monotonic_ns()). Unknown values have their flag cleared, and are NaN.
  */
 
 #ifndef JOULEBUS_H
@@ -56,12 +61,15 @@
 /** The robot is on its charger. */
 #define JOULEBUS_SAMPLE_CHARGING 0x40u
 /**
- * The sample does not continue the ones before it (a recorded trial starts again): the lag window starts empty.
+ * The sample does not continue the ones before it (a recorded trial starts again): the lag window
+ * starts empty.
  */
 #define JOULEBUS_SAMPLE_DISCONTINUITY 0x80u
 /** soc is known. */
 #define JOULEBUS_SAMPLE_SOC 0x100u
-/** The charger or the battery's own electronics says that the battery is full. Only with CHARGING. */
+/**
+ * The charger or the battery's own electronics says that the battery is full. Only with CHARGING.
+ */
 #define JOULEBUS_SAMPLE_FULL 0x200u
 /** The battery has been exchanged since the last sample. */
 #define JOULEBUS_SAMPLE_SWAPPED 0x400u
@@ -83,7 +91,10 @@
 #define JOULEBUS_DIAGNOSTIC_RESIDUAL 0x1u
 /** At least one residual has been scored. */
 #define JOULEBUS_DIAGNOSTIC_SCORES 0x2u
-/** The forecast learns online: the fields from network_w to level_w are known. Otherwise they are NaN. */
+/**
+ * The forecast learns online: the fields from network_w to level_w are known. Otherwise they are
+ * NaN.
+ */
 #define JOULEBUS_DIAGNOSTIC_LEARNED 0x4u
 
 /** The platform's config describes a battery. */
@@ -97,13 +108,13 @@
 /** The state of charge contains a measured one. */
 #define JOULEBUS_BUDGET_MEASURED 0x10u
 /**
- * A measured state of charge says that less is left than was counted, and is not believed yet: the battery may
- * be another one, and the bounds need not hold.
+ * A measured state of charge says that less is left than was counted, and is not believed yet: the
+ * battery may be another one, and the bounds need not hold.
  */
 #define JOULEBUS_BUDGET_CONTRADICTED 0x20u
 /**
- * Energy left, usable and state of charge are known, with their bounds. Without it they are NaN: the battery
- * may be full or empty.
+ * Energy left, usable and state of charge are known, with their bounds. Without it they are NaN:
+ * the battery may be full or empty.
  */
 #define JOULEBUS_BUDGET_CHARGE 0x40u
 
@@ -278,7 +289,9 @@ typedef struct joulebus_sample {
     uint64_t seq;
     /** When the command was issued, monotonic ns. Strictly increasing per robot. */
     uint64_t stamp_ns;
-    /** When the power was *measured*, monotonic ns. Equal to the previous one for a held reading. */
+    /**
+     * When the power was *measured*, monotonic ns. Equal to the previous one for a held reading.
+     */
     uint64_t measured_ns;
     /** Linear velocity just commanded, after saturation, m/s. */
     float v_mps;
@@ -293,8 +306,8 @@ typedef struct joulebus_sample {
     /** Measured state of charge, 0 to 1. */
     float soc;
     /**
-     * Energy that the robot needs from here to return, J: what its planner says. It applies to this sample
-     * only. Without it the platform's config applies.
+     * Energy that the robot needs from here to return, J: what its planner says. It applies to this
+     * sample only. Without it the platform's config applies.
      */
     float return_j;
     /** Zero. */
@@ -310,8 +323,8 @@ typedef struct joulebus_sample_header {
     /** Id of the source, stable over restarts (a hash of its name). */
     uint64_t source_id;
     /**
-     * When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock was
-     * set.
+     * When this run of the source began, monotonic ns: a restart has a greater one, however the
+     * wall clock was set.
      */
     uint64_t source_epoch;
     /** Number of this frame within the epoch, from 0. */
@@ -319,8 +332,8 @@ typedef struct joulebus_sample_header {
     /** Samples sent in this epoch before this frame, from which a reader computes its loss. */
     uint64_t samples_before;
     /**
-     * Intended send time, monotonic ns. Latency is measured from here, so that a stalled source does not hide
-     * its own delay (coordinated omission).
+     * Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
+     * does not hide its own delay (coordinated omission).
      */
     uint64_t intended_ns;
     /** When the frame was sent, monotonic ns. */
@@ -368,8 +381,8 @@ typedef struct joulebus_forecast_header {
     /** Process id of the worker. */
     uint32_t pid;
     /**
-     * When this run of the worker began, monotonic ns: a restart has a greater one, however the wall clock was
-     * set.
+     * When this run of the worker began, monotonic ns: a restart has a greater one, however the
+     * wall clock was set.
      */
     uint64_t worker_epoch;
     /** Number of this tick within the epoch, from 1. */
@@ -377,8 +390,8 @@ typedef struct joulebus_forecast_header {
     /** Period of the tick, ns: a frame older than two of these is stale. */
     uint64_t period_ns;
     /**
-     * Hash of the model in use. Where platforms use different models: a combination of their hashes, in the
-     * order of the platforms.
+     * Hash of the model in use. Where platforms use different models: a combination of their
+     * hashes, in the order of the platforms.
      */
     uint64_t model_hash;
     /** Robots that the worker has capacity for. */
@@ -473,7 +486,10 @@ typedef struct joulebus_diagnostic {
     float held_weight_last;
     /** Weight of the stack there. */
     float held_weight_stack;
-    /** Gain of the last reading within the stack: signed, on its deviation from the model's autoregression. */
+    /**
+     * Gain of the last reading within the stack: signed, on its deviation from the model's
+     * autoregression.
+     */
     float gain_last;
     /** Gain of the network. */
     float gain_network;
@@ -499,10 +515,11 @@ typedef struct joulebus_diagnostic_header {
 
 /**
  * One robot's budget. 128 bytes.
- * The ledger part (drawn_uj, drawn_remainder, metered_ns, unmetered_ns, stamp_ns) is exact: metered_ns +
- * unmetered_ns is the time from the first sample to stamp_ns. The energy left is counted from it and fused with
- * measured states of charge. The truth lies between the bounds (_lo, _hi) with 95 % where the errors are as the
- * platform's config says. They widen with unmetered time by all that the robot could have drawn.
+ * The ledger part (drawn_uj, drawn_remainder, metered_ns, unmetered_ns, stamp_ns) is exact:
+ * metered_ns + unmetered_ns is the time from the first sample to stamp_ns. The energy left is
+ * counted from it and fused with measured states of charge. The truth lies between the bounds (_lo,
+ * _hi) with 95 % where the errors are as the platform's config says. They widen with unmetered time
+ * by all that the robot could have drawn.
  */
 typedef struct joulebus_budget {
     /** Id of the robot. */
@@ -512,13 +529,16 @@ typedef struct joulebus_budget {
     /** ChargeState code. */
     uint32_t charge_state;
     /**
-     * Times that another battery was noticed: a measured state of charge that contradicted the counted one and
-     * lasted, or a sample that says so.
+     * Times that another battery was noticed: a measured state of charge that contradicted the
+     * counted one and lasted, or a sample that says so.
      */
     uint32_t battery_changes;
     /** Energy drawn over the metered time, µJ. */
     int64_t drawn_uj;
-    /** Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded away. */
+    /**
+     * Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
+     * away.
+     */
     int64_t drawn_remainder;
     /** Forecast energy over the same metered time, µJ. */
     int64_t forecast_uj;
@@ -578,11 +598,11 @@ typedef struct joulebus_budget_header {
 
 /**
  * One robot's outlook. 96 bytes.
- * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast follows from its
- * own recent power, with the platform's mean as the prior.
- * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy lies between
- * the bounds (_lo, _hi) with 90 %. Only the first bounded horizons have bounds: the model has no known errors
- * beyond.
+ * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast
+ * follows from its own recent power, with the platform's mean as the prior.
+ * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy
+ * lies between the bounds (_lo, _hi) with 90 %. Only the first bounded horizons have bounds: the
+ * model has no known errors beyond.
  */
 typedef struct joulebus_outlook {
     /** Id of the robot. */
@@ -643,8 +663,8 @@ typedef struct joulebus_outlook_header {
 
 /**
  * What a plan of one robot starts from. 208 bytes.
- * While the robot's next sample is overdue, lag window and reading age include open_steps periods that the
- * model bridged with its own forecasts, as the forecast published in the same tick does.
+ * While the robot's next sample is overdue, lag window and reading age include open_steps periods
+ * that the model bridged with its own forecasts, as the forecast published in the same tick does.
  */
 typedef struct joulebus_plan_state {
     /** Id of the robot. */
@@ -722,8 +742,8 @@ typedef struct joulebus_plan_state {
     /** Discounted time, s. 0 before the first metered reading. */
     float time_s[4];
     /**
-     * Lower bounds of the energy's 90 % interval at the horizons of joulebus_energy::SHADOWS_S, in half widths
-     * from the middle of the trained one.
+     * Lower bounds of the energy's 90 % interval at the horizons of joulebus_energy::SHADOWS_S, in
+     * half widths from the middle of the trained one.
      */
     float error_lower[3];
     /** Its upper bounds. −1 and 1 are the trained interval. */
@@ -735,8 +755,8 @@ typedef struct joulebus_plan_state {
 } joulebus_plan_state;
 
 /**
- * Header of a frame of PlanStates. A planner computes with models and settings of its own: the hashes tell
- * whether they are the worker's.
+ * Header of a frame of PlanStates. A planner computes with models and settings of its own: the
+ * hashes tell whether they are the worker's.
  */
 typedef struct joulebus_plan_state_header {
     /** SCHEMA_VERSION. */
@@ -852,8 +872,8 @@ typedef struct joulebus_answer_row {
     /** 1 yes, 2 tight, 3 no, 4 unknown. Others are of a newer version. */
     uint16_t verdict;
     /**
-     * Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery, 7 battery
-     * unknown, 8 no budget. 0 if it is not.
+     * Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery, 7
+     * battery unknown, 8 no budget. 0 if it is not.
      */
     uint16_t unknown;
     /** Code of the InvalidReason, or readings so far in the warm-up. */

@@ -1,10 +1,11 @@
 /**
  * @file
- * libjoulebus for C++17: handles that close themselves, results instead of error codes, frames as ranges in
- * shared memory. This header is complete, and uses joulebus.h. The rules of joulebus.h for threads and
- * processes hold. docs/tutorial/cpp.md shows how to use it.
+ * libjoulebus for C++17: handles that close themselves, results instead of error codes, frames as
+ * ranges in shared memory. This header is complete, and uses joulebus.h. The rules of joulebus.h
+ * for threads and processes hold. docs/tutorial/cpp.md shows how to use it.
  *
- * No function throws, except Result::value() of a failed call, and the standard library's containers.
+ * No function throws, except Result::value() of a failed call, and the standard library's
+ * containers.
  */
 #ifndef JOULEBUS_HPP
 #define JOULEBUS_HPP
@@ -75,7 +76,9 @@ public:
     /** The value. Throws Exception if there is none. */
     T &value() & { return check(), std::get<0>(found_); }
     const T &value() const & { return check(), std::get<0>(found_); }
-    /** By value: so a range that is used in the same expression, or in a loop, outlives this Result. */
+    /**
+     * By value: so a range that is used in the same expression, or in a loop, outlives this Result.
+     */
     T value() && { return check(), std::move(std::get<0>(found_)); }
 
     /** The value, which must be there. */
@@ -177,7 +180,8 @@ public:
     }
 
 private:
-    // In another thread or process, the library refuses this, and the handle stays open. A destructor cannot report it.
+    // In another thread or process, the library refuses this, and the handle stays open. A
+    // destructor cannot report it.
     void drop() noexcept {
         if (raw_ != nullptr) {
             (void)Close(raw_);
@@ -265,7 +269,10 @@ public:
         return Publisher(raw);
     }
 
-    /** Sends one frame: each robot at most once. `intended_ns`: when it was due, monotonic. 0 for now. */
+    /**
+     * Sends one frame: each robot at most once. `intended_ns`: when it was due, monotonic. 0 for
+     * now.
+     */
     Result<joulebus_sent> publish(Span<const RobotState> robots, std::uint64_t intended_ns = 0) {
         joulebus_sent sent{};
         auto code = joulebus_publisher_publish(handle_.get(), robots.data(), robots.size(), intended_ns, &sent);
@@ -298,7 +305,10 @@ public:
         return counts;
     }
 
-    /** Leaves the fleet, and returns an error if that is refused. The destructor does the same, and cannot return one. */
+    /**
+     * Leaves the fleet, and returns an error if that is refused. The destructor does the same, and
+     * cannot return one.
+     */
     Result<void> close() { return handle_.close(); }
     /** For calls of joulebus.h. */
     joulebus_publisher *get() const noexcept { return handle_.get(); }
@@ -323,7 +333,9 @@ inline std::optional<std::pair<float, float>> interval_w(const joulebus_forecast
     return std::make_pair(row.lo_w, row.hi_w);
 }
 
-/** A frame in shared memory: a range of rows, valid until the next read, or as long as it is kept. */
+/**
+ * A frame in shared memory: a range of rows, valid until the next read, or as long as it is kept.
+ */
 template <class Raw, class Header, class Row> class Frame {
 public:
     explicit Frame(const Raw &raw) noexcept : raw_(raw) {}
@@ -370,8 +382,9 @@ struct TimedOut {};
 /** An event of a subscriber. */
 using Event = std::variant<TimedOut, Forecasts, Gone, Stale, Interrupted>;
 
-/** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is. Belongs to its
- *  planner's thread. Its rows cannot be taken from a temporary one, which gives the frame back at once. */
+/** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is.
+ *  Belongs to its planner's thread. Its rows cannot be taken from a temporary one, which gives the
+ *  frame back at once. */
 class KeptForecasts {
 public:
     KeptForecasts(joulebus_frame *raw, const joulebus_forecasts &frame) noexcept : handle_(raw), frame_(frame) {}
@@ -408,8 +421,8 @@ private:
     Forecasts frame_;
 };
 
-/** A descriptor that is readable when Subscriber::wait is likely to have something to return, and how long to wait for it
- *  before wait is called anyway. The descriptor is the subscriber's. */
+/** A descriptor that is readable when Subscriber::wait is likely to have something to return, and
+ *  how long to wait for it before wait is called anyway. The descriptor is the subscriber's. */
 struct Readiness {
     int descriptor;
     std::chrono::nanoseconds look_within;
@@ -468,7 +481,9 @@ public:
         return read<Forecasts>(code, frame);
     }
 
-    /** One robot of the frame that was returned last, in constant time. nullptr if it is not there. */
+    /**
+     * One robot of the frame that was returned last, in constant time. nullptr if it is not there.
+     */
     Result<const joulebus_forecast *> robot(std::uint32_t id) {
         const joulebus_forecast *row = nullptr;
         auto code = joulebus_subscriber_robot(handle_.get(), id, &row);
@@ -478,8 +493,8 @@ public:
         return row;
     }
 
-    /** Takes the frame that was returned last out of the subscriber. Then there is no current frame until a newer one
-     *  arrives. Two frames may be kept. */
+    /** Takes the frame that was returned last out of the subscriber. Then there is no current frame
+     *  until a newer one arrives. Two frames may be kept. */
     Result<KeptForecasts> take_current() {
         joulebus_frame *raw = nullptr;
         joulebus_forecasts frame{};
@@ -504,8 +519,8 @@ public:
         return read<Budgets>(code, frame);
     }
 
-    /** The newest outlooks, if any have arrived. Valid until the next call. The worker computes them from the first
-     *  call on. */
+    /** The newest outlooks, if any have arrived. Valid until the next call. The worker computes
+     *  them from the first call on. */
     Result<std::optional<Outlooks>> outlooks() {
         joulebus_outlooks frame{};
         auto code = joulebus_subscriber_outlooks(handle_.get(), &frame);
@@ -561,7 +576,9 @@ private:
 };
 static_assert(sizeof(Answer) == sizeof(joulebus_answer_row), "an array of one is an array of the other");
 
-/** Sequences of commands of one robot, which lie elsewhere: candidate by candidate, step by step. */
+/**
+ * Sequences of commands of one robot, which lie elsewhere: candidate by candidate, step by step.
+ */
 struct Candidates {
     std::size_t count;
     std::size_t steps;
@@ -628,7 +645,10 @@ public:
 
     bool wants_power() const noexcept { return power_; }
 
-    /** The struct of C. It is valid until this question changes. It is empty if there are too few commands. */
+    /**
+     * The struct of C. It is valid until this question changes. It is empty if there are too few
+     * commands.
+     */
     std::optional<joulebus_question> raw() const noexcept {
         joulebus_question raw = asked_;
         const std::size_t steps = raw.steps;
@@ -672,7 +692,10 @@ struct Answers {
 
 namespace detail {
 
-/** Asks with memory for the answers. If the number of powers is not known before, it asks once more with enough memory. */
+/**
+ * Asks with memory for the answers. If the number of powers is not known before, it asks once more
+ * with enough memory.
+ */
 template <class Ask> Result<Answers> answered(const Question &question, Ask ask) {
     auto raw = question.raw();
     if (!raw) {
@@ -741,7 +764,10 @@ public:
         return platform;
     }
 
-    /** The answer to each candidate, into memory of the caller. `power_w`: the power of every step, or nothing. */
+    /**
+     * The answer to each candidate, into memory of the caller. `power_w`: the power of every step,
+     * or nothing.
+     */
     Result<void> what_if(std::uint32_t robot, const Candidates &candidates, float coverage, Span<Answer> answers,
                          Span<float> power_w = {}) {
         const std::size_t steps = candidates.steps;
@@ -813,7 +839,10 @@ public:
         return Predictor(raw);
     }
 
-    /** Forecasts of rows of `width` features, 11 or 13, in W. `power_w` has one element for each row. */
+    /**
+     * Forecasts of rows of `width` features, 11 or 13, in W. `power_w` has one element for each
+     * row.
+     */
     Result<void> predict(Span<const float> features, std::size_t width, Span<float> power_w) const {
         const bool fits = width != 0 && features.size() % width == 0 && features.size() / width == power_w.size();
         if (!fits) {

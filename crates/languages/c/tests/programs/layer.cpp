@@ -102,7 +102,8 @@ void frames(const std::string &config) {
     HOLDS(moved.size() == 0 && moved.begin() == moved.end() && moved.header().tick == 0);
 }
 
-// A kept frame does not become one that is not kept, and a loop over a temporary one keeps it until the loop ends.
+// A kept frame does not become one that is not kept, and a loop over a temporary one keeps it until
+// the loop ends.
 static_assert(!std::is_convertible_v<joulebus::KeptForecasts &, joulebus::Forecasts>);
 static_assert(std::is_same_v<decltype(std::declval<joulebus::Result<joulebus::KeptForecasts>>().value()),
                              joulebus::KeptForecasts>);

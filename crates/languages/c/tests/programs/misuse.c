@@ -1,5 +1,5 @@
-/* What a C program may get wrong: each call is refused with its code and a message, and the next one works.
- * Beside a running worker and a source of robots 0 to 7:
+/* What a C program may get wrong: each call is refused with its code and a message, and the next
+ * one works. Beside a running worker and a source of robots 0 to 7:
  *
  *     ./misuse fleet.toml
  */
@@ -54,7 +54,10 @@ static joulebus_forecasts next_frame(joulebus_subscriber *from) {
     }
 }
 
-/* Waits until the worker has dropped a sample for this reason: of a source that leaves at once it need not take any. */
+/*
+ * Waits until the worker has dropped a sample for this reason: of a source that leaves at once it
+ * need not take any.
+ */
 static void until_counted(uint32_t reason) {
     joulebus_subscriber *seen = subscriber();
     for (int frames = 0; next_frame(seen).header->samples_dropped.counts[reason] == 0; frames++) {

@@ -1,5 +1,6 @@
-// Times calls of the C++ layer, for `tools/c_speed.py`: each line on stdin is a call and how often to make it, each
-// line on stdout the time of all of them, ns. The same calls from Rust: `crates/languages/c/examples/calls.rs`.
+// Times calls of the C++ layer, for `tools/c_speed.py`: each line on stdin is a call and how often
+// to make it, each line on stdout the time of all of them, ns. The same calls from Rust:
+// `crates/languages/c/examples/calls.rs`.
 //
 //     ./calls fleet.toml
 #include <chrono>

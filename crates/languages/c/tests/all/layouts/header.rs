@@ -7,7 +7,7 @@ use joulebus_wire::{Constant, FieldType, SCHEMA_VERSION, constants, layouts};
 
 use super::{compare, root, snake, text_of};
 
-const WIDTH: usize = 112;
+const WIDTH: usize = 100;
 
 #[test]
 fn the_c_header_is_made_from_the_sources() {
@@ -50,33 +50,38 @@ fn made() -> String {
 
 const TOP: &str = "/**
  * @file
- * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
- * robot fleets. docs/tutorial/cpp.md introduces it. joulebus.hpp is a layer above for C++17.
+ * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a
+ * shared-memory energy broker for robot fleets. docs/tutorial/cpp.md introduces it. joulebus.hpp is
+ * a layer above for C++17.
  *
- * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
+ * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c
+ * --test all layouts.
  *
- * Errors. Calls return a joulebus_error. joulebus_last_error() has the message. After an error a call has written no
- * results, unless its comment says otherwise. No call aborts the program because of its arguments or of what it reads.
+ * Errors. Calls return a joulebus_error. joulebus_last_error() has the message. After an error a
+ * call has written no results, unless its comment says otherwise. No call aborts the program
+ * because of its arguments or of what it reads.
  *
- * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it. A call by another
- * thread is refused (JOULEBUS_ERROR_THREAD), also one that closes it. Each thread may open its own. A predictor may be
- * used by any thread. A signal handler must make no call. If it does, the call that it interrupted is not disturbed.
- * The handler's calls on the same handle are refused.
+ * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened
+ * it. A call by another thread is refused (JOULEBUS_ERROR_THREAD), also one that closes it. Each
+ * thread may open its own. A predictor may be used by any thread. A signal handler must make no
+ * call. If it does, the call that it interrupted is not disturbed. The handler's calls on the same
+ * handle are refused.
  *
- * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS). The parent's memory is
- * not disturbed. Open other handles in the child. Handles of a process may be of several fleets.
+ * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS).
+ * The parent's memory is not disturbed. Open other handles in the child. Handles of a process may
+ * be of several fleets.
  *
- * Handles are numbers in the shape of pointers. A handle that is closed, NULL or invalid is refused. Closing twice is an
- * error and nothing else. A handle that is open when its thread ends stays open until the process ends. Other members of
- * the fleet then remove what is left.
+ * Handles are numbers in the shape of pointers. A handle that is closed, NULL or invalid is
+ * refused. Closing twice is an error and nothing else. A handle that is open when its thread ends
+ * stays open until the process ends. Other members of the fleet then remove what is left.
  *
- * The caller promises that every pointer that is not NULL points to as many elements as the call says, aligned, in
- * memory that no other thread changes meanwhile. NULL is allowed where a comment says so, and for arrays without
- * elements. Texts are UTF-8 and end with a zero. Do not write to what a call returns in shared memory. You may read it
- * until the time that the call states.
+ * The caller promises that every pointer that is not NULL points to as many elements as the call
+ * says, aligned, in memory that no other thread changes meanwhile. NULL is allowed where a comment
+ * says so, and for arrays without elements. Texts are UTF-8 and end with a zero. Do not write to
+ * what a call returns in shared memory. You may read it until the time that the call states.
  *
- * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock (joulebus_monotonic_ns()). Unknown values
- * have their flag cleared, and are NaN.
+ * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock
+ * (joulebus_monotonic_ns()). Unknown values have their flag cleared, and are NaN.
  */";
 
 /// Version, structs and constants of `joulebus-wire`.
