@@ -38,7 +38,8 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::nan::canonical;
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, SeenPower};
+use joulebus_predictor::training::SeenPower;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};

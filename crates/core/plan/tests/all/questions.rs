@@ -4,7 +4,7 @@ use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
     Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict,
-    decode_acknowledgement, encode_acknowledgement, rank,
+    acknowledgement, rank,
 };
 use joulebus_wire::{
     Alarm, AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
@@ -75,10 +75,10 @@ fn questions_and_replies_survive_their_payloads() {
 #[test]
 fn only_an_alarm_of_the_own_level_is_acknowledged_as_the_new_normal() {
     for alarm in Alarm::ALL {
-        let encode = |new_normal| encode_acknowledgement(7, alarm, "ann", new_normal, FLEET);
+        let encode = |new_normal| acknowledgement::encode(7, alarm, "ann", new_normal, FLEET);
         let (known, values) = encode(false).unwrap();
         let flagged = QueryHeader { flags: query_flag::NEW_NORMAL, ..known };
-        let decode = |header| decode_acknowledgement(header, &values, FLEET, 5);
+        let decode = |header| acknowledgement::decode(header, &values, FLEET, 5);
         let taken = decode(&known).unwrap();
         assert_eq!((taken.robot, taken.alarm(), taken.by()), (7, alarm, "ann"));
         if matches!(alarm, Alarm::LevelHigh | Alarm::LevelLow) {
