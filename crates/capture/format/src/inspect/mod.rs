@@ -28,9 +28,9 @@ pub use summary::StatisticsCheck;
 use summary::Summary;
 
 /// Maximum number of findings listed. Others are only counted.
-const LISTED_FINDINGS: usize = 200;
+const MAX_LISTED_FINDINGS: usize = 200;
 /// Maximum number of attachments and metadata records listed. Others are only counted.
-const LISTED_RECORDS: usize = 1000;
+const MAX_LISTED_RECORDS: usize = 1000;
 
 /// Inspects a file.
 ///
@@ -128,7 +128,7 @@ impl Inspector {
             Severity::Error => self.errors += 1,
             Severity::Note => self.notes += 1,
         }
-        if self.findings.len() < LISTED_FINDINGS {
+        if self.findings.len() < MAX_LISTED_FINDINGS {
             self.findings.push(Finding { severity, place, what });
         }
     }
@@ -222,7 +222,7 @@ impl Inspector {
             }
             Record::Attachment { header, data, .. } => {
                 self.summary.attachment(raw.place.offset, bytes, &header, data.len() as u64);
-                if self.attachments.len() < LISTED_RECORDS {
+                if self.attachments.len() < MAX_LISTED_RECORDS {
                     self.attachments.push(AttachmentReport {
                         name: header.name,
                         media_type: header.media_type,
@@ -234,7 +234,7 @@ impl Inspector {
             }
             Record::Metadata(metadata) => {
                 self.summary.metadata(raw.place.offset, bytes, &metadata.name);
-                if self.metadata.len() < LISTED_RECORDS {
+                if self.metadata.len() < MAX_LISTED_RECORDS {
                     self.metadata
                         .push(MetadataReport { name: metadata.name, entries: metadata.metadata });
                 }

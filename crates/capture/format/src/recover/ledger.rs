@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::scan::{ChunkFrame, Crc, Place, Raw, ScanError, Skipped, kind_name};
 
 /// Maximum number of problems listed. Others are only counted.
-const LISTED_TROUBLES: usize = 200;
+const MAX_LISTED_TROUBLES: usize = 200;
 
 /// Records of one kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
@@ -48,7 +48,7 @@ pub(super) struct Troubles {
 impl Troubles {
     pub(super) fn add(&mut self, place: Place, what: String) {
         self.count += 1;
-        if self.listed.len() < LISTED_TROUBLES {
+        if self.listed.len() < MAX_LISTED_TROUBLES {
             self.listed.push(Trouble { place, what });
         }
     }

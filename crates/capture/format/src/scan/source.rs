@@ -7,7 +7,7 @@ use super::record::Place;
 
 const BUFFER_BYTES: usize = 256 << 10;
 /// Maximum initial allocation for a record of unverified length, bytes.
-const TRUSTED_BYTES: u64 = 1 << 20;
+const MAX_TRUSTED_BYTES: u64 = 1 << 20;
 
 /// A file that is read once, in order. [`Source::go_to`] breaks the order.
 pub(super) struct Source<R> {
@@ -136,8 +136,8 @@ pub(super) struct Mark {
 /// Reads up to `bytes`, replacing the contents of `into`. A wrong length allocates little.
 pub(super) fn fill(input: &mut impl Read, bytes: u64, into: &mut Vec<u8>) -> io::Result<()> {
     into.clear();
-    into.shrink_to(4 * TRUSTED_BYTES as usize);
-    into.reserve(usize::try_from(bytes.min(TRUSTED_BYTES)).unwrap_or_default());
+    into.shrink_to(4 * MAX_TRUSTED_BYTES as usize);
+    into.reserve(usize::try_from(bytes.min(MAX_TRUSTED_BYTES)).unwrap_or_default());
     input.take(bytes).read_to_end(into)?;
     Ok(())
 }
