@@ -193,7 +193,8 @@ impl Assembler {
 
     /// Whether `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
-        self.first.is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)
+        self.first
+            .is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)
     }
 
     fn parts(&mut self, place: Place, kind: MessageKind) -> &mut TickParts {
@@ -266,7 +267,8 @@ impl Assembler {
             while let Some(mut head) = run.ticks.first_entry() {
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
-                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + MAX_LEAD_TICKS {
+                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + MAX_LEAD_TICKS
+                {
                     break;
                 }
                 let mut parts = Box::new(head.remove());

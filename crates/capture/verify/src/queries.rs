@@ -8,7 +8,7 @@ use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
-    AnswerHeader, Budget, PlanState, MAX_QUERY_STEPS, QueryKind, QueryRefusal, answer_parts, fnv1a,
+    AnswerHeader, Budget, MAX_QUERY_STEPS, PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a,
 };
 
 use crate::compare::{self, FieldDifference};

@@ -2,8 +2,8 @@
 
 use joulebus_wire::{
     ANSWER_WORDS, Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_NAME_BYTES,
-    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal, ROW_WORDS,
-    SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
+    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal,
+    ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
 };
 
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};

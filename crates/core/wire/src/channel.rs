@@ -5,9 +5,9 @@
 
 use crate::{
     Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
-    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, Outlook, OutlookHeader, PlanState, PlanStateHeader,
-    QueriesHeader, MAX_RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame,
-    TickHeader,
+    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, MAX_RECORD_WORDS, Outlook, OutlookHeader,
+    PlanState, PlanStateHeader, QueriesHeader, Row, Sample, SampleHeader, Service, StateHeader,
+    TakenFrame, TickHeader,
 };
 
 /// A service of shared memory through which frames go.

@@ -4,8 +4,8 @@
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
-    Outlook, OutlookHeader, PlanState, PlanStateHeader, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS,
-    MAX_QUERY_STEPS, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
+    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, Outlook, OutlookHeader, PlanState,
+    PlanStateHeader, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
     SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag, diagnostic_flag,
     forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
 };

@@ -2,7 +2,7 @@
 
 use joulebus_bus::{Bus, Limits, OpenError, SendError, Writer, clock, process_id};
 use joulebus_wire::{
-    Queries, QueriesHeader, QueryCounts, QueryRecord, MAX_RECORD_WORDS, SCHEMA_VERSION, push_record,
+    MAX_RECORD_WORDS, Queries, QueriesHeader, QueryCounts, QueryRecord, SCHEMA_VERSION, push_record,
 };
 
 /// Maximum time that a record waits for others, ns. A recorder polls every 10 ms.

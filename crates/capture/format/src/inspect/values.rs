@@ -262,7 +262,8 @@ fn count(
         match (payload, kind) {
             (Payload::Bytes(bytes), Some(Kind::Message(inner))) => {
                 let depth = depth.checked_sub(1);
-                let depth = depth.ok_or_else(|| format!("nested deeper than {MAX_DECODED_DEPTH}"))?;
+                let depth =
+                    depth.ok_or_else(|| format!("nested deeper than {MAX_DECODED_DEPTH}"))?;
                 count(&inner, bytes, depth, left)?;
             }
             (Payload::Bytes(_), None | Some(Kind::String | Kind::Bytes)) | (Payload::Number, _) => {

@@ -14,9 +14,9 @@ use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, MAX_QUERY_STEPS,
-    QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, State, StateHeader,
-    TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
+    ForecastHeader, Forecasts, MAX_QUERY_STEPS, OutlookHeader, Outlooks, PlanStateHeader,
+    PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, State,
+    StateHeader, TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 

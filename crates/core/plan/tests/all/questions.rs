@@ -7,8 +7,8 @@ use joulebus_plan::{
     acknowledgement, rank,
 };
 use joulebus_wire::{
-    Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
-    query_flag,
+    Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION,
+    plan_state_flag, query_flag,
 };
 use proptest::prelude::*;
 
