@@ -103,7 +103,7 @@ impl Fleet {
             let source = scope.spawn(|| publish(&self.config, robots, rate_hz, &stop));
             let mut turn = || -> anyhow::Result<Option<f64>> {
                 let begun = Instant::now();
-                let ticked = worker.turn()?;
+                let ticked = worker.poll()?;
                 Ok(ticked.then(|| begun.elapsed().as_secs_f64() * 1e6))
             };
             let done = work(&mut turn, &stop);

@@ -3,7 +3,7 @@
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
 use super::error::ScanError;
-use super::record::Place;
+use super::record::RecordLocation;
 
 const BUFFER_BYTES: usize = 256 << 10;
 /// Maximum initial allocation for a record of unverified length, bytes.
@@ -23,7 +23,7 @@ pub(super) struct Source<R> {
 
 impl<R: Read + Seek> Source<R> {
     pub(super) fn new(mut input: R) -> Result<Self, ScanError> {
-        let io = |source| ScanError::Io { place: Place::top(0), source };
+        let io = |source| ScanError::Io { place: RecordLocation::top(0), source };
         let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
         input.seek(SeekFrom::Start(0)).map_err(io)?;
         Ok(Self {
@@ -57,7 +57,7 @@ impl<R: Read + Seek> Source<R> {
     }
 
     fn io(&self, source: io::Error) -> ScanError {
-        ScanError::Io { place: Place::top(self.offset), source }
+        ScanError::Io { place: RecordLocation::top(self.offset), source }
     }
 
     /// Reads `bytes`, or as many as there are, replacing the contents of `into`.
