@@ -1,7 +1,7 @@
 //! The linear baseline: AR(5), in older model files with velocities.
 
 use crate::error::ModelError;
-use crate::features::{FeatureSet, Features, INPUTS};
+use crate::features::{FeatureSet, Features};
 use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
@@ -67,6 +67,7 @@ impl Linear {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::INPUTS;
 
     fn linear() -> Linear {
         let mut weights = [0.0; INPUTS];

@@ -1,4 +1,4 @@
-//! What sources find implausible in what they report.
+//! Implausible findings of sources in their own reports.
 //!
 //! A source that judges writes a small file beside the fleet's shared memory, and readers raise the
 //! alarm `Implausible`. So no layout, no capture and no bit of the worker knows of it.
@@ -21,14 +21,13 @@ const EXPIRES: Duration = Duration::from_secs(15);
 const MAX_BYTES: u64 = 1 << 20;
 const MAX_LINES: usize = 16_000;
 const MAX_LETTERS: usize = 10;
-/// What a line begins with.
+/// Beginning of a line.
 const ROBOT: &str = "robot ";
-/// What the name of a file that is being written ends with. No other's does: `.` is in no source's
-/// part.
+/// Suffix of a file that is being written. No other name ends with it: a source's part has no `.`.
 const DRAFT: &str = ".new";
 
-/// What a file is called first. No name of a fleet has a `.`, and the default root is that of
-/// several.
+/// Beginning of a file's name. It names the fleet, because several share the default root. No name
+/// of a fleet has a `.`.
 fn beginning(config: &Config) -> String {
     format!("findings-{}.", config.fleet())
 }
@@ -172,7 +171,7 @@ mod tests {
             file.write([(robot, "sign")]).expect("written");
         }
         assert_eq!(implausible_robots(&config), (0..5).collect());
-        files[2].say::<&str>([]).expect("removed");
+        files[2].write::<&str>([]).expect("removed");
         assert_eq!(implausible_robots(&config), BTreeSet::from([0, 1, 3, 4]));
     }
 
@@ -202,7 +201,7 @@ mod tests {
         one.write([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")]).expect("written");
         other.write([(9, "sign")]).expect("written");
         assert_eq!(found(), [3, 7, 9]);
-        one.say::<&str>([]).expect("removed");
+        one.write::<&str>([]).expect("removed");
         assert_eq!(found(), [9]);
         drop(other);
         assert_eq!(found(), []);
