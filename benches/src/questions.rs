@@ -16,7 +16,7 @@ use joulebus_plan_server::PlanServer;
 use joulebus_planner::{PlanClient, Planner};
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_wire::{QUERY_STEPS, Sample};
+use joulebus_wire::{MAX_QUERY_STEPS, Sample};
 
 use crate::latency::raw::RawHops;
 use crate::latency::{Launcher, distribution};
@@ -103,7 +103,7 @@ impl Fleet {
             let source = scope.spawn(|| publish(&self.config, robots, rate_hz, &stop));
             let mut turn = || -> anyhow::Result<Option<f64>> {
                 let begun = Instant::now();
-                let ticked = worker.turn()?;
+                let ticked = worker.poll()?;
                 Ok(ticked.then(|| begun.elapsed().as_secs_f64() * 1e6))
             };
             let done = work(&mut turn, &stop);
@@ -230,7 +230,7 @@ fn ask(config: &Config, rounds: usize, launcher: &Launcher) -> anyhow::Result<(T
         timed(&mut times.here_us, &mut || {
             let view = planner.view()?.context("a frame")?;
             let find = |robot| view.rows(robot);
-            question.clone().answer(&fleet, find, QUERY_STEPS)?;
+            question.clone().answer(&fleet, find, MAX_QUERY_STEPS)?;
             Ok(())
         })?;
         raw.send(clock::monotonic_ns())?;

@@ -19,6 +19,7 @@ use crate::subscriber::look_every;
 ///
 /// [`AlarmHistory`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Change {
     /// It is raised.
     Raised,

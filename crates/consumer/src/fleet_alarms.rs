@@ -18,20 +18,14 @@ use crate::{
 /// use joulebus_consumer::wire::{AlarmCard, Level};
 /// use joulebus_consumer::{Change, FleetAlarm};
 ///
-/// let raised = FleetAlarm {
-///     robot: None,
-///     alarm: "WorkerStale",
-///     level: Level::Error,
-///     change: Change::Raised,
-///     at_ns: 2_000_000_000,
-///     raised_ns: 2_000_000_000,
-///     acknowledged: None,
-/// };
-/// let cleared = FleetAlarm { change: Change::Cleared, at_ns: 5_500_000_000, ..raised };
-/// assert_eq!((raised.lasted_s(), cleared.lasted_s()), (None, Some(3.5)));
-/// assert!(AlarmCard::named(raised.alarm).is_some());
+/// let raised = FleetAlarm::new(None, &AlarmCard::WORKER_STALE, Change::Raised, 2_000_000_000);
+/// assert_eq!((raised.level, raised.lasted_s()), (Level::Error, None));
+/// let mut cleared = raised;
+/// (cleared.change, cleared.at_ns) = (Change::Cleared, 5_500_000_000);
+/// assert_eq!(cleared.lasted_s(), Some(3.5));
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct FleetAlarm {
     /// The robot. `None` for the worker.
     pub robot: Option<u32>,
@@ -52,6 +46,13 @@ pub struct FleetAlarm {
 }
 
 impl FleetAlarm {
+    /// A change of the card's alarm at `at_ns`, raised then too and not acknowledged.
+    #[must_use]
+    pub const fn new(robot: Option<u32>, card: &AlarmCard, change: Change, at_ns: u64) -> Self {
+        let (alarm, level) = (card.name, card.level);
+        Self { robot, alarm, level, change, at_ns, raised_ns: at_ns, acknowledged: None }
+    }
+
     /// From the raise to the end, s. `None` while it is raised.
     #[must_use]
     pub fn lasted_s(&self) -> Option<f64> {
@@ -76,15 +77,8 @@ impl From<AlarmChange> for FleetAlarm {
 
 impl From<SourceChange> for FleetAlarm {
     fn from(change: SourceChange) -> Self {
-        Self {
-            robot: Some(change.robot),
-            alarm: AlarmCard::IMPLAUSIBLE.name,
-            level: AlarmCard::IMPLAUSIBLE.level,
-            change: change.change,
-            at_ns: change.at_ns,
-            raised_ns: change.raised_ns,
-            acknowledged: None,
-        }
+        let SourceChange { robot, change, at_ns, raised_ns } = change;
+        Self { raised_ns, ..Self::new(Some(robot), &AlarmCard::IMPLAUSIBLE, change, at_ns) }
     }
 }
 
@@ -156,15 +150,7 @@ impl FleetAlarms {
         }
         let at_ns = clock::monotonic_ns();
         let mut pass_on = |(card, raised_ns): OfWorker, change| {
-            each(FleetAlarm {
-                robot: None,
-                alarm: card.name,
-                level: card.level,
-                change,
-                at_ns,
-                raised_ns,
-                acknowledged: None,
-            });
+            each(FleetAlarm { raised_ns, ..FleetAlarm::new(None, &card, change, at_ns) });
         };
         if let Some(ended) = self.worker.take() {
             pass_on(ended, Change::Cleared);

@@ -15,6 +15,7 @@ const POLL_INTERVAL_NS: u64 = 1_000_000_000;
 ///
 /// [`SourceAlarms`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct SourceChange {
     /// The robot.
     pub robot: u32,

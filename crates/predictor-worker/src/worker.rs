@@ -410,7 +410,7 @@ impl Worker {
             tracing::warn!(%error, "ticks may start 50 µs late");
         }
         while !stop.load(Ordering::Relaxed) {
-            if let Err(error) = self.turn() {
+            if let Err(error) = self.poll() {
                 // Notify planners. Dropping the rest saves the ledger.
                 self.outbox.end();
                 return Err(error);
@@ -427,7 +427,7 @@ impl Worker {
     ///
     /// # Errors
     /// As [`Worker::run`].
-    pub fn turn(&mut self) -> Result<bool, RunError> {
+    pub fn poll(&mut self) -> Result<bool, RunError> {
         self.turns.fetch_add(1, Ordering::Relaxed);
         self.bus.check()?;
         self.drain();

@@ -139,7 +139,7 @@ fn measure(case: Case) {
                 || plan_states.load(Ordering::Relaxed) == 0
             {
                 // A new normal in each tick, of which there is always room for one more.
-                let has_ticked = worker.turn().unwrap();
+                let has_ticked = worker.poll().unwrap();
                 done += u64::from(has_ticked);
                 assert!(!has_ticked || ask.try_send(7).is_ok(), "the tick before took it");
                 assert!(begin.elapsed() < PATIENCE, "no frame or no keyframe");

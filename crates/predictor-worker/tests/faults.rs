@@ -71,7 +71,7 @@ fn measure(policy: &str, warm_up: u32, ticks: u32) -> (u64, u64) {
         let mut tick = |ticks: u32| {
             let (mut done, before) = (0, sent.load(Ordering::Relaxed));
             while done < ticks || sent.load(Ordering::Relaxed) < before + u64::from(ticks) / 4 {
-                done += u32::from(worker.turn().unwrap());
+                done += u32::from(worker.poll().unwrap());
             }
             page_faults().unwrap()
         };

@@ -206,7 +206,7 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         let mut run = |ticks: u32| {
             let mut done = 0;
             while done < ticks {
-                done += u32::from(worker.turn().unwrap());
+                done += u32::from(worker.poll().unwrap());
                 let tick = worker.report().ticks;
                 let is_read =
                     |read: &AtomicU64| read.load(Ordering::Relaxed) >= tick.saturating_sub(4);
@@ -283,7 +283,7 @@ fn a_flood_of_frames_holds_no_new_normal_back() {
                 (header.frame_seq, header.samples_before) =
                     (header.frame_seq + 1, header.samples_before + 1);
             }
-            has_ticked = worker.turn().unwrap();
+            has_ticked = worker.poll().unwrap();
         }
     }
     while let Some(frame) = ticks.take_next().unwrap() {
@@ -306,7 +306,7 @@ fn plan_states_and_outlooks_are_computed_while_somebody_reads_them() {
     let mut written = || {
         let mut done = 0;
         while done < 3 {
-            done += u32::from(worker.turn().unwrap());
+            done += u32::from(worker.poll().unwrap());
         }
         let mut flags = None;
         while let Some(frame) = ticks.take_next().unwrap() {

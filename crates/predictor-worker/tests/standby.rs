@@ -149,7 +149,7 @@ impl Scene {
     fn until(&self, worker: &mut Worker, what: &str, mut condition: impl FnMut(&Worker) -> bool) {
         let begun = Instant::now();
         while !condition(worker) {
-            worker.turn().unwrap();
+            worker.poll().unwrap();
             assert!(
                 begun.elapsed() < PATIENCE,
                 "{what}: not after {PATIENCE:?}. {:?} sent, {:?} frames, {:?} looks, accounts {:?}",
@@ -199,7 +199,7 @@ impl Drop for Scene {
 /// Forecasts of a first frame: none of them may be warming up.
 fn first_frame(scene: &Scene, worker: &mut Worker) -> Vec<Quality> {
     let before = scene.frames.load(Ordering::Relaxed);
-    worker.turn().unwrap();
+    worker.poll().unwrap();
     scene.until(worker, "a frame", |_| scene.frames.load(Ordering::Relaxed) > before);
     let read = scene.read.lock().unwrap();
     read.0.iter().map(Forecast::quality).collect()
@@ -235,7 +235,7 @@ fn goes_on_after(frames: u64) {
         let mut turns = Vec::new();
         eventually("a keyframe", || {
             turns.push((clock::monotonic_ns(), scene.sent.load(Ordering::Relaxed)));
-            worker.turn().unwrap();
+            worker.poll().unwrap();
             let saved = SavedState::read(&scene.places.keyframe).unwrap();
             saved.is_some_and(|saved| saved.taken_ns > turns[0].0)
         });
@@ -329,7 +329,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
                 scene.permit(term, None);
             }
             let frames = scene.frames.load(Ordering::Relaxed);
-            assert!(worker.turn().is_err());
+            assert!(worker.poll().is_err());
             scene.read_all();
             assert_eq!(scene.frames.load(Ordering::Relaxed), frames);
             accounts = scene.accounts();

@@ -18,6 +18,7 @@ const ENDS_AFTER: u64 = 1_024;
 ///
 /// [`Judgement`] has an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Implausible {
     /// The robot.
     pub robot: u32,

@@ -119,7 +119,7 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
             let errors =
                 errors.filter(|found| found.finding.is_error() && found.finding.quantity.is_some());
             // The next call tries again.
-            let _ = findings.say(errors.map(|found| (found.robot, found.finding.kind)));
+            let _ = findings.write(errors.map(|found| (found.robot, found.finding.kind)));
         }
     }
 }

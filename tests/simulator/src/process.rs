@@ -79,7 +79,7 @@ impl Program {
     pub(crate) fn step(&mut self) -> Stepped {
         match self {
             Self::Client(client) => client.step(),
-            Self::Worker(worker, _) => match worker.turn() {
+            Self::Worker(worker, _) => match worker.poll() {
                 // If it has not ticked it sleeps; when, it has told the host.
                 Ok(_) => Stepped::On(time::now_ns()),
                 Err(error) => Stepped::Ended(error.to_string()),

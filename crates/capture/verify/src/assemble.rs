@@ -12,7 +12,7 @@ use crate::report::Loss;
 use joulebus_capture_format::{Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
-const WINDOW: u64 = 64;
+const MAX_LEAD_TICKS: u64 = 64;
 /// Maximum number of frames of samples waiting for their tick.
 const MAX_FRAMES: usize = 8_192;
 /// Maximum number of samples in them: 224 MB.
@@ -188,12 +188,13 @@ impl Assembler {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
         let is_newest = self.runs.keys().next_back().is_none_or(|newest| *newest <= run);
-        (self.ended || !is_newest) && tick + WINDOW > last
+        (self.ended || !is_newest) && tick + MAX_LEAD_TICKS > last
     }
 
     /// Whether `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
-        self.first.is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
+        self.first
+            .is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)
     }
 
     fn parts(&mut self, place: Place, kind: MessageKind) -> &mut TickParts {
@@ -261,12 +262,13 @@ impl Assembler {
         for (worker_epoch, run) in &mut self.runs {
             // A run that others have long followed has ended.
             let over = all
-                || (*worker_epoch < newest_run && newest_tick > WINDOW)
+                || (*worker_epoch < newest_run && newest_tick > MAX_LEAD_TICKS)
                 || *worker_epoch < oldest_run;
             while let Some(mut head) = run.ticks.first_entry() {
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
-                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + WINDOW {
+                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + MAX_LEAD_TICKS
+                {
                     break;
                 }
                 let mut parts = Box::new(head.remove());

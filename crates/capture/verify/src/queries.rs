@@ -8,7 +8,7 @@ use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
-    AnswerHeader, Budget, PlanState, QUERY_STEPS, QueryKind, QueryRefusal, answer_parts, fnv1a,
+    AnswerHeader, Budget, MAX_QUERY_STEPS, PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a,
 };
 
 use crate::compare::{self, FieldDifference};
@@ -186,7 +186,7 @@ impl Queries {
                 budgets.and_then(|tick| tick.budgets.iter().find(|row| row.robot == robot));
             Some(RobotRows::recorded(answer, *state, budget.copied()))
         };
-        let answered = Work::begin(question, find, QUERY_STEPS).and_then(|mut work| {
+        let answered = Work::begin(question, find, MAX_QUERY_STEPS).and_then(|mut work| {
             while !work.step(&self.fleet)? {}
             // As the worker: what is stale when the answer is sent is not promised.
             Ok(work.finish_at(answer.sent_ns))

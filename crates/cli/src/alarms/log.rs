@@ -125,6 +125,7 @@ impl Steps for Logging {
                 Change::Raised => report.raised += 1,
                 Change::Cleared | Change::Left => report.ended += 1,
                 Change::Acknowledged => report.acknowledged += 1,
+                _ => {}
             }
         });
         let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
@@ -229,7 +230,7 @@ fn log(change: &AlarmChange) {
             let by = change.acknowledged.as_ref().map(|row| row.by()).unwrap_or_default();
             tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, by, "alarm acknowledged by {by}");
         }
-        (Change::Cleared | Change::Left, _) => {
+        _ => {
             let lasted_s = FleetAlarm::from(*change).lasted_s().unwrap_or_default();
             let lasted = Lasting(lasted_s);
             tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, lasted_s, "alarm ended after {lasted}");

@@ -9,7 +9,7 @@ use serde::Serialize;
 /// Time that is run ahead, ns.
 const AHEAD_NS: u64 = 60_000_000_000;
 /// Maximum number of steps of single robots: some tenths of a second in a debug build.
-const ROBOT_STEPS: usize = 200_000;
+const MAX_ROBOT_STEPS: usize = 200_000;
 
 /// Scores of the newest outlooks over 60 s.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -25,7 +25,7 @@ pub(super) enum RunAhead {
 /// of `period_ns`.
 pub(super) fn affordable(steps: usize, period_ns: u64) -> u32 {
     let ahead = AHEAD_NS.div_ceil(period_ns.max(1)) as usize;
-    (ROBOT_STEPS / steps.saturating_add(ahead)) as u32
+    (MAX_ROBOT_STEPS / steps.saturating_add(ahead)) as u32
 }
 
 /// Runs `plant` ahead, which is at its start, and scores the board's outlooks by it. The robots'

@@ -35,7 +35,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of progress lines, ns.
 const PROGRESS_EVERY_NS: u64 = 5_000_000_000;
 /// Maximum memory of a snapshot, bytes.
-const SNAPSHOT_BYTES: usize = 512 << 20;
+const MAX_SNAPSHOT_BYTES: usize = 512 << 20;
 /// The file name that means stdout.
 const STDOUT: &str = "-";
 
@@ -232,7 +232,7 @@ impl Args {
             resume: self.resume,
             snapshot: self.snapshot.map(|seconds| Snapshot {
                 keep_ns: ns(seconds),
-                max_bytes: SNAPSHOT_BYTES,
+                max_bytes: MAX_SNAPSHOT_BYTES,
                 on_alarm: !self.no_alarm,
             }),
             ..Options::default()

@@ -8,7 +8,7 @@ use joulebus_wire::Level;
 use super::cells::{HEADS, cells, columns, lacks_charge, micros};
 
 /// Maximum number of robots named in a line.
-const NAMED: usize = 4;
+const MAX_NAMED: usize = 4;
 
 /// State of the fleet in one line.
 pub(crate) fn line(board: &Board, now_ns: u64) -> String {
@@ -34,12 +34,12 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
         .iter()
         .filter(|(_, row)| row.level() != Level::Ok && row.diagnostic.is_some())
         .collect();
-    for (robot, row) in standing_out.iter().take(NAMED) {
+    for (robot, row) in standing_out.iter().take(MAX_NAMED) {
         let alarm = row.diagnostic.map_or("", |diagnostic| diagnostic.alarm().name());
         let _ = write!(text, "  [{robot} {} {alarm}]", row.level().name());
     }
-    if standing_out.len() > NAMED {
-        let _ = write!(text, "  and {} more", standing_out.len() - NAMED);
+    if standing_out.len() > MAX_NAMED {
+        let _ = write!(text, "  and {} more", standing_out.len() - MAX_NAMED);
     }
     text
 }

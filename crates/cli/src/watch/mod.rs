@@ -91,7 +91,7 @@ impl Args {
         let mut counts_by_ns = give_up_ns;
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
             // The first frames may be empty: no robot has sent samples yet.
-            reading.turn(|| board.borrow_mut())?;
+            reading.poll(|| board.borrow_mut())?;
             let board = board.borrow();
             let whole = |row: &Row| row.diagnostic.is_some() && row.budget.is_some();
             if board.rows.values().any(whole)
@@ -147,7 +147,7 @@ impl Args {
         reading.want_outlooks(self.outlook)?;
         let mut reporter = LinkReporter::default();
         while !stop.is_asked() && clock::monotonic_ns() < end_ns {
-            let came = reading.turn(|| board.borrow_mut())?;
+            let came = reading.poll(|| board.borrow_mut())?;
             let board = board.borrow();
             reporter.report_changes(&board);
             if let Some(record) = FrameRecord::newest(&board, self.robot).filter(|_| came) {

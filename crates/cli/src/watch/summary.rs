@@ -36,7 +36,7 @@ pub(super) fn run(
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
     let mut reading = Reading::open(config, "planner", false)?;
     while !stop.is_asked() && clock::monotonic_ns() < end_ns {
-        reading.turn(|| board.borrow_mut())?;
+        reading.poll(|| board.borrow_mut())?;
     }
     let board = board.borrow();
     output.report(&PlannerReport {

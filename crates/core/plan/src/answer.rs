@@ -8,6 +8,7 @@ use serde::Serialize;
 
 /// An amount of energy with its interval, J.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Range {
     /// Expected, J.
     pub mean_j: f32,
@@ -19,6 +20,7 @@ pub struct Range {
 
 /// Energy left in the battery at the end, J.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Left {
     /// Best estimate, at least 0.
     pub mean_j: f32,
@@ -28,6 +30,7 @@ pub struct Left {
 
 /// The answer to one candidate, path or time at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Answer {
     /// Time from the first command to the end of the last, s.
     pub duration_s: f32,
@@ -48,6 +51,25 @@ pub struct Answer {
     pub limiting_leg: Option<usize>,
     /// Reasons that weaken the answer.
     pub caveats: Caveats,
+}
+
+impl Answer {
+    /// Before it is computed: fills the memory that [`crate::Robot::what_if_into`] writes into.
+    pub const UNKNOWN: Self = Self {
+        duration_s: 0.0,
+        energy: None,
+        left: None,
+        probability: None,
+        margin_j: None,
+        verdict: Verdict::Unknown(Unknown::NoLevel),
+        limiting_leg: None,
+        caveats: Caveats {
+            steps_outside_training: 0,
+            beyond_horizon: false,
+            no_reading: false,
+            state_outside_training: false,
+        },
+    };
 }
 
 /// Whether a robot makes a plan with its reserve untouched.
@@ -112,6 +134,7 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
 /// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, no interval
 /// says by how much, and the answer is [`Verdict::Tight`] at best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct Caveats {
     /// Steps whose commands lie outside the training data.
     pub steps_outside_training: usize,

@@ -31,7 +31,7 @@ const TURN_GAIN: f64 = 2.0;
 /// Distance at which a point is reached, m.
 const REACH_M: f64 = 0.05;
 /// Largest coordinate, m.
-const FARTHEST_M: f64 = 1e6;
+const MAX_COORDINATE_M: f64 = 1e6;
 /// A leg may take this much longer than at its speed.
 const PATIENCE: f64 = 20.0;
 
@@ -104,10 +104,10 @@ impl Path {
             return Err(PathError::Points { found: self.points.len().min(self.speed_mps.len()) });
         }
         let coordinate = |column, point, found: f64| {
-            if found.abs() <= FARTHEST_M {
+            if found.abs() <= MAX_COORDINATE_M {
                 return Ok(());
             }
-            Err(PathError::Coordinate { column, point, found, allowed: FARTHEST_M })
+            Err(PathError::Coordinate { column, point, found, allowed: MAX_COORDINATE_M })
         };
         for (place, point) in self.points.iter().enumerate() {
             coordinate("x_m", place, point.x_m)?;

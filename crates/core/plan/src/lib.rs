@@ -88,11 +88,16 @@ pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
 pub use follower::{Path, Point};
 pub use limits::MAX_STEPS;
-pub use payload::{decode_acknowledgement, encode_acknowledgement};
 pub use platform::{Frames, Platform, RobotRows};
 pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;
 pub use trip::{Ranked, Trip, rank, rank_each};
+
+/// Acknowledgements of alarms, as they travel among questions: `planner` sends them, the worker's
+/// thread (`plan-server`) takes them.
+pub mod acknowledgement {
+    pub use crate::payload::{decode_acknowledgement as decode, encode_acknowledgement as encode};
+}
 
 /// Answering in short steps, for programs that answer others meanwhile or can be interrupted: the
 /// worker's thread, `joulebus serve`, Python and C. [`Question::answer`] does all at once.

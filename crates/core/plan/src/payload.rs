@@ -2,8 +2,8 @@
 
 use joulebus_wire::{
     ANSWER_WORDS, Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_NAME_BYTES,
-    QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal, ROW_WORDS,
-    SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
+    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal,
+    ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
 };
 
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
@@ -231,11 +231,11 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     let [robots, candidates, steps] = counts;
     let max_robots = match kind {
         QueryKind::WhatIf | QueryKind::Acknowledge => 1,
-        QueryKind::Idle | QueryKind::Follow => QUERY_ROBOTS,
+        QueryKind::Idle | QueryKind::Follow => MAX_QUERY_ROBOTS,
     };
     for (name, found, allowed) in [
         ("robots", robots, max_robots),
-        ("candidates", candidates, QUERY_CANDIDATES),
+        ("candidates", candidates, MAX_QUERY_CANDIDATES),
         ("steps or points", steps, QUERY_VALUES),
         ("values", found, QUERY_VALUES),
     ] {

@@ -81,6 +81,7 @@ impl Plan {
 
 /// The answer to a [`Question`].
 #[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Reply {
     /// Rows of each candidate, or of each robot.
     pub rows: Vec<Row>,
@@ -91,6 +92,7 @@ pub struct Reply {
 
 /// The answer to one candidate, or of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Row {
     /// Id of the robot.
     pub robot: u32,
@@ -98,6 +100,14 @@ pub struct Row {
     pub answer: Answer,
     /// Same as [`crate::Trip::turn_back_s`].
     pub turn_back_s: Option<f32>,
+}
+
+impl Row {
+    /// An answer that is not about returning.
+    #[must_use]
+    pub const fn new(robot: u32, answer: Answer) -> Self {
+        Self { robot, answer, turn_back_s: None }
+    }
 }
 
 impl Question {

@@ -322,13 +322,9 @@ impl<'a> Robot<'a> {
     fn nothing(&self, duration_s: f32) -> Answer {
         Answer {
             duration_s,
-            energy: None,
-            left: None,
-            probability: None,
-            margin_j: None,
             verdict: Verdict::Unknown(self.unknown.unwrap_or(Unknown::NoLevel)),
-            limiting_leg: None,
             caveats: self.caveats(),
+            ..Answer::UNKNOWN
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::follower::{Followed, Follower, Path, Point};
 use crate::robot::Robot;
 
 /// Times at which turning back is tried, at most.
-const TURNS: usize = 64;
+const MAX_TURN_BACKS: usize = 64;
 
 /// A path as a platform follows it, the path back from its end, and the paths back from the points
 /// where turning back is tried.
@@ -96,7 +96,7 @@ impl Route {
     /// The steps after which turning back is tried.
     pub(crate) fn turns(&self) -> impl Iterator<Item = usize> + use<> {
         let steps = self.there.v_mps.len();
-        (0..steps).step_by(steps.div_ceil(TURNS).max(1))
+        (0..steps).step_by(steps.div_ceil(MAX_TURN_BACKS).max(1))
     }
 
     /// The path back from a turn, by its index in [`Route::turns`], which are taken in order.

@@ -62,9 +62,7 @@ mod rollout;
 mod seen_power;
 pub mod simd;
 
-pub use card::{
-    ModelCard, ResidualStats, SIMULATED, Scores, TrainedBlocks, TrainedRows, TrainingRange,
-};
+pub use card::{ModelCard, ResidualStats, Scores, TrainingRange};
 pub use error::{LengthError, ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use file::MAX_MODEL_BYTES;
@@ -75,6 +73,13 @@ pub use model::Model;
 pub use network::Network;
 pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
 pub use persistence::Persistence;
-pub use reading_age::{ReadingAge, missing_steps};
+pub use reading_age::ReadingAge;
 pub use rollout::{RolloutStart, Rollouts};
-pub use seen_power::SeenPower;
+
+/// The data that a network was trained on, as its [`ModelCard`] states it. For crates that train
+/// (`train`, `dataset`), that keep trained rows out of an evaluation (`eval`), and for `fleet`,
+/// which leans less on the network at powers that its training did not contain.
+pub mod training {
+    pub use crate::card::{SIMULATED, TrainedBlocks, TrainedRows};
+    pub use crate::seen_power::SeenPower;
+}

@@ -1,7 +1,7 @@
 //! The linear baseline: AR(5), in older model files with velocities.
 
 use crate::error::ModelError;
-use crate::features::{FeatureSet, Features, INPUTS};
+use crate::features::{FeatureSet, Features};
 use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
@@ -62,27 +62,12 @@ impl Linear {
         let read = self.feature_set.range();
         canonical(read.fold(self.bias_w, |sum, at| sum + self.weights[at] * row[at]))
     }
-
-    /// Same as [`Linear::predict`], with one column for each feature: `features[f][i]` is feature
-    /// `f` of row `i`. The same bits. Columns of features that are not read may be empty. Rows
-    /// beyond the shortest of the slices used are left unchanged.
-    pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
-        forecasts_w.fill(self.bias_w);
-        for feature in self.feature_set.range() {
-            let weight = self.weights[feature];
-            for (forecast_w, value) in forecasts_w.iter_mut().zip(features[feature]) {
-                *forecast_w += weight * value;
-            }
-        }
-        for forecast_w in forecasts_w {
-            *forecast_w = canonical(*forecast_w);
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::INPUTS;
 
     fn linear() -> Linear {
         let mut weights = [0.0; INPUTS];
@@ -98,9 +83,6 @@ mod tests {
         for poison in [f32::NAN, -f32::NAN, f32::from_bits(0xffc0_1234)] {
             row[7] = poison;
             assert_eq!(linear().predict(&row).to_bits(), f32::NAN.to_bits());
-            let (column, mut forecasts_w) = ([row[7]], [0.0]);
-            linear().predict_columns([&column; INPUTS], &mut forecasts_w);
-            assert_eq!(forecasts_w[0].to_bits(), f32::NAN.to_bits());
         }
     }
 

@@ -58,10 +58,12 @@ impl Model {
         self.feature_set().needs_freshness()
     }
 
-    /// Forecasts one reading in watt for each row. Rows beyond the shorter of the two slices are
-    /// left unchanged. Callers pass equal lengths. Allocates nothing. A row with a NaN or an
+    /// Forecasts one reading in watt for each row. Allocates nothing. A row with a NaN or an
     /// infinity among the features read gives a forecast that is not finite, and changes no other
     /// row.
+    ///
+    /// **Lengths** should be equal. As with [`Iterator::zip`], rows beyond the shorter slice are
+    /// not computed, and forecasts beyond it keep what they had.
     pub fn predict(&self, inputs: &[Features], out_w: &mut [f32]) {
         match self {
             Model::Network(network) => network.predict(inputs, out_w),

@@ -140,17 +140,17 @@ impl ReadingAge {
         let older = self.age_steps.saturating_add(steps).min(NEVER - 1);
         if self.age_steps == NEVER { NEVER } else { older }
     }
-}
 
-/// Sample periods missing in `elapsed_ns` between two samples: none until the next one is overdue
-/// by more than half a period, of `period_ns`, which is not 0.
-#[must_use]
-#[inline]
-pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
-    if elapsed_ns <= period_ns + period_ns / 2 {
-        return 0;
+    /// Sample periods missing in `elapsed_ns` between two samples: none until the next one is
+    /// overdue by more than half a period, of `period_ns`, which is not 0.
+    #[must_use]
+    #[inline]
+    pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
+        if elapsed_ns <= period_ns + period_ns / 2 {
+            return 0;
+        }
+        ((elapsed_ns - period_ns) + period_ns / 2) / period_ns
     }
-    ((elapsed_ns - period_ns) + period_ns / 2) / period_ns
 }
 
 #[cfg(test)]
@@ -162,9 +162,13 @@ mod tests {
         let cases =
             [(0, 0), (10, 0), (15, 0), (16, 1), (20, 1), (24, 1), (25, 2), (34, 2), (35, 3)];
         for (elapsed, missing) in cases {
-            assert_eq!(missing_steps(elapsed, 10), missing, "after {elapsed} of period 10");
+            assert_eq!(
+                ReadingAge::missing_steps(elapsed, 10),
+                missing,
+                "after {elapsed} of period 10"
+            );
         }
-        assert_eq!(missing_steps(u64::MAX, 1), u64::MAX - 1);
+        assert_eq!(ReadingAge::missing_steps(u64::MAX, 1), u64::MAX - 1);
     }
 
     fn features(reading_age: ReadingAge) -> [f32; 2] {

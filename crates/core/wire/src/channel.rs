@@ -5,9 +5,9 @@
 
 use crate::{
     Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
-    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, Outlook, OutlookHeader, PlanState, PlanStateHeader,
-    QueriesHeader, RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame,
-    TickHeader,
+    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, MAX_RECORD_WORDS, Outlook, OutlookHeader,
+    PlanState, PlanStateHeader, QueriesHeader, Row, Sample, SampleHeader, Service, StateHeader,
+    TakenFrame, TickHeader,
 };
 
 /// A service of shared memory through which frames go.
@@ -206,7 +206,7 @@ channels! {
         u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
     Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
-        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(RECORD_WORDS);
+        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(MAX_RECORD_WORDS);
     /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
     Acknowledgements: "acknowledgements", AcknowledgementHeader {
             place: server_epoch, number; sent: sent_ns, sent_unix_ns;

@@ -4,8 +4,8 @@
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
-    Outlook, OutlookHeader, PlanState, PlanStateHeader, QUERY_CANDIDATES, QUERY_ROBOTS,
-    QUERY_STEPS, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
+    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, Outlook, OutlookHeader, PlanState,
+    PlanStateHeader, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
     SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag, diagnostic_flag,
     forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
 };
@@ -133,9 +133,9 @@ fn codes() -> Vec<Constants> {
             "MAX_QUERY",
             vec![
                 ("Values", QUERY_VALUES as u64),
-                ("Robots", QUERY_ROBOTS as u64),
-                ("Candidates", QUERY_CANDIDATES as u64),
-                ("Steps", QUERY_STEPS as u64),
+                ("Robots", MAX_QUERY_ROBOTS as u64),
+                ("Candidates", MAX_QUERY_CANDIDATES as u64),
+                ("Steps", MAX_QUERY_STEPS as u64),
             ],
         ),
         of("SCHEMA", vec![("Version", SCHEMA_VERSION.into())]),

@@ -29,13 +29,13 @@ pub const QUERY_VALUES: usize = 4_096;
 /// Maximum number of words of an answer.
 pub const ANSWER_WORDS: usize = 4_608;
 /// Maximum number of robots of a question.
-pub const QUERY_ROBOTS: usize = 64;
+pub const MAX_QUERY_ROBOTS: usize = 64;
 /// Maximum number of candidates of a question.
-pub const QUERY_CANDIDATES: usize = 256;
+pub const MAX_QUERY_CANDIDATES: usize = 256;
 /// Maximum number of steps of a followed path, with the return: five minutes at 30 Hz.
-pub const QUERY_STEPS: usize = 9_000;
+pub const MAX_QUERY_STEPS: usize = 9_000;
 /// Maximum number of words of a frame of records.
-pub const RECORD_WORDS: usize = 16_384;
+pub const MAX_RECORD_WORDS: usize = 16_384;
 
 /// Kinds of questions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,9 +110,9 @@ rows! {
         pub listener_hi: u64,
         /// [`query_flag`] bits.
         pub flags: u32,
-        /// Number of robots, at most [`QUERY_ROBOTS`].
+        /// Number of robots, at most [`MAX_QUERY_ROBOTS`].
         pub robots: u32,
-        /// Number of candidates, at most [`QUERY_CANDIDATES`]. 0 unless they are asked about.
+        /// Number of candidates, at most [`MAX_QUERY_CANDIDATES`]. 0 unless they are asked about.
         pub candidates: u32,
         /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
@@ -394,7 +394,7 @@ pub fn push_record(
     words: &[u64],
 ) -> bool {
     let more = RECORD_HEAD_WORDS + values.len() + words.len();
-    if to.len() + more > RECORD_WORDS {
+    if to.len() + more > MAX_RECORD_WORDS {
         return false;
     }
     // Both are shorter than a frame.
@@ -450,7 +450,7 @@ mod tests {
         let record = |number| QueryRecord { number, ..QueryRecord::default() };
         assert!(push_record(&mut words, record(1), &[1.5, -0.0], &[7]));
         assert!(push_record(&mut words, record(2), &[], &[]));
-        let full = vec![0; RECORD_WORDS];
+        let full = vec![0; MAX_RECORD_WORDS];
         assert!(!push_record(&mut words, record(3), &[], &full), "no space");
         let found: Vec<Record<'_>> = records(&words).collect();
         let numbers: Vec<u64> = found.iter().map(|(record, _, _)| record.number).collect();

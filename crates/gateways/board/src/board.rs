@@ -14,13 +14,13 @@ use crate::stages::Stages;
 /// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
 const TRACK_TICKS: usize = 240;
 /// Maximum number of robots with a track. More could not be viewed anyway.
-const TRACKED_ROBOTS: usize = 512;
+const MAX_TRACKED_ROBOTS: usize = 512;
 /// Capacity of the event log.
 const NOTES: usize = 200;
 /// Maximum number of separate runs of workers and of sources. Beyond it the two oldest are merged.
-const RUNS: usize = 1_024;
+const MAX_RUNS: usize = 1_024;
 /// Maximum number of steps of a source: half an hour at 30 Hz.
-const STEPS: usize = 54_000;
+const MAX_STEPS: usize = 54_000;
 /// Departed robots whose alarms are kept.
 const RAISED_ROBOTS: usize = 16_384;
 
@@ -288,7 +288,7 @@ impl Board {
             return true;
         }
         self.runs.push(WorkerRun { header: *header, first_source_epoch: None });
-        if self.runs.len() > RUNS {
+        if self.runs.len() > MAX_RUNS {
             let oldest = self.runs.remove(0);
             self.runs[0].add(&oldest);
             self.merged_runs += 1;
@@ -299,7 +299,7 @@ impl Board {
 
     fn forecast(&mut self, forecast: &Forecast, in_a_row: bool) {
         let frame = self.frames;
-        let tracked = self.rows.len() <= TRACKED_ROBOTS;
+        let tracked = self.rows.len() <= MAX_TRACKED_ROBOTS;
         let Some(row) = self.rows.get_mut(&forecast.robot) else {
             self.rows.insert(forecast.robot, Row::new(*forecast, frame));
             return;
@@ -413,12 +413,12 @@ impl Board {
         if newest.is_none_or(|newest| newest < epoch) {
             self.steps.clear();
         }
-        if newest.is_none_or(|newest| newest <= epoch) && self.steps.len() < STEPS {
+        if newest.is_none_or(|newest| newest <= epoch) && self.steps.len() < MAX_STEPS {
             self.steps.extend(first.map(|first| (first.stamp_ns, first.power_w)));
         }
         let sent = self.sent.entry(epoch).or_default();
         *sent = samples.max(*sent);
-        if self.sent.len() > RUNS
+        if self.sent.len() > MAX_RUNS
             && let Some((_, oldest)) = self.sent.pop_first()
             && let Some(mut next) = self.sent.first_entry()
         {
@@ -611,7 +611,7 @@ mod tests {
             };
             board.diagnostics(&[raising], 0);
             board.source_sent(epoch, 4, Some(&Sample::new(0, 0, epoch)));
-            assert!(board.runs.len() <= RUNS && board.sent.len() <= RUNS);
+            assert!(board.runs.len() <= MAX_RUNS && board.sent.len() <= MAX_RUNS);
             assert!(board.steps.iter().map(|(stamp_ns, _)| *stamp_ns).eq([epoch]));
             assert!(board.raised.len() <= RAISED_ROBOTS && board.rows.len() == 1);
         }
@@ -619,11 +619,11 @@ mod tests {
         assert_eq!((board.accepted(), board.ticks().0), (300_000, 200_000));
         assert_eq!(board.dropped().get(DropReason::Backlog), 100_000);
         assert_eq!(board.sent.values().sum::<u64>(), 400_000);
-        for stamp_ns in 0..=STEPS as u64 {
+        for stamp_ns in 0..=MAX_STEPS as u64 {
             board.source_sent(100_001, stamp_ns, Some(&Sample::new(0, stamp_ns, stamp_ns)));
             board.source_sent(7, 4, Some(&Sample::new(0, 0, stamp_ns)));
         }
-        assert_eq!((board.steps.len(), board.steps[1].0), (STEPS, 1));
+        assert_eq!((board.steps.len(), board.steps[1].0), (MAX_STEPS, 1));
     }
 
     #[test]

@@ -90,18 +90,18 @@ impl Reading {
     ///
     /// # Errors
     /// Reading fails permanently.
-    pub fn turn<B>(&mut self, borrow: impl FnMut() -> B) -> Result<bool, ReadError>
+    pub fn poll<B>(&mut self, borrow: impl FnMut() -> B) -> Result<bool, ReadError>
     where
         B: DerefMut<Target = Board>,
     {
-        self.turn_within(PATIENCE, borrow)
+        self.poll_within(PATIENCE, borrow)
     }
 
-    /// Same as [`Reading::turn`], with another maximum wait.
+    /// Same as [`Reading::poll`], with another maximum wait.
     ///
     /// # Errors
     /// Reading fails permanently.
-    pub fn turn_within<B>(
+    pub fn poll_within<B>(
         &mut self,
         longest: Duration,
         mut borrow: impl FnMut() -> B,
@@ -270,7 +270,7 @@ impl Feed {
             reading.want_outlooks(outlooks)?;
             thread.joined(());
             while !thread.is_stopping() {
-                reading.turn(|| lock(&shared))?;
+                reading.poll(|| lock(&shared))?;
             }
             Ok::<_, FeedError>(())
         })?;

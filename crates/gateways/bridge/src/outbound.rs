@@ -62,7 +62,7 @@ pub(crate) fn run(
     thread.joined(());
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
     while !shared.is_stopped() {
-        reading.turn(|| board.borrow_mut())?;
+        reading.poll(|| board.borrow_mut())?;
         let (board, times) = (board.borrow(), Times::now());
         for side in &mut *sides {
             side.publish(&board, times);

@@ -94,7 +94,7 @@ pub(crate) fn run(
             // A monitor that never changes may be of a robot that stands.
             let found = found.filter(|found| found.finding.is_error());
             let found = found.map(|found| (found.robot, found.finding.kind));
-            match findings.say(found) {
+            match findings.write(found) {
                 Ok(0) => {}
                 Ok(cut) => tracing::warn!(cut, "too many findings: some raise no alarm"),
                 Err(error) => tracing::warn!(%error, "the findings were not written"),

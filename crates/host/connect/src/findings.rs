@@ -1,4 +1,4 @@
-//! What sources find implausible in what they report.
+//! Implausible findings of sources in their own reports.
 //!
 //! A source that judges writes a small file beside the fleet's shared memory, and readers raise the
 //! alarm `Implausible`. So no layout, no capture and no bit of the worker knows of it.
@@ -21,14 +21,13 @@ const EXPIRES: Duration = Duration::from_secs(15);
 const MAX_BYTES: u64 = 1 << 20;
 const MAX_LINES: usize = 16_000;
 const MAX_LETTERS: usize = 10;
-/// What a line begins with.
+/// Beginning of a line.
 const ROBOT: &str = "robot ";
-/// What the name of a file that is being written ends with. No other's does: `.` is in no source's
-/// part.
+/// Suffix of a file that is being written. No other name ends with it: a source's part has no `.`.
 const DRAFT: &str = ".new";
 
-/// What a file is called first. No name of a fleet has a `.`, and the default root is that of
-/// several.
+/// Beginning of a file's name. It names the fleet, because several share the default root. No name
+/// of a fleet has a `.`.
 fn beginning(config: &Config) -> String {
     format!("findings-{}.", config.fleet())
 }
@@ -54,12 +53,12 @@ impl FindingsFile {
         Self { path: config.root().join(name), written: String::new(), at: None }
     }
 
-    /// Says what is implausible now: robots, and the kind of what was found, in a word. Call it
+    /// Writes the robots that are implausible now, with the kind of each finding in a word. Call it
     /// every second. Returns how many lines are too many for the file, when that is news.
     ///
     /// # Errors
     /// The file cannot be written. The next call tries again.
-    pub fn say<F: fmt::Display>(
+    pub fn write<F: fmt::Display>(
         &mut self,
         found: impl IntoIterator<Item = (u32, F)>,
     ) -> io::Result<usize> {
@@ -156,7 +155,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary directory");
         let [lab, other] = ["lab", "lab-2"].map(|fleet| config(folder.path(), fleet));
         let mut findings = FindingsFile::new(&other, "bridge");
-        findings.say([(7, "sign")]).expect("written");
+        findings.write([(7, "sign")]).expect("written");
         assert_eq!(implausible_robots(&lab), BTreeSet::new());
         assert_eq!(implausible_robots(&other), BTreeSet::from([7]));
     }
@@ -169,10 +168,10 @@ mod tests {
         let names = ["a/b", "a b", "a_b", &long, &format!("{long}a")];
         let mut files = names.map(|name| FindingsFile::new(&config, name));
         for (robot, file) in (0..).zip(&mut files) {
-            file.say([(robot, "sign")]).expect("written");
+            file.write([(robot, "sign")]).expect("written");
         }
         assert_eq!(implausible_robots(&config), (0..5).collect());
-        files[2].say::<&str>([]).expect("removed");
+        files[2].write::<&str>([]).expect("removed");
         assert_eq!(implausible_robots(&config), BTreeSet::from([0, 1, 3, 4]));
     }
 
@@ -182,9 +181,9 @@ mod tests {
         let config = config(folder.path(), "lab");
         let mut file = FindingsFile::new(&config, "bridge");
         let many = |count: u32| (0..count).map(|robot| (robot, "\u{1F916}".repeat(300)));
-        assert_eq!(file.say(many(MAX_LINES as u32)).expect("written"), 0);
+        assert_eq!(file.write(many(MAX_LINES as u32)).expect("written"), 0);
         assert_eq!(implausible_robots(&config).len(), MAX_LINES);
-        assert_eq!(file.say(many(MAX_LINES as u32 + 7)).expect("written"), 7);
+        assert_eq!(file.write(many(MAX_LINES as u32 + 7)).expect("written"), 7);
         let text = fs::read_to_string(&file.path).expect("text");
         assert!(text.ends_with("and 7 more\n") && (text.len() as u64) < MAX_BYTES);
         fs::write(&file.path, b"robot 7: \xf0\x9f\nrobot 3: sign\n").expect("written");
@@ -199,15 +198,15 @@ mod tests {
         assert_eq!(found(), []);
         let (mut one, mut other) =
             (FindingsFile::new(&config, "bridge"), FindingsFile::new(&config, "../other bridge"));
-        one.say([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")]).expect("written");
-        other.say([(9, "sign")]).expect("written");
+        one.write([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")]).expect("written");
+        other.write([(9, "sign")]).expect("written");
         assert_eq!(found(), [3, 7, 9]);
-        one.say::<&str>([]).expect("removed");
+        one.write::<&str>([]).expect("removed");
         assert_eq!(found(), [9]);
         drop(other);
         assert_eq!(found(), []);
         // Left by a source that was killed.
-        one.say([(7, "sign")]).expect("written");
+        one.write([(7, "sign")]).expect("written");
         let file = fs::File::open(&one.path).expect("it is there");
         let written = file.metadata().and_then(|metadata| metadata.modified());
         let written = written.expect("a time");

@@ -15,10 +15,10 @@ use crate::{Refused, disk, look};
 /// Permissions before the user's mask.
 const MODE: u32 = 0o666;
 /// Maximum number of bytes that identify the kind of a file.
-const KIND_BYTES: usize = 9;
+const MAX_KIND_BYTES: usize = 9;
 const MAGIC_BYTES: usize = 4;
 /// Maximum number of temporary names tried beside the target.
-const NAMES: u32 = 1_000;
+const MAX_NAMES: u32 = 1_000;
 
 /// Writes a new file at `path`. Nothing may exist there, not even a dangling link.
 ///
@@ -54,7 +54,7 @@ pub fn replace<T, E: From<io::Error>>(
     }
     let draft = Draft::begin(path)?;
     let written = write(&draft.file)?;
-    let mut beginning = [0; KIND_BYTES];
+    let mut beginning = [0; MAX_KIND_BYTES];
     let length = draft.file.read_at(&mut beginning, 0)?;
     check_kind(path, &beginning[..length])?;
     draft.rename(path)?;
@@ -72,7 +72,7 @@ pub fn check_kind(path: &Path, beginning: &[u8]) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         opened => opened?,
     };
-    let mut found = [0; KIND_BYTES];
+    let mut found = [0; MAX_KIND_BYTES];
     let length = file.read_at(&mut found, 0)?;
     if is_of_kind(&found[..length], beginning) {
         return Ok(());
@@ -83,7 +83,7 @@ pub fn check_kind(path: &Path, beginning: &[u8]) -> io::Result<()> {
 
 fn is_of_kind(found: &[u8], beginning: &[u8]) -> bool {
     // Safetensors begin with the length of their header.
-    let is_tensors = |file: &[u8]| file.get(6..KIND_BYTES) == Some(b"\0\0{");
+    let is_tensors = |file: &[u8]| file.get(6..MAX_KIND_BYTES) == Some(b"\0\0{");
     let magic = &beginning[..beginning.len().min(MAGIC_BYTES)];
     found.is_empty() || found.starts_with(magic) || (is_tensors(found) && is_tensors(beginning))
 }
@@ -180,7 +180,7 @@ fn beside<T>(
         let name = format!(".joulebus-{}-{number}", std::process::id());
         let hidden = path.with_file_name(name);
         match make(&hidden) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && number < NAMES => {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && number < MAX_NAMES => {
                 number += 1;
             }
             made => return Ok((made?, hidden)),

@@ -11,9 +11,9 @@ use crate::places::replace;
 /// First bytes of the file. The last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";
 /// Maximum length of a boot id, bytes.
-const BOOT_BYTES: usize = 64;
+const MAX_BOOT_ID_BYTES: usize = 64;
 /// Magic, five numbers, and the boot.
-const HEAD_BYTES: usize = 8 + 5 * 8 + BOOT_BYTES;
+const HEAD_BYTES: usize = 8 + 5 * 8 + MAX_BOOT_ID_BYTES;
 /// Largest file: of a million robots it takes a fifth of that.
 const MAX_BYTES: u64 = 4 << 30;
 
@@ -80,7 +80,7 @@ impl SavedState {
 }
 
 /// The boot and the state in a file's bytes, or what is wrong with them.
-fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
+fn parse(mut bytes: Vec<u8>) -> Result<([u8; MAX_BOOT_ID_BYTES], SavedState), String> {
     let Some((head, payload)) = bytes.split_first_chunk::<HEAD_BYTES>() else {
         return Err(format!("it has {} bytes, at least {HEAD_BYTES} are needed", bytes.len()));
     };
@@ -100,7 +100,7 @@ fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
     if found != expected {
         return Err(format!("its checksum is {found:016x}, that of its content {expected:016x}"));
     }
-    let mut boot = [0; BOOT_BYTES];
+    let mut boot = [0; MAX_BOOT_ID_BYTES];
     boot.copy_from_slice(&head[40..sum_at]);
     bytes.drain(..HEAD_BYTES);
     let state = SavedState { term, taken_ns, offset_ns: offset_ns.cast_signed(), bytes };
@@ -108,10 +108,10 @@ fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
 }
 
 /// The id of this boot, padded with zeros.
-fn boot_bytes() -> io::Result<[u8; BOOT_BYTES]> {
+fn boot_bytes() -> io::Result<[u8; MAX_BOOT_ID_BYTES]> {
     let id = clock::boot_id()?;
-    let mut boot = [0; BOOT_BYTES];
-    let length = id.len().min(BOOT_BYTES);
+    let mut boot = [0; MAX_BOOT_ID_BYTES];
+    let length = id.len().min(MAX_BOOT_ID_BYTES);
     boot[..length].copy_from_slice(&id.as_bytes()[..length]);
     Ok(boot)
 }

@@ -14,7 +14,7 @@ mod units;
 pub use check::{Check, check_files, check_trial};
 pub use describe::{ColumnReport, Steps, TrialReport, describe};
 pub use find::{FindError, Found, find};
-pub use finding::{Finding, FindingKind, Place};
+pub use finding::{Finding, FindingKind, Occurrence};
 pub use hold::{Holds, holds};
 pub use judge::{Implausible, is_short, judge, judge_from, judge_together};
 pub use limits::{Limits, Range};

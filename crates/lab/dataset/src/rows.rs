@@ -7,7 +7,6 @@ use std::path::Path;
 use joulebus_files::replace;
 use joulebus_predictor::{
     FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
-    missing_steps,
 };
 use joulebus_wire::{Sample, sample_flag};
 use sha2::{Digest as _, Sha256};
@@ -153,7 +152,7 @@ impl Age {
         match before_ns {
             _ if sample.has(sample_flag::DISCONTINUITY) => self.reading_age = ReadingAge::UNKNOWN,
             Some(before_ns) => {
-                let missing = missing_steps(sample.stamp_ns - before_ns, period_ns);
+                let missing = ReadingAge::missing_steps(sample.stamp_ns - before_ns, period_ns);
                 self.reading_age.pass(missing);
             }
             None => {}

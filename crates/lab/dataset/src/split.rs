@@ -32,7 +32,7 @@ pub use source::{Placed, Source, SourceInfo, describe, digest, group_of, median_
 pub const PAUSE_ROWS: usize = 2 * (LAGS + 1);
 
 /// Maximum number of consecutive rows taken from a part that is thinned: 18 minutes at 30 Hz.
-pub const STRETCH_ROWS: usize = 32_768;
+pub const MAX_STRETCH_ROWS: usize = 32_768;
 /// Minimum number of stretches of such rows.
 const MIN_STRETCHES: usize = 64;
 
@@ -415,12 +415,12 @@ pub fn left_out(sources: &[SourceInfo], names: &[String]) -> Result<Vec<bool>, S
 
 impl Assignment {
     /// All rows, or, if there are more than `max_rows`, about as many of each part as its share of
-    /// them. They are stretches of at most [`STRETCH_ROWS`] consecutive rows, evenly spread over
+    /// them. They are stretches of at most [`MAX_STRETCH_ROWS`] consecutive rows, evenly spread over
     /// the part, at least one of each part.
     pub fn thin(&self, max_rows: usize) -> Thinned {
         let found: usize = self.summary.rows.iter().sum();
         let stretch = match found > max_rows {
-            true => (max_rows / MIN_STRETCHES).clamp(1, STRETCH_ROWS),
+            true => (max_rows / MIN_STRETCHES).clamp(1, MAX_STRETCH_ROWS),
             false => found.max(1),
         };
         let mut rows = [0; 3];

@@ -9,7 +9,8 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_predictor::{FeatureSet, LAGS, TrainedBlocks, TrainedRows};
+use joulebus_predictor::training::{TrainedBlocks, TrainedRows};
+use joulebus_predictor::{FeatureSet, LAGS};
 
 use crate::rows::{Dataset, Row};
 use crate::split::PAUSE_ROWS;

@@ -8,7 +8,7 @@ use crate::evaluate::{Evaluation, EvaluationReport, LivePool};
 use crate::score::{Reported, ScoreReport};
 
 /// Maximum number of trials whose live scores are listed. Of more, one line per platform.
-const LISTED: usize = 24;
+const MAX_LISTED: usize = 24;
 
 /// The live path's scores, and the evaluation of each platform. `Display` is text.
 #[derive(Debug, Clone, Serialize)]
@@ -45,7 +45,7 @@ impl fmt::Display for EvalReport {
             write!(out, "{evaluation}")?;
         }
         writeln!(out, "\nLive path: the readings of these rows, and those after gaps")?;
-        if self.live.robots.len() <= LISTED {
+        if self.live.robots.len() <= MAX_LISTED {
             return write!(out, "{}", self.live);
         }
         let platforms = EvaluationReport { robots: Vec::new(), ..self.live.clone() };

@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{
-    Assignment, STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign_given,
+    Assignment, MAX_STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign_given,
     assign_unread, describe, median_period_s, resume,
 };
 use joulebus_dataset::trial::TrialError;
@@ -54,7 +54,7 @@ pub fn training_data(
         false => (described, assignment.summary.name),
         true => {
             let thinned =
-                format!("{taken} of {found} rows, in stretches of {STRETCH_ROWS} at most");
+                format!("{taken} of {found} rows, in stretches of {MAX_STRETCH_ROWS} at most");
             let name = format!("{}; {thinned}", assignment.summary.name);
             (format!("{described}; {thinned}"), name)
         }

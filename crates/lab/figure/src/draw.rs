@@ -24,7 +24,7 @@ const SWATCH_PX: i32 = 18;
 /// Text is laid out without a font. Wide common fonts need this share of their height per letter.
 const LETTER: f64 = 0.6;
 /// Maximum length of a legend entry and of a tick label.
-const LEGEND_LETTERS: usize = 44;
+const MAX_LEGEND_LETTERS: usize = 44;
 const TICK_LETTERS: usize = 28;
 
 impl Figure {
@@ -193,7 +193,7 @@ fn legend_rows(panel: &Panel, width: i32) -> Vec<Vec<(&Layer, i32)>> {
     let mut left = i32::MAX;
     for layer in &panel.layers {
         let Some(label) = &layer.label else { continue };
-        let wide = SWATCH_PX + 6 + width_px(&shortened(label, LEGEND_LETTERS), SMALL_PX) + 12;
+        let wide = SWATCH_PX + 6 + width_px(&shortened(label, MAX_LEGEND_LETTERS), SMALL_PX) + 12;
         if left.saturating_add(wide) > width - 8 {
             rows.push(Vec::new());
             left = 12;
@@ -212,7 +212,7 @@ fn draw_legend(area: &Ground<'_>, panel: &Panel, width: i32, top: i32) -> Drawn 
         let middle = top + row as i32 * LEGEND_ROW_PX + LEGEND_ROW_PX / 2;
         for (layer, left) in entries {
             draw_swatch(area, layer, *left, middle)?;
-            let label = shortened(layer.label.as_deref().unwrap_or_default(), LEGEND_LETTERS);
+            let label = shortened(layer.label.as_deref().unwrap_or_default(), MAX_LEGEND_LETTERS);
             let at = ((left + SWATCH_PX + 5) * UNITS, middle * UNITS);
             text(area, &label, &style, at)?;
         }

@@ -17,7 +17,7 @@ use super::{Axis, Panel};
 /// Drawing units per CSS pixel: the library's coordinates are integers.
 pub(super) const UNITS: i32 = 10;
 /// Maximum number of point columns in a panel: half a CSS pixel each on the widest.
-const COLUMNS: usize = 1_200;
+const MAX_COLUMNS: usize = 1_200;
 /// Share of a category's width that its marks occupy.
 const TAKEN: f64 = 0.78;
 
@@ -102,7 +102,7 @@ impl Mark {
         let seen = |[x, y]: [f64; 2]| panel.x.shows(x) && panel.y.shows(y);
         match self {
             Self::Line { points, dashed } => {
-                let points = thinned(points, COLUMNS);
+                let points = thinned(points, MAX_COLUMNS);
                 for run in points.chunk_by(|a, b| seen(*a) == seen(*b)) {
                     if run.first().is_some_and(|point| seen(*point)) {
                         line(plane, run, colour, *dashed)?;

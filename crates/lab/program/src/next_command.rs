@@ -7,13 +7,13 @@ use joulebus_dataset::inspect::find;
 use joulebus_program::shell::word;
 
 /// Maximum number of recordings in a proposed command, if they are a directory's.
-const NAMED: usize = 3;
+const MAX_NAMED: usize = 3;
 
 /// The recordings of a call. A shell may have made hundreds of one pattern: where they are all
 /// those of a directory, that one is named.
 /// One that is gone by now is named like the others: the result is there.
 pub(crate) fn recordings(paths: &[PathBuf]) -> String {
-    if paths.len() > NAMED
+    if paths.len() > MAX_NAMED
         && let Some(directory) = paths[0].parent()
     {
         let directory = match directory.as_os_str().is_empty() {

@@ -362,7 +362,7 @@ fn robot_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
     let lead_w = power_w(true).fold(f64::INFINITY, f64::min)
         - power_w(false).fold(f64::NEG_INFINITY, f64::max);
     let errors: Vec<f64> = robots.iter().map(|robot| robot.tally.energy_error().abs()).collect();
-    let exact = errors.iter().filter(|error| **error < paper::ENERGY_ERROR_FOUR);
+    let exact = errors.iter().filter(|error| **error < paper::MAX_ENERGY_ERROR_FOUR);
     numbers.extend([
         number("R² over seven robots, mean", Cell::Number(papers_mean, 2), mean, 3),
         number("R² over seven robots, standard deviation", Cell::Number(papers_std, 3), std, 3),
@@ -375,7 +375,7 @@ fn robot_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
         ),
         number(
             "largest energy error of a robot (%)",
-            Cell::words(format!("below {:.1}", 100.0 * paper::ENERGY_ERROR_ALL)),
+            Cell::words(format!("below {:.1}", 100.0 * paper::MAX_ENERGY_ERROR_ALL)),
             100.0 * errors.iter().copied().fold(f64::NAN, f64::max),
             2,
         ),

@@ -33,6 +33,6 @@ pub(super) const MAE_ROBOTS_W: f64 = 0.0707;
 /// The robots with the highest consumption.
 pub(super) const HUNGRY_ROBOTS: [u32; 4] = [1, 2, 3, 6];
 /// Upper bound of the relative energy error of each robot.
-pub(super) const ENERGY_ERROR_ALL: f64 = 0.023;
+pub(super) const MAX_ENERGY_ERROR_ALL: f64 = 0.023;
 /// Upper bound of the relative energy error of four of the seven.
-pub(super) const ENERGY_ERROR_FOUR: f64 = 0.001;
+pub(super) const MAX_ENERGY_ERROR_FOUR: f64 = 0.001;

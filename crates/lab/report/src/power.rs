@@ -10,7 +10,7 @@ use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins}
 use joulebus_statistics::metrics::{quantile, sorted};
 
 /// Maximum lag shown, rows.
-const LAGS: usize = 90;
+const MAX_LAG_ROWS: usize = 90;
 /// Minimum number of trials whose curves are shown as a band.
 const CURVES: usize = 8;
 const BINS: usize = 70;
@@ -39,7 +39,7 @@ impl Readings {
         let trial = &contents.trial;
         let power_w: Vec<f64> = readings_w(trial).collect();
         let (mean_w, std_w) = mean_and_std(&power_w);
-        let found = autocorrelation(trial, LAGS);
+        let found = autocorrelation(trial, MAX_LAG_ROWS);
         let known = found.at_lag.iter().map(|value| value.unwrap_or(f64::NAN));
         let from_zero = std::iter::once(1.0).chain(known);
         Self {
@@ -202,7 +202,7 @@ fn memory(material: &Material<'_>, found: &[Readings]) -> Panel {
 
 /// Median and central 80 % over the trials, by lag.
 fn middle_and_band(found: &[Readings]) -> (Vec<[f64; 2]>, Vec<[f64; 3]>) {
-    let by_lag = (0..=LAGS).map(|lag| {
+    let by_lag = (0..=MAX_LAG_ROWS).map(|lag| {
         let values = sorted(found.iter().map(|readings| readings.at(lag)));
         (lag as f64, [0.1, 0.5, 0.9].map(|share| quantile(&values, share)))
     });

@@ -24,7 +24,7 @@ const ADDED_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
 /// Shares of an error's scale that may be the platform's mean.
 const MEAN_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Maximum number of forecast origins per fit.
-const ORIGINS: usize = 1_500;
+const MAX_ORIGINS: usize = 1_500;
 /// Fewest origins, and fewest runs, from which the errors at a horizon are known.
 const FEWEST: (usize, usize) = (30, 4);
 
@@ -381,7 +381,7 @@ impl Origins {
         let steps = (horizon_s / period_s).round().max(1.0) as usize;
         let candidates = |run: &&Run| (run.power_w.len() + 1).saturating_sub(steps);
         let total: usize = runs.iter().map(candidates).sum();
-        let stride = total.div_ceil(ORIGINS).max(1);
+        let stride = total.div_ceil(MAX_ORIGINS).max(1);
         let (mut origins, mut used, mut number) = (Vec::new(), 0, 0);
         for run in runs {
             let before = origins.len();

@@ -1,8 +1,9 @@
 //! The trained network and its scores on held-out rows.
 
+use joulebus_predictor::training::{SIMULATED, TrainedRows};
 use joulebus_predictor::{
     Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
-    Parameters, ResidualStats, SIMULATED, Scores, TrainedRows, TrainingRange,
+    Parameters, ResidualStats, Scores, TrainingRange,
 };
 
 use super::prepare::mean_and_std;

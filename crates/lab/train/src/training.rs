@@ -3,7 +3,8 @@
 use std::fmt;
 
 use fearless_simd::{Level, dispatch};
-use joulebus_predictor::{Network, Normalisation, TrainedRows};
+use joulebus_predictor::training::TrainedRows;
+use joulebus_predictor::{Network, Normalisation};
 use rayon::iter::{IndexedParallelIterator as _, ParallelIterator as _};
 use rayon::slice::{ParallelSlice as _, ParallelSliceMut as _};
 use rayon::{ThreadPool, ThreadPoolBuilder};

@@ -803,9 +803,9 @@ typedef struct joulebus_query_header {
     uint64_t listener_hi;
     /** query_flag bits. */
     uint32_t flags;
-    /** Number of robots, at most QUERY_ROBOTS. */
+    /** Number of robots, at most MAX_QUERY_ROBOTS. */
     uint32_t robots;
-    /** Number of candidates, at most QUERY_CANDIDATES. 0 unless they are asked about. */
+    /** Number of candidates, at most MAX_QUERY_CANDIDATES. 0 unless they are asked about. */
     uint32_t candidates;
     /** Steps of each candidate, points of the path, or characters of a name. */
     uint32_t steps;

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyFloat, PyInt};
 
 /// Maximum number of values that a new array gets as a copy.
-const COPIED: usize = 256;
+const MAX_COPIED: usize = 256;
 
 /// The numbers of an array-like, in row-major order: a copy.
 #[derive(Debug)]
@@ -160,7 +160,7 @@ pub(crate) fn array<'py, T: Element + Copy>(
     shape: &[usize],
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     // To lend a vector to NumPy costs more than to copy a short one.
-    let flat = if values.len() <= COPIED {
+    let flat = if values.len() <= MAX_COPIED {
         PyArray1::from_slice(py, &values)
     } else {
         PyArray1::from_vec(py, values)

@@ -57,7 +57,7 @@ impl DemoWorker {
                 thread.joined(());
                 let mut turned = Ok(true);
                 while turned.is_ok() && !thread.is_stopping() {
-                    turned = worker.turn();
+                    turned = worker.poll();
                 }
                 let _ = worker.finish();
                 turned.map(drop).map_err(|error| refused(&error))

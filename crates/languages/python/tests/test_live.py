@@ -80,7 +80,7 @@ def running(fleet):
         def known():
             # The first frames of a worker may have no robots.
             frame = next_frame(planner)
-            return frame[0].power_w if len(frame) == ROBOTS else None
+            return frame[0].expected_w if len(frame) == ROBOTS else None
 
         until("forecasts", known, fleet)
         yield planner
@@ -117,7 +117,7 @@ def test_a_forecast_tells_what_is_known_of_its_robot(running):
     frame = until("a whole frame", whole)
     forecast = frame[7]
     lo_w, hi_w = forecast.interval_w
-    assert forecast.robot == 7 and lo_w <= hi_w and 3.0 < forecast.reading_w < 4.3
+    assert forecast.robot == 7 and lo_w <= hi_w and 3.0 < forecast.last_reading_w < 4.3
     assert forecast.quality in ("Fresh", "Held") and forecast.quality_detail is None
     assert abs(forecast.target_ns - time.monotonic_ns()) < PATIENCE_S * 1e9
     assert 7 in frame and 99 not in frame and frame.tick > 0 and frame.age_s >= 0.0
@@ -130,6 +130,11 @@ def test_a_forecast_tells_what_is_known_of_its_robot(running):
     assert "interval_w" in repr(forecast) and "tick" in repr(frame)
 
 
+def test_no_accessor_of_a_forecast_has_the_name_of_a_field_that_can_be_nan():
+    can_be_nan = {name for name in joulebus.FORECAST.names if joulebus.FORECAST[name].kind == "f"}
+    assert can_be_nan and not can_be_nan & set(dir(joulebus.Forecast))
+
+
 def test_a_forecast_without_readings_is_none_and_says_why(fleet):
     fleet.start()
     with joulebus.Planner(fleet.config) as planner, joulebus.Publisher(fleet.config) as publisher:
@@ -140,7 +145,7 @@ def test_a_forecast_without_readings_is_none_and_says_why(fleet):
             return event if isinstance(event, joulebus.Frame) and 0 in event and 1 in event else None
 
         frame = until("a frame", warming_up, fleet)
-        assert frame[1].power_w is None and frame[1].interval_w is None and frame[1].reading_w is None
+        assert frame[1].expected_w is None and frame[1].interval_w is None and frame[1].last_reading_w is None
         assert frame[1].quality in ("Warmup", "Invalid") and frame[1].quality_detail is not None
 
 

@@ -2,7 +2,7 @@
 
 use joulebus_bus::{OpenQuery, PeerWatch};
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Question, Refused, decode_acknowledgement};
+use joulebus_plan::{Question, Refused, acknowledgement};
 use joulebus_wire::{
     Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal, query_flag,
 };
@@ -48,7 +48,7 @@ impl Job {
     pub(crate) fn take(query: OpenQuery, fleet: u64, now_ns: u64) -> (Self, Result<(), Refused>) {
         let (header, values) = (*query.header(), query.values().to_vec());
         let decoded = if header.kind == QueryKind::Acknowledge.code() {
-            decode_acknowledgement(&header, &values, fleet, now_ns).map(State::Acknowledging)
+            acknowledgement::decode(&header, &values, fleet, now_ns).map(State::Acknowledging)
         } else {
             Question::decode(&header, &values, fleet).map(State::Waiting)
         };

@@ -2,7 +2,7 @@
 
 use joulebus_bus::{Bus, Limits, OpenError, SendError, Writer, clock, process_id};
 use joulebus_wire::{
-    Queries, QueriesHeader, QueryCounts, QueryRecord, RECORD_WORDS, SCHEMA_VERSION, push_record,
+    MAX_RECORD_WORDS, Queries, QueriesHeader, QueryCounts, QueryRecord, SCHEMA_VERSION, push_record,
 };
 
 /// Maximum time that a record waits for others, ns. A recorder polls every 10 ms.
@@ -27,7 +27,7 @@ impl Records {
     pub(crate) fn open(bus: &Bus, limits: &Limits, begun_ns: u64) -> Result<Self, OpenError> {
         Ok(Self {
             writer: bus.writer(limits)?,
-            words: Vec::with_capacity(RECORD_WORDS),
+            words: Vec::with_capacity(MAX_RECORD_WORDS),
             begun_ns,
             since_ns: 0,
             sent: None,

@@ -8,7 +8,7 @@ use joulebus_plan::answering::Work;
 use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
 use joulebus_planner::{Planner, View};
 use joulebus_wire::{
-    Acknowledgement, AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
+    Acknowledgement, AnswerHeader, MAX_QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
     SCHEMA_VERSION, fnv1a,
 };
 
@@ -310,7 +310,7 @@ impl Server {
             let view = planner.view().map_err(|_| none())?.ok_or_else(none)?;
             let question = std::mem::take(question);
             let find = |robot| View::rows(&view, robot);
-            let work = Work::begin(question, find, QUERY_STEPS).map_err(refused);
+            let work = Work::begin(question, find, MAX_QUERY_STEPS).map_err(refused);
             view.state_in(&mut job.answer);
             job.state = State::Working(work?);
         }

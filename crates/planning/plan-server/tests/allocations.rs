@@ -93,7 +93,7 @@ fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
             let (begin, mut done) = (Instant::now(), 0);
             let before = answered.load(Ordering::Relaxed);
             while done < ticks || answered.load(Ordering::Relaxed) < before + answers {
-                done += u64::from(worker.turn().unwrap());
+                done += u64::from(worker.poll().unwrap());
                 assert!(begin.elapsed() < PATIENCE, "no answers");
             }
             done

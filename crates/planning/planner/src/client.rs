@@ -8,7 +8,7 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_plan::{Question, Refused, Reply, encode_acknowledgement};
+use joulebus_plan::{Question, Refused, Reply, acknowledgement};
 use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, fnv1a};
 
 /// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
@@ -125,7 +125,7 @@ impl PlanClient {
         timeout: Duration,
     ) -> Result<(), ClientError> {
         let (mut header, values) =
-            encode_acknowledgement(robot, alarm, by, new_normal, self.fleet)?;
+            acknowledgement::encode(robot, alarm, by, new_normal, self.fleet)?;
         let asked = Asked::now(timeout);
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;

@@ -511,7 +511,7 @@ impl Program {
         match self {
             Self::Worker(worker) => {
                 let turned = match *serves {
-                    true => worker.turn().map(|_| true),
+                    true => worker.poll().map(|_| true),
                     false => worker.stand_by_once(),
                 };
                 match turned {

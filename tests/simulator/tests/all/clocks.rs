@@ -45,12 +45,12 @@ fn a_worker_whose_host_was_suspended_until_its_permit_had_ended_sends_nothing_mo
         let permit = Permit { term: 1, until_ns, lease: 0 };
         permit.write(&Places::new(&config).permit).unwrap();
         assert!(worker.stand_by(&AtomicBool::new(false)).unwrap());
-        worker.turn().unwrap();
+        worker.poll().unwrap();
         let (monotonic_ns, wall_ns) = (time::monotonic_ns(), time::unix_ns());
         time::suspend(suspended_s * SECOND);
         assert_eq!(time::monotonic_ns(), monotonic_ns);
         assert_eq!(time::unix_ns(), wall_ns + suspended_s * SECOND);
-        match worker.turn() {
+        match worker.poll() {
             Ok(_) => assert!(holds, "{suspended_s} s"),
             Err(RunError::Permit(over)) => assert_eq!((holds, over.term), (false, 1)),
             Err(error) => panic!("{suspended_s} s: {error}"),

@@ -9,7 +9,7 @@ use joulebus_plan::answering::Work;
 use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError};
 use joulebus_tests::AskerLine;
-use joulebus_wire::{QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};
+use joulebus_wire::{MAX_QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};
 
 use crate::{Done, print_line, stop_with_stdin};
 
@@ -209,7 +209,7 @@ pub(crate) fn bits(config: &Config, count: u64) -> Done {
             continue;
         };
         let find = |robot| rows.iter().find(|row| row.state.robot == robot).copied();
-        let mut work = Work::begin(question.clone(), find, QUERY_STEPS)?;
+        let mut work = Work::begin(question.clone(), find, MAX_QUERY_STEPS)?;
         while !work.step(&fleet)? {}
         // What was stale when the worker sent it is stale here.
         let sent_ns = rows[0].header.sent_ns + answered.age_ns;

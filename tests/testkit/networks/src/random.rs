@@ -1,9 +1,10 @@
 //! Random networks with both forms of GELU, and random rows.
 
 use joulebus_energy::EnergyModel;
+use joulebus_predictor::training::{TrainedBlocks, TrainedRows};
 use joulebus_predictor::{
     Activation, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, ModelCard, Network,
-    Normalisation, Parameters, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange,
+    Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 
 /// A generator of random numbers, with its state.

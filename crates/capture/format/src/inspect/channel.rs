@@ -6,7 +6,7 @@ use mcap::records::{Channel, MessageHeader};
 use serde::Serialize;
 
 use super::records::SchemaReport;
-use crate::scan::Place;
+use crate::scan::RecordLocation;
 
 /// A step longer than this many median steps is a gap.
 const GAP_STEPS: f64 = 3.0;
@@ -62,12 +62,12 @@ pub struct ChannelReport {
     /// Its sequence numbers.
     pub sequence: Sequence,
     #[serde(skip)]
-    first_missing: Option<Place>,
+    first_missing: Option<RecordLocation>,
 }
 
 impl ChannelReport {
     /// Messages missing according to the sequence numbers.
-    pub(super) fn lost_words(&self) -> Option<(Option<Place>, String)> {
+    pub(super) fn lost_words(&self) -> Option<(Option<RecordLocation>, String)> {
         let Sequence::Counted { missing, restarts } = self.sequence else {
             return None;
         };
@@ -94,7 +94,7 @@ pub(super) struct Tally {
     numbers_differ: bool,
     missing: u64,
     restarts: u64,
-    first_missing: Option<Place>,
+    first_missing: Option<RecordLocation>,
     out_of_order: u64,
     longest_step_ns: u64,
     least_delay_ns: i128,
@@ -127,7 +127,7 @@ impl Tally {
         self.messages
     }
 
-    pub(super) fn add(&mut self, header: &MessageHeader, place: Place) {
+    pub(super) fn add(&mut self, header: &MessageHeader, place: RecordLocation) {
         if self.messages > 0 {
             self.add_step(header.log_time);
             self.add_number(header.sequence, place);
@@ -153,7 +153,7 @@ impl Tally {
     }
 
     /// Numbers are 32 bits and may wrap.
-    fn add_number(&mut self, sequence: u32, place: Place) {
+    fn add_number(&mut self, sequence: u32, place: RecordLocation) {
         let step = sequence.wrapping_sub(self.last_sequence);
         self.numbers_differ |= step != 0;
         if step == 0 || step > u32::MAX / 2 {

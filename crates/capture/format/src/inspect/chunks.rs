@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use mcap::records::{ChunkIndex, MessageHeader, MessageIndex};
 use serde::Serialize;
 
-use crate::scan::{ChunkFrame, Place};
+use crate::scan::{ChunkFrame, RecordLocation};
 
 /// The chunks of one compression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -101,7 +101,7 @@ pub(super) struct Chunks {
     /// The last chunk, while its message indexes follow.
     last: Option<Open>,
     indexes_seen: bool,
-    missing_index: Option<Place>,
+    missing_index: Option<RecordLocation>,
 }
 
 impl Chunks {
@@ -147,7 +147,7 @@ impl Chunks {
     /// Compares a message index with the chunk before it. Returns the error.
     pub(super) fn message_index(
         &mut self,
-        place: Place,
+        place: RecordLocation,
         bytes: u64,
         index: &MessageIndex,
     ) -> Option<String> {
@@ -174,11 +174,11 @@ impl Chunks {
     }
 
     /// Ends the message indexes of the last chunk. Returns missing ones.
-    pub(super) fn settle(&mut self) -> Vec<(Place, String)> {
+    pub(super) fn settle(&mut self) -> Vec<(RecordLocation, String)> {
         let Some(open) = self.last.take() else {
             return Vec::new();
         };
-        let place = Place { offset: open.offset, in_chunk: None };
+        let place = RecordLocation { offset: open.offset, in_chunk: None };
         let known = self.known.get(&open.offset);
         if known.is_some_and(|known| known.indexes.is_empty()) {
             if !open.listed.is_empty() {
@@ -197,7 +197,7 @@ impl Chunks {
     }
 
     /// A chunk without any message index in a file that has some.
-    pub(super) fn without_index(&self) -> Option<Place> {
+    pub(super) fn without_index(&self) -> Option<RecordLocation> {
         self.missing_index.filter(|_| self.indexes_seen)
     }
 

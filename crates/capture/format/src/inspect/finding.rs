@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::scan::Place;
+use crate::scan::RecordLocation;
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -21,7 +21,7 @@ pub struct Finding {
     pub severity: Severity,
     /// Its location. `None` if it concerns the whole file.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub place: Option<Place>,
+    pub place: Option<RecordLocation>,
     /// What was found and what is allowed.
     pub what: String,
 }

@@ -16,7 +16,7 @@ use std::io::{Read, Seek};
 
 use mcap::records::{Record, op};
 
-use crate::scan::{ChunkFrame, Crc, Event, Place, Raw, Scan, ScanError};
+use crate::scan::{ChunkFrame, Crc, Event, Raw, RecordLocation, Scan, ScanError};
 use channel::Tally;
 pub use channel::{ChannelReport, Sequence};
 use chunks::Chunks;
@@ -28,9 +28,9 @@ pub use summary::StatisticsCheck;
 use summary::Summary;
 
 /// Maximum number of findings listed. Others are only counted.
-const LISTED_FINDINGS: usize = 200;
+const MAX_LISTED_FINDINGS: usize = 200;
 /// Maximum number of attachments and metadata records listed. Others are only counted.
-const LISTED_RECORDS: usize = 1000;
+const MAX_LISTED_RECORDS: usize = 1000;
 
 /// Inspects a file.
 ///
@@ -123,26 +123,26 @@ impl Inspector {
         }
     }
 
-    fn find(&mut self, severity: Severity, place: Option<Place>, what: String) {
+    fn find(&mut self, severity: Severity, place: Option<RecordLocation>, what: String) {
         match severity {
             Severity::Error => self.errors += 1,
             Severity::Note => self.notes += 1,
         }
-        if self.findings.len() < LISTED_FINDINGS {
+        if self.findings.len() < MAX_LISTED_FINDINGS {
             self.findings.push(Finding { severity, place, what });
         }
     }
 
-    fn error(&mut self, place: Option<Place>, what: impl Into<String>) {
+    fn error(&mut self, place: Option<RecordLocation>, what: impl Into<String>) {
         self.find(Severity::Error, place, what.into());
     }
 
-    fn note(&mut self, place: Option<Place>, what: impl Into<String>) {
+    fn note(&mut self, place: Option<RecordLocation>, what: impl Into<String>) {
         self.find(Severity::Note, place, what.into());
     }
 
     fn note_skipped(&mut self, from: u64, to: u64) {
-        let place = Place { offset: from, in_chunk: None };
+        let place = RecordLocation { offset: from, in_chunk: None };
         let what = format!("skipped {} bytes, up to byte {to}", to - from);
         self.note(Some(place), what);
     }
@@ -166,7 +166,7 @@ impl Inspector {
     }
 
     fn chunk_ends(&mut self, frame: &ChunkFrame, crc: Crc) {
-        let place = Place { offset: frame.offset, in_chunk: None };
+        let place = RecordLocation { offset: frame.offset, in_chunk: None };
         if crc.is_wrong() {
             let Crc { saved, found } = crc;
             let what = format!("chunk: checksum {found:08x}, stored was {saved:08x}");
@@ -222,7 +222,7 @@ impl Inspector {
             }
             Record::Attachment { header, data, .. } => {
                 self.summary.attachment(raw.place.offset, bytes, &header, data.len() as u64);
-                if self.attachments.len() < LISTED_RECORDS {
+                if self.attachments.len() < MAX_LISTED_RECORDS {
                     self.attachments.push(AttachmentReport {
                         name: header.name,
                         media_type: header.media_type,
@@ -234,7 +234,7 @@ impl Inspector {
             }
             Record::Metadata(metadata) => {
                 self.summary.metadata(raw.place.offset, bytes, &metadata.name);
-                if self.metadata.len() < LISTED_RECORDS {
+                if self.metadata.len() < MAX_LISTED_RECORDS {
                     self.metadata
                         .push(MetadataReport { name: metadata.name, entries: metadata.metadata });
                 }
@@ -273,7 +273,7 @@ impl Inspector {
         }
     }
 
-    fn schema(&mut self, place: Place, schema: SchemaReport) {
+    fn schema(&mut self, place: RecordLocation, schema: SchemaReport) {
         if schema.id == 0 {
             return self.error(Some(place), "a schema with the number 0, which means none");
         }
@@ -292,7 +292,7 @@ impl Inspector {
         }
     }
 
-    fn channel(&mut self, place: Place, channel: mcap::records::Channel) {
+    fn channel(&mut self, place: RecordLocation, channel: mcap::records::Channel) {
         if channel.schema_id != 0 && !self.schemas.contains_key(&channel.schema_id) {
             let what = format!(
                 "channel {} ({}) has schema {}, which is not defined before it",
@@ -315,7 +315,7 @@ impl Inspector {
         }
     }
 
-    fn message(&mut self, place: Place, header: &mcap::records::MessageHeader) {
+    fn message(&mut self, place: RecordLocation, header: &mcap::records::MessageHeader) {
         if self.section != Section::Data {
             self.error(Some(place), "a message after the end of the data");
         }

@@ -29,7 +29,7 @@ const MAX_VALUES: usize = 1 << 23;
 /// Cost of a nested message beside its values, in values.
 const MESSAGE_VALUES: usize = 8;
 /// Maximum nesting depth of a message that is decoded, that of the decoder.
-const DECODED_DEPTH: usize = 100;
+const MAX_DECODED_DEPTH: usize = 100;
 
 /// A message with its values.
 #[derive(Debug, Serialize)]
@@ -199,7 +199,7 @@ impl Channel {
         match &self.how {
             How::Protobuf(descriptor) => {
                 let mut left = MAX_VALUES;
-                count(descriptor, data, DECODED_DEPTH, &mut left)?;
+                count(descriptor, data, MAX_DECODED_DEPTH, &mut left)?;
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
                 // Field names as in the schema, zeros included. 64-bit numbers as numbers.
@@ -262,7 +262,8 @@ fn count(
         match (payload, kind) {
             (Payload::Bytes(bytes), Some(Kind::Message(inner))) => {
                 let depth = depth.checked_sub(1);
-                let depth = depth.ok_or_else(|| format!("nested deeper than {DECODED_DEPTH}"))?;
+                let depth =
+                    depth.ok_or_else(|| format!("nested deeper than {MAX_DECODED_DEPTH}"))?;
                 count(&inner, bytes, depth, left)?;
             }
             (Payload::Bytes(_), None | Some(Kind::String | Kind::Bytes)) | (Payload::Number, _) => {

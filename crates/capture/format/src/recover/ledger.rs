@@ -6,10 +6,10 @@ use std::fmt;
 use mcap::records::{Statistics, op};
 use serde::Serialize;
 
-use crate::scan::{ChunkFrame, Crc, Place, Raw, ScanError, Skipped, kind_name};
+use crate::scan::{ChunkFrame, Crc, Raw, RecordLocation, ScanError, Skipped, kind_name};
 
 /// Maximum number of problems listed. Others are only counted.
-const LISTED_TROUBLES: usize = 200;
+const MAX_LISTED_TROUBLES: usize = 200;
 
 /// Records of one kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
@@ -23,7 +23,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    pub(super) fn lose(&mut self, place: Place, what: String, troubles: &mut Troubles) {
+    pub(super) fn lose(&mut self, place: RecordLocation, what: String, troubles: &mut Troubles) {
         self.lost += 1;
         troubles.add(place, what);
     }
@@ -33,7 +33,7 @@ impl Counts {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Trouble {
     /// Its location.
-    pub place: Place,
+    pub place: RecordLocation,
     /// The problem.
     pub what: String,
 }
@@ -46,9 +46,9 @@ pub(super) struct Troubles {
 }
 
 impl Troubles {
-    pub(super) fn add(&mut self, place: Place, what: String) {
+    pub(super) fn add(&mut self, place: RecordLocation, what: String) {
         self.count += 1;
-        if self.listed.len() < LISTED_TROUBLES {
+        if self.listed.len() < MAX_LISTED_TROUBLES {
             self.listed.push(Trouble { place, what });
         }
     }
@@ -224,7 +224,7 @@ impl Ledger {
         self.settle_chunk();
         if std::mem::take(&mut self.data_ended) {
             let what = "chunk: behind what looked like the end of the data".to_owned();
-            self.troubles.add(Place { offset: frame.offset, in_chunk: None }, what);
+            self.troubles.add(RecordLocation { offset: frame.offset, in_chunk: None }, what);
         }
         self.chunk = Some(OpenChunk::default());
     }
@@ -242,7 +242,7 @@ impl Ledger {
             "chunk: its checksum is wrong, and its {suspect} messages, log time {start} to {end} \
                 ns, are suspect"
         );
-        let place = Place { offset: frame.offset, in_chunk: None };
+        let place = RecordLocation { offset: frame.offset, in_chunk: None };
         self.troubles.add(place, what);
     }
 
@@ -286,7 +286,7 @@ impl Ledger {
         self.passed_over_bytes += skipped.to - skipped.from;
     }
 
-    pub(super) fn too_long(&mut self, place: Place, opcode: u8, bytes: u64) {
+    pub(super) fn too_long(&mut self, place: RecordLocation, opcode: u8, bytes: u64) {
         let what = format!("{} of {bytes} bytes is too long to be copied", kind_name(opcode));
         match self.kind(opcode) {
             Some(counts) => counts.lost += 1,
@@ -318,12 +318,12 @@ impl Ledger {
         })
     }
 
-    pub(super) fn other_lost(&mut self, place: Place, what: String) {
+    pub(super) fn other_lost(&mut self, place: RecordLocation, what: String) {
         self.others_lost += 1;
         self.troubles.add(place, what);
     }
 
-    pub(super) fn orphan(&mut self, place: Place, channel: u16) {
+    pub(super) fn orphan(&mut self, place: RecordLocation, channel: u16) {
         let what = format!("message of channel {channel}, which is nowhere in the file");
         // The index after its chunk counts it too: it must be counted as lost once.
         if let Some(chunk) = &mut self.chunk {
@@ -359,18 +359,18 @@ impl Ledger {
             self.doubt = true;
             let Crc { saved, found } = crc;
             let what = format!("data section: checksum {found:08x}, stored was {saved:08x}");
-            let place = Place { offset: 0, in_chunk: None };
+            let place = RecordLocation { offset: 0, in_chunk: None };
             self.troubles.add(place, what);
         }
     }
 
     /// A record that is not allowed in the summary.
-    pub(super) fn misplaced(&mut self, place: Place, opcode: u8) {
+    pub(super) fn misplaced(&mut self, place: RecordLocation, opcode: u8) {
         let what = format!("{} behind the end of the data", kind_name(opcode));
         self.troubles.add(place, what);
     }
 
-    pub(super) fn footer(&mut self, place: Place, crc: Option<Crc>) {
+    pub(super) fn footer(&mut self, place: RecordLocation, crc: Option<Crc>) {
         if let Some(Crc { saved, found }) = crc.filter(Crc::is_wrong) {
             let what =
                 format!("summary: checksum {found:08x}, stored was {saved:08x}. It is recreated");
@@ -384,7 +384,7 @@ impl Ledger {
         if let Some(said) = statistics {
             if let Some(more) = self.messages.recovered.checked_sub(said.message_count + 1) {
                 let what = format!("{} messages more than the statistics state", more + 1);
-                let place = Place { offset: 0, in_chunk: None };
+                let place = RecordLocation { offset: 0, in_chunk: None };
                 self.troubles.add(place, what);
             }
             let exact = |counts: &mut Counts, said: u64| {

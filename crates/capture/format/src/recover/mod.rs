@@ -12,7 +12,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use mcap::records::{Channel, Footer, MessageHeader, Metadata, Record, Statistics, op};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 
-use crate::scan::{Event, Place, Raw, Scan, ScanError, kind_name};
+use crate::scan::{Event, Raw, RecordLocation, Scan, ScanError, kind_name};
 use crate::writer::reason;
 use ledger::Ledger;
 pub use ledger::{Counts, Recovery, Trouble};
@@ -114,7 +114,7 @@ fn read_summary(input: &mut (impl Read + Seek)) -> Saved {
 }
 
 fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool, ScanError> {
-    let io = |source| ScanError::Io { place: Place { offset: 0, in_chunk: None }, source };
+    let io = |source| ScanError::Io { place: RecordLocation { offset: 0, in_chunk: None }, source };
     let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
     let Some(at) = file_bytes.checked_sub(TAIL_BYTES) else {
         return Ok(false);
@@ -272,7 +272,7 @@ impl<W: Write + Seek> Rescue<W> {
 
     fn schema(
         &mut self,
-        place: Place,
+        place: RecordLocation,
         id: u16,
         (name, encoding, data): &(String, String, Vec<u8>),
     ) -> Result<(), RecoverError> {
@@ -288,7 +288,7 @@ impl<W: Write + Seek> Rescue<W> {
         Ok(())
     }
 
-    fn channel(&mut self, place: Place, channel: Channel) -> Result<(), RecoverError> {
+    fn channel(&mut self, place: RecordLocation, channel: Channel) -> Result<(), RecoverError> {
         let schema = channel.schema_id;
         if !self.ledger.has_schema(schema)
             && let Some(saved) = self.summary.schemas.remove(&schema)
@@ -318,7 +318,7 @@ impl<W: Write + Seek> Rescue<W> {
 
     fn message(
         &mut self,
-        place: Place,
+        place: RecordLocation,
         header: &MessageHeader,
         data: &[u8],
     ) -> Result<(), RecoverError> {

@@ -6,7 +6,7 @@ use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
 use super::error::ScanError;
 use super::plausible::is_record;
 use super::record::{
-    ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode, max_expanded,
+    ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, RecordLocation, is_opcode, max_expanded,
 };
 use super::resume::Failure;
 use super::source::{Source, fill};
@@ -38,11 +38,11 @@ enum Body<R> {
 pub(super) enum Step {
     /// A record, its body in the buffer.
     Record {
-        place: Place,
+        place: RecordLocation,
         opcode: u8,
     },
     TooLong {
-        place: Place,
+        place: RecordLocation,
         opcode: u8,
         bytes: u64,
     },
@@ -92,7 +92,7 @@ impl<R: Read + Seek> Chunk<R> {
             "lz4" => Body::Lz4(lz4::Decoder::new(source.take(limit)).map_err(no_memory)?),
             other => {
                 let error = ScanError::Compression {
-                    place: Place::top(frame.offset),
+                    place: RecordLocation::top(frame.offset),
                     found: other.to_owned(),
                 };
                 return Err((Some(source), error));
@@ -167,7 +167,7 @@ impl<R: Read + Seek> Chunk<R> {
         &mut self,
         bytes: u64,
         buffer: &mut Vec<u8>,
-        place: Place,
+        place: RecordLocation,
     ) -> Result<(), ScanError> {
         let mut left = bytes;
         while left > 0 {
@@ -181,8 +181,8 @@ impl<R: Read + Seek> Chunk<R> {
         Ok(())
     }
 
-    fn place(&self) -> Place {
-        Place { offset: self.frame.offset, in_chunk: Some(self.read) }
+    fn place(&self) -> RecordLocation {
+        RecordLocation { offset: self.frame.offset, in_chunk: Some(self.read) }
     }
 
     /// Whether the file ends within the chunk.
@@ -196,7 +196,7 @@ impl<R: Read + Seek> Chunk<R> {
     }
 
     /// The decompressed records end before the length in the head.
-    fn ends_early(&self, place: Place) -> ScanError {
+    fn ends_early(&self, place: RecordLocation) -> ScanError {
         if self.is_cut() {
             return ScanError::EndsEarly { place, what: "chunk", missing: None };
         }
@@ -287,14 +287,14 @@ pub(crate) fn zstd_decoder<R: BufRead>(input: R) -> io::Result<zstd::Decoder<'st
 
 fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
     ScanError::Decompress {
-        place: Place { offset: frame.offset, in_chunk: Some(read) },
+        place: RecordLocation { offset: frame.offset, in_chunk: Some(read) },
         detail: error.to_string(),
     }
 }
 
 /// Reads the head of a chunk and checks that its lengths agree.
 fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
-    let place = Place::top(head.offset);
+    let place = RecordLocation::top(head.offset);
     let refuse = |detail: String| ScanError::ChunkHeader { place, detail };
     let header = chunk_header::parse(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
         .map_err(|detail| match detail {

@@ -1,6 +1,6 @@
 //! Errors in a file, with their location.
 
-use super::record::Place;
+use super::record::RecordLocation;
 
 /// An error at a location of a file.
 #[derive(Debug, thiserror::Error)]
@@ -10,7 +10,7 @@ pub enum ScanError {
     #[error("{place}: cannot read: {source}")]
     Io {
         /// The location.
-        place: Place,
+        place: RecordLocation,
         /// The operating system's error.
         source: std::io::Error,
     },
@@ -24,7 +24,7 @@ pub enum ScanError {
     #[error("{place}: the file ends within the {what}{}", missing_words(*missing))]
     EndsEarly {
         /// Start of the truncated element.
-        place: Place,
+        place: RecordLocation,
         /// The truncated element.
         what: &'static str,
         /// Number of missing bytes, if known.
@@ -34,7 +34,7 @@ pub enum ScanError {
     #[error("{place}: found opcode {found:#04x}, records have 0x01 to 0xff")]
     Opcode {
         /// The location.
-        place: Place,
+        place: RecordLocation,
         /// The byte found.
         found: u8,
     },
@@ -42,7 +42,7 @@ pub enum ScanError {
     #[error("{place}: {what}: {detail}")]
     Record {
         /// Its location.
-        place: Place,
+        place: RecordLocation,
         /// Its kind.
         what: &'static str,
         /// The error.
@@ -52,7 +52,7 @@ pub enum ScanError {
     #[error("{place}: chunk: {detail}")]
     ChunkHeader {
         /// Its location.
-        place: Place,
+        place: RecordLocation,
         /// The error.
         detail: String,
     },
@@ -60,7 +60,7 @@ pub enum ScanError {
     #[error("{place}: found compression {found:?}, supported are \"\", \"lz4\" and \"zstd\"")]
     Compression {
         /// Location of the chunk.
-        place: Place,
+        place: RecordLocation,
         /// Its name in the file.
         found: String,
     },
@@ -68,7 +68,7 @@ pub enum ScanError {
     #[error("{place}: cannot decompress: {detail}")]
     Decompress {
         /// Position up to which it was decompressed.
-        place: Place,
+        place: RecordLocation,
         /// The decompressor's error.
         detail: String,
     },
@@ -76,7 +76,7 @@ pub enum ScanError {
     #[error("{place}: a record of {found} bytes in a chunk that has {left} left")]
     PastChunk {
         /// Location of the record.
-        place: Place,
+        place: RecordLocation,
         /// Its length, bytes.
         found: u64,
         /// Bytes left in the chunk.
@@ -86,7 +86,7 @@ pub enum ScanError {
     #[error("{place}: found {found:02x?}, an MCAP file ends with {:02x?}", mcap::MAGIC)]
     EndMagic {
         /// The location.
-        place: Place,
+        place: RecordLocation,
         /// The bytes found, at most eight.
         found: Vec<u8>,
     },
@@ -94,7 +94,7 @@ pub enum ScanError {
     #[error("{place}: {bytes} bytes follow the end of the file")]
     Trailing {
         /// Its location.
-        place: Place,
+        place: RecordLocation,
         /// Its length.
         bytes: u64,
     },
@@ -111,9 +111,9 @@ fn missing_words(missing: Option<u64>) -> String {
 impl ScanError {
     /// The location.
     #[must_use]
-    pub const fn place(&self) -> Place {
+    pub const fn place(&self) -> RecordLocation {
         match self {
-            Self::NotMcap { .. } => Place::top(0),
+            Self::NotMcap { .. } => RecordLocation::top(0),
             Self::Io { place, .. }
             | Self::EndsEarly { place, .. }
             | Self::Opcode { place, .. }

@@ -22,7 +22,7 @@ use mcap::records::{self, op};
 use chunk::Chunk;
 pub(crate) use chunk::zstd_decoder;
 pub use error::ScanError;
-pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, Place, kind_name};
+pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, RecordLocation, kind_name};
 use record::{HEAD_BYTES, Head, MAGIC_BYTES};
 pub(crate) use record::{is_opcode, max_expanded};
 pub use resume::Skipped;
@@ -45,7 +45,7 @@ pub enum Event<'a> {
     /// A record longer than [`MAX_RECORD_BYTES`], which was skipped.
     TooLong {
         /// Its location.
-        place: Place,
+        place: RecordLocation,
         /// Its opcode.
         opcode: u8,
         /// Its length without its head.
@@ -57,7 +57,7 @@ pub enum Event<'a> {
 #[derive(Debug)]
 pub struct Raw<'a> {
     /// Its location.
-    pub place: Place,
+    pub place: RecordLocation,
     /// Its opcode, see [`mcap::records::op`].
     pub opcode: u8,
     /// The bytes after opcode and length.
@@ -253,7 +253,7 @@ impl<R: Read + Seek> Scan<R> {
         mut source: Source<R>,
         head: Head,
     ) -> Result<Option<Event<'_>>, ScanError> {
-        let place = Place::top(head.offset);
+        let place = RecordLocation::top(head.offset);
         let crc = source.crc();
         let read = if head.bytes > MAX_RECORD_BYTES {
             source.skip(HEAD_BYTES + head.bytes)
@@ -284,7 +284,7 @@ impl<R: Read + Seek> Scan<R> {
         head: Head,
     ) -> Result<Option<Event<'_>>, ScanError> {
         const FOOTER_BYTES: u64 = 20;
-        let place = Place::top(head.offset);
+        let place = RecordLocation::top(head.offset);
         if head.bytes != FOOTER_BYTES {
             let detail = format!("it is {} bytes long, not {FOOTER_BYTES}", head.bytes);
             let what = kind_name(op::FOOTER);
@@ -394,7 +394,7 @@ pub(crate) fn each_record<E: From<ScanError>>(
 /// Reads the head of the next record without consuming it.
 fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     let offset = source.offset();
-    let place = Place::top(offset);
+    let place = RecordLocation::top(offset);
     let rest = source.file_bytes().saturating_sub(offset);
     let bytes = source.peek(HEAD_BYTES)?;
     let Some((&opcode, length)) = bytes.split_first() else {
@@ -421,7 +421,7 @@ fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
 }
 
 fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
-    let place = Place::top(source.offset());
+    let place = RecordLocation::top(source.offset());
     let mut magic = Vec::new();
     source.read_up_to(MAGIC_BYTES, &mut magic)?;
     if magic.len() < mcap::MAGIC.len() && mcap::MAGIC.starts_with(&magic) {
@@ -434,7 +434,7 @@ fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
     }
     match source.file_bytes() - source.offset() {
         0 => Ok(()),
-        bytes => Err(ScanError::Trailing { place: Place::top(source.offset()), bytes }),
+        bytes => Err(ScanError::Trailing { place: RecordLocation::top(source.offset()), bytes }),
     }
 }
 

@@ -27,7 +27,7 @@ pub(super) const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
 
 /// Location of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Place {
+pub struct RecordLocation {
     /// Offset of the record, or of its chunk.
     pub offset: u64,
     /// Offset of the record in the decompressed chunk, if it is in one.
@@ -35,13 +35,13 @@ pub struct Place {
     pub in_chunk: Option<u64>,
 }
 
-impl Place {
+impl RecordLocation {
     pub(crate) const fn top(offset: u64) -> Self {
         Self { offset, in_chunk: None }
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for RecordLocation {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.in_chunk {
             None => write!(out, "byte {}", self.offset),

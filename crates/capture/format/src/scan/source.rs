@@ -3,11 +3,11 @@
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
 use super::error::ScanError;
-use super::record::Place;
+use super::record::RecordLocation;
 
 const BUFFER_BYTES: usize = 256 << 10;
 /// Maximum initial allocation for a record of unverified length, bytes.
-const TRUSTED_BYTES: u64 = 1 << 20;
+const MAX_TRUSTED_BYTES: u64 = 1 << 20;
 
 /// A file that is read once, in order. [`Source::go_to`] breaks the order.
 pub(super) struct Source<R> {
@@ -23,7 +23,7 @@ pub(super) struct Source<R> {
 
 impl<R: Read + Seek> Source<R> {
     pub(super) fn new(mut input: R) -> Result<Self, ScanError> {
-        let io = |source| ScanError::Io { place: Place::top(0), source };
+        let io = |source| ScanError::Io { place: RecordLocation::top(0), source };
         let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
         input.seek(SeekFrom::Start(0)).map_err(io)?;
         Ok(Self {
@@ -57,7 +57,7 @@ impl<R: Read + Seek> Source<R> {
     }
 
     fn io(&self, source: io::Error) -> ScanError {
-        ScanError::Io { place: Place::top(self.offset), source }
+        ScanError::Io { place: RecordLocation::top(self.offset), source }
     }
 
     /// Reads `bytes`, or as many as there are, replacing the contents of `into`.
@@ -136,8 +136,8 @@ pub(super) struct Mark {
 /// Reads up to `bytes`, replacing the contents of `into`. A wrong length allocates little.
 pub(super) fn fill(input: &mut impl Read, bytes: u64, into: &mut Vec<u8>) -> io::Result<()> {
     into.clear();
-    into.shrink_to(4 * TRUSTED_BYTES as usize);
-    into.reserve(usize::try_from(bytes.min(TRUSTED_BYTES)).unwrap_or_default());
+    into.shrink_to(4 * MAX_TRUSTED_BYTES as usize);
+    into.reserve(usize::try_from(bytes.min(MAX_TRUSTED_BYTES)).unwrap_or_default());
     input.take(bytes).read_to_end(into)?;
     Ok(())
 }

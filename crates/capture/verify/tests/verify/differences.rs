@@ -14,9 +14,9 @@ use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, QUERY_STEPS,
-    QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, State, StateHeader,
-    TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
+    ForecastHeader, Forecasts, MAX_QUERY_STEPS, OutlookHeader, Outlooks, PlanStateHeader,
+    PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, State,
+    StateHeader, TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 
@@ -759,7 +759,7 @@ fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
         Some(RobotRows::recorded(&answer, *state, budget.copied()))
     };
     let plans = PlanFleet::new(&world::settings(CAPACITY), &world::models());
-    let reply = question.answer(&plans, find, QUERY_STEPS);
+    let reply = question.answer(&plans, find, MAX_QUERY_STEPS);
     let mut words = Vec::new();
     match &reply {
         Ok(reply) => reply.encode(&mut answer, &mut words),

@@ -7,25 +7,25 @@ use serde::{Deserialize, Serialize};
 use crate::layout::lanes::{Block, Lanes, put};
 
 /// Serial correlation above which whitening would only amplify noise.
-const CORRELATION_MAX: f32 = 0.9;
+const MAX_CORRELATION: f32 = 0.9;
 
 /// Limit of residuals, W, and of standardised residuals. Without it, one absurd forecast would turn
 /// the sums into NaN, and no alarm would ever be raised again.
-const RESIDUAL_MAX: f32 = 1e6;
+const MAX_RESIDUAL: f32 = 1e6;
 
 /// The sums stay within this many times their limit, so that an alarm is cleared soon after its
 /// cause ends.
-const CUSUM_MAX: f32 = 1.2;
+const MAX_CUSUM: f32 = 1.2;
 /// Largest squared residual that the noise ratio believes: one step of the load is not noise.
-const NOISE_SQUARE_MAX: f32 = 300.0;
+const MAX_NOISE_SQUARE: f32 = 300.0;
 /// The model is judged over this many times as many readings as the noise: few of them carry the
 /// changes that it is there for.
 const MISMATCH_MEMORY: f32 = 10.0;
 /// Limits of an error and of a change in that judgement, and its minimum squared error, in standard
 /// deviations of the training's residuals. A model that errs as in training is not worse for a
 /// robot that stands still, where the last reading is nearly exact.
-const MISMATCH_ERROR_MAX: f32 = 20.0;
-const MISMATCH_SQUARE_MIN: f32 = 3.0;
+const MAX_MISMATCH_ERROR: f32 = 20.0;
+const MIN_MISMATCH_SQUARE: f32 = 3.0;
 
 /// Number of alarms that are decided here. Those of the battery follow.
 const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
@@ -101,17 +101,17 @@ impl Detector {
         per_sigma: f32,
         settings: &AlarmSettings,
     ) {
-        let residual_w = residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        let residual_w = residual_w.clamp(-MAX_RESIDUAL, MAX_RESIDUAL);
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
-        let z = (residual_w * per_sigma).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        let z = (residual_w * per_sigma).clamp(-MAX_RESIDUAL, MAX_RESIDUAL);
         let white = self.whiten(z, settings.bias_weight);
-        let ceiling = CUSUM_MAX * settings.cusum_limit;
+        let ceiling = MAX_CUSUM * settings.cusum_limit;
         self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
         self.cusum_down = (self.cusum_down - white - settings.cusum_slack).clamp(0.0, ceiling);
-        let square = (white * white).min(NOISE_SQUARE_MAX);
+        let square = (white * white).min(MAX_NOISE_SQUARE);
         self.noise_ratio += settings.noise_weight * (square - self.noise_ratio);
         let weight = settings.noise_weight / MISMATCH_MEMORY;
-        let bounded = |z: f32| z.clamp(-MISMATCH_ERROR_MAX, MISMATCH_ERROR_MAX);
+        let bounded = |z: f32| z.clamp(-MAX_MISMATCH_ERROR, MAX_MISMATCH_ERROR);
         let (error, step) = (bounded(z), bounded(change_w * per_sigma));
         self.error_square += weight * (error * error - self.error_square);
         self.persistence_square += weight * (step * step - self.persistence_square);
@@ -122,7 +122,7 @@ impl Detector {
     #[inline(always)]
     fn whiten(&mut self, z: f32, weight: f32) -> f32 {
         let correlation =
-            (self.z_product / self.z_square.max(f32::MIN_POSITIVE)).clamp(0.0, CORRELATION_MAX);
+            (self.z_product / self.z_square.max(f32::MIN_POSITIVE)).clamp(0.0, MAX_CORRELATION);
         let white = (z - correlation * self.z_last) / (1.0 - correlation * correlation).sqrt();
         self.z_square += weight * (z * z - self.z_square);
         self.z_product += weight * (z * self.z_last - self.z_product);
@@ -141,7 +141,7 @@ impl Detector {
         conditions.between(down > bias, down > 0.5 * bias, Alarm::BiasLow);
         let (ratio, noise) = (self.noise_ratio, settings.noise_limit);
         conditions.between(ratio > noise, ratio > 0.5 * noise, Alarm::NoiseHigh);
-        let expected = self.persistence_square.max(MISMATCH_SQUARE_MIN);
+        let expected = self.persistence_square.max(MIN_MISMATCH_SQUARE);
         let worst = settings.mismatch_limit * expected;
         let (error, floor) = (self.error_square, 0.9 * worst);
         conditions.between(error > worst, error > floor, Alarm::ModelMismatch);

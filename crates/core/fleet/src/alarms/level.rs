@@ -66,7 +66,7 @@ const STEADIEST: f32 = 0.75;
 /// Smallest relative standard deviation.
 const LEAST: f32 = 0.02;
 /// A deviation counts as this many standard deviations at most when the scatter is learned.
-const SCATTER_MAX: f32 = 3.0;
+const MAX_SCATTER: f32 = 3.0;
 /// A robot whose level is this many times the platform's, or this part of it, is of another kind.
 const UNLIKE: f32 = 4.0;
 /// Least relative standard deviation of such a robot.
@@ -264,8 +264,8 @@ impl Level {
         let learned_s = if learns { rate * rules.period_s } else { 0.0 };
         let scatter_s = if self.own_s > SCATTER_FROM_S { learned_s } else { 0.0 };
         let [quick_variance, slow_variance] = expected.variances;
-        let quick_square = (quick * quick / quick_spread).min(SCATTER_MAX * SCATTER_MAX);
-        let slow_square = (slow * slow / slow_spread).min(SCATTER_MAX * SCATTER_MAX);
+        let quick_square = (quick * quick / quick_spread).min(MAX_SCATTER * MAX_SCATTER);
+        let slow_square = (slow * slow / slow_spread).min(MAX_SCATTER * MAX_SCATTER);
         let weight = |prior_s: f32, scatter: f32| scatter_s / (scatter + prior_s).min(OWN_S);
         let (quick_weight, slow_weight) =
             (weight(PRIOR_S[0], self.scatter_s), weight(PRIOR_S[1], self.scatter_s));

@@ -39,7 +39,7 @@ pub(crate) const MEMBERS: usize = 4;
 /// The memory λ: an error's weight halves every 231 readings.
 pub(crate) const MEMORY: f32 = 0.997;
 /// Limit of an error, W: without it one absurd forecast would turn the sums into infinity.
-const ERROR_MAX: f32 = 1e6;
+const MAX_ERROR_W: f32 = 1e6;
 
 /// The losses on which the weights are based, W². A member that does not take part has an infinite
 /// loss.
@@ -86,7 +86,7 @@ impl Hedge {
     /// `floor`: Δ is at least this, W², above 0.
     #[inline(always)]
     pub(crate) fn learn(&mut self, error_w: [f32; MEMBERS], floor: f32) {
-        let error = each(error_w, |error| error.clamp(-ERROR_MAX, ERROR_MAX));
+        let error = each(error_w, |error| error.clamp(-MAX_ERROR_W, MAX_ERROR_W));
         let loss = each(error, |error| error * error);
         let mixed = dot(&self.weights(), &error);
         let cost = mixed * mixed - self.mix_loss(&loss);

@@ -35,7 +35,7 @@ const FACTOR: (f32, f32) = (1e-3, 1e3);
 /// it.
 const HELD_FLOOR: f32 = 0.01;
 /// Largest residual that is believed, W.
-const RESIDUAL_MAX: f32 = 1e6;
+const MAX_RESIDUAL_W: f32 = 1e6;
 
 /// Ratios by which the factors change.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -134,7 +134,7 @@ impl ConformalInterval {
         let seen = if due { self.seen_due } else { self.seen_held };
         let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(seen)));
         let floor_w = if due { floor_w } else { HELD_FLOOR * floor_w };
-        let recent_w = residual_w.abs().min(RESIDUAL_MAX);
+        let recent_w = residual_w.abs().min(MAX_RESIDUAL_W);
         let size_w = (size_w + weight * (recent_w - size_w)).max(floor_w);
         let seen = seen.saturating_add(1);
         put(&mut self.above_due, due, moved_above);

@@ -38,7 +38,8 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::nan::canonical;
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, SeenPower};
+use joulebus_predictor::training::SeenPower;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
@@ -73,10 +74,10 @@ const COVARIANCE: [[f32; PAIRS]; STACKS] = {
 /// Share of the distance to Σ₀ that Σ returns with each reading.
 const PULL: f32 = 0.002;
 /// Largest innovation that θ follows, and largest deviation, in r.
-const INNOVATION_MAX: f32 = 2.5;
-const DEVIATION_MAX: f32 = 30.0;
+const MAX_INNOVATION: f32 = 2.5;
+const MAX_DEVIATION: f32 = 30.0;
 /// θ stays within ±this.
-const COEFFICIENT_MAX: f32 = 100.0;
+const MAX_COEFFICIENT: f32 = 100.0;
 /// Readings that the model's own error counts for in r.
 const TRUST: f32 = 8.0;
 /// Initial losses for readings with a new measurement due, in r². The last reading is a fallback.
@@ -91,15 +92,15 @@ const LOSS_UNLIKE: f32 = 20.0;
 const LOSS_UNLIKE_HELD: f32 = 40.0;
 /// How far the mean power may lie outside the training range, in the model's own error, and its
 /// least share of that error.
-const OUTSIDE_MAX: f32 = 0.5;
-const SHARE_MIN: f32 = 0.125;
+const MAX_OUTSIDE: f32 = 0.5;
+const MIN_SHARE: f32 = 0.125;
 /// Δ is at least this, in r².
 const COST: f32 = 2.0;
 /// Share of the stack in the last reading's forecast if no measurement is due, because some
 /// measurements come early.
 const EARLY: f32 = 0.02;
 /// Largest size that is believed, W.
-const SIZE_MAX: f32 = 1e6;
+const MAX_SIZE_W: f32 = 1e6;
 
 /// The members that a platform's robots combine, prepared for the tick.
 #[derive(Debug, Clone, Copy)]
@@ -149,8 +150,8 @@ impl Members {
             lags,
             change_w,
             floor_w: resolution_w,
-            least_w: (min_w - OUTSIDE_MAX * change_w).max(SHARE_MIN * change_w),
-            most_w: max_w + OUTSIDE_MAX * change_w,
+            least_w: (min_w - MAX_OUTSIDE * change_w).max(MIN_SHARE * change_w),
+            most_w: max_w + MAX_OUTSIDE * change_w,
             sceptic_loss: if network.feature_set().needs_command() {
                 LOSS_SCEPTIC
             } else {
@@ -436,7 +437,7 @@ impl Online {
         due: bool,
     ) -> MemberForecasts {
         let a_w = members.autoregression(lag_w);
-        let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
+        let (last_w, most_w) = (lag_w[0], MAX_DEVIATION * self.change_w);
         let deviation = |watts: f32| within(watts - a_w, most_w);
         let u = [deviation(last_w), deviation(network_w), deviation(self.mean_w), self.change_w];
         let stacks_w = each(self.theta, |[p, n, m, level]| {
@@ -489,7 +490,7 @@ impl Online {
         put(&mut self.due_cost, due, hedge.cost);
         put(&mut self.held_above, !due, hedge.above[0]);
         put(&mut self.held_cost, !due, hedge.cost);
-        let most_w = INNOVATION_MAX * self.change_w;
+        let most_w = MAX_INNOVATION * self.change_w;
         let innovation_w = each(forecasts.stacks_w, |stack_w| within(reading_w - stack_w, most_w));
         RlsUpdate { u, innovation_w, square, due }
     }
@@ -525,7 +526,7 @@ impl Online {
         let gain = 1.0 / (square + spread);
         for row in 0..TERMS {
             let theta = self.theta[stack][row] + product[row] * (gain * innovation_w);
-            let theta = theta.clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX);
+            let theta = theta.clamp(-MAX_COEFFICIENT, MAX_COEFFICIENT);
             put(&mut self.theta[stack][row], due, theta);
         }
         for pair in 0..PAIRS {
@@ -542,7 +543,7 @@ impl Online {
     pub(crate) fn read(&mut self, members: &Members, last_w: f32, due: bool, reading_w: f32) {
         let seen = f32::from(self.seen);
         self.mean_w += (reading_w - self.mean_w) / (1.0 + seen);
-        let size_w = (reading_w - last_w).abs().min(SIZE_MAX);
+        let size_w = (reading_w - last_w).abs().min(MAX_SIZE_W);
         let change_w = self.change_w + (size_w - self.change_w) / (1.0 + TRUST + seen);
         let counts = due & !last_w.is_nan();
         put(&mut self.change_w, counts, change_w.max(members.floor_w));
@@ -776,7 +777,7 @@ mod tests {
     fn a_robot_unlike_any_in_the_training_starts_from_its_last_reading() {
         let power_w = |step: u32| 3.0 + 0.05 * (step as f32 * 0.37).sin();
         let far = Members { least_w: 14.0, most_w: 900.0, ..MEMBERS };
-        let faint = Members { change_w: 46.0, bias_w: 40.0, least_w: SHARE_MIN * 46.0, ..MEMBERS };
+        let faint = Members { change_w: 46.0, bias_w: 40.0, least_w: MIN_SHARE * 46.0, ..MEMBERS };
         let fast = power_w(0) + 40.0;
         let lags = FeatureSet::PowerOnly.range();
         let rows = [fast, fast - 9.0].map(|lag_w| {

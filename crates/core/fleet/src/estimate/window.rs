@@ -2,7 +2,7 @@
 
 mod lanes;
 
-use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features, missing_steps};
+use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
 
 pub(crate) use lanes::{ClosedLanes, WindowLanes};
 
@@ -137,7 +137,7 @@ impl Window {
 
     /// The gap between the last sample and one stamped `elapsed_ns` later.
     pub(crate) fn gap_before(&self, elapsed_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
-        let missing = missing_steps(elapsed_ns, period_ns);
+        let missing = ReadingAge::missing_steps(elapsed_ns, period_ns);
         if missing == 0 || self.have == 0 {
             return Gap::None;
         }

@@ -4,7 +4,7 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::missing_steps;
+use joulebus_predictor::ReadingAge;
 use joulebus_predictor::simd::SimdTask;
 use joulebus_wire::{InvalidReason, Quality};
 
@@ -153,7 +153,7 @@ pub(crate) fn run_overdue(
         batch.clear();
         for slot in overdue.iter().map(|slot| *slot as usize) {
             let silent_ns = tick.now_ns.saturating_sub(columns.admissions[slot].taken_ns);
-            let steps = missing_steps(silent_ns, context.platform.period_ns);
+            let steps = ReadingAge::missing_steps(silent_ns, context.platform.period_ns);
             let mut window = lanes::get(columns.windows, slot);
             let longest = context.longest_steps.saturating_sub(window.unread_steps);
             let steps = steps.min(longest.into()) as u16;

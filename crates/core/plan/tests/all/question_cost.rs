@@ -5,7 +5,7 @@ use std::time::Instant;
 use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{Path, Plan, Point, Question, RobotRows};
-use joulebus_wire::QUERY_STEPS;
+use joulebus_wire::MAX_QUERY_STEPS;
 
 fn rows(robot: u32) -> RobotRows {
     let mut rows = Rows::with_usable(20_000.0);
@@ -42,7 +42,7 @@ fn what_a_path_and_the_time_to_turn_back_cost() {
             let question = Question { plan, coverage: 0.9, power: false };
             let find = |robot| Some(rows(robot));
             let begun = Instant::now();
-            let mut work = Work::begin(question, find, QUERY_STEPS).unwrap();
+            let mut work = Work::begin(question, find, MAX_QUERY_STEPS).unwrap();
             let mut longest_ms: f64 = 0.0;
             loop {
                 let step = Instant::now();

@@ -4,11 +4,11 @@ use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
     Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict,
-    decode_acknowledgement, encode_acknowledgement, rank,
+    acknowledgement, rank,
 };
 use joulebus_wire::{
-    Alarm, AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
-    query_flag,
+    Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION,
+    plan_state_flag, query_flag,
 };
 use proptest::prelude::*;
 
@@ -63,7 +63,7 @@ fn questions_and_replies_survive_their_payloads() {
         let (header, values) = question.encode(FLEET).unwrap();
         assert_eq!(Question::decode(&header, &values, FLEET).as_ref(), Ok(&question));
         let find = |robot| Some(rows(&robots, robot));
-        let reply = question.clone().answer(&fleet, find, QUERY_STEPS).unwrap();
+        let reply = question.clone().answer(&fleet, find, MAX_QUERY_STEPS).unwrap();
         assert!(!reply.rows.is_empty());
         let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
         header.schema = SCHEMA_VERSION;
@@ -75,10 +75,10 @@ fn questions_and_replies_survive_their_payloads() {
 #[test]
 fn only_an_alarm_of_the_own_level_is_acknowledged_as_the_new_normal() {
     for alarm in Alarm::ALL {
-        let encode = |new_normal| encode_acknowledgement(7, alarm, "ann", new_normal, FLEET);
+        let encode = |new_normal| acknowledgement::encode(7, alarm, "ann", new_normal, FLEET);
         let (known, values) = encode(false).unwrap();
         let flagged = QueryHeader { flags: query_flag::NEW_NORMAL, ..known };
-        let decode = |header| decode_acknowledgement(header, &values, FLEET, 5);
+        let decode = |header| acknowledgement::decode(header, &values, FLEET, 5);
         let taken = decode(&known).unwrap();
         assert_eq!((taken.robot, taken.alarm(), taken.by()), (7, alarm, "ann"));
         if matches!(alarm, Alarm::LevelHigh | Alarm::LevelLow) {
@@ -108,7 +108,7 @@ fn several_robots_are_answered_as_rank_answers() {
     let rich = Rows::with_usable(20_000.0);
     let of = |robot| rows(if robot == 3 { &rich } else { &poor }, robot);
     let question = questions().pop().unwrap();
-    let reply = question.answer(&fleet, |robot| Some(of(robot)), QUERY_STEPS).unwrap();
+    let reply = question.answer(&fleet, |robot| Some(of(robot)), MAX_QUERY_STEPS).unwrap();
     let all = [9, 7, 3].map(of);
     let robots: Vec<_> = all.iter().map(|rows| fleet.robot(&rows.frames()).unwrap()).collect();
     let ranked = rank(&robots, &path(), Some(Point::new(0.1, -0.0)), 0.9).unwrap();
@@ -137,7 +137,7 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
             coverage: 0.9,
             power: false,
         };
-        let mut work = Work::begin(question, of, QUERY_STEPS).unwrap();
+        let mut work = Work::begin(question, of, MAX_QUERY_STEPS).unwrap();
         while !work.step(&fleet).unwrap() {}
         work.finish_at(sent_ns)
     };
@@ -173,7 +173,7 @@ fn a_way_is_followed_once_for_all_robots_of_a_platform_and_each_is_a_step_of_its
     let (fleet, rich) = (fleet(), Rows::with_usable(20_000.0));
     let steps = |robots: &[u32]| {
         let find = |robot| Some(rows(&rich, robot));
-        let mut work = Work::begin(straight(robots), find, QUERY_STEPS).unwrap();
+        let mut work = Work::begin(straight(robots), find, MAX_QUERY_STEPS).unwrap();
         let mut steps = 1;
         while !work.step(&fleet).unwrap() {
             steps += 1;
@@ -193,7 +193,7 @@ fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_w
     new.header.sent_ns += 1_000_000_000;
     new.budget_header.sent_ns += 1_000_000_000;
     new.now_ns += 1_000_000_000;
-    let mut work = Work::begin(straight(&robots), |robot| Some(rows(&old, robot)), QUERY_STEPS);
+    let mut work = Work::begin(straight(&robots), |robot| Some(rows(&old, robot)), MAX_QUERY_STEPS);
     let work = work.as_mut().unwrap();
     while !work.step(&fleet).unwrap() {}
     assert!(!work.is_stale(old.now_ns) && work.is_stale(new.now_ns));
@@ -201,7 +201,7 @@ fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_w
     let mut work = std::mem::take(work).renew(find).unwrap();
     assert!(!work.is_stale(new.now_ns));
     assert!(work.rest(&fleet).unwrap(), "nothing is left to be followed");
-    let expected = straight(&robots).answer(&fleet, find, QUERY_STEPS).unwrap();
+    let expected = straight(&robots).answer(&fleet, find, MAX_QUERY_STEPS).unwrap();
     assert_eq!(work.finish_at(new.now_ns), expected);
     assert_ne!(expected.rows[0].answer.left, None);
 }
@@ -210,7 +210,7 @@ fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_w
 fn robots_that_are_not_there_and_paths_that_take_too_long_are_refused() {
     let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
     let question = questions().pop().unwrap();
-    let nobody = question.clone().answer(&fleet, |_| None, QUERY_STEPS);
+    let nobody = question.clone().answer(&fleet, |_| None, MAX_QUERY_STEPS);
     assert_eq!(nobody, Err(QuestionError::UnknownRobot { robot: 9 }));
     let short = question.answer(&fleet, |robot| Some(rows(&robots, robot)), 20);
     let refused = Refused::from(&short.unwrap_err());

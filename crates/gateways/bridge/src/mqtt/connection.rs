@@ -372,7 +372,7 @@ impl Connection {
     }
 
     /// Reads and writes what is possible, and waits up to `timeout` until something is.
-    pub(super) fn turn(&mut self, outlet: &Outlet, timeout: &Timespec) -> Result<(), Lost> {
+    pub(super) fn poll(&mut self, outlet: &Outlet, timeout: &Timespec) -> Result<(), Lost> {
         let mut wanted = PollFlags::IN;
         wanted.set(PollFlags::OUT, !self.is_sent());
         let mut ready = [

@@ -197,7 +197,7 @@ impl Mqtt {
         while !self.shared.is_closed() {
             self.ask(connection);
             self.send(connection);
-            connection.turn(&self.outlet, &POLL_TIMEOUT)?;
+            connection.poll(&self.outlet, &POLL_TIMEOUT)?;
             while let Some(incoming) = connection.next()? {
                 self.incoming(connection, incoming)?;
             }
@@ -331,7 +331,7 @@ impl Mqtt {
                 connection.disconnect();
             }
             // The broker ends the connection once it has read all.
-            let turned = connection.turn(&self.outlet, &POLL_TIMEOUT);
+            let turned = connection.poll(&self.outlet, &POLL_TIMEOUT);
             let read = turned.and_then(|()| {
                 while let Some(incoming) = connection.next()? {
                     self.incoming(connection, incoming)?;

@@ -326,7 +326,7 @@ mod tests {
     use std::sync::mpsc::sync_channel;
 
     use joulebus_consumer::Change;
-    use joulebus_consumer::wire::Level;
+    use joulebus_consumer::wire::AlarmCard;
 
     use super::*;
     use joulebus_plausibility::Expired;
@@ -354,16 +354,8 @@ mod tests {
         outlet.connected();
         let (changes, changed) = sync_channel(MAX_WAITING);
         for at_ns in 0..2 {
-            let change = FleetAlarm {
-                robot: Some(1),
-                alarm: "NoData",
-                level: Level::Stale,
-                change: Change::Raised,
-                at_ns,
-                raised_ns: at_ns,
-                acknowledged: None,
-            };
-            changes.send(change).unwrap();
+            let card = AlarmCard::named("NoData").unwrap();
+            changes.send(FleetAlarm::new(Some(1), card, Change::Raised, at_ns)).unwrap();
         }
         let mut sink = MqttSink::new(Start {
             fleet: "lab".to_owned(),

@@ -50,7 +50,7 @@ pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};
 
 /// Maximum number of queued messages of a topic. The newest of several between two samples counts.
-const READ_DEPTH: i32 = 16;
+const MAX_QUEUED: i32 = 16;
 /// Minimum and maximum number of messages of a topic that are kept for readers that have not
 /// acknowledged them. RustDDS also keeps as many of a latched topic until its first reader comes.
 const WRITE_DEPTH: (u64, u64) = (256, 2_048);
@@ -152,7 +152,7 @@ impl Ros2 {
         let qos = QosPolicyBuilder::new()
             .best_effort()
             .durability(Durability::Volatile)
-            .history(History::KeepLast { depth: READ_DEPTH })
+            .history(History::KeepLast { depth: MAX_QUEUED })
             .build();
         for place in 0..self.reading.routes.len() {
             let route = &self.reading.routes[place];

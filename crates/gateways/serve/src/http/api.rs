@@ -344,7 +344,7 @@ impl Flow {
 async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
     let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
     let question = body::<Asked>(request).await?.question().map_err(wrong)?;
-    let turn = app.questions.turn(&app.config).await?;
+    let permit = app.questions.permit(&app.config).await?;
     let (reply, answer) = oneshot::channel();
     app.ask(Ask::Rows(question.plan.robots().to_vec(), reply))?;
     let rows = within(answer).await?.map_err(|error| match error {
@@ -352,7 +352,7 @@ async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
         error => ApiError::busy(error.to_string()),
     })?;
     let (coverage, of) = (question.coverage, rows.first().copied());
-    let reply = app.questions.answer(turn, question, rows).await?;
+    let reply = app.questions.answer(permit, question, rows).await?;
     Ok(json(&report(&app.config, coverage, of.as_ref(), &reply)))
 }
 

@@ -33,7 +33,7 @@ impl OutlookRequests {
     }
 
     /// Answers what can be answered.
-    pub(super) fn turn(&mut self, reading: &mut Reading, board: &Board, now_ns: u64) {
+    pub(super) fn poll(&mut self, reading: &mut Reading, board: &Board, now_ns: u64) {
         // With too many readers the answers stay empty. Places become free again.
         let opened = reading.want_outlooks(now_ns < self.wanted_until_ns);
         if let Err(error) = opened {

@@ -57,7 +57,7 @@ impl PlanRows {
     }
 
     /// Answers what can be answered.
-    pub(super) fn turn(&mut self, planner: &Subscriber, now_ns: u64) {
+    pub(super) fn poll(&mut self, planner: &Subscriber, now_ns: u64) {
         if self.waiting.is_empty() {
             if now_ns.saturating_sub(self.asked_ns) > LEAVE_AFTER_NS {
                 self.feeds = None;

@@ -26,23 +26,23 @@ const COMPUTE_LIMIT: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub(super) struct Questions {
     places: Arc<Semaphore>,
-    turn: Arc<Semaphore>,
+    permit: Arc<Semaphore>,
     /// Settings and models, loaded at the first question.
     plans: Arc<OnceLock<Fleet>>,
 }
 
 /// The right to compute. One question has it at a time, whether or not its client still waits.
 #[derive(Debug)]
-pub(super) struct Turn {
+pub(super) struct Permit {
     _place: OwnedSemaphorePermit,
-    _turn: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 }
 
 impl Questions {
     pub(super) fn new() -> Self {
         Self {
             places: Arc::new(Semaphore::new(MAX_QUESTIONS)),
-            turn: Arc::new(Semaphore::new(1)),
+            permit: Arc::new(Semaphore::new(1)),
             plans: Arc::default(),
         }
     }
@@ -52,21 +52,21 @@ impl Questions {
     ///
     /// # Errors
     /// The queue is full, or the models cannot be loaded.
-    pub(super) async fn turn(&self, config: &Config) -> Result<Turn, ApiError> {
+    pub(super) async fn permit(&self, config: &Config) -> Result<Permit, ApiError> {
         let place = Arc::clone(&self.places).try_acquire_owned();
         let place = place.map_err(|_| {
             ApiError::busy(format!("{MAX_QUESTIONS} questions are being answered: ask again"))
         })?;
-        let turn = Arc::clone(&self.turn).acquire_owned().await;
-        let turn = Turn {
+        let permit = Arc::clone(&self.permit).acquire_owned().await;
+        let permit = Permit {
             _place: place,
-            _turn: turn.map_err(|_| ApiError::busy("the server is ending"))?,
+            _permit: permit.map_err(|_| ApiError::busy("the server is ending"))?,
         };
         if self.plans.get().is_some() {
-            return Ok(turn);
+            return Ok(permit);
         }
         let (config, plans) = (config.clone(), Arc::clone(&self.plans));
-        blocking(turn, move |_| {
+        blocking(permit, move |_| {
             let failed =
                 |error| ApiError::busy(format!("the config's models cannot be loaded: {error}"));
             let models = load_models(&config).map_err(failed)?;
@@ -75,7 +75,7 @@ impl Questions {
             Ok(())
         })
         .await
-        .map(|(turn, ())| turn)
+        .map(|(permit, ())| permit)
     }
 
     /// Answers a question.
@@ -84,30 +84,30 @@ impl Questions {
     /// The question is wrong, or takes too long.
     pub(super) async fn answer(
         &self,
-        turn: Turn,
+        permit: Permit,
         question: Question,
         rows: Vec<RobotRows>,
     ) -> Result<Reply, ApiError> {
         let plans = Arc::clone(&self.plans);
-        let computed = blocking(turn, move |is_gone| {
+        let computed = blocking(permit, move |is_gone| {
             let plans = plans.get().ok_or_else(|| ApiError::busy("the models are not loaded"))?;
             compute(plans, question, &rows, is_gone)
         });
-        computed.await.map(|(_turn, reply)| reply)
+        computed.await.map(|(_permit, reply)| reply)
     }
 }
 
 /// Runs `work` on a blocking thread, which keeps the right to compute until it has ended. `work`
 /// can ask whether its client is gone.
 async fn blocking<T: Send + 'static>(
-    turn: Turn,
+    permit: Permit,
     work: impl FnOnce(&dyn Fn() -> bool) -> Result<T, ApiError> + Send + 'static,
-) -> Result<(Turn, T), ApiError> {
+) -> Result<(Permit, T), ApiError> {
     let (reply, answer) = oneshot::channel();
     drop(tokio::task::spawn_blocking(move || {
         let done = work(&|| reply.is_closed());
         // If the client is gone, this drops the right to compute.
-        let _ = reply.send(done.map(|value| (turn, value)));
+        let _ = reply.send(done.map(|value| (permit, value)));
     }));
     let defect = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect");
     answer.await.map_err(defect)?

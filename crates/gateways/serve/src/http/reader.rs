@@ -82,7 +82,7 @@ impl Reader {
             let (mut work, snapshots) = Work::open(&config, asked, found)?;
             thread.joined(snapshots);
             while !thread.is_stopping() {
-                work.turn()?;
+                work.poll()?;
             }
             Ok::<_, ReaderError>(())
         })?;
@@ -181,11 +181,11 @@ impl Work {
     }
 
     /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
-    fn turn(&mut self) -> Result<(), ReaderError> {
+    fn poll(&mut self) -> Result<(), ReaderError> {
         let Self { reading, board, .. } = self;
         let are_asked = self.plan_rows.are_asked() || self.outlooks.are_asked();
         let longest = if are_asked { ANSWER_EVERY } else { SHOW_EVERY };
-        reading.turn_within(longest, || board.borrow_mut())?;
+        reading.poll_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
         self.source_alarms.changes(|change| alarms.add(change.into()));
         match self.alarm_feed.changes(|change| alarms.add(change.into())) {
@@ -247,7 +247,7 @@ impl Work {
                 Ask::Outlooks(robot, reply) => self.outlooks.ask(robot, reply, now_ns),
             }
         }
-        self.plan_rows.turn(self.reading.planner(), now_ns);
-        self.outlooks.turn(&mut self.reading, &self.board.borrow(), now_ns);
+        self.plan_rows.poll(self.reading.planner(), now_ns);
+        self.outlooks.poll(&mut self.reading, &self.board.borrow(), now_ns);
     }
 }

@@ -151,7 +151,7 @@ fn a_client_receives_the_channels_and_a_message_it_can_decode() {
             let mut worker = Worker::open(&fleet.config).unwrap();
             done.send(()).unwrap();
             while !stop.load(Ordering::Relaxed) {
-                worker.turn().unwrap();
+                worker.poll().unwrap();
             }
         });
         finished.recv().unwrap();

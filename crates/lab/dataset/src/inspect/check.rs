@@ -9,7 +9,7 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
 use super::constant::only_value;
-use super::finding::{Finding, FindingKind, Place};
+use super::finding::{Finding, FindingKind, Occurrence};
 use super::hold::runs;
 use super::judge::{is_short, judge, judge_together};
 use super::limits::Limits;
@@ -166,7 +166,7 @@ fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {
 fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
     let mut finding = Finding::new(kind);
     (finding.count, finding.files) = (1, 1);
-    finding.places = vec![Place { file: file.to_owned(), row: None, column: None, what }];
+    finding.places = vec![Occurrence { file: file.to_owned(), row: None, column: None, what }];
     finding
 }
 
@@ -197,7 +197,7 @@ impl Findings {
         Self { places, kinds: BTreeMap::new() }
     }
 
-    fn add(&mut self, kind: FindingKind, count: usize, place: impl FnOnce() -> Place) {
+    fn add(&mut self, kind: FindingKind, count: usize, place: impl FnOnce() -> Occurrence) {
         if count == 0 {
             return;
         }
@@ -250,8 +250,8 @@ pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding
     in_one_file(found.finish())
 }
 
-fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Place {
-    Place {
+fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Occurrence {
+    Occurrence {
         file: trial.path().to_owned(),
         row: Some(trial.file_row(row)),
         column: column.map(|column| column.name().to_owned()),
@@ -259,8 +259,8 @@ fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Place 
     }
 }
 
-fn whole(trial: &Trial, column: Option<Column>, what: String) -> Place {
-    Place { row: None, ..at(trial, 0, column, what) }
+fn whole(trial: &Trial, column: Option<Column>, what: String) -> Occurrence {
+    Occurrence { row: None, ..at(trial, 0, column, what) }
 }
 
 fn check_times(trial: &Trial, found: &mut Findings) {
@@ -385,7 +385,7 @@ fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
 
 fn check_file(trial: &Trial, found: &mut Findings) {
     let notes = trial.notes();
-    let name = |name: &String| Place {
+    let name = |name: &String| Occurrence {
         column: Some(name.clone()),
         ..whole(trial, None, "not read".to_owned())
     };
@@ -397,7 +397,7 @@ fn check_file(trial: &Trial, found: &mut Findings) {
     }
     let left_out = &notes.left_out;
     for (row, what) in &left_out.first {
-        found.add(FindingKind::NoRow, 1, || Place {
+        found.add(FindingKind::NoRow, 1, || Occurrence {
             row: Some(*row),
             ..whole(trial, None, what.clone())
         });

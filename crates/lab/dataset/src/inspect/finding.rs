@@ -140,7 +140,7 @@ impl fmt::Display for FindingKind {
 
 /// Location and detail of a finding.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Place {
+pub struct Occurrence {
     /// The file.
     pub file: PathBuf,
     /// The row in the file, from 1, a CSV's header not included. `None` if it concerns no single
@@ -152,7 +152,7 @@ pub struct Place {
     pub what: String,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Occurrence {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}", self.file.display())?;
         if let Some(row) = self.row {
@@ -180,7 +180,7 @@ pub struct Finding {
     /// Number of files with an occurrence.
     pub files: usize,
     /// The first occurrences.
-    pub places: Vec<Place>,
+    pub places: Vec<Occurrence>,
 }
 
 impl Finding {

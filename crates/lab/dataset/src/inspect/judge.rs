@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Source, TimeUnit};
 use serde::Serialize;
 
-use super::finding::Place;
+use super::finding::Occurrence;
 use super::limits::Limits;
 use crate::trial::{Column, Trial};
 
@@ -29,7 +29,7 @@ pub struct Implausible {
     pub remedy: String,
     /// The file, and the column in it.
     #[serde(flatten)]
-    pub place: Place,
+    pub place: Occurrence,
 }
 
 /// Judges a trial by all its rows: what is implausible, errors first.
@@ -119,7 +119,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
     let named = name.as_deref().or_else(|| trial.time_name());
     let remedy = finding.remedy(from, named);
     let robot = trial.robot_name().map(|robot| format!("robot {robot}: ")).unwrap_or_default();
-    let place = Place {
+    let place = Occurrence {
         file: trial.path().to_owned(),
         row: None,
         column: name,

@@ -15,7 +15,7 @@ use joulebus_dataset::split::{
 use joulebus_train::linear::{KnownFeatures, Linear, Moments, Terms};
 
 /// Maximum number of folds of [`Design::folds`].
-const FOLDS: usize = 10;
+const MAX_FOLDS: usize = 10;
 
 /// Index of a recording, and a range of its rows.
 pub type Part = (usize, Range<usize>);
@@ -133,7 +133,7 @@ impl Design {
     pub fn folds(recordings: &[Recording]) -> Self {
         let infos = infos(recordings);
         let units: HashSet<_> = infos.iter().map(|one| (&one.trial, &one.robot)).collect();
-        let count = units.len().min(FOLDS);
+        let count = units.len().min(MAX_FOLDS);
         let folds = match (count, recordings) {
             (1, [only]) => in_halves(only.rows()),
             (1, parts) => in_two(parts),

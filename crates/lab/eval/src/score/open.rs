@@ -11,7 +11,7 @@ use super::recording::Recording;
 /// Maximum number of rows of recordings that are read and evaluated at the same time, except for a
 /// single longer one. A recording needs some 300 bytes a row, and its results wait for those before
 /// it.
-const ROWS_AT_ONCE: u64 = 1 << 19;
+const MAX_ROWS_AT_ONCE: u64 = 1 << 19;
 
 /// Rows of recordings in memory for the verbs that read more than memory holds: 150 MB.
 pub const ROWS_IN_MEMORY: u64 = 1 << 19;
@@ -90,14 +90,14 @@ fn read(id: u32, place: &Stored, left: &AtomicU64) -> Result<Vec<Recording>, Tri
     Ok(named)
 }
 
-/// Consecutive groups of at most [`ROWS_AT_ONCE`] rows, or of one.
+/// Consecutive groups of at most [`MAX_ROWS_AT_ONCE`] rows, or of one.
 fn in_groups<T>(all: &[T], rows: impl Fn(&T) -> u64 + Copy) -> impl Iterator<Item = &[T]> {
     let mut rest = all;
     std::iter::from_fn(move || {
         let mut sum = 0_u64;
         let fits = rest.iter().take_while(|one| {
             sum = sum.saturating_add(rows(one));
-            sum <= ROWS_AT_ONCE
+            sum <= MAX_ROWS_AT_ONCE
         });
         let (group, after) = rest.split_at(fits.count().max(1).min(rest.len()));
         rest = after;
@@ -129,14 +129,14 @@ pub(crate) fn each<T: Send, E: Send>(
 
 #[cfg(test)]
 mod tests {
-    use super::{ROWS_AT_ONCE, in_groups};
+    use super::{MAX_ROWS_AT_ONCE, in_groups};
 
     #[test]
     fn groups_hold_all_in_order_and_at_most_the_rows_that_memory_has_room_for() {
-        let all = [3, ROWS_AT_ONCE, 1, ROWS_AT_ONCE - 1, 1, u64::MAX, 2, 2];
+        let all = [3, MAX_ROWS_AT_ONCE, 1, MAX_ROWS_AT_ONCE - 1, 1, u64::MAX, 2, 2];
         let groups: Vec<Vec<u64>> = in_groups(&all, |rows| *rows).map(<[u64]>::to_vec).collect();
         let expected: [&[u64]; 6] =
-            [&[3], &[ROWS_AT_ONCE], &[1, ROWS_AT_ONCE - 1], &[1], &[u64::MAX], &[2, 2]];
+            [&[3], &[MAX_ROWS_AT_ONCE], &[1, MAX_ROWS_AT_ONCE - 1], &[1], &[u64::MAX], &[2, 2]];
         assert_eq!(groups, expected);
         assert_eq!(in_groups(&[], |rows: &u64| *rows).count(), 0);
     }

@@ -10,7 +10,7 @@ use super::trained_on::{ScoredRows, TrainedOn};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate, MIN_BLOCKS};
 
 /// Maximum number of trials listed individually. Of more, only the worst.
-const LISTED: usize = 24;
+const MAX_LISTED: usize = 24;
 /// Number of worst trials listed.
 const WORST: usize = 8;
 
@@ -331,7 +331,7 @@ fn write_line(out: &mut Formatter<'_>, cell: &Cell, width: usize) -> fmt::Result
 
 /// All trials, or those in which the first model has the lowest skill.
 fn write_trials(out: &mut Formatter<'_>, trials: &[Cell]) -> fmt::Result {
-    if trials.len() <= LISTED {
+    if trials.len() <= MAX_LISTED {
         return write_cells(out, "trial", trials);
     }
     let skill = |cell: &Cell| {
@@ -505,7 +505,7 @@ fn write_differences(out: &mut Formatter<'_>, what: &str, all: &[Difference]) ->
         return Ok(());
     }
     let mut listed: Vec<&Difference> = all.iter().collect();
-    if what == "trial" && all.len() > LISTED {
+    if what == "trial" && all.len() > MAX_LISTED {
         listed.sort_by(|a, b| a.skill.value.total_cmp(&b.skill.value));
         listed.truncate(WORST);
     }

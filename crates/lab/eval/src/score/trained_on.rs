@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use joulebus_dataset::trained_rows::is_trained_on;
-use joulebus_predictor::{Model, TrainedRows};
+use joulebus_predictor::Model;
+use joulebus_predictor::training::TrainedRows;
 use serde::{Deserialize, Serialize};
 
 use super::design::Part;

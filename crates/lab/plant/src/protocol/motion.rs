@@ -14,7 +14,7 @@ const GOAL_MARGIN_M: f64 = 0.25;
 const APPROACH_PER_S: f64 = 1.0;
 const TURN_PER_S: f64 = 2.5;
 /// Maximum angular velocity of goal navigation, rad/s.
-const TURN_MAX_RADPS: f64 = 2.0;
+const MAX_TURN_RADPS: f64 = 2.0;
 /// Time at a goal before the next one, s.
 const AT_GOAL_S: (f64, f64) = (1.0, 6.0);
 
@@ -112,6 +112,6 @@ fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
     let speed_mps = (APPROACH_PER_S * distance_m).min(FORWARD_MPS);
     Some(Command {
         v_mps: speed_mps * libm::cos(off_rad).max(0.0),
-        omega_radps: (TURN_PER_S * off_rad).clamp(-TURN_MAX_RADPS, TURN_MAX_RADPS),
+        omega_radps: (TURN_PER_S * off_rad).clamp(-MAX_TURN_RADPS, MAX_TURN_RADPS),
     })
 }

@@ -193,11 +193,11 @@ const EXTREMES: [Segment; 24] = [
 fn random_walk(before: Command, noise: &mut Noise) -> Segment {
     const REST_SHARE: f64 = 0.25;
     /// Maximum |ω| of the walk, rad/s.
-    const WALK_RADPS: f64 = 2.0;
+    const MAX_WALK_RADPS: f64 = 2.0;
     let time_s = noise.between(0.5, 4.0);
     let rests = noise.uniform() < REST_SHARE;
     let v_mps = noise.between(BACKWARD_MPS, FORWARD_MPS);
-    let omega_radps = noise.between(-WALK_RADPS, WALK_RADPS);
+    let omega_radps = noise.between(-MAX_WALK_RADPS, MAX_WALK_RADPS);
     let to = match rests {
         true => Command::default(),
         false => Command { v_mps, omega_radps },

@@ -10,7 +10,7 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 /// Maximum number of entries shown as text. JSON has all.
-const SHOWN: usize = 40;
+const MAX_SHOWN: usize = 40;
 
 /// Show the contents of a model file: layers, features, normalisation, training range, hash, scores
 #[derive(Debug, clap::Args)]
@@ -355,10 +355,10 @@ fn entry(entry: &Entry) -> EntryReport {
 impl fmt::Display for ForeignReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "{} ({}), SHA-256 {}", self.file, self.kind, self.file_sha256)?;
-        for EntryReport { path, what } in self.entries.iter().take(SHOWN) {
+        for EntryReport { path, what } in self.entries.iter().take(MAX_SHOWN) {
             writeln!(out, "  {path:?}: {what}")?;
         }
-        let more = self.entries.len().saturating_sub(SHOWN);
+        let more = self.entries.len().saturating_sub(MAX_SHOWN);
         if more > 0 {
             writeln!(out, "  and {more} more")?;
         }

@@ -4,7 +4,7 @@ use std::ffi::c_char;
 use std::time::Duration;
 
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict};
+use joulebus_plan::{Answer, Candidates, MAX_STEPS, QuestionError, Row};
 use joulebus_planner::{Config, Planner, ViewError};
 use joulebus_wire::AnswerRow;
 
@@ -25,23 +25,6 @@ pub(crate) struct Questions {
 }
 
 kind!(Questions, joulebus_questions, "planner of questions", 4);
-
-/// Before it is computed.
-const NO_ANSWER: Answer = Answer {
-    duration_s: 0.0,
-    energy: None,
-    left: None,
-    probability: None,
-    margin_j: None,
-    verdict: Verdict::Unknown(Unknown::NoLevel),
-    limiting_leg: None,
-    caveats: Caveats {
-        steps_outside_training: 0,
-        beyond_horizon: false,
-        no_reading: false,
-        state_outside_training: false,
-    },
-};
 
 /// Joins the fleet of a config file as a planner that asks, and loads the models that the config
 /// names. The worker writes what plans start from while there is one: keep it for as long as there
@@ -233,12 +216,10 @@ impl Questions {
         let found = found.ok_or_else(|| refused(QuestionError::UnknownRobot { robot }))?;
         self.answers.clear();
         self.answers.try_reserve(plans.count()).map_err(Failure::argument)?;
-        self.answers.resize(plans.count(), NO_ANSWER);
+        self.answers.resize(plans.count(), Answer::UNKNOWN);
         found.what_if_into(plans, coverage, &mut self.answers).map_err(refused)?;
-        let turn_back_s = None;
         for (row, answer) in rows.iter_mut().zip(&self.answers) {
-            let answer = *answer;
-            *row = Row { robot, answer, turn_back_s }.encode();
+            *row = Row::new(robot, *answer).encode();
         }
         if !power_w.is_empty() {
             found.power_w(plans, power_w).map_err(refused)?;

@@ -33,7 +33,7 @@ pub(crate) fn member() {
             stop.store(true, Ordering::Relaxed);
         });
         while !stop.load(Ordering::Relaxed) {
-            worker.turn().unwrap();
+            worker.poll().unwrap();
         }
     });
     let not_finite = worker.finish().samples_dropped.get("NotFinite").copied();

@@ -64,8 +64,8 @@ class Forecast:
         return int(self.row["robot"])
 
     @property
-    def power_w(self) -> float | None:
-        """Power expected at ``target_ns``, W."""
+    def expected_w(self) -> float | None:
+        """Power expected at ``target_ns``, W. The field ``row["power_w"]`` is NaN where this is None."""
         return float(self.row["power_w"]) if self.row["flags"] & _POWER else None
 
     @property
@@ -75,8 +75,8 @@ class Forecast:
         return (float(row["lo_w"]), float(row["hi_w"])) if row["flags"] & _INTERVAL else None
 
     @property
-    def reading_w(self) -> float | None:
-        """The last accepted reading, W."""
+    def last_reading_w(self) -> float | None:
+        """The last accepted reading, W. The field ``row["reading_w"]`` is NaN where this is None."""
         return float(self.row["reading_w"]) if self.row["flags"] & _READING else None
 
     @property
@@ -98,7 +98,7 @@ class Forecast:
         return _native.quality(int(self.row["quality"]), int(self.row["quality_detail"]))
 
     def __repr__(self) -> str:
-        return f"Forecast(robot={self.robot}, power_w={self.power_w}, interval_w={self.interval_w}, quality={self.quality})"
+        return f"Forecast(robot={self.robot}, expected_w={self.expected_w}, interval_w={self.interval_w}, quality={self.quality})"
 
 
 class Frame:
@@ -231,7 +231,9 @@ def _close_all() -> None:
 
 
 class Planner(_Connection):
-    """Reads a fleet's forecasts, diagnostics, budgets and outlooks. The worker may start later, end and be restarted.
+    """A program that plans: reads a fleet's forecasts, diagnostics, budgets and outlooks, and asks about plans.
+
+    The worker may start later, end and be restarted.
 
         with joulebus.Planner("configs/fleet.toml") as planner:
             for event in planner.events(timeout=5.0):

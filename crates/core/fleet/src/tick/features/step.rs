@@ -1,7 +1,7 @@
 //! One sample of one robot.
 
 use joulebus_energy::EnergySample;
-use joulebus_predictor::{Features, LAGS, missing_steps};
+use joulebus_predictor::{Features, LAGS, ReadingAge};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
 use crate::estimate::window::{Gap, RequiredInputs, Window};
@@ -30,7 +30,7 @@ pub(crate) fn step(
     if pending.broken {
         window.reset_reading_age();
     } else if elapsed_ns > context.overdue_after_ns {
-        window.skip_periods(missing_steps(elapsed_ns, context.platform.period_ns));
+        window.skip_periods(ReadingAge::missing_steps(elapsed_ns, context.platform.period_ns));
     }
     let forecast_w = window.close(gap);
     let elapsed_s = seconds(elapsed_ns);

@@ -218,7 +218,7 @@ fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
     let (mut server, address) = fleet.serve(&[]);
     let config = joulebus_config::Config::load(fleet.path()).unwrap();
     let mut findings = FindingsFile::new(&config, "bridge");
-    findings.say([(7, "sign: power is negative")]).unwrap();
+    findings.write([(7, "sign: power is negative")]).unwrap();
     let is_raised = || {
         let alarms = get_json(&address, "/api/v1/alarms");
         let mut raised = alarms["raised"].as_array().unwrap().iter();
