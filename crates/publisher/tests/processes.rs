@@ -102,7 +102,6 @@ fn the_worker_receives_every_frame_of_the_example() {
     let took = worker.next_line();
     example.finish();
     assert!(took.starts_with("7 140 "), "{took}");
-    worker.finish();
 }
 
 /// Publishes until it is killed.
@@ -137,7 +136,6 @@ fn a_restarted_source_has_the_same_id_and_a_greater_epoch() {
         }
         before = Some((id, epoch));
     }
-    worker.finish();
 }
 
 /// A source without a worker, until one starts.

@@ -90,7 +90,8 @@ pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A
     Child::spawn(program, command).wait()
 }
 
-/// A process. Dropping it kills it and waits for it; if the test fails, its output is printed.
+/// A process. Dropping it ends it as [`Child::at_drop`] says, else kills it, and waits for it; if
+/// the test fails, its output is printed.
 #[derive(Debug)]
 pub struct Child {
     name: String,
@@ -99,6 +100,7 @@ pub struct Child {
     stdout: Output,
     stderr: Output,
     ended: Option<ExitStatus>,
+    at_drop: Option<fn(&mut Self) -> Ended>,
     started: Instant,
     /// Lines of stderr already consumed by a wait.
     lines_read: usize,
@@ -187,9 +189,17 @@ impl Child {
             stderr: Output::read(process.stderr.take()),
             process,
             ended: None,
+            at_drop: None,
             started,
             lines_read: 0,
         }
+    }
+
+    /// From now on it is ended so when it is dropped, unless the test has waited for its exit.
+    #[must_use]
+    pub fn at_drop(mut self, end: fn(&mut Self) -> Ended) -> Self {
+        self.at_drop = Some(end);
+        self
     }
 
     /// Its pid.
@@ -249,6 +259,7 @@ impl Child {
 
     /// Waits for the exit.
     pub fn wait(&mut self) -> Ended {
+        self.at_drop = None;
         let begin = Instant::now();
         while self.is_running() {
             assert!(begin.elapsed() < PATIENCE, "{} does not exit: {}", self.name, self.tail());
@@ -323,6 +334,9 @@ impl Drop for Child {
     fn drop(&mut self) {
         if std::thread::panicking() {
             eprintln!("{}", self.tail());
+        } else if let Some(end) = self.at_drop {
+            self.signal(Signal::CONT);
+            end(self);
         }
         let _ = self.process.kill();
         let _ = self.process.wait();

@@ -28,9 +28,9 @@ impl Member {
         command
     }
 
-    /// Starts a member; `name` is used in messages.
+    /// Starts a member, which is finished when it is dropped; `name` is used in messages.
     pub fn spawn(name: &str, command: Command) -> Self {
-        Self { child: Child::spawn(name, command), lines_read: 0 }
+        Self { child: Child::spawn(name, command).at_drop(Child::finish), lines_read: 0 }
     }
 
     /// Its pid.

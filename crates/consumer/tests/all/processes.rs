@@ -268,9 +268,6 @@ fn a_planner_may_start_before_or_after_the_worker() {
     assert_eq!(early.ask("latest"), "tick 10, missed 8", "the same frame");
     assert_eq!(early.ask("next 0"), "TimedOut", "it was returned before");
     assert_eq!(early.ask("counts"), "2 frames, 1 gaps, 8 ticks, 1 workers");
-    for member in [worker, early, late] {
-        member.finish();
-    }
 }
 
 #[test]
@@ -303,7 +300,6 @@ fn killed_and_followed(role: &str) {
         assert_eq!(planner.ask("next 0"), "TimedOut", "told once");
     }
     assert_eq!(planner.ask("counts"), "4 frames, 0 gaps, 0 ticks, 4 workers");
-    planner.finish();
 }
 
 /// Further ahead than any clock.
@@ -331,9 +327,6 @@ fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_cla
     assert_eq!(planner.ask("feeds"), "Some(2) Some(2) Some(2) Some(2)");
     assert_eq!(planner.ask("counts"), "2 frames, 0 gaps, 0 ticks, 1 workers");
     assert_ne!(planner.ask("foreign"), "0", "they are counted");
-    for member in [worker, impostor, planner] {
-        member.finish();
-    }
 }
 
 #[test]
@@ -356,7 +349,6 @@ fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_bet
         worker.kill();
         assert_eq!(planner.ask("next 60000"), "Gone(Exited)", "life {life}");
     }
-    planner.finish();
 }
 
 #[test]
@@ -370,7 +362,6 @@ fn frames_sent_before_a_workers_death_are_returned_first() {
     worker.kill();
     assert_eq!(planner.ask("next 60000"), "tick 3, missed 1");
     assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
-    planner.finish();
 }
 
 #[test]
@@ -388,7 +379,6 @@ fn a_normal_end_of_the_worker_is_reported() {
     worker.finish();
     assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
     assert_eq!(planner.ask("worker"), "Gone(Ended)");
-    planner.finish();
 }
 
 #[test]
@@ -407,7 +397,6 @@ fn a_planner_that_polls_tells_a_shutdown_from_a_death_and_returns_the_last_frame
         assert_eq!(planner.ask("worker"), "Gone(Ended)");
         assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
     }
-    planner.finish();
 }
 
 #[test]
@@ -425,8 +414,6 @@ fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
     // A call for the newest returns it alone.
     worker.ask("ticks 8 9");
     assert_eq!(planner.ask("next 60000"), "tick 9, missed 1");
-    worker.finish();
-    planner.finish();
 }
 
 #[test]
@@ -438,7 +425,6 @@ fn a_tick_wakes_planners_that_listen_and_none_that_polls() {
         assert_eq!(worker.ask("wake"), format!("{woken}"), "{role}");
         planner.finish();
     }
-    worker.finish();
 }
 
 #[test]
@@ -460,7 +446,6 @@ fn a_descriptor_is_readable_for_a_frame_and_the_exit_of_each_worker() {
         assert_eq!(planner.ask("readable 60000"), "true");
         assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
     }
-    planner.finish();
 }
 
 #[test]
@@ -475,7 +460,6 @@ fn the_descriptor_of_a_planner_that_polls_is_readable_for_the_workers_exit_alone
     worker.kill();
     assert_eq!(planner.ask("readable 60000"), "true");
     assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
-    planner.finish();
 }
 
 #[test]
@@ -504,35 +488,6 @@ fn silent_and_back(role: &str) {
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
     assert_eq!(planner.ask("worker"), "Alive");
-    worker.finish();
-    planner.finish();
-}
-
-#[test]
-fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
-    let mut other = ready(&place, "planner");
-    let mut worker = ready(&place, "worker");
-    worker.ask("ticks 1 1");
-    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    planner.send_line("next 60000");
-    planner.stop();
-    for tick in 2..=500 {
-        worker.ask(&format!("ticks {tick} {tick}"));
-        if tick % 100 == 0 {
-            let newest = other.ask("latest");
-            assert!(newest.starts_with(&format!("tick {tick},")), "{newest}");
-        }
-    }
-    planner.resume();
-    assert_eq!(planner.next_line(), "tick 500, missed 498");
-    worker.ask("ticks 501 501");
-    assert_eq!(planner.ask("next 60000"), "tick 501, missed 0");
-    assert_eq!(planner.ask("counts"), "3 frames, 1 gaps, 498 ticks, 1 workers");
-    for member in [worker, planner, other] {
-        member.finish();
-    }
 }
 
 #[test]
@@ -563,8 +518,6 @@ fn the_frames_of_a_killed_planner_are_released() {
         let newest = witness.ask("next 60000");
         assert!(newest.starts_with(&format!("tick {tick},")), "life {life}: {newest}");
     }
-    worker.finish();
-    witness.finish();
 }
 
 #[test]
@@ -580,8 +533,6 @@ fn a_new_planner_gets_budgets_without_a_new_tick() {
     assert_eq!(planner.ask("feeds"), "None Some(4) Some(4) Some(4)");
     assert_eq!(planner.ask("next 60000"), "tick 4, missed 0");
     assert_eq!(planner.ask("feeds"), "Some(4) Some(4) Some(4) Some(4)");
-    worker.finish();
-    planner.finish();
 }
 
 #[test]
@@ -596,8 +547,6 @@ fn a_worker_of_another_version_is_refused_with_both_numbers() {
     worker.ask(&format!("schema {SCHEMA_VERSION}"));
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
-    worker.finish();
-    planner.finish();
 }
 
 #[test]
@@ -616,5 +565,4 @@ fn the_example_prints_the_forecasts() {
     });
     assert_eq!(seen.as_deref(), Some("seen"));
     listener.join().unwrap();
-    worker.finish();
 }

@@ -18,9 +18,6 @@ pub struct Background<T = ()> {
 
 impl Background {
     /// Starts a thread.
-    ///
-    /// # Errors
-    /// The error of `open`.
     pub fn start<S: Steps + 'static, E: From<io::Error> + Send + 'static>(
         _name: &str,
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
@@ -34,9 +31,6 @@ impl Background {
 
 impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
     /// Starts a thread that repeats its rounds.
-    ///
-    /// # Errors
-    /// The error of `open`.
     pub fn repeat<W: Rounds<T, E> + 'static, J>(
         _name: &str,
         open: impl FnOnce() -> Result<(W, J), E>,
@@ -61,9 +55,6 @@ impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
     }
 
     /// Stops the thread, and returns what it ended with.
-    ///
-    /// # Errors
-    /// The error of its work.
     pub fn join(mut self) -> Result<T, E> {
         let _ = self.finish();
         let ended = self.ended.take();
@@ -87,9 +78,6 @@ impl<T> Background<T> {
     pub const fn stop(&self) {}
 
     /// Lets the thread do its last step.
-    ///
-    /// # Errors
-    /// None: a panic ends the simulation.
     pub fn finish(&mut self) -> Result<(), Panicked> {
         host::operation();
         if let Some(mut work) = host::take_thread(self.number)

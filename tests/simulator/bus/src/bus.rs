@@ -28,9 +28,6 @@ pub struct Bus {
 
 impl Bus {
     /// Joins `domain`.
-    ///
-    /// # Errors
-    /// Shared memory is full, or there are no descriptors.
     pub fn join(domain: &Domain, _name: &str) -> Result<Self, JoinError> {
         host::operation();
         check_left()?;
@@ -38,9 +35,6 @@ impl Bus {
     }
 
     /// Checks that the files of this process are still there.
-    ///
-    /// # Errors
-    /// They are not.
     pub fn check(&self) -> Result<(), FilesRemoved> {
         if self.generation == GENERATION.get() {
             return Ok(());

@@ -23,9 +23,6 @@ pub fn unix_ns() -> u64 {
 pub use joulebus_bus::clock::Synchronisation;
 
 /// Nothing keeps the wall clock.
-///
-/// # Errors
-/// None.
 pub const fn synchronisation() -> std::io::Result<Synchronisation> {
     Ok(Synchronisation { is_synchronised: false, most_error_ns: 0 })
 }
@@ -43,9 +40,6 @@ pub fn thread_cpu_ns() -> u64 {
 }
 
 /// The id of this boot.
-///
-/// # Errors
-/// None.
 pub fn boot_id() -> std::io::Result<String> {
     Ok(format!("boot-{}", time::boots()))
 }

@@ -3,6 +3,7 @@
 //! What decides whose frames are taken (`worker_ports.rs`), is the source of `crates/host/bus`.
 //! Ports here are queues; what iceoryx2 does is replaced, and only that.
 #![forbid(unsafe_code)]
+#![allow(clippy::missing_errors_doc, reason = "`joulebus-bus` documents them")]
 
 mod background;
 mod begin;
@@ -45,9 +46,6 @@ pub const fn touch_own_memory() {}
 pub const fn yield_to_the_worker(_nice: u8) {}
 
 /// Timers are exact.
-///
-/// # Errors
-/// None.
 pub const fn set_timer_slack() -> std::io::Result<()> {
     Ok(())
 }
@@ -64,9 +62,6 @@ pub struct Ports {
 }
 
 /// Checks that shared memory is not full.
-///
-/// # Errors
-/// It is.
 pub fn check_capacity(_limits: &Limits, _ports: Ports) -> Result<(), CapacityError> {
     joulebus_simulated_host::operation();
     left::check_left()

@@ -1,17 +1,29 @@
 //! Ports: queues of frames.
 
+#[path = "../../../../crates/host/bus/src/ports/open.rs"]
+mod open;
+#[path = "../../../../crates/host/bus/src/ports/reading.rs"]
+mod reading;
+#[path = "../../../../crates/host/bus/src/ports/samples.rs"]
+mod samples;
+
 use std::any::Any;
 use std::cell::RefCell;
-use std::marker::PhantomData;
 use std::rc::Rc;
 
 use joulebus_simulated_host::{self as host, memory::outside};
-use joulebus_wire::{Channel, Flow, Sample, SampleHeader, Samples, Service, WakeEvent};
+use joulebus_wire::{Channel, Flow, SampleHeader, Samples, Service};
 
 use crate::liveness::worker_ports::WorkerPorts;
-use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
-use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
+use crate::{Bus, Limits, OpenError, ReceiveError, SendError};
+
+pub use reading::{Frame, KeptFrame};
+pub use samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
+
+type Received<C> = Rc<Sent<C>>;
+/// A frame keeps no membership.
+type Member = ();
 
 /// As in the real reader.
 const MAX_PASSED_OVER: u32 = 4_096;
@@ -55,9 +67,6 @@ impl<C: Channel> Writer<C> {
     }
 
     /// Sends a frame of `len` elements; returns the number of readers reached.
-    ///
-    /// # Errors
-    /// [`SendError`].
     pub fn send(
         &mut self,
         header: C::Header,
@@ -70,9 +79,6 @@ impl<C: Channel> Writer<C> {
     }
 
     /// Memory for a frame of `len` elements.
-    ///
-    /// # Errors
-    /// [`SendError`].
     pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
         self.check(len)?;
         Ok(Loan {
@@ -207,9 +213,6 @@ impl<C: Channel> Loan<'_, C> {
     }
 
     /// Sends the frame.
-    ///
-    /// # Errors
-    /// None.
     pub fn send(self) -> Result<usize, SendError> {
         Ok(self.writer.deliver(self.header, self.payload))
     }
@@ -219,11 +222,12 @@ impl<C: Channel> Loan<'_, C> {
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
     number: u64,
-    held: Option<Rc<Sent<C>>>,
+    held: Option<Received<C>>,
     queue: Rc<RefCell<Queue<C>>>,
     /// Frames that can be queued at once, of all writers.
     queued: usize,
     worker: Option<WorkerPorts>,
+    member: Member,
     bus: Bus,
 }
 
@@ -254,68 +258,9 @@ impl<C: Channel> Reader<C> {
             queue,
             queued: shape.buffer * shape.publishers,
             worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(&bus.domain)),
+            member: (),
             bus: bus.clone(),
         })
-    }
-
-    /// Calls `each` for all queued frames.
-    ///
-    /// # Errors
-    /// [`ReceiveError`].
-    pub fn take_all(
-        &mut self,
-        mut each: impl FnMut(&C::Header, &[C::Row]),
-    ) -> Result<(), ReceiveError> {
-        for _ in 0..self.queued {
-            let Some(frame) = self.receive()? else {
-                break;
-            };
-            each(&frame.header, &frame.payload);
-        }
-        Ok(())
-    }
-
-    /// The newest frame.
-    ///
-    /// # Errors
-    /// [`ReceiveError`].
-    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
-        let mut latest = None;
-        while let Some(newer) = self.receive()? {
-            latest = Some(newer);
-        }
-        Ok(latest.map(|sent| Frame { sent, reader: PhantomData }))
-    }
-
-    /// Holds the last frame that is `newer` than the held one.
-    ///
-    /// # Errors
-    /// [`ReceiveError`].
-    pub fn hold_latest(
-        &mut self,
-        mut newer: impl FnMut(&C::Header, &[C::Row], u64) -> bool,
-    ) -> Result<bool, ReceiveError> {
-        let mut found = false;
-        while let Some(frame) = self.receive()? {
-            let runs = self.worker.as_ref().map_or(0, WorkerPorts::runs);
-            if newer(&frame.header, &frame.payload, runs) {
-                self.held = Some(frame);
-                found = true;
-            }
-        }
-        Ok(found)
-    }
-
-    /// The frame held.
-    pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
-        let held = self.held.as_ref()?;
-        Some((&held.header, &held.payload))
-    }
-
-    /// Moves the frame of [`Reader::held`] out of the reader.
-    pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
-        let frame = self.held.take()?;
-        Some(KeptFrame { frame })
     }
 
     /// Number of failed connections.
@@ -323,12 +268,7 @@ impl<C: Channel> Reader<C> {
         self.queue.borrow().failed
     }
 
-    /// Number of frames of others than the worker.
-    pub fn foreign(&self) -> u64 {
-        self.worker.as_ref().map_or(0, WorkerPorts::foreign)
-    }
-
-    fn receive(&mut self) -> Result<Option<Rc<Sent<C>>>, ReceiveError> {
+    fn receive(&mut self) -> Result<Option<Received<C>>, ReceiveError> {
         host::operation();
         self.bus.check()?;
         let mut passed_over = 0;
@@ -348,7 +288,7 @@ impl<C: Channel> Reader<C> {
     }
 
     /// The oldest frame of one of the writers, any of them.
-    fn pop(&mut self) -> Option<Rc<Sent<C>>> {
+    fn pop(&mut self) -> Option<Received<C>> {
         let queue = &mut *self.queue.borrow_mut();
         let count = queue.connections.len();
         if count == 0 {
@@ -378,43 +318,6 @@ impl<C: Channel> Drop for Reader<C> {
     }
 }
 
-/// A frame that is kept while this value lives.
-#[derive(Debug)]
-pub struct KeptFrame<C: Channel> {
-    frame: Rc<Sent<C>>,
-}
-
-impl<C: Channel> KeptFrame<C> {
-    /// The frame's header.
-    pub fn header(&self) -> &C::Header {
-        &self.frame.header
-    }
-
-    /// The frame's slice.
-    pub fn payload(&self) -> &[C::Row] {
-        &self.frame.payload
-    }
-}
-
-/// A frame that was received.
-#[derive(Debug)]
-pub struct Frame<'a, C: Channel> {
-    sent: Rc<Sent<C>>,
-    reader: PhantomData<&'a mut Reader<C>>,
-}
-
-impl<C: Channel> Frame<'_, C> {
-    /// The frame's header.
-    pub fn header(&self) -> &C::Header {
-        &self.sent.header
-    }
-
-    /// The frame's slice.
-    pub fn payload(&self) -> &[C::Row] {
-        &self.sent.payload
-    }
-}
-
 /// A frame that the worker took: its header and length.
 pub type Taken = (SampleHeader, u64);
 
@@ -427,231 +330,27 @@ pub fn taken_frames() -> Vec<Taken> {
     TAKEN.take()
 }
 
-/// The worker's port for samples.
+/// Notes each frame that the worker takes.
 #[derive(Debug)]
-pub struct SampleReader {
-    reader: Reader<Samples>,
-}
+struct Noted;
 
-impl SampleReader {
-    /// Copies the next frame. False if there is none.
-    ///
-    /// # Errors
-    /// [`ReceiveError`].
-    pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
-        let Some(mut incoming) = self.next(frame.samples.capacity())? else {
-            return Ok(false);
-        };
-        frame.header = *incoming.header();
-        frame.samples.clear();
-        incoming.copy_part(&mut frame.samples);
-        Ok(true)
+impl Noted {
+    const fn new() -> Self {
+        Self
     }
 
-    /// The next frame.
-    ///
-    /// # Errors
-    /// [`ReceiveError`].
-    pub fn next(&mut self, most: usize) -> Result<Option<IncomingFrame<'_>>, ReceiveError> {
-        let Some(sent) = self.reader.receive()? else {
-            return Ok(None);
-        };
+    fn note(&mut self, sent: &Received<Samples>) {
         let taken = (sent.header, sent.payload.len() as u64);
         outside(|| TAKEN.with_borrow_mut(|all| all.push(taken)));
-        Ok(Some(IncomingFrame {
-            kept: sent.payload.len().min(most),
-            sent,
-            copied: 0,
-            reader: PhantomData,
-        }))
     }
 }
 
-/// A private copy of a frame of samples.
+/// Places have no limit for planners.
 #[derive(Debug)]
-pub struct FrameBuf {
-    header: SampleHeader,
-    samples: Vec<Sample>,
-}
+pub(crate) struct Open;
 
-impl FrameBuf {
-    /// A buffer for frames of up to `capacity` samples.
-    pub fn new(capacity: usize) -> Self {
-        Self { header: SampleHeader::default(), samples: Vec::with_capacity(capacity) }
-    }
-
-    /// The header.
-    pub const fn header(&self) -> &SampleHeader {
-        &self.header
-    }
-
-    /// The samples, at most the capacity.
-    pub fn samples(&self) -> &[Sample] {
-        &self.samples
-    }
-}
-
-/// A frame of samples that is being received.
-#[derive(Debug)]
-pub struct IncomingFrame<'a> {
-    sent: Rc<Sent<Samples>>,
-    kept: usize,
-    copied: usize,
-    reader: PhantomData<&'a mut SampleReader>,
-}
-
-impl IncomingFrame<'_> {
-    /// The header.
-    pub fn header(&self) -> &SampleHeader {
-        &self.sent.header
-    }
-
-    /// Number of samples that will be copied.
-    pub const fn len(&self) -> usize {
-        self.kept
-    }
-
-    /// True if there are none.
-    pub const fn is_empty(&self) -> bool {
-        self.kept == 0
-    }
-
-    /// Number of samples beyond the limit.
-    pub fn truncated(&self) -> usize {
-        self.sent.payload.len() - self.kept
-    }
-
-    /// Copies the next samples.
-    pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
-        let count = part.capacity().min(self.kept - self.copied);
-        if count == 0 {
-            return None;
-        }
-        let from = self.copied;
-        self.copied += count;
-        part.clear();
-        part.extend_from_slice(&self.sent.payload[from..self.copied]);
-        Some(part)
-    }
-}
-
-/// A source's port.
-#[derive(Debug)]
-pub struct SampleWriter {
-    writer: Writer<Samples>,
-    waker: Waker,
-}
-
-impl SampleWriter {
-    /// Sends a frame of samples, and wakes the worker.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn send(
-        &mut self,
-        header: SampleHeader,
-        len: usize,
-        sample: impl FnMut(usize) -> Sample,
-    ) -> Result<crate::Sent, SendError> {
-        Ok(crate::Sent {
-            readers: self.writer.send(header, len, sample)?,
-            not_woken: self.waker.wake(WakeEvent::Frame).err(),
-        })
-    }
-
-    /// Maximum number of samples per frame.
-    pub const fn max_len(&self) -> usize {
-        self.writer.max_len()
-    }
-
-    /// Number of failed connections.
-    pub const fn degraded(&self) -> u64 {
-        self.writer.degraded()
-    }
-}
-
-impl Bus {
-    /// A source's port.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn sample_writer(
-        &self,
-        limits: &Limits,
-        max_len: usize,
-    ) -> Result<SampleWriter, OpenError> {
-        Ok(SampleWriter {
-            writer: Writer::open(self, limits, max_len)?,
-            waker: Waker::open(self, Service::ARRIVALS)?,
-        })
-    }
-
-    /// The worker's port for samples.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn sample_reader(&self, limits: &Limits) -> Result<SampleReader, OpenError> {
-        self.reader(limits).map(|reader| SampleReader { reader })
-    }
-
-    /// Reads a channel.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
-        Reader::open(self, limits)
-    }
-
-    /// Writes a channel.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn writer<C: Channel>(&self, limits: &Limits) -> Result<Writer<C>, OpenError> {
-        Writer::open(self, limits, limits.rows(C::ROWS))
-    }
-
-    /// The worker's port for questions.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn query_server(&self, limits: &Limits) -> Result<QueryServer, OpenError> {
-        QueryServer::open(self, limits)
-    }
-
-    /// A client's port for questions.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn query_client(&self, limits: &Limits) -> Result<QueryClient, OpenError> {
-        QueryClient::open(self, limits)
-    }
-
-    /// Waits for samples.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn arrivals_waiter(&self, _: &Limits) -> Result<Waiter, OpenError> {
-        Waiter::open(self, Service::ARRIVALS)
-    }
-
-    /// Wakes planners.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn planner_waker(&self, _: &Limits) -> Result<Waker, OpenError> {
-        Waker::open(self, Service::WAKE)
-    }
-
-    /// Waits for forecasts.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn planner_waiter(&self, _: &Limits) -> Result<Waiter, OpenError> {
-        Waiter::open(self, Service::WAKE)
-    }
-
-    /// Waits for times.
-    pub fn planner_poller(&self) -> Poller {
-        Poller::new(self)
+impl Open {
+    const fn new(_: &Limits, _: Flow) -> Self {
+        Self
     }
 }

@@ -106,9 +106,10 @@ pub struct OpenQuery {
 }
 
 impl QueryServer {
-    pub(crate) fn open(bus: &Bus, _: &Limits) -> Result<Self, OpenError> {
-        let asked = Waiter::open(bus, Service::ASKED)?;
-        let answered = Waker::open(bus, Service::ANSWERED)?;
+    pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let events = limits.query_events();
+        let asked = Waiter::open(bus, Service::ASKED, limits, events, None)?;
+        let answered = Waker::open(bus, Service::ANSWERED, limits, events)?;
         let server = outside(|| {
             Rc::new(Server {
                 port: port_id(bus.pid),
@@ -130,9 +131,6 @@ impl QueryServer {
     }
 
     /// The next waiting question.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn receive(&mut self) -> Result<Option<OpenQuery>, ReceiveError> {
         host::operation();
         self.bus.check()?;
@@ -153,9 +151,6 @@ impl QueryServer {
     }
 
     /// Answers a question and wakes its client.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn answer(
         &self,
         query: &OpenQuery,
@@ -174,9 +169,6 @@ impl QueryServer {
     }
 
     /// Waits for questions.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn wait_until(&mut self, deadline_ns: u64) -> Result<(), WaitError> {
         self.asked.wait_until(Some(deadline_ns), None).map(|_| ())
     }
@@ -245,8 +237,9 @@ pub struct QueryClient {
 
 impl QueryClient {
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
-        let answered = Waiter::open(bus, Service::ANSWERED)?;
-        let asked = Waker::open(bus, Service::ASKED)?;
+        let events = limits.query_events();
+        let answered = Waiter::open(bus, Service::ANSWERED, limits, events, None)?;
+        let asked = Waker::open(bus, Service::ASKED, limits, events)?;
         let port = port_id(bus.pid);
         with(|state| {
             if state.clients.len() == limits.query_clients() {
@@ -269,9 +262,6 @@ impl QueryClient {
     }
 
     /// The simulator does not block.
-    ///
-    /// # Errors
-    /// Always.
     pub fn ask(
         &mut self,
         _: QueryHeader,
@@ -281,9 +271,6 @@ impl QueryClient {
     }
 
     /// As in `joulebus-bus`.
-    ///
-    /// # Errors
-    /// [`QueryError`].
     pub fn send(&mut self, header: QueryHeader, values: &[f64]) -> Result<(), QueryError> {
         host::operation();
         self.give_up();
@@ -324,9 +311,6 @@ impl QueryClient {
     }
 
     /// As in `joulebus-bus`.
-    ///
-    /// # Errors
-    /// [`QueryError`].
     pub fn poll(
         &mut self,
         deadline_ns: u64,

@@ -17,6 +17,16 @@ pub(crate) struct Sent<C: Channel> {
     pub(crate) port: u128,
 }
 
+impl<C: Channel> Sent<C> {
+    pub(crate) const fn user_header(&self) -> &C::Header {
+        &self.header
+    }
+
+    pub(crate) fn payload(&self) -> &[C::Row] {
+        &self.payload
+    }
+}
+
 /// Frames of one writer that a reader has not taken.
 #[derive(Debug)]
 pub(crate) struct Connection<C: Channel> {

@@ -8,8 +8,9 @@ use joulebus_simulated_host::{self as host, time};
 use joulebus_wire::{Service, WakeEvent};
 
 use crate::liveness::worker_lock::LockWatch;
+use crate::ports::Open;
 use crate::queues::{Waiting, with};
-use crate::{Bus, OpenError, PeerWatch, WaitError, Woken};
+use crate::{Bus, Limits, OpenError, PeerWatch, WaitError, Woken};
 
 /// As of the real waiter.
 const MAX_SLEEP_NS: u64 = 100_000_000;
@@ -22,7 +23,12 @@ pub struct Waker {
 }
 
 impl Waker {
-    pub(crate) fn open(bus: &Bus, service: Service) -> Result<Self, OpenError> {
+    pub(crate) fn open(
+        bus: &Bus,
+        service: Service,
+        _: &Limits,
+        _: (usize, usize),
+    ) -> Result<Self, OpenError> {
         host::operation();
         crate::left::check_left()?;
         bus.check()?;
@@ -31,9 +37,6 @@ impl Waker {
     }
 
     /// Wakes all waiters; returns their number.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn wake(&self, event: WakeEvent) -> Result<usize, WaitError> {
         host::operation();
         self.bus.check()?;
@@ -49,9 +52,6 @@ impl Waker {
     }
 
     /// Wakes the waiter of this id, if there is one.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub(crate) fn wake_one(&self, waiter: u128, event: WakeEvent) -> Result<(), WaitError> {
         host::operation();
         self.bus.check()?;
@@ -90,7 +90,13 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    pub(crate) fn open(bus: &Bus, service: Service) -> Result<Self, OpenError> {
+    pub(crate) fn open(
+        bus: &Bus,
+        service: Service,
+        _: &Limits,
+        _: (usize, usize),
+        _: Option<Open>,
+    ) -> Result<Self, OpenError> {
         host::operation();
         crate::left::check_left()?;
         bus.check()?;
@@ -111,9 +117,6 @@ impl Waiter {
 
     /// Returns what has happened. If nothing has, the process sleeps from its next pause on until
     /// `deadline_ns`.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn wait_until(
         &mut self,
         deadline_ns: Option<u64>,
@@ -167,9 +170,6 @@ impl Poller {
 
     /// Returns what has happened. If nothing has, the process sleeps from its next pause on until
     /// `deadline_ns`.
-    ///
-    /// # Errors
-    /// The files of this process were removed.
     pub fn wait_until(
         &mut self,
         deadline_ns: u64,
@@ -198,25 +198,16 @@ pub struct Readiness {}
 
 impl Readiness {
     /// As in `joulebus-bus`.
-    ///
-    /// # Errors
-    /// Always.
     pub fn new() -> io::Result<Self> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
     /// As in `joulebus-bus`.
-    ///
-    /// # Errors
-    /// Always.
     pub fn of(_waiter: &Waiter) -> io::Result<Self> {
         Self::new()
     }
 
     /// As in `joulebus-bus`.
-    ///
-    /// # Errors
-    /// None: there is none of these.
     pub const fn watch(&self, _peer: &PeerWatch) -> io::Result<()> {
         Ok(())
     }

@@ -1,117 +1,28 @@
-//! Ports: how a member opens a service.
+//! Ports of a member.
 
 mod connection_leak;
 mod degradation;
+mod open;
 mod places;
 mod poll;
 mod query;
 mod reader;
 mod readiness;
+mod reading;
 mod repair;
 mod samples;
 mod service;
 mod wait;
 mod writer;
 
-use joulebus_wire::{Channel, Forecasts, Service};
-
 use self::places::Open;
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
-pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
+use self::reader::{Member, Noted, Received};
+pub use self::reader::{Reader, ReceiveError};
 pub use self::readiness::Readiness;
+pub use self::reading::{Frame, KeptFrame};
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
 pub use self::writer::{Loan, SendError, Sent, Writer};
-use crate::bus::OWN;
-use crate::{Bus, Limits};
-
-impl Bus {
-    /// A source's port. `max_len`: maximum number of samples per frame, at most the capacity.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn sample_writer(
-        &self,
-        limits: &Limits,
-        max_len: usize,
-    ) -> Result<SampleWriter, OpenError> {
-        SampleWriter::open(self, limits, max_len)
-    }
-
-    /// The worker's port for samples of all sources.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn sample_reader(&self, limits: &Limits) -> Result<SampleReader, OpenError> {
-        self.reader(limits).map(SampleReader::new)
-    }
-
-    /// Reads a channel. Of the worker's channels it reads only frames of the process that holds the
-    /// worker's lock. While a reader of plan states, keyframes or records of questions is open, the
-    /// worker sends them. The worker's own readers, recorders and links have places that planners
-    /// and views cannot take.
-    ///
-    /// # Errors
-    /// [`OpenError`]. [`OpenError::Places`] names who has the places.
-    pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
-        Reader::open(self, limits)
-    }
-
-    /// Writes a channel, in frames of up to [`Limits::rows`]. For samples, see
-    /// [`Bus::sample_writer`].
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn writer<C: Channel>(&self, limits: &Limits) -> Result<Writer<C>, OpenError> {
-        Writer::open(self, limits, limits.rows(C::ROWS))
-    }
-
-    /// The worker's port for questions.
-    ///
-    /// # Errors
-    /// [`OpenError`]: among others, there is one already.
-    pub fn query_server(&self, limits: &Limits) -> Result<QueryServer, OpenError> {
-        QueryServer::open(self, limits)
-    }
-
-    /// A client's port for questions.
-    ///
-    /// # Errors
-    /// [`OpenError`]: among others, there are as many as planners are allowed, or 16.
-    pub fn query_client(&self, limits: &Limits) -> Result<QueryClient, OpenError> {
-        QueryClient::open(self, limits)
-    }
-
-    /// Waits for samples: the worker.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn arrivals_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        Waiter::open(self, Service::ARRIVALS, limits, limits.arrivals(), None)
-    }
-
-    /// Wakes planners: the worker.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn planner_waker(&self, limits: &Limits) -> Result<Waker, OpenError> {
-        Waker::open(self, Service::WAKE, limits, limits.wake())
-    }
-
-    /// Waits for forecasts: planners.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        let open = Open { places: limits.open_places(Forecasts::FLOW), own: OWN };
-        Waiter::open(self, Service::WAKE, limits, limits.wake(), Some(open))
-    }
-
-    /// Waits for times instead: readers that look now and then.
-    #[must_use]
-    pub fn planner_poller(&self) -> Poller {
-        Poller::new(self)
-    }
-}

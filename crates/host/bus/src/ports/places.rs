@@ -6,12 +6,12 @@ use std::time::Duration;
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::{Node, NodeState, NodeView as _};
 use iceoryx2::prelude::CallbackProgression;
-use joulebus_wire::Service;
+use joulebus_wire::{Flow, Service};
 
 use super::service::OpenError;
-use crate::Bus;
-use crate::clock;
+use crate::bus::OWN;
 use crate::ipc::Ipc;
+use crate::{Bus, Limits, clock};
 
 /// Tries of two that come at once for the last place.
 const TRIES: u64 = 4;
@@ -21,6 +21,13 @@ const TRIES: u64 = 4;
 pub(super) struct Open {
     pub(super) places: usize,
     pub(super) own: &'static [&'static str],
+}
+
+impl Open {
+    /// Those of a channel. The fleet's own members have others beside them.
+    pub(super) fn new(limits: &Limits, flow: Flow) -> Self {
+        Self { places: limits.open_places(flow), own: OWN }
+    }
 }
 
 /// Ports of a service. Without `open` all places are anybody's.

@@ -1,6 +1,5 @@
 //! Reads frames in place.
 
-use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -8,17 +7,17 @@ use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::PortFactory as _;
-use joulebus_wire::{Channel, Flow};
+use joulebus_wire::{Channel, Flow, Samples};
 
 use super::degradation::Failures;
 use super::places::{Open, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, OpenError};
-use crate::bus::OWN;
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
+use crate::os::memory;
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// Maximum number of frames of other processes than the worker that one call skips.
@@ -27,22 +26,53 @@ const MAX_PASSED_OVER: u32 = 4_096;
 type Port<C> = (Inlet<C>, Factory<C>);
 /// The port itself.
 type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
-type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+/// A frame that was received.
+pub(super) type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+
+/// What keeps the domain as long as a frame.
+pub(super) type Member = Rc<Membership>;
+
+/// Number of sources that [`Noted`] remembers.
+const MAX_NOTED: usize = 256;
+
+/// Ports of sources whose memory is completely mapped.
+#[derive(Debug)]
+pub(super) struct Noted(Vec<u128>);
+
+impl Noted {
+    pub(super) fn new() -> Self {
+        Self(Vec::with_capacity(MAX_NOTED))
+    }
+
+    /// Maps the memory of the frame's source.
+    pub(super) fn note(&mut self, received: &Received<Samples>) {
+        let source = received.header().publisher_id().value();
+        if self.0.contains(&source) {
+            return;
+        }
+        // Bounded, because sources are replaced over months. Forgetting one costs one more scan.
+        if self.0.len() == MAX_NOTED {
+            self.0.clear();
+        }
+        self.0.push(source);
+        memory::map(&source.to_string());
+    }
+}
 
 /// Reads frames in place. On the worker's channels, only those of the holder of the worker's lock.
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
     // Dropped in this order: held frame, port, factory, membership.
-    held: Option<Received<C>>,
+    pub(super) held: Option<Received<C>>,
     port: Kept<Port<C>>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
-    queued: usize,
+    pub(super) queued: usize,
     failures: Arc<Failures>,
     repair: Repair,
     /// None for services on which every process may send.
-    worker: Option<WorkerPorts>,
-    member: Rc<Membership>,
+    pub(super) worker: Option<WorkerPorts>,
+    pub(super) member: Rc<Membership>,
 }
 
 impl<C: Channel> Reader<C> {
@@ -60,7 +90,7 @@ impl<C: Channel> Reader<C> {
             });
             nodes
         };
-        let open = Open { places: limits.open_places(C::FLOW), own: OWN };
+        let open = Open::new(limits, C::FLOW);
         let places = Places { bus, service, open: Some(open), nodes };
         let create = || {
             places.enter(
@@ -88,104 +118,10 @@ impl<C: Channel> Reader<C> {
         })
     }
 
-    /// The oldest queued frame. `None` if the queue is empty. Overwritten frames are detected by
-    /// the numbers in the headers.
-    ///
-    /// # Errors
-    /// [`ReceiveError`]. The next call may succeed.
-    pub fn take_next(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
-        Ok(self.receive()?.map(Frame::new))
-    }
-
-    /// Calls `each` for all queued frames, in order: as many as can be queued at once, so that
-    /// faster writers do not keep the caller for ever.
-    ///
-    /// # Errors
-    /// [`ReceiveError`]. The next call may succeed.
-    pub fn take_all(
-        &mut self,
-        mut each: impl FnMut(&C::Header, &[C::Row]),
-    ) -> Result<(), ReceiveError> {
-        for _ in 0..self.queued {
-            let Some(frame) = self.receive()? else {
-                break;
-            };
-            each(frame.user_header(), frame.payload());
-        }
-        Ok(())
-    }
-
-    /// The newest frame, skipping older ones. `None` if there is no new one since the last call.
-    ///
-    /// # Errors
-    /// [`ReceiveError`]. The next call may succeed.
-    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
-        let mut latest = None;
-        while let Some(newer) = self.receive()? {
-            latest = Some(newer);
-        }
-        Ok(latest.map(Frame::new))
-    }
-
-    /// Receives all queued frames and holds the last one that is `newer` than the held one. Returns
-    /// whether there was one. `newer` is also passed the number of the worker's run of the frame,
-    /// which increases whenever another process has become the worker. The frame is held in shared
-    /// memory until a newer one is held or the reader is dropped: [`Reader::held`]. Must not be
-    /// combined with the other methods of receiving.
-    ///
-    /// # Errors
-    /// [`ReceiveError`] if nothing newer was found. The next call may succeed.
-    pub fn hold_latest(
-        &mut self,
-        mut newer: impl FnMut(&C::Header, &[C::Row], u64) -> bool,
-    ) -> Result<bool, ReceiveError> {
-        let mut found = false;
-        loop {
-            match self.receive() {
-                Ok(Some(frame))
-                    if newer(frame.user_header(), frame.payload(), self.worker_runs()) =>
-                {
-                    self.held = Some(frame);
-                    found = true;
-                }
-                Ok(Some(_)) => {}
-                Ok(None) => return Ok(found),
-                Err(_) if found => return Ok(true),
-                Err(error) => return Err(error),
-            }
-        }
-    }
-
-    /// The frame held by [`Reader::hold_latest`]: its header and its slice. Its writer could still
-    /// change it (it does not): copy it where that matters.
-    #[must_use]
-    pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
-        let held = self.held.as_ref()?;
-        Some((held.user_header(), held.payload()))
-    }
-
-    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. A process can
-    /// keep two frames of forecasts beside the newest. With more, receiving is an error.
-    #[must_use]
-    pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
-        let frame = self.held.take()?;
-        Some(KeptFrame { frame, _member: Rc::clone(&self.member) })
-    }
-
     /// Number of failed or broken connections to writers.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.failures.count()
-    }
-
-    /// Number of skipped frames on a service of the worker that another process has sent.
-    #[must_use]
-    pub fn foreign(&self) -> u64 {
-        self.worker.as_ref().map_or(0, WorkerPorts::foreign)
-    }
-
-    fn worker_runs(&self) -> u64 {
-        self.worker.as_ref().map_or(0, WorkerPorts::runs)
     }
 
     /// A writer that dies while its connection is established leaves a failed connection, which is
@@ -259,56 +195,6 @@ fn subscribe<C: Channel>(
         .buffer_size(buffer)
         .set_degradation_handler(failures.handler(|info| info.sender_port_id))
         .create()
-}
-
-/// A frame in shared memory, held while this value lives.
-///
-/// Its writer could still change it (it does not): copy it where that matters.
-#[derive(Debug)]
-pub struct Frame<'a, C: Channel> {
-    sample: Received<C>,
-    reader: PhantomData<&'a mut Reader<C>>,
-}
-
-impl<C: Channel> Frame<'_, C> {
-    const fn new(sample: Received<C>) -> Self {
-        Self { sample, reader: PhantomData }
-    }
-
-    /// The frame's header.
-    #[must_use]
-    pub fn header(&self) -> &C::Header {
-        self.sample.user_header()
-    }
-
-    /// The frame's slice.
-    #[must_use]
-    pub fn payload(&self) -> &[C::Row] {
-        self.sample.payload()
-    }
-}
-
-/// A frame in shared memory that is kept while this value lives, also after its reader. The process
-/// is a member of the domain as long. Belongs to the reader's thread.
-#[derive(Debug)]
-pub struct KeptFrame<C: Channel> {
-    // Dropped in this order.
-    frame: Received<C>,
-    _member: Rc<Membership>,
-}
-
-impl<C: Channel> KeptFrame<C> {
-    /// The frame's header.
-    #[must_use]
-    pub fn header(&self) -> &C::Header {
-        self.frame.user_header()
-    }
-
-    /// The frame's slice.
-    #[must_use]
-    pub fn payload(&self) -> &[C::Row] {
-        self.frame.payload()
-    }
 }
 
 /// Reason that no frame could be read.

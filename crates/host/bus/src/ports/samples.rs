@@ -1,32 +1,23 @@
-//! Frames of samples: a source's port, the worker's port, and the worker's copy.
+//! Frames of samples: a source's port, the worker's port, and the worker's copy. The simulator
+//! compiles this file too.
 
 use std::marker::PhantomData;
 
-use iceoryx2::sample::Sample as Borrowed;
 use joulebus_wire::{Sample, SampleHeader, Samples, Service, WakeEvent};
 
-use super::reader::{Reader, ReceiveError};
-use super::service::OpenError;
-use super::wait::Waker;
-use super::writer::{SendError, Sent, Writer};
-use crate::ipc::Ipc;
-use crate::os::memory;
-use crate::{Bus, Limits};
-
-/// Number of sources that a [`SampleReader`] remembers as mapped.
-const MAPPED: usize = 256;
+use super::{Noted, Received};
+use crate::{Bus, Limits, OpenError, Reader, ReceiveError, SendError, Sent, Waker, Writer};
 
 /// The worker's port for samples of all sources.
 #[derive(Debug)]
 pub struct SampleReader {
     reader: Reader<Samples>,
-    /// Ports of sources whose memory is completely mapped.
-    mapped: Vec<u128>,
+    noted: Noted,
 }
 
 impl SampleReader {
     pub(crate) fn new(reader: Reader<Samples>) -> Self {
-        Self { reader, mapped: Vec::with_capacity(MAPPED) }
+        Self { reader, noted: Noted::new() }
     }
 
     /// Copies the next frame into `frame` and returns true if there was one. Call it until it
@@ -57,16 +48,7 @@ impl SampleReader {
         let Some(received) = self.reader.receive()? else {
             return Ok(None);
         };
-        let source = received.header().publisher_id().value();
-        if !self.mapped.contains(&source) {
-            // Bounded, because sources are replaced over months. Forgetting one costs one more
-            // scan.
-            if self.mapped.len() == MAPPED {
-                self.mapped.clear();
-            }
-            self.mapped.push(source);
-            memory::map(&source.to_string());
-        }
+        self.noted.note(&received);
         Ok(Some(IncomingFrame {
             header: *received.user_header(),
             kept: received.payload().len().min(most),
@@ -87,7 +69,7 @@ impl SampleReader {
 /// may be small enough to stay in the core's cache. What is validated there cannot change.
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
-    received: Borrowed<Ipc, [Sample], SampleHeader>,
+    received: Received<Samples>,
     header: SampleHeader,
     kept: usize,
     copied: usize,

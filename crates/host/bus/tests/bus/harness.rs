@@ -7,10 +7,10 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_bus::{
-    Bus, Domain, FrameBuf, Limits, PeerWatch, Reader, SampleReader, SampleWriter, Waiter, Waker,
-    WorkerLock, Writer,
+    Bus, Domain, FrameBuf, Limits, Reader, SampleReader, SampleWriter, Waiter, Waker, WorkerLock,
+    Writer,
 };
-use joulebus_testkit::{Member, send_to_test};
+use joulebus_testkit::{Member, left_behind, send_to_test};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, Forecast, ForecastHeader,
     Forecasts, Sample, SampleHeader, State, Ticks, WakeEvent,
@@ -22,7 +22,7 @@ use crate::beside::Host;
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
-/// The domain of one test; removed when dropped.
+/// The domain of one test; removed when dropped. What its members have left then fails the test.
 pub(crate) struct Place {
     pub(crate) domain: Domain,
 }
@@ -49,8 +49,8 @@ impl Place {
     }
 
     pub(crate) fn assert_nothing_left(&self) {
-        assert_eq!(self.objects(), Vec::<PathBuf>::new());
-        assert!(!self.domain.root().exists(), "{:?}", tree(self.domain.root()));
+        let left = left_behind(self.domain.shm_prefix(), self.domain.root());
+        assert_eq!(left, Vec::<PathBuf>::new());
     }
 
     pub(crate) fn member(&self) -> Member {
@@ -74,19 +74,13 @@ impl Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
+        let left = left_behind(self.domain.shm_prefix(), self.domain.root());
         for object in self.objects() {
             let _ = fs::remove_file(object);
         }
         let _ = fs::remove_dir_all(self.domain.root());
+        assert!(left.is_empty() || std::thread::panicking(), "left behind: {left:?}");
     }
-}
-
-fn tree(path: &Path) -> Vec<PathBuf> {
-    let mut found = vec![path.to_owned()];
-    for entry in fs::read_dir(path).into_iter().flatten().flatten() {
-        found.extend(tree(&entry.path()));
-    }
-    found
 }
 
 /// Sends a command that must succeed; returns the answer.
@@ -156,7 +150,6 @@ struct Ports {
     diagnostic_reader: Option<Reader<Diagnostics>>,
     budget_reader: Option<Reader<Budgets>>,
     planner: Option<Waiter>,
-    peer: Option<PeerWatch>,
     worker_lock: Option<WorkerLock>,
     bus: Option<Bus>,
     host: Option<Host>,
@@ -183,7 +176,6 @@ impl Ports {
             diagnostic_reader: None,
             budget_reader: None,
             planner: None,
-            peer: None,
             worker_lock: None,
             bus: None,
             host: None,
@@ -225,10 +217,6 @@ impl Ports {
             "latest" => self.latest(),
             "count" => self.count(),
             "wait" => self.wait(),
-            "watch" => {
-                self.peer = PeerWatch::open(number as u32);
-                Ok(self.peer.is_some().to_string())
-            }
             "lock" => {
                 self.worker_lock = Some(WorkerLock::acquire(&self.domain)?);
                 Ok(String::new())
@@ -391,7 +379,7 @@ impl Ports {
         let waiter = self.arrivals.as_mut().or(self.planner.as_mut());
         let waiter = waiter.ok_or("no port")?;
         loop {
-            let woken = waiter.wait_until(None, self.peer.as_ref())?;
+            let woken = waiter.wait_until(None, None)?;
             if !woken.is_nothing() {
                 return Ok(format!("{woken:?}"));
             }

@@ -64,5 +64,4 @@ fn messages_of_iceoryx2_reach_the_log_of_a_program_that_asks_for_them() {
     let events = must(&mut member, "log");
     assert!(events.starts_with("DEBUG "), "{events}");
     assert!(events.contains("joulebus-nowhere") && events.contains("origin="));
-    member.finish();
 }

@@ -37,9 +37,6 @@ pub struct WorkerLock {
 
 impl WorkerLock {
     /// Takes the lock.
-    ///
-    /// # Errors
-    /// Another process holds it, or shared memory is full.
     pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
         host::operation();
         crate::left::check_left()?;
@@ -55,9 +52,6 @@ impl WorkerLock {
     }
 
     /// Holder of the lock of the domain, if any.
-    ///
-    /// # Errors
-    /// None.
     pub fn owner(_domain: &Domain) -> io::Result<Option<u32>> {
         host::operation();
         Ok(FILE.get().filter(|(_, is_held)| *is_held).map(|(owner, _)| owner.pid))
