@@ -23,7 +23,8 @@ pub use samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 
 type Received<C> = Rc<Sent<C>>;
 /// A frame keeps no membership.
-type Member = ();
+#[derive(Debug, Clone)]
+struct Member;
 
 /// As in the real reader.
 const MAX_PASSED_OVER: u32 = 4_096;
@@ -258,7 +259,7 @@ impl<C: Channel> Reader<C> {
             queue,
             queued: shape.buffer * shape.publishers,
             worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(&bus.domain)),
-            member: (),
+            member: Member,
             bus: bus.clone(),
         })
     }
