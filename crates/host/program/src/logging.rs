@@ -28,7 +28,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// What a program hears of its libraries' logs, whatever is shown of them.
+/// Libraries' log messages that a program reads itself, whether or not they are shown.
 #[derive(Debug, Clone, Copy)]
 pub struct Overheard {
     /// Beginnings of targets, with their levels.

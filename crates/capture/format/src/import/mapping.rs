@@ -240,8 +240,8 @@ pub(super) fn choose(
 /// Namespaces of the parts of a robot.
 const PARTS: [&str; 6] = ["batter", "bms", "power", "base", "platform", "driver"];
 
-/// What a robot is called by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A
-/// number tells robots apart, and no part of a robot is one.
+/// Names a robot by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A number
+/// tells robots apart, and no part of a robot is one.
 fn robot_name<'a>(battery: &'a str, channels: &[Channel]) -> Option<&'a str> {
     let all = folders(battery);
     let is_ours = |topic: &&str| {

@@ -200,7 +200,7 @@ macro_rules! columns {
                 }
             }
 
-            /// As [`Columns::block`].
+            /// Same as [`Columns::block`].
             #[inline(always)]
             pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
                 BlockRef {

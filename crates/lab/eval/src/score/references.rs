@@ -133,7 +133,7 @@ impl Foreign {
     }
 }
 
-/// What a reference has learned from the rows of a fold.
+/// A reference, fitted to the rows of a fold.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Learned {
     Nothing,

@@ -8,7 +8,7 @@ use joulebus_program::utc::Utc;
 /// The partition value that engines read as null.
 const NOTHING: &str = "__HIVE_DEFAULT_PARTITION__";
 
-/// What a partition may name, outermost first.
+/// Names that a partition may have, outermost first.
 const NAMES: [&str; 3] = ["fleet", "day", "robot"];
 
 /// Which of fleet, day and robot the folders of an archive name.
@@ -53,7 +53,7 @@ impl Partition {
         Self([escaped(fleet), day, escaped(robot)])
     }
 
-    /// What is known.
+    /// The levels that are known.
     pub(crate) fn levels(&self) -> Levels {
         Levels([0, 1, 2].map(|at| self.0[at].is_some()))
     }
