@@ -134,7 +134,7 @@ pub struct ErrorBounds {
 }
 
 impl ErrorBounds {
-    /// Those of the trained interval.
+    /// The bounds of the trained interval.
     pub const TRAINED: Self = Self { lower: [-1.0; SHADOWS], upper: [1.0; SHADOWS] };
 
     /// Middle and half width at one horizon.

@@ -1,5 +1,5 @@
-//! Which values of a sample a platform's limits admit: asked by the worker, and by publishers, so
-//! that a source knows at once what will be refused.
+//! Checks of a sample's values against a platform's limits. Publishers use them too, so that a
+//! source knows at once which samples the worker would refuse.
 
 use std::fmt;
 use std::ops::RangeInclusive;

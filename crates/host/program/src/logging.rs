@@ -91,7 +91,7 @@ fn by_verbosity(verbose: u8) -> Targets {
         .with_target(ALARMS, level.max(LevelFilter::INFO))
 }
 
-/// Which events are shown: those of `levels` that the program does not say otherwise.
+/// The events that are shown: those of `levels` that the program does not report otherwise.
 struct Levels {
     levels: Targets,
     overheard: Option<Overheard>,

@@ -13,7 +13,7 @@ use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
 use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
 
-/// As in the real reader.
+/// The limit of the real reader.
 const MAX_PASSED_OVER: u32 = 4_096;
 
 fn refused(service: Service, reason: &str) -> OpenError {

@@ -280,7 +280,7 @@ impl QueryClient {
         Err(QueryError::Send { reason: "programs of the simulator send, and poll".to_owned() })
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     ///
     /// # Errors
     /// [`QueryError`].
@@ -323,7 +323,7 @@ impl QueryClient {
         Ok(())
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     ///
     /// # Errors
     /// [`QueryError`].

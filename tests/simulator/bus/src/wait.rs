@@ -11,7 +11,7 @@ use crate::liveness::worker_lock::LockWatch;
 use crate::queues::{Waiting, with};
 use crate::{Bus, OpenError, PeerWatch, WaitError, Woken};
 
-/// As of the real waiter.
+/// The limit of the real waiter.
 const MAX_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
@@ -197,7 +197,7 @@ impl Poller {
 pub struct Readiness {}
 
 impl Readiness {
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     ///
     /// # Errors
     /// Always.
@@ -205,7 +205,7 @@ impl Readiness {
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     ///
     /// # Errors
     /// Always.
@@ -213,7 +213,7 @@ impl Readiness {
         Self::new()
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     ///
     /// # Errors
     /// None: there is none of these.

@@ -236,7 +236,7 @@ columns! {
     }
 }
 
-/// Which optional columns a fleet needs.
+/// The optional columns that a fleet needs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Needed {
     /// A platform learns online.

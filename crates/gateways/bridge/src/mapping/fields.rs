@@ -95,7 +95,7 @@ impl Flag {
     }
 }
 
-/// Which values a document has, and where.
+/// The values of a document, and their places in it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Fields {
     pub(crate) v: Option<Number>,
