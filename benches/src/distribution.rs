@@ -28,7 +28,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Of measured values. `None` if there are none, or if one is not finite.
+    /// The distribution of measured values. `None` if there are none, or if one is not finite.
     pub fn new(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
             return None;
@@ -51,7 +51,7 @@ impl Distribution {
         })
     }
 
-    /// Of a histogram, each value times `scale`. `None` if it is empty.
+    /// The distribution of a histogram, each value times `scale`. `None` if it is empty.
     pub fn of_histogram(histogram: &Histogram<u64>, scale: f64) -> Option<Self> {
         let at = |quantile| histogram.value_at_quantile(quantile) as f64 * scale;
         (!histogram.is_empty()).then(|| Self {
@@ -66,7 +66,7 @@ impl Distribution {
         })
     }
 
-    /// Of one value, measured or counted once.
+    /// The distribution of one value, measured or counted once.
     pub fn once(value: f64) -> Option<Self> {
         Self::new(&[value])
     }

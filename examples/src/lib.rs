@@ -70,7 +70,7 @@ impl PrivateFleet {
         Ok(Self { config, stop: Arc::default(), worker: None, _directory: directory })
     }
 
-    /// As [`PrivateFleet::new`], with a worker in a thread of this process, ready for samples.
+    /// Same as [`PrivateFleet::new`], with a worker in a thread of this process, ready for samples.
     ///
     /// # Errors
     /// The config is refused, or the worker cannot start.

@@ -44,8 +44,8 @@ fn said(output: Output) -> Vec<String> {
     said.lines().map(str::to_owned).collect()
 }
 
-/// As [`lines`], of an example that records: one whose recorder gets no processor in time loses
-/// messages and says so, and is run again.
+/// Same as [`lines`], of an example that records: one whose recorder gets no processor in time
+/// loses messages and says so, and is run again.
 fn recorded(start: impl Fn() -> Child) -> Vec<String> {
     for _ in 0..5 {
         let output = start().wait_with_output().unwrap();

@@ -1,4 +1,5 @@
-//! What a neighbour may send over a link. The protocol is compiled in here: its crate is a program.
+//! Messages that a neighbour may send over a link. The protocol is compiled in here: its crate is a
+//! program.
 #![cfg_attr(fuzzing, no_main)]
 #![allow(dead_code, reason = "the link uses the rest")]
 

@@ -25,7 +25,7 @@ const MAX_STEPS: usize = 300;
 /// Robots of three platforms; the fourth is not in the fleet.
 const ROBOTS: [u32; 4] = [1, 101, 201, 5];
 
-/// What plans of a fleet start from.
+/// The rows from which plans of a fleet start.
 struct Rows {
     plans: PlanFleet,
     states: Vec<PlanState>,

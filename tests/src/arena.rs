@@ -282,7 +282,7 @@ impl Arena {
         Planner::ready(Child::spawn("recorder", self.probe(&["recorder"])))
     }
 
-    /// What is left of the fleet: objects in shared memory, and the root directory with its drafts.
+    /// Files left of the fleet: objects in shared memory, and the root directory with its drafts.
     pub fn stale_files(&self) -> Vec<PathBuf> {
         left_behind(self.domain.shm_prefix(), self.domain.root())
     }

@@ -41,7 +41,7 @@ impl Planner {
         self.read_on(None, what, look)
     }
 
-    /// As [`Self::until`]; fails at once with the output of `source` if it has exited.
+    /// Same as [`Self::until`], but fails at once with the output of `source` if it has exited.
     pub fn until_beside<T>(
         &mut self,
         source: &mut Child,

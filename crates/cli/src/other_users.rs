@@ -14,7 +14,7 @@ pub(crate) struct OtherRoot {
     pub(crate) pid: u32,
 }
 
-/// What to do where the fleet of another user is wanted.
+/// Remedy if the fleet of another user is wanted.
 pub(crate) const REMEDY: &str = "run as that user, or give both users' configs one `domain.root`. \
     `joulebus serve --socket PATH` and `--http` pass a fleet on to other users";
 

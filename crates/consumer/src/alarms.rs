@@ -21,9 +21,9 @@ use crate::subscriber::look_every;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Change {
-    /// It is raised.
+    /// The alarm is raised.
     Raised,
-    /// It is no longer raised.
+    /// The alarm is no longer raised.
     Cleared,
     /// The robot has left the fleet while it was raised.
     Left,
@@ -101,11 +101,11 @@ struct Listed {
 /// The raise that an acknowledgement is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Raise {
-    /// It is not known yet.
+    /// The raise is not known yet.
     Awaited,
-    /// It lasts.
+    /// The raise lasts.
     Lasts,
-    /// It has ended, and the worker has not noticed yet.
+    /// The raise has ended, and the worker has not noticed yet.
     Over,
 }
 

@@ -141,8 +141,8 @@ impl Subscriber {
         Self::with_config(&Config::load(config_path)?, "planner")
     }
 
-    /// As [`Subscriber::connect`], with a loaded config, and a name of 1 to 128 bytes. The name is
-    /// shown to operators, and need not be unique.
+    /// Same as [`Subscriber::connect`], with a loaded config, and a name of 1 to 128 bytes. The
+    /// name is shown to operators, and need not be unique.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -154,10 +154,10 @@ impl Subscriber {
         })
     }
 
-    /// As [`Subscriber::with_config`], for those who need forecasts only `every` so often. It
-    /// polls: being woken by every tick would cost the worker time. It looks at least ten times a
-    /// second, and so often that nothing is overwritten ([`Subscriber::wait_each`] returns all
-    /// frames). It finds the worker's exit at once, and its silence at the next look.
+    /// Same as [`Subscriber::with_config`], for readers that need forecasts only `every` so often.
+    /// It polls, because waking it in every tick would cost the worker time. It looks at least ten
+    /// times a second, and so often that nothing is overwritten ([`Subscriber::wait_each`] returns
+    /// all frames). It finds the worker's exit at once, and its silence at the next look.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -215,8 +215,8 @@ impl Subscriber {
         self.wait(timeout, None)
     }
 
-    /// As [`Subscriber::wait_next`], and calls `each` for every frame since the last call, oldest
-    /// first, without skipping any. The event is that of the last one.
+    /// Waits as [`Subscriber::wait_next`], and calls `each` for every frame since the last call,
+    /// oldest first, without skipping any. The event is that of the last one.
     ///
     /// # Errors
     /// [`ReadError`]. The next call may succeed.
@@ -334,7 +334,7 @@ impl Subscriber {
         })
     }
 
-    /// As [`Subscriber::worker`], for people: late only after the config's
+    /// State of the worker, for people: late only after the config's
     /// `readers.worker_stale_after_s`, and no longer once frames have come for as long.
     pub fn worker_for_people(&mut self) -> WorkerState {
         self.lateness.look(self.worker(), clock::monotonic_ns())

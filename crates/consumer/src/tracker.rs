@@ -36,13 +36,14 @@ pub enum WorkerState {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum End {
-    /// It sent the end event.
+    /// The worker sent the end event.
     Ended,
     /// Its process exited without an end event: detected at once.
     Exited,
     /// Another process found it dead: where processes cannot be watched.
     FoundDead,
-    /// It is on another host, and nothing comes from there: host or link is down. It may still run.
+    /// The worker is on another host, and nothing comes from there: host or link is down. It may
+    /// still run.
     Unreachable,
 }
 

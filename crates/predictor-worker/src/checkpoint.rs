@@ -50,7 +50,7 @@ pub(crate) struct ModelErrors {
 pub(crate) struct SentErrors(Vec<(u64, ErrorCounts<AtomicU32>)>);
 
 impl SentErrors {
-    /// As many as the fleet has platforms.
+    /// An empty exchange, with as many entries as the fleet has platforms.
     pub(crate) fn new(fleet: &Fleet) -> Self {
         let bits = |seen: &ErrorCounts<f32>| seen.map(|number| AtomicU32::new(number.to_bits()));
         Self(fleet.remembered_errors().map(|(hash, seen)| (hash, bits(seen))).collect())
@@ -65,7 +65,7 @@ impl SentErrors {
         }
     }
 
-    /// What was sent last.
+    /// Receives the errors that were sent last.
     pub(crate) fn receive(&self) -> Vec<ModelErrors> {
         let number = |bits: &AtomicU32| f32::from_bits(bits.load(Ordering::Relaxed));
         let platforms = self.0.iter();

@@ -102,7 +102,7 @@ pub(crate) struct LeftOut {
     pub(crate) diagnostics: bool,
     /// Left out because nobody reads them.
     pub(crate) plan_states: bool,
-    /// As the plan states.
+    /// Left out because nobody reads them, as plan states.
     pub(crate) outlooks: bool,
 }
 

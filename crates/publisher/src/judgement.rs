@@ -22,10 +22,10 @@ const ENDS_AFTER: u64 = 1_024;
 pub struct Implausible {
     /// The robot.
     pub robot: u32,
-    /// What it is.
+    /// The finding.
     #[serde(flatten)]
     pub finding: Finding,
-    /// What to do.
+    /// The remedy.
     pub remedy: String,
 }
 
@@ -172,7 +172,7 @@ impl Judgement {
         self.robots.iter().flat_map(of).collect()
     }
 
-    /// What was found for the first time since the last call: a line each.
+    /// Takes the findings that are new since the last call, a line each.
     pub fn take_news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }

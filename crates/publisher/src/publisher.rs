@@ -83,7 +83,7 @@ impl Publisher {
         Self::with_config(&Config::load(config_path)?, source_name)
     }
 
-    /// As [`Publisher::connect`], with a loaded config.
+    /// Same as [`Publisher::connect`], with a loaded config.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -94,8 +94,8 @@ impl Publisher {
         Ok(publisher)
     }
 
-    /// As [`Publisher::with_config`], but what is published raises no alarm `Implausible`: for a
-    /// program that judges by itself, or plays what is known.
+    /// Same as [`Publisher::with_config`], but its samples raise no alarm `Implausible`. For
+    /// programs that judge by themselves, or replay known data.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -135,7 +135,7 @@ impl Publisher {
         self.publish_intended(clock::monotonic_ns(), robots)
     }
 
-    /// As [`Publisher::publish`], for a frame that was due at `intended_ns` (monotonic):
+    /// Same as [`Publisher::publish`], for a frame that was due at `intended_ns` (monotonic):
     /// [`crate::Slot::intended_ns`]. Latencies are measured from there, so that a stalled source
     /// does not hide its own delay.
     ///
@@ -149,7 +149,7 @@ impl Publisher {
         self.publish_stamped(intended_ns, clock::monotonic_ns(), robots)
     }
 
-    /// As [`Publisher::publish_intended`], stamped with `now_ns`: for a simulation, whose time
+    /// Same as [`Publisher::publish_intended`], stamped with `now_ns`: for a simulation, whose time
     /// passes at another rate. `measured_ns` of states is on the same clock. Stamps of a robot rise
     /// all the same, by 1 ns where `now_ns` does not.
     ///

@@ -169,7 +169,8 @@ impl Child {
         Self::spawn_to(name, command, Stdio::piped())
     }
 
-    /// As [`Child::spawn`], of a program whose stdout would fill the memory of the test in hours.
+    /// Same as [`Child::spawn`], of a program whose stdout would fill the memory of the test in
+    /// hours.
     pub fn spawn_unread(name: &str, command: Command) -> Self {
         Self::spawn_to(name, command, Stdio::null())
     }

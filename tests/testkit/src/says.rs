@@ -1,4 +1,4 @@
-//! What a text has to say.
+//! Checks of a text's words.
 
 use std::fmt::Display;
 

@@ -28,7 +28,7 @@ const GENERATED: [&str; 1] = ["docs/reference/layout.md"];
 /// Pages that are too long, with their words. This list may only shrink.
 const LONG: [(&str, usize); 0] = [];
 
-/// What comments that enclose a generated part of a page begin with.
+/// Beginnings of the comments that enclose a generated part of a page.
 const MARKS: [&str; 11] = [
     "api",
     "figures:",

@@ -82,7 +82,7 @@ impl OwnShm {
     }
 }
 
-/// What is left in shared memory.
+/// The space left in shared memory.
 #[derive(Debug, Clone, Copy)]
 enum Left {
     Bytes(u64),

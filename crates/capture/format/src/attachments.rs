@@ -44,8 +44,8 @@ pub struct Attachments {
 }
 
 impl Attachments {
-    /// Those of a capture that is made at `created_unix_ns`, on a host that booted as `boot_id` and
-    /// with these clocks.
+    /// The attachments of a capture that is made at `created_unix_ns`, on a host that booted as
+    /// `boot_id` and with these clocks.
     #[must_use]
     pub fn begun(created_unix_ns: u64, clock: Clock, boot_id: String) -> Self {
         let mut attachments = Self { created_unix_ns, ..Self::default() };

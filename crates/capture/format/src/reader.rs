@@ -65,7 +65,7 @@ struct Channel {
     /// None for messages of other programs.
     kind: Option<MessageKind>,
     is_protobuf: bool,
-    /// As the file says.
+    /// The fleet that the file names.
     of_fleet: Arc<str>,
 }
 
@@ -314,7 +314,7 @@ pub enum ReadError {
     /// The file is of another program.
     #[error("found {found}, expected a capture of joulebus (.mcap)")]
     Foreign {
-        /// What it is, and how to get on.
+        /// The kind of file that it is, with the remedy.
         found: String,
     },
     /// The file is corrupt, or not a capture.

@@ -29,8 +29,8 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// What another process has done to the file, if anything. Since each write goes to the end, a
-    /// file that was cut stays too short.
+    /// Damage that another process has done to the file, if any. Since each write goes to the end,
+    /// a file that was cut stays too short.
     pub(crate) fn harm(&self) -> Option<&'static str> {
         match disk::found_at(&self.path) {
             Ok(None) => Some("removed"),

@@ -24,7 +24,7 @@ pub struct Options {
     /// Channels that can be recorded. Causes before effects. One that is declared elsewhere is
     /// added to [`RecordedChannel::all`].
     pub channels: Vec<RecordedChannel>,
-    /// Which topics are recorded.
+    /// Chooses the topics that are recorded.
     pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
     /// Maximum file size, bytes. Then the next file begins.
     pub max_file_bytes: u64,

@@ -51,7 +51,7 @@ pub(super) enum Event {
 /// Converts messages to events.
 #[derive(Debug)]
 pub(super) struct Assembler {
-    /// What a worker sends in a tick.
+    /// Outputs that a worker sends in a tick.
     outputs: Vec<Output>,
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
@@ -106,7 +106,7 @@ impl Assembler {
         }
     }
 
-    /// What a worker sends in a tick.
+    /// Outputs that a worker sends in a tick.
     pub(super) fn outputs(&self) -> &[Output] {
         &self.outputs
     }
@@ -129,6 +129,7 @@ impl Assembler {
             match message.into_frame::<Ticks>() {
                 Ok(journal) => {
                     parts.journal = Some(journal);
+                    // Positions follow the journal: `fill` finds the frames anew.
                     parts.wanted = None;
                 }
                 Err(output) => {
@@ -170,7 +171,7 @@ impl Assembler {
         if self.is_over(run, tick) && tick > newest { Loss::End } else { lost }
     }
 
-    /// As [`Assembler::lack`], for a frame of samples.
+    /// Same as [`Assembler::lack`], for a frame of samples.
     pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
         let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
         let range = self.frame_range.get(&(source_id, taken.source_epoch));
@@ -214,6 +215,8 @@ impl Assembler {
         let range = self.frame_range.entry(key).or_insert((seq, seq));
         *range = (seq.min(range.0), seq.max(range.1));
         let key = key_of(header);
+        // Only the first tick of a run waits for single frames. Later ones look into the store once
+        // they are first.
         let mut next = self.runs.values_mut().filter_map(|run| run.ticks.first_entry());
         let place =
             next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
@@ -229,6 +232,7 @@ impl Assembler {
                 && sofar.len() as u64 == header.offset
         };
         if header.total_bytes > MAX_KEYFRAME_BYTES {
+            // Each piece states the size, so count the keyframe at its first one.
             self.broken_keyframes += u64::from(header.offset == 0);
             return;
         }
@@ -265,8 +269,10 @@ impl Assembler {
                 || (*worker_epoch < newest_run && newest_tick > MAX_LEAD_TICKS)
                 || *worker_epoch < oldest_run;
             while let Some(mut head) = run.ticks.first_entry() {
+                // Not earlier: the tick before may list the same frame, and takes the older one.
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
+                // A part that lags further behind the run's newest tick was lost.
                 if !parts.is_complete(&self.outputs) && !over && run.newest < tick + MAX_LEAD_TICKS
                 {
                     break;
@@ -276,6 +282,7 @@ impl Assembler {
                 self.events.push_back(Event::Tick { worker_epoch: *worker_epoch, tick, parts });
             }
         }
+        // The newest run stays, even without ticks: it tells which runs have ended.
         self.runs.retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
     }
 }
@@ -334,6 +341,7 @@ impl FrameStore {
             let Some((number, oldest)) = self.order.pop_front() else {
                 return;
             };
+            // A tick may have taken it: the order keeps entries of taken frames.
             if self.holds(number, oldest) {
                 self.untaken += u64::from(self.get(oldest).is_some());
             }

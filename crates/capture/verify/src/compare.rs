@@ -37,7 +37,7 @@ impl Value {
         Self { bits, form }
     }
 
-    /// As a number. Not exact beyond 2^53.
+    /// Converts it to a number. Not exact beyond 2^53.
     #[must_use]
     pub fn number(self) -> f64 {
         match self.form {

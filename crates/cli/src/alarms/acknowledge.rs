@@ -14,7 +14,7 @@ use super::Args;
 /// Time within which the worker answers.
 const WITHIN: Duration = Duration::from_secs(5);
 
-/// What the worker has taken.
+/// The acknowledgement that the worker has taken.
 #[derive(Debug, Serialize)]
 struct Taken {
     fleet: String,

@@ -8,7 +8,7 @@ use joulebus_program::output::Output;
 use joulebus_wire::AlarmCard;
 use serde::Serialize;
 
-/// What `--explain` takes without a name.
+/// Value of `--explain` without a name.
 pub(super) const ALL: &str = "all";
 
 /// Cards, as asked for.

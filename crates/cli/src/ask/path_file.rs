@@ -18,7 +18,8 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// As a path. `speed_mps` where the file states none: without it, as fast as the platform can.
+    /// Converts it to a path, with `speed_mps` where the file states no speed. Without one, as fast
+    /// as the platform can.
     pub(super) fn path(&self, speed_mps: Option<f64>) -> Path {
         let otherwise_mps = speed_mps.unwrap_or(f64::INFINITY);
         let speeds = self.speed_mps.iter();

@@ -149,7 +149,7 @@ struct Demo<'a> {
 }
 
 impl Demo<'_> {
-    /// What is about to be shown.
+    /// States what the demo is about to show.
     fn purpose(&self) -> String {
         let Args { robots, duration, .. } = self.args;
         let mut text = format!(

@@ -165,7 +165,7 @@ pub(super) fn worker(config: &Config, inspection: &Inspection) -> Check {
     }
 }
 
-/// What a host without a worker hears.
+/// Checks a host without a worker: the link that stands in for it.
 fn linked(config: &Config, pid: u32) -> Check {
     let name = "worker";
     let place = format!("on another host: link, pid {pid}");

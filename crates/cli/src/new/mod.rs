@@ -41,7 +41,7 @@ pub(crate) struct Args {
     sources: Option<PathBuf>,
 }
 
-/// What a project's program does.
+/// Purpose of a project's program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Kind {
     /// Publishes what it commands and measures
@@ -61,13 +61,13 @@ enum Language {
     Cpp,
 }
 
-/// What was written, and how to go on.
+/// Files that were written, and the commands to go on with.
 #[derive(Debug, Serialize)]
 struct Written {
     folder: PathBuf,
     /// Paths below the folder.
     files: Vec<PathBuf>,
-    /// What is still needed. None if the commands run as they are.
+    /// The requirement that is still missing. None if the commands run as they are.
     missing: Option<String>,
     /// Once, in this order.
     prepare: Vec<Command>,

@@ -17,7 +17,7 @@ const CONFIG: &str = "configs/fleet.toml";
 pub(super) struct Project {
     /// Paths below its folder, with their text.
     pub(super) files: Vec<(String, String)>,
-    /// What the commands need in addition.
+    /// The requirement of the commands that is still missing.
     pub(super) missing: Option<String>,
     pub(super) prepare: Vec<Command>,
     pub(super) run: Vec<Command>,
@@ -26,7 +26,7 @@ pub(super) struct Project {
 /// A command, as it is typed.
 #[derive(Debug, Serialize)]
 pub(super) struct Command {
-    /// What it does.
+    /// Purpose of the program.
     pub(super) about: String,
     pub(super) command: String,
 }

@@ -16,7 +16,7 @@ const AT_ONCE: usize = 64;
 /// Capacity of the queue, batches.
 const WAITING: usize = 16;
 
-/// What is known of the files before they are read.
+/// The files of a replay, opened but not yet read.
 pub(super) struct Files {
     paths: Vec<PathBuf>,
     pub(super) attachments: Attachments,

@@ -35,7 +35,7 @@ const ALL: [(&str, &str); 13] = [
     ("q  Ctrl-C", "quit"),
 ];
 
-/// As many of the most important keys as fit into a line of `width`.
+/// The most important keys, as many as fit into a line of `width`.
 pub(super) fn line(width: u16) -> Line<'static> {
     let mut spans = Vec::new();
     let mut left = usize::from(width);

@@ -194,8 +194,8 @@ fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
     (code(&ended), stdout(&ended) + &stderr(&ended))
 }
 
-/// What the verb has shown of an alarm of robot 1 so far: each change, and by whom it is
-/// acknowledged.
+/// The changes of an alarm of robot 1 that the verb has shown so far, with the names of those who
+/// acknowledged it.
 fn of_robot_1(program: &mut Program, alarm: &str) -> Vec<String> {
     let lines = program.shown();
     let lines = lines.iter().map(|line| -> Value { serde_json::from_str(line).unwrap() });

@@ -56,7 +56,7 @@ fn outcome(fleet: &Fleet, question: &str, is_expected: impl Fn(&Output) -> bool)
     found.unwrap()
 }
 
-/// As [`outcome`], of a question that is refused with an exit code and such a reason.
+/// Same as [`outcome`], of a question that is refused with an exit code and such a reason.
 fn refused(fleet: &Fleet, question: &str, with: i32, told: &str) {
     let asked =
         outcome(fleet, question, |asked| code(asked) == with && stderr(asked).contains(told));

@@ -36,7 +36,7 @@ const DOORS: [(&str, &str); 11] = [
     ),
 ];
 
-/// What is planted: the finding, and how it came about.
+/// Planted faults: the finding, and its cause.
 const PLANTED: [(&str, &str); 15] = [
     ("", "nothing"),
     ("sign", "a current that is negative while discharging"),
@@ -232,7 +232,7 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
     }
 }
 
-/// What the note of an import says of what it mends by itself.
+/// Words of an import's note about a fault that it corrects by itself.
 fn said_of(kind: &str) -> &'static [&'static str] {
     match kind {
         "unit" => &["percentage"],
@@ -242,7 +242,7 @@ fn said_of(kind: &str) -> &'static [&'static str] {
     }
 }
 
-/// What a door does with a recording.
+/// The outcome of a recording at a door.
 fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let (out, errors) = (stdout(said), stderr(said));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));

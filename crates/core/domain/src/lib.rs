@@ -1,5 +1,5 @@
-//! What all processes of a fleet agree on before they join its shared memory, and what its worker
-//! requests of the host: plain values with their rules.
+//! Agreements of all processes of a fleet before they join its shared memory, and requests of its
+//! worker to the host: plain values with their rules.
 //!
 //! Nothing here opens shared memory. `joulebus-bus` does so with these values.
 //!

@@ -230,7 +230,7 @@ impl Shape {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name} = {found}: allowed are 1 to {max}")]
 pub struct LimitsError {
-    /// Which limit.
+    /// Name of the limit.
     pub name: &'static str,
     /// Its value.
     pub found: usize,

@@ -1,4 +1,4 @@
-//! What the robots of a platform show of the model's errors together.
+//! Errors of a platform's energy model, learned from all its robots together.
 //!
 //! Coverage under a shift is the knowledge of all robots, not of one. A robot on a new floor sees
 //! few independent errors before its run ends. The next robot there needs what the first has seen.
@@ -93,12 +93,12 @@ impl<T> ErrorCounts<T> {
 pub struct NewErrors {
     /// The class of each error.
     pub classes: [Option<u8>; ERRORS],
-    /// As in [`ErrorCounts`].
+    /// The pulls of [`ErrorCounts`].
     pub pulls: [[i64; PARTS]; SHADOWS],
 }
 
 impl NewErrors {
-    /// As counts.
+    /// Converts it to counts.
     pub fn counted(&self) -> ErrorCounts {
         let one = |class: &Option<u8>| {
             std::array::from_fn(|place| i64::from(*class == Some(place as u8)))
@@ -134,7 +134,7 @@ pub struct ErrorBounds {
 }
 
 impl ErrorBounds {
-    /// Those of the trained interval.
+    /// The bounds of the trained interval.
     pub const TRAINED: Self = Self { lower: [-1.0; SHADOWS], upper: [1.0; SHADOWS] };
 
     /// Middle and half width at one horizon.
@@ -165,7 +165,7 @@ impl ErrorBounds {
     }
 }
 
-/// What the errors of a platform's robots say of new forecasts.
+/// Errors of a platform's robots, as new forecasts use them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlatformErrors {
     /// Bounds of the intervals of plans.
@@ -212,7 +212,7 @@ impl Calibration {
         Self { prior, seen: ErrorCounts::default(), platform: PlatformErrors::TRAINED }
     }
 
-    /// What new forecasts are made with.
+    /// The errors that new forecasts use.
     #[inline(always)]
     pub const fn platform(&self) -> &PlatformErrors {
         &self.platform

@@ -22,7 +22,7 @@ const WIDTH: f32 = 0.8;
 /// Time over which missions vary, s: over twice this, half of the variance is the missions'.
 const MISSION_S: f32 = 600.0;
 
-/// What a platform says of the power over hours.
+/// The power of a platform's robots over hours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lasting {
     /// Weight of each watched horizon's bounds at the longest calibrated horizon.

@@ -207,7 +207,7 @@ impl EnergyModel {
         ((errors[7] - errors[1]) / 3.29).max(MIN)
     }
 
-    /// As [`EnergyModel::spread_at`] the horizons of the shortest levels.
+    /// Same as [`EnergyModel::spread_at`], for the horizons of the shortest levels.
     pub(crate) fn newest_spreads(&self) -> [f32; NEWEST] {
         std::array::from_fn(|level| self.spread_at(HORIZONS_S[level]))
     }

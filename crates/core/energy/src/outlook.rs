@@ -23,7 +23,7 @@ pub struct EnergyOutlook<const HORIZONS: usize> {
     pub hi_j: [f32; HORIZONS],
 }
 
-/// What outlooks of all robots of a platform need of its model.
+/// The part of a platform's model that outlooks of its robots need.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutlookModel<const HORIZONS: usize> {
     horizons: [Horizon; HORIZONS],

@@ -450,7 +450,7 @@ impl EnergyState {
         judge(model, platform, shadow, (measured_j, forecast_j, duration_s), factor)
     }
 
-    /// As [`EnergyState::learn`] of an outlook. Returns also its pulls.
+    /// Same as [`EnergyState::learn`], for an outlook. Also returns its pulls.
     fn learn_ahead(
         &mut self,
         model: &EnergyModel,
@@ -545,7 +545,7 @@ fn judge(
     Some(class_of(error))
 }
 
-/// What an outlook is a mean of, W: the last reading, the level, and the mean of all that the robot
+/// Parts of an outlook's mean, W: the last reading, the level, and the mean of all that the robot
 /// drew, unless the newest readings contradict it. `last_w` is NaN if it is unknown.
 #[inline(always)]
 pub(crate) fn outlook_parts(

@@ -87,7 +87,7 @@ pub struct Stamps {
     first_log_s: Option<f64>,
 }
 
-/// What the stamps of a topic are.
+/// State of a topic's stamps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StampState {
     /// There are none, or not in every message.
@@ -102,7 +102,7 @@ pub enum StampState {
     Good {
         /// At the start.
         offset_s: f64,
-        /// What it grows by until the end.
+        /// Growth until the end, s.
         drift_s: f64,
     },
 }
@@ -136,7 +136,7 @@ impl Stamps {
         }
     }
 
-    /// What they are.
+    /// State of the stamps.
     #[must_use]
     pub fn state(&self) -> StampState {
         if self.unstamped > 0 || self.messages == 0 {

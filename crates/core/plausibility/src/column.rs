@@ -90,7 +90,7 @@ impl End {
 }
 
 impl Column {
-    /// As many digits as no file has: the values are a continuum.
+    /// Digits of a continuum: more than any file has.
     pub(crate) const CONTINUUM: u8 = 9;
 
     pub(crate) const fn new() -> Self {

@@ -1,4 +1,4 @@
-//! What was found, what is allowed, and what to do.
+//! Findings: the found value, the allowed values, and the remedy.
 
 use std::fmt;
 use std::str::FromStr;
@@ -112,7 +112,7 @@ pub enum Source {
     Program,
 }
 
-/// What to do about a finding.
+/// The remedy of a finding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Remedy {
     /// Turn the sign of power and current.
@@ -152,9 +152,9 @@ pub struct Finding {
     pub severity: Severity,
     /// Number of readings that show it.
     pub readings: u64,
-    /// What was found.
+    /// The found value, in words.
     pub found: String,
-    /// What is allowed.
+    /// The allowed values, in words.
     pub allowed: String,
     #[serde(skip)]
     pub(crate) remedy: Remedy,
@@ -180,7 +180,7 @@ impl Finding {
         }
     }
 
-    /// What to do, in the words of the source. `column` is the name that the source has for the
+    /// The remedy, in the words of the source. `column` is the name that the source has for the
     /// quantity, if known.
     #[must_use]
     pub fn remedy(&self, source: Source, column: Option<&str>) -> String {
@@ -300,7 +300,7 @@ impl Finding {
         }
     }
 
-    /// What was found, what is allowed, and what to do: a sentence each.
+    /// The found value, the allowed values and the remedy, a sentence each.
     #[must_use]
     pub fn sentences(&self, remedy: &str) -> String {
         let begun = |text: &str| {

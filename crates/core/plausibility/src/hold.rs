@@ -7,7 +7,7 @@ use crate::observation::Observation;
 /// Time for which a command applies if no other one comes, unless a file says otherwise, s.
 pub const COMMAND_HOLDS_S: f64 = 0.5;
 
-/// What a robot does when its command has expired.
+/// Behaviour of a robot whose command has expired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Expired {

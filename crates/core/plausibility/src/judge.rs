@@ -31,7 +31,7 @@ const APART_S: f64 = 1.0;
 /// Speed at which a robot drives, m/s.
 const DRIVES_MPS: f64 = 0.1;
 
-/// What is known beforehand.
+/// Properties of a source that are known beforehand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Known {
     ranges: [Option<(f64, f64)>; 6],
@@ -41,7 +41,7 @@ pub struct Known {
     time: TimeUnit,
 }
 
-/// What states the unit of times.
+/// The origin of the unit of times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TimeUnit {
     /// A clock: they are texts, or those of this host.
@@ -68,7 +68,7 @@ impl Known {
         self
     }
 
-    /// What states the unit of the times.
+    /// Sets the origin of the unit of times.
     #[must_use]
     pub const fn timed(mut self, time: TimeUnit) -> Self {
         self.time = time;
@@ -171,7 +171,7 @@ impl Judge {
         self.times.rows
     }
 
-    /// What is implausible so far: errors first, each in the order of [`Kind`].
+    /// The implausible findings so far: errors first, each in the order of [`Kind`].
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         let mut found = self.signs();

@@ -1,8 +1,8 @@
-//! What is seen of a robot.
+//! Observations of a robot.
 
 use crate::quantity::Quantity;
 
-/// What was seen of a robot at one time, in SI units. NaN where it is unknown.
+/// One observation of a robot, in SI units. NaN where it is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Time, s since any start.

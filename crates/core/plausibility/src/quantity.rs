@@ -1,4 +1,4 @@
-//! What is judged, in SI units.
+//! Quantities that are judged, in SI units.
 
 use serde::Serialize;
 

@@ -4,7 +4,7 @@
 const NEAR_GRID: f64 = 0.05;
 /// Steps that are tried, from the quantiles of the gaps between readings.
 const CANDIDATES: usize = 40;
-/// As many different readings say nothing of their step.
+/// Number of different readings that is too small to show their step.
 const FEW_VALUES: usize = 10;
 /// Most steps from the lowest reading to the highest: a finer grid is that of the file's decimals.
 const MAX_STEPS: f64 = 2e4;

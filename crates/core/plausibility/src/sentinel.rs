@@ -37,7 +37,7 @@ pub(crate) struct Sentinel {
     pub(crate) count: u64,
     /// In SI units.
     pub(crate) value: f64,
-    /// As the file has it, as far as that can be told.
+    /// The value as the file has it, as far as that is known.
     pub(crate) written: f64,
 }
 

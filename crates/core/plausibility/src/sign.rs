@@ -98,7 +98,7 @@ impl Line {
     }
 }
 
-/// What the signs of one robot show.
+/// Evidence of one robot about the signs of its power and current.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sign {
     moving: Signs,

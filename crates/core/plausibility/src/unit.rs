@@ -289,7 +289,8 @@ impl Magnitudes<'_> {
         Some(self.scaled(Quantity::Current, what, allowed, &[unit], unit > 0))
     }
 
-    /// What a quantity usually is in other units, in thousands of the one in which it was read.
+    /// Formats the usual value of a quantity in other units, in thousands of the one in which it
+    /// was read.
     fn read(&self, quantity: Quantity, units: &[i8]) -> String {
         let usual = self.usual(quantity).unwrap_or(f64::NAN);
         let read: Vec<String> =

@@ -84,7 +84,7 @@ impl SeenPower {
         self.bits[at / 64] >> (at % 64) & 1 == 1
     }
 
-    /// As in model files: 128 hexadecimal digits.
+    /// Formats it as model files do: 128 hexadecimal digits.
     #[must_use]
     pub fn to_text(&self) -> String {
         self.bits.iter().map(|bits| format!("{bits:016x}")).collect()

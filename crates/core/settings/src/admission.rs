@@ -1,5 +1,5 @@
-//! Which values of a sample a platform's limits admit: asked by the worker, and by publishers, so
-//! that a source knows at once what will be refused.
+//! Checks of a sample's values against a platform's limits. Publishers use them too, so that a
+//! source knows at once which samples the worker would refuse.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -12,7 +12,7 @@ use crate::{FleetSettings, Platform};
 const SOC: RangeInclusive<f32> = -0.05..=1.05;
 /// Energy to return, J: up to the largest battery.
 const RETURN_J: RangeInclusive<f32> = 0.0..=3.6e9;
-/// What only has to be finite.
+/// Range of values that only have to be finite.
 const ANY: RangeInclusive<f32> = f32::MIN..=f32::MAX;
 
 /// A sample whose values the worker refuses, and why.
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
     use crate::fleet::tests::settings;
 
-    /// What a sample of robot 1 is refused for, with every value known and `set` changed.
+    /// Reason to refuse a sample of robot 1 with all values known, after `set` changed it.
     fn refusal(set: impl Fn(&mut Sample)) -> Option<(DropReason, String)> {
         let mut sample = Sample {
             robot: 1,

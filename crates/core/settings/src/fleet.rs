@@ -80,7 +80,7 @@ pub struct AlarmSettings {
 /// When a tick is due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
-    /// As soon as every robot whose sample is due has reported, or `deadline_ns` after the first.
+    /// Ticks once every robot whose sample is due has reported, or `deadline_ns` after the first.
     OnFrame {
         /// Maximum wait for the remaining robots, ns.
         deadline_ns: u64,

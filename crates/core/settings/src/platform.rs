@@ -7,11 +7,11 @@ use serde::Serialize;
 use crate::bounds::{self, within};
 use crate::error::SettingsError;
 
-/// What to do about a platform without a [`Battery`], for messages.
+/// Remedy for a platform without a [`Battery`], for messages.
 pub const NO_BATTERY: &str =
     "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
 
-/// What to do about a battery that may be full or empty, for messages.
+/// Remedy for a battery that may be full or empty, for messages.
 pub const CHARGE_UNKNOWN: &str =
     "charge unknown: let the source send state_of_charge, or report a full or exchanged battery";
 

@@ -1,18 +1,18 @@
-//! What each alarm means and what to do about it: the one source of `joulebus alarms --explain`,
-//! the page, webhooks, the alert rules for Prometheus and docs/reference/alarms.md.
+//! The meaning and the remedy of each alarm: the one source of `joulebus alarms --explain`, the
+//! page, webhooks, the alert rules for Prometheus and docs/reference/alarms.md.
 
 use crate::{Alarm, Level};
 
-/// What an operator needs to know about an alarm.
+/// The meaning, causes and remedies of an alarm, for operators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AlarmCard {
     /// Name of the alarm, as in JSON.
     pub name: &'static str,
     /// Level that it means.
     pub level: Level,
-    /// What is the case while it is raised.
+    /// The condition while it is raised.
     pub meaning: &'static str,
-    /// What to look at, the likeliest cause first.
+    /// Things to look at, the likeliest cause first.
     pub check: &'static str,
     /// Keys of the configuration that decide when it is raised. `joulebus config explain KEY`
     /// prints their units and ranges.
@@ -70,7 +70,7 @@ impl AlarmCard {
 }
 
 impl Alarm {
-    /// What it means and what to do about it. `None` for [`Alarm::None`] and [`Alarm::Unknown`].
+    /// The alarm's card. `None` for [`Alarm::None`] and [`Alarm::Unknown`].
     #[must_use]
     pub const fn card(self) -> Option<&'static AlarmCard> {
         match self {

@@ -1,4 +1,4 @@
-//! What a channel is: a service of shared memory through which frames go, each a header and rows.
+//! Channels: services of shared memory that carry frames, each a header and rows.
 //!
 //! A channel is declared once, here or in another crate. Ports, captures, links and simulations
 //! follow from the declaration.

@@ -24,7 +24,7 @@ bits! {
 }
 
 rows! {
-    /// What a plan of one robot starts from. 208 bytes.
+    /// State from which plans of one robot start. 208 bytes.
     ///
     /// While the robot's next sample is overdue, lag window and reading age include `open_steps`
     /// periods that the model bridged with its own forecasts, as the forecast published in the same

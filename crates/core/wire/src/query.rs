@@ -80,7 +80,7 @@ bits! {
         pub const HEADING: u32 = 1 << 1;
         /// One robot's: the power of every step is wanted.
         pub const POWER: u32 = 1 << 2;
-        /// Of an acknowledgement: the level that the robot has now is its own from here on.
+        /// For an acknowledgement: the robot's present level is its own from now on.
         pub const NEW_NORMAL: u32 = 1 << 3;
         /// All bits of a question about a plan that this version knows.
         pub const ALL: u32 = RETURN | HEADING | POWER;

@@ -24,7 +24,7 @@ pub struct AlarmRecord {
     /// The acknowledgement since it was raised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acknowledged: Option<AcknowledgedRecord>,
-    /// What it means and what to do, for a raise only.
+    /// The meaning and the remedy, for a raise only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub card: Option<CardRecord>,
 }
@@ -46,16 +46,16 @@ impl AcknowledgedRecord {
     }
 }
 
-/// What an alarm means: an [`AlarmCard`] as JSON.
+/// The meaning of an alarm: an [`AlarmCard`] as JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CardRecord {
     /// Name of the alarm.
     pub alarm: &'static str,
     /// ok, warn, error or stale.
     pub level: &'static str,
-    /// What is the case while it is raised.
+    /// The condition while it is raised.
     pub meaning: &'static str,
-    /// What to look at.
+    /// Things to look at, the likeliest cause first.
     pub check: &'static str,
     /// Keys of the configuration that decide when it is raised.
     pub keys: &'static [&'static str],

@@ -57,7 +57,7 @@ struct BridgeReport {
     not_written: u64,
     /// Messages and values that could not be mapped.
     unmapped: Vec<UnmappedRecord>,
-    /// What robots report that is implausible.
+    /// Implausible reports of robots.
     implausible: Vec<Implausible>,
 }
 

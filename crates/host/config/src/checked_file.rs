@@ -86,7 +86,7 @@ impl CheckedFile {
         Ok(Self { file, values, problems })
     }
 
-    /// What stands outside of all sections.
+    /// The keys outside of all sections.
     #[must_use]
     pub fn root(&self) -> Section<'_> {
         Section { values: &self.values, path: self.file.root().to_owned(), name: "*" }

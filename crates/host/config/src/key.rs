@@ -153,7 +153,7 @@ pub enum TextRule {
     Level,
     /// 1 to 64 letters, digits, `-`, `_` and `.`.
     Link,
-    /// What the keys of etcd begin with.
+    /// Prefixes of etcd's keys.
     Prefixes,
     /// The path of a file, relative to the file that names it.
     File,
@@ -198,7 +198,8 @@ impl Key {
         }
     }
 
-    /// What follows `path` in the key's own: empty for the key itself, `None` if it is not below.
+    /// The rest of the key's path after `path`: empty for the key itself, `None` if it is not
+    /// below.
     pub(crate) fn below(&self, path: &str) -> Option<&'static str> {
         if path.is_empty() {
             return Some(self.path);

@@ -28,7 +28,7 @@ pub fn sync_directory(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
-/// What a file is known by, whatever its name: device and inode.
+/// Identity of a file, whatever its name: device and inode.
 pub type FileId = (u64, u64);
 
 /// Creates a file whose every write goes to its end.
@@ -59,7 +59,8 @@ pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
     }
 }
 
-/// What distinguishes a file from one that has replaced it: inode, and time of modification.
+/// Version of a file, to distinguish it from one that has replaced it: inode, and time of
+/// modification.
 pub type Version = (u64, i64, i64);
 
 /// The version of the file of that name.

@@ -10,14 +10,14 @@ pub const HEAD_BYTES: u64 = 512;
 /// A kind of file that is not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Foreign {
-    /// What it is, as in "found …".
+    /// The kind of file, as in "found …".
     pub what: &'static str,
     /// How it becomes a file that is read.
     pub remedy: &'static str,
 }
 
 impl Foreign {
-    /// What it is, for whoever reads other things than tables: with a remedy that applies to them.
+    /// The kind of file with a remedy, for readers of other contents than tables.
     pub fn of_any_contents(&self) -> String {
         match self.remedy.contains("csv") {
             true => self.what.to_owned(),
@@ -158,7 +158,7 @@ const KINDS: [Kind; 50] = [
 const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', \
     index=False)`, without `lines` for one list";
 
-/// What a file is that begins with `head`, if it is none of text or of an unknown kind. At least
+/// Recognises a file by its beginning `head`, unless it is text or of an unknown kind. At least
 /// [`HEAD_BYTES`] are looked at, if the file has them. Whoever reads one of these kinds looks for
 /// it before.
 pub fn recognise(head: &[u8]) -> Option<Foreign> {
@@ -207,7 +207,7 @@ fn is_mat_4(head: &[u8]) -> bool {
     is_of(false) || is_of(true)
 }
 
-/// What a file is, if it is of one of the kinds and can be read.
+/// Recognises a file, if it is of one of the kinds and can be read.
 pub fn of_file(path: &Path) -> Option<Foreign> {
     let mut head = Vec::new();
     let file = crate::open(path).ok()?;

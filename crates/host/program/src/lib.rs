@@ -1,4 +1,4 @@
-//! What all joulebus programs share: arguments, output, exit codes, signals and logging.
+//! The shared part of all joulebus programs: arguments, output, exit codes, signals and logging.
 //!
 //! A part of the programs `joulebus`, `joulebus-lab`, `joulebus-serve`, `joulebus-link`,
 //! `joulebus-bridge` and `joulebus-rosbag`. It is not for use on its own.

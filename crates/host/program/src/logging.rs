@@ -28,7 +28,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// What a program hears of its libraries' logs, whatever is shown of them.
+/// Libraries' log messages that a program reads itself, whether or not they are shown.
 #[derive(Debug, Clone, Copy)]
 pub struct Overheard {
     /// Beginnings of targets, with their levels.
@@ -91,7 +91,7 @@ fn by_verbosity(verbose: u8) -> Targets {
         .with_target(ALARMS, level.max(LevelFilter::INFO))
 }
 
-/// Which events are shown: those of `levels` that the program does not say otherwise.
+/// The events that are shown: those of `levels` that the program does not report otherwise.
 struct Levels {
     levels: Targets,
     overheard: Option<Overheard>,

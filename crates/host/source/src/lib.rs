@@ -1,5 +1,5 @@
-//! What the programs share that are sources of samples: a publisher that finds a worker, follows
-//! its answers, and reports the fate of the samples.
+//! The shared part of programs that are sources of samples: a publisher that finds a worker,
+//! follows its answers, and reports the fate of the samples.
 //!
 //! A part of the programs `joulebus` (`publish sim`, `replay`) and `joulebus-lab` (`publish
 //! trial`). A controller of your own uses `joulebus-publisher`.

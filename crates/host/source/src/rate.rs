@@ -50,7 +50,7 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
 pub enum Rate {
     /// This many times as fast as recorded.
     Times(f64),
-    /// As fast as the worker answers.
+    /// The rate at which the worker answers.
     Max,
 }
 

@@ -387,7 +387,8 @@ pub fn assign_unread_leaving_out(
     by_unit(sources, split.by, parts, name)
 }
 
-/// Which sources a shift leaves out: those of a group, a folder, a robot or a trial of these names.
+/// Finds the sources that a shift leaves out: those of a group, a folder, a robot or a trial of
+/// these names.
 ///
 /// # Errors
 /// [`SplitError`]: a name that none has, or none is left.

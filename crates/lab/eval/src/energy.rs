@@ -88,7 +88,7 @@ struct Scored {
     forecasts_j: [f64; FORECASTS.len()],
     /// Lower and upper end.
     interval_j: Option<[f64; 2]>,
-    /// Those of the outlook.
+    /// The ends of the outlook's interval, J.
     outlook_interval_j: Option<[f64; 2]>,
 }
 

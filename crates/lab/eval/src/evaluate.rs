@@ -55,7 +55,7 @@ pub enum EvaluateError {
     Settings(#[from] SettingsError),
 }
 
-/// Whose forecasts are published, and so scored.
+/// The origin of the forecasts that are published, and so scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forecast {
@@ -110,7 +110,7 @@ pub struct RobotEvaluation {
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// Whose forecasts these are.
+    /// The origin of these forecasts.
     pub forecast: Forecast,
     /// One entry per sample, in order.
     pub steps: Vec<Step>,

@@ -128,7 +128,7 @@ pub fn judge(
     judge_from(network, platform, settings, &from_start)
 }
 
-/// As [`judge`], of forecasts from a row of each trial on: the rows before it only teach.
+/// Same as [`judge`], of forecasts from one row of each trial on. The rows before it only teach.
 ///
 /// # Errors
 /// As [`judge`].

@@ -27,7 +27,7 @@ pub enum Colour {
 }
 
 impl Serialize for Colour {
-    /// As `#RRGGBB` on a light background.
+    /// Writes `#RRGGBB`, the colour on a light background.
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.serialize_str(&Self::hex(self.light()))
     }
@@ -77,7 +77,7 @@ impl Colour {
         }
     }
 
-    /// As `#RRGGBB`, the notation in the drawings.
+    /// Formats a colour as `#RRGGBB`, the notation in the drawings.
     pub fn hex([red, green, blue]: [u8; 3]) -> String {
         format!("#{red:02X}{green:02X}{blue:02X}")
     }

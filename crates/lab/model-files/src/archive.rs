@@ -52,7 +52,7 @@ pub(super) fn read(container: Container, bytes: &[u8]) -> Result<Vec<Member>, Re
     Ok(members)
 }
 
-/// What an archive is that has neither a pickle of PyTorch nor arrays, and how its model is saved.
+/// Names an archive that has neither a pickle of PyTorch nor arrays, and the way to save its model.
 pub(super) fn foreign(members: &[Member]) -> Option<String> {
     let has = |name: &str| {
         let mut members = members.iter();

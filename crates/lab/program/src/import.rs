@@ -93,7 +93,7 @@ struct Recording {
 #[derive(Debug, Serialize)]
 struct ImportReport {
     sources: Vec<Source>,
-    /// What is implausible, but no reason to stop.
+    /// Implausible findings that are no reason to stop.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     implausible: Vec<Judged>,
     /// Files written.

@@ -84,7 +84,7 @@ impl AcceptArguments {
         Ok(own)
     }
 
-    /// What a platform's config says of its recordings, for the same option.
+    /// The same option as a setting of a platform's config.
     pub(crate) fn assignment(&self) -> Option<Assignment> {
         let kinds = self.kinds();
         (!kinds.is_empty()).then(|| Assignment::text("recordings.accept", &kinds, GIVEN))
@@ -131,7 +131,7 @@ impl AcceptArguments {
         self.settle(found, all)
     }
 
-    /// What is implausible in a trial, for [`AcceptArguments::settle`].
+    /// Implausible findings of a trial, for [`AcceptArguments::settle`].
     pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
         let notes = trial.notes();
         self.say_of_lines(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
@@ -233,7 +233,7 @@ impl AcceptArguments {
     }
 }
 
-/// What the short ones of some trials show together, where none shows it by itself.
+/// Findings that short trials show together, where none shows them by itself.
 fn together<'a>(
     found: &[Vec<Implausible>],
     trials: impl IntoIterator<Item = &'a Trial>,

@@ -97,7 +97,7 @@ impl ColumnArguments {
         Ok(own)
     }
 
-    /// What a platform's config says of its recordings, for the same options.
+    /// The same options as settings of a platform's config.
     pub(crate) fn assignments(&self) -> Vec<Assignment> {
         let mut stated = Vec::new();
         if !self.map.is_empty() {

@@ -37,7 +37,7 @@ impl FromStr for Named {
 }
 
 impl ReferenceArguments {
-    /// Those that need no other program, and the named ones.
+    /// The references that need no other program, and the named ones.
     ///
     /// # Errors
     /// A file cannot be read or is no forecasts.

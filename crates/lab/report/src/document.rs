@@ -48,7 +48,7 @@ pub enum Part {
 pub struct Table {
     /// Its id in the document: lower-case letters, digits and hyphens.
     pub id: String,
-    /// What it shows.
+    /// Caption, which states what the figure shows.
     pub caption: String,
     /// Its columns.
     pub columns: Vec<Column>,

@@ -24,7 +24,7 @@ pub struct Recorded<'a> {
     pub models: &'a [Model],
     /// The evaluated recordings.
     pub recordings: &'a [Recording],
-    /// Which of their rows are evaluated, and which the baselines are fitted on. Those that a model
+    /// The rows that are evaluated, and those that the baselines are fitted on. Those that a model
     /// was trained on are scored apart.
     pub design: &'a Design,
     /// Forecasters to compare with, beside persistence and the linear baselines.

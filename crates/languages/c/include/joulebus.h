@@ -43,7 +43,7 @@
 /** The release of this header. */
 #define JOULEBUS_VERSION "0.1.0"
 
-/** What opening a handle checks: header and library must be of one release. */
+/** Checked when a handle is opened: header and library must be of one release. */
 #define JOULEBUS_HEADER "0.1.0, schema 4"
 
 /** v_mps is known. */
@@ -146,7 +146,7 @@
 #define JOULEBUS_QUERY_HEADING 0x2u
 /** One robot's: the power of every step is wanted. */
 #define JOULEBUS_QUERY_POWER 0x4u
-/** Of an acknowledgement: the level that the robot has now is its own from here on. */
+/** For an acknowledgement: the robot's present level is its own from now on. */
 #define JOULEBUS_QUERY_NEW_NORMAL 0x8u
 /** All bits of a question about a plan that this version knows. */
 #define JOULEBUS_QUERY_ALL 0x7u
@@ -662,7 +662,7 @@ typedef struct joulebus_outlook_header {
 } joulebus_outlook_header;
 
 /**
- * What a plan of one robot starts from. 208 bytes.
+ * State from which plans of one robot start. 208 bytes.
  * While the robot's next sample is overdue, lag window and reading age include open_steps periods
  * that the model bridged with its own forecasts, as the forecast published in the same tick does.
  */
@@ -906,7 +906,7 @@ typedef struct joulebus_answer_row {
 
 
 /**
- * What a call returns.
+ * Result of a call.
  */
 enum joulebus_error
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -983,7 +983,7 @@ typedef int32_t joulebus_error;
 #endif // __cplusplus
 
 /**
- * What happened.
+ * Kinds of events.
  */
 enum joulebus_event_kind
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -1198,7 +1198,7 @@ typedef struct joulebus_sent {
 } joulebus_sent;
 
 /**
- * What a publisher has done.
+ * Counts of a publisher.
  */
 typedef struct joulebus_publisher_counts {
     /**
@@ -1259,7 +1259,7 @@ typedef struct joulebus_forecasts {
  */
 typedef struct joulebus_event {
     /**
-     * What happened.
+     * Kind of the event.
      */
     joulebus_event_kind kind;
     /**
@@ -1331,7 +1331,7 @@ typedef struct joulebus_outlooks {
 } joulebus_outlooks;
 
 /**
- * What a subscriber has read.
+ * Status of a subscriber.
  */
 typedef struct joulebus_subscriber_status {
     /**
@@ -1671,7 +1671,7 @@ joulebus_error joulebus_publisher_publish(struct joulebus_publisher *publisher,
                                           struct joulebus_sent *sent);
 
 /**
- * As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for
+ * Same as joulebus_publisher_publish, for samples with the caller's own numbers and stamps: for
  * recordings and simulations. Do not mix both for the same robot: seq and stamp_ns of each must
  * increase strictly.
  */
@@ -1682,7 +1682,7 @@ joulebus_error joulebus_publisher_publish_samples(struct joulebus_publisher *pub
                                                   struct joulebus_sent *sent);
 
 /**
- * What the publisher has done.
+ * Reads the publisher's counts.
  */
 joulebus_error joulebus_publisher_get_counts(struct joulebus_publisher *publisher,
                                              struct joulebus_publisher_counts *counts);

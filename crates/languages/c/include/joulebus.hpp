@@ -32,7 +32,7 @@ namespace joulebus {
 struct Error {
     /** The code. */
     joulebus_error code;
-    /** What was found, what is allowed, what to do. */
+    /** The found value, the allowed values, and the remedy. */
     std::string message;
 };
 
@@ -731,7 +731,7 @@ template <class Ask> Result<Answers> answered(const Question &question, Ask ask)
 
 } // namespace detail
 
-/** What plans cost, computed in this process. Belongs to one thread. */
+/** Answers about the cost of plans, computed in this process. Belongs to one thread. */
 class Questions {
 public:
     /** Joins the fleet of a config file, and loads its models. */

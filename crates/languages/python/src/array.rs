@@ -171,7 +171,7 @@ pub(crate) fn array<'py, T: Element + Copy>(
     }
 }
 
-/// As in NumPy's messages: `(1000, 11)`.
+/// Formats a shape as NumPy's messages do: `(1000, 11)`.
 pub(crate) fn shape_text(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),

@@ -1,4 +1,4 @@
-//! What `joulebus.demo()` runs: a worker in a thread, and simulated robots as columns.
+//! The demo of `joulebus.demo()`: a worker in a thread, and simulated robots as columns.
 
 use std::path::PathBuf;
 use std::sync::Mutex;

@@ -77,7 +77,8 @@ impl EnergyPredictor {
         self.advance(v_cmd, w_cmd, None)
     }
 
-    /// As `step`. The next one continues with `measured_power` (mW), or if NaN with the forecast.
+    /// Same as `step`. The next one continues with `measured_power` (mW), or if NaN with the
+    /// forecast.
     fn step_with_correction<'py>(
         &mut self,
         v_cmd: &Bound<'py, PyAny>,

@@ -61,7 +61,7 @@ fn models(given: &Bound<'_, PyAny>) -> PyResult<Vec<Model>> {
     given.try_iter()?.map(model).collect()
 }
 
-/// Which rows are evaluated, and which the baselines are fitted on.
+/// The rows that are evaluated, and those that the baselines are fitted on.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Choice {

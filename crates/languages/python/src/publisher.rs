@@ -23,10 +23,10 @@ type Counts = (u64, u64, usize, u64);
 pub(crate) struct PublisherPort {
     /// Empty after closing.
     thread: PortThread<Option<Port>>,
-    /// What it has warned of: once each.
+    /// Warnings that it has given, once each.
     warned: Mutex<BTreeSet<(u32, &'static str)>>,
     judgement: Mutex<Judgement>,
-    /// What is implausible and not told yet: a send may fail, and a warning may be an error.
+    /// Implausible findings not reported yet. A send may fail, and a warning may be an error.
     untold: Mutex<VecDeque<String>>,
 }
 

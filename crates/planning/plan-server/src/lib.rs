@@ -187,7 +187,7 @@ struct Answering {
     server: Option<Server>,
     begun_ns: u64,
     counts: QueryCounts,
-    /// What was acknowledged when the ports were lost.
+    /// Alarms that were acknowledged when the ports were lost.
     table: Table,
     failures: u32,
 }

@@ -83,7 +83,8 @@ impl PlanClient {
         Self::with_config(&Config::load(config_path)?, "plan-client")
     }
 
-    /// As [`PlanClient::connect`], with a loaded config, and a name that is shown to operators.
+    /// Same as [`PlanClient::connect`], with a loaded config, and a name that is shown to
+    /// operators.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -133,8 +134,8 @@ impl PlanClient {
         asked.answered(&answer, &words).map(drop)
     }
 
-    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. Gives up
-    /// an earlier question.
+    /// Sends a question and does not wait: [`PlanClient::poll`] returns the answer. Gives up an
+    /// earlier question.
     ///
     /// # Errors
     /// [`ClientError`]. [`QueryError::NotServed`] also if the worker is just starting: ask again.

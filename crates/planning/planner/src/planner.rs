@@ -87,7 +87,7 @@ impl Planner {
         Self::with_config(&Config::load(config_path)?, "planner")
     }
 
-    /// As [`Planner::connect`], with a loaded config, and a name that is shown to operators.
+    /// Same as [`Planner::connect`], with a loaded config, and a name that is shown to operators.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -97,7 +97,7 @@ impl Planner {
         Self::with_fleet(config, name, fleet)
     }
 
-    /// As [`Planner::with_config`], with models that are loaded already.
+    /// Same as [`Planner::with_config`], with models that are loaded already.
     ///
     /// # Errors
     /// [`ConnectError`].

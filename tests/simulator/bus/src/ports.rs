@@ -26,7 +26,7 @@ type Received<C> = Rc<Sent<C>>;
 #[derive(Debug, Clone)]
 struct Member;
 
-/// As in the real reader.
+/// The limit of the real reader.
 const MAX_PASSED_OVER: u32 = 4_096;
 
 fn refused(service: Service, reason: &str) -> OpenError {

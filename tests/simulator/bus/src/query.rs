@@ -270,7 +270,7 @@ impl QueryClient {
         Err(QueryError::Send { reason: "programs of the simulator send, and poll".to_owned() })
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     pub fn send(&mut self, header: QueryHeader, values: &[f64]) -> Result<(), QueryError> {
         host::operation();
         self.give_up();
@@ -310,7 +310,7 @@ impl QueryClient {
         Ok(())
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     pub fn poll(
         &mut self,
         deadline_ns: u64,

@@ -12,7 +12,7 @@ use crate::ports::Open;
 use crate::queues::{Waiting, with};
 use crate::{Bus, Limits, OpenError, PeerWatch, WaitError, Woken};
 
-/// As of the real waiter.
+/// The limit of the real waiter.
 const MAX_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
@@ -197,17 +197,17 @@ impl Poller {
 pub struct Readiness {}
 
 impl Readiness {
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     pub fn new() -> io::Result<Self> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     pub fn of(_waiter: &Waiter) -> io::Result<Self> {
         Self::new()
     }
 
-    /// As in `joulebus-bus`.
+    /// Same as in `joulebus-bus`.
     pub const fn watch(&self, _peer: &PeerWatch) -> io::Result<()> {
         Ok(())
     }

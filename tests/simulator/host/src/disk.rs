@@ -296,7 +296,7 @@ pub fn is_file(path: &Path) -> bool {
     exists(path)
 }
 
-/// What a file is known by, whatever its name.
+/// Identity of a file, whatever its name.
 pub type FileId = u64;
 
 /// Creates a file; all files are written at their end.
@@ -327,7 +327,7 @@ pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
     })
 }
 
-/// What distinguishes a file from one that has replaced it.
+/// Version of a file, to distinguish it from one that has replaced it.
 pub type Version = u64;
 
 /// The version of the file of that name.

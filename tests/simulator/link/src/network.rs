@@ -14,7 +14,7 @@ use joulebus_simulated_host::{self as host, memory::outside, time};
 use crate::protocol::carried::Kind;
 use crate::wall_clock::WallClock;
 
-/// As of the real inbox.
+/// The limit of the real inbox.
 const MAX_QUEUED: usize = 256;
 const MAX_QUEUED_LONGEST: usize = 4;
 
@@ -109,7 +109,7 @@ impl Queue {
     }
 }
 
-/// As of the real network.
+/// An event of the network, as the real one has them.
 #[derive(Debug)]
 pub(crate) enum Event {
     Message { from: Arc<str>, bytes: Bytes, arrived_ns: u64 },

@@ -1,4 +1,4 @@
-//! What happens to hosts.
+//! Faults of hosts.
 
 use simulated_host::disk;
 use simulated_link::Access;

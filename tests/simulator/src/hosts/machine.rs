@@ -34,7 +34,7 @@ pub(super) struct Seen {
     pub digest: u64,
 }
 
-/// What has happened on a host since the last report.
+/// Events of a host since the last report.
 #[derive(Debug, Default)]
 pub(super) struct Report {
     /// When the next step is due, simulated ns.
@@ -74,7 +74,7 @@ struct Observer {
     _bus: Bus,
 }
 
-/// What a planner was told.
+/// The state of the worker as a planner knows it.
 #[derive(Default)]
 struct Told {
     /// Its newest frame: the process, run and tick of its worker.

@@ -222,7 +222,7 @@ pub(crate) fn bits(config: &Config, count: u64) -> Done {
     print_line(&AskerLine::Done { answered: compared })
 }
 
-/// As bits.
+/// Compares two replies by their bits.
 fn same(one: &Reply, other: &Reply) -> bool {
     let words = |reply: &Reply| {
         let (mut header, mut words) = (joulebus_wire::AnswerHeader::default(), Vec::new());

@@ -90,8 +90,8 @@ pub fn models() -> Vec<Model> {
     models_of([FeatureSet::Full, FeatureSet::PowerOnly])
 }
 
-/// As [`models`], with a given kernel and instruction set; unchanged if this processor does not
-/// support it.
+/// Same as [`models`], with a given kernel and instruction set. Unchanged if this processor does
+/// not support it.
 pub fn models_on(kernel: Kernel) -> Vec<Model> {
     let on = |model: Model| match model {
         Model::Network(network) => {
@@ -103,7 +103,7 @@ pub fn models_on(kernel: Kernel) -> Vec<Model> {
     models().into_iter().map(on).collect()
 }
 
-/// As [`models`], reading the reading age too.
+/// Same as [`models`], reading the reading age too.
 pub fn fresh_models() -> Vec<Model> {
     models_of([FeatureSet::Freshness, FeatureSet::PowerFreshness])
 }
@@ -117,7 +117,7 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
     ]
 }
 
-/// As [`settings`], with all forecasts learning online.
+/// Same as [`settings`], with all forecasts learning online.
 pub fn learning(capacity: u32) -> FleetSettings {
     let mut settings = settings(capacity);
     for platform in &mut settings.platforms {
@@ -131,7 +131,7 @@ pub fn fleet(capacity: u32) -> Fleet {
     fleet_of(capacity, models())
 }
 
-/// As [`fleet`], with other models.
+/// Same as [`fleet`], with other models.
 pub fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
     Fleet::new(settings(capacity), models).expect("the settings are consistent")
 }
@@ -276,7 +276,7 @@ pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
     fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
 }
 
-/// What plans of a robot that is there start from.
+/// The state from which plans of a present robot start.
 ///
 /// # Panics
 /// It is not.

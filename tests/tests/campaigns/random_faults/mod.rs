@@ -218,7 +218,8 @@ impl<'a> Fleet<'a> {
         }
     }
 
-    /// As [`Self::kill_while_starting`], with so little memory that the kernel may kill it first.
+    /// Same as [`Self::kill_while_starting`], with so little memory that the kernel may kill it
+    /// first.
     fn start_with_little_memory(&mut self, at: usize, dice: &mut Dice) {
         let most = (2 + dice.below(40)) << 20;
         let Some(group) = LittleMemory::create(most) else {

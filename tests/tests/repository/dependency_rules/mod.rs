@@ -40,7 +40,7 @@ fn crates() -> PathBuf {
 
 /// A package with sources of its own.
 struct Member {
-    /// As in ARCHITECTURE.md: the package's name without `joulebus-`, `cli` and `benches`.
+    /// The name in ARCHITECTURE.md: the package's name without `joulebus-`, `cli` and `benches`.
     name: String,
     directory: PathBuf,
     manifest: String,

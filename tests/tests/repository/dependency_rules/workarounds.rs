@@ -23,7 +23,7 @@ fn root() -> PathBuf {
     crates().parent().unwrap().to_owned()
 }
 
-/// What a cell quotes in backticks.
+/// The words in backticks of a cell.
 fn quoted(cell: &str) -> impl Iterator<Item = String> {
     cell.split('`').skip(1).step_by(2).map(str::to_owned)
 }

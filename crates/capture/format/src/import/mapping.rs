@@ -11,7 +11,7 @@ use super::channel::Channel;
 use super::error::ImportError;
 use joulebus_ros_messages::RosType;
 
-/// Which time of a message is used.
+/// The source of a message's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimeSource {
@@ -80,7 +80,7 @@ const fn one() -> f64 {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
-    /// Which time is used.
+    /// The source of times.
     #[serde(default)]
     pub time: TimeSource,
     /// Readings within this time are one burst, of which the last is used, s. 0 keeps all.
@@ -240,8 +240,8 @@ pub(super) fn choose(
 /// Namespaces of the parts of a robot.
 const PARTS: [&str; 6] = ["batter", "bms", "power", "base", "platform", "driver"];
 
-/// What a robot is called by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A
-/// number tells robots apart, and no part of a robot is one.
+/// Names a robot by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A number
+/// tells robots apart, and no part of a robot is one.
 fn robot_name<'a>(battery: &'a str, channels: &[Channel]) -> Option<&'a str> {
     let all = folders(battery);
     let is_ours = |topic: &&str| {

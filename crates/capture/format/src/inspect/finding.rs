@@ -22,6 +22,6 @@ pub struct Finding {
     /// Its location. `None` if it concerns the whole file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place: Option<RecordLocation>,
-    /// What was found and what is allowed.
+    /// The found and the allowed value, in words.
     pub what: String,
 }

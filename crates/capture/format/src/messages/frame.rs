@@ -247,7 +247,7 @@ impl Message {
         self.get_mut()
     }
 
-    /// As [`Message::frame`], without a copy.
+    /// Same as [`Message::frame`], without a copy.
     ///
     /// # Errors
     /// The message, if it is another.

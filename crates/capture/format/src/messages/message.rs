@@ -96,7 +96,7 @@ impl Message {
         content.downcast_ref()
     }
 
-    /// As [`Message::get`], without a copy.
+    /// Same as [`Message::get`], without a copy.
     ///
     /// # Errors
     /// The message, if its contents are others.

@@ -17,7 +17,7 @@ pub enum ScanError {
     /// The file has wrong magic bytes at its start.
     #[error("byte 0: found {found}, an MCAP file begins with {:02x?}", mcap::MAGIC)]
     NotMcap {
-        /// What it is, or its first bytes, at most eight.
+        /// The kind of file that it is, or its first bytes, at most eight.
         found: String,
     },
     /// The file is truncated.

@@ -252,7 +252,7 @@ fn recorded(seed: u64, ticks: u64) -> Vec<Message> {
     simulation.sent
 }
 
-/// As written by a recorder: numbered by channel.
+/// Numbers messages by channel, as a recorder does.
 fn entries(messages: Vec<Message>) -> Vec<Entry> {
     let mut sequences: HashMap<MessageKind, u32> = HashMap::new();
     let entry = |(place, message): (usize, Message)| {

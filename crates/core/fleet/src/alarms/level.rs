@@ -86,7 +86,7 @@ const GROWTH: f32 = 2.0;
 const HIGH: u32 = AlarmSet(0).with(Alarm::LevelHigh).0;
 const LOW: u32 = AlarmSet(0).with(Alarm::LevelLow).0;
 
-/// What the levels of a platform's robots are judged by.
+/// Rules for the levels of a platform's robots.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LevelRules {
     limit: f32,
@@ -183,7 +183,7 @@ block! {
     }
 }
 
-/// What a robot's own level expects.
+/// The expectation of a robot's own level.
 struct Expected {
     slope: f32,
     slope_variance: f32,

@@ -43,7 +43,7 @@ impl SharedErrors {
         Self { calibration: Calibration::new(model), counts: ErrorCounts::default() }
     }
 
-    /// What forecasts of this tick are made with.
+    /// The errors that forecasts of this tick use.
     #[inline(always)]
     pub(crate) fn platform(&self) -> &PlatformErrors {
         self.calibration.platform()

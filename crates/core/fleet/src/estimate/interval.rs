@@ -49,9 +49,9 @@ pub(crate) struct QuantileStep {
 /// Factors that multiply an end's factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct EndStep {
-    /// If it was missed. Above 1.
+    /// Factor after a miss. Above 1.
     grow: f32,
-    /// If it was not. Below 1.
+    /// Factor after a hit. Below 1.
     shrink: f32,
 }
 

@@ -161,7 +161,7 @@ impl Members {
         })
     }
 
-    /// What the initial losses of a robot of this mean power depend on.
+    /// The inputs of the initial losses of a robot of this mean power.
     #[inline(always)]
     pub(crate) fn start(&self, mean_w: f32) -> Start {
         Start::new([self.least_w, self.most_w], self.sceptic_loss, mean_w)
@@ -181,12 +181,12 @@ impl Members {
     }
 }
 
-/// What initial losses depend on.
+/// Inputs of initial losses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Start {
     /// Whether the model was trained on nothing like a robot of this mean power.
     unlike: bool,
-    /// Of the sceptical stack, in r².
+    /// Loss of the sceptical stack, in r².
     sceptic_loss: f32,
 }
 
@@ -198,7 +198,7 @@ impl Start {
     }
 }
 
-/// What a [`Start`] depends on, of a block.
+/// The inputs of each [`Start`] of a block.
 pub(crate) struct StartLanes {
     least_w: Lanes<f32>,
     most_w: Lanes<f32>,
@@ -216,7 +216,7 @@ impl StartLanes {
         self.sceptic_loss[lane] = members.sceptic_loss;
     }
 
-    /// Of the robot in a lane, of this mean power.
+    /// The start of the robot in a lane, of this mean power.
     #[inline(always)]
     pub(crate) fn of(&self, lane: usize, mean_w: f32) -> Start {
         let range_w = [self.least_w[lane], self.most_w[lane]];
@@ -231,7 +231,7 @@ fn within(value: f32, most: f32) -> f32 {
     value.max(-most).min(most)
 }
 
-/// What a robot's forecast has learned from its readings.
+/// A robot's learned forecast state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Learned {
     /// The network's own forecast of the next reading, W. NaN before the first.
@@ -264,7 +264,7 @@ pub(crate) struct LearnedColumns {
 }
 
 impl LearnedColumns {
-    /// Of robots that do not learn: all NaN.
+    /// The state of robots that do not learn: all NaN.
     pub(crate) const NONE: Self = Self {
         network_w: [f32::NAN; LANES],
         mean_w: [f32::NAN; LANES],
@@ -616,7 +616,7 @@ impl Online {
     }
 }
 
-/// What the robots of a block have learned.
+/// Learned state of the robots of a block.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(16))]
 pub(crate) struct OnlineLanes {

@@ -55,7 +55,7 @@ struct Robot {
     interval: ConformalInterval,
 }
 
-/// What the robots have learned. The lanes of the last block that are beyond `robots` are unused.
+/// Learned state of the robots. The lanes of the last block that are beyond `robots` are unused.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Columns {
     robots: usize,
@@ -187,7 +187,7 @@ impl OnlineForecasts {
         made
     }
 
-    /// What a robot's forecast has learned. `None` if robots do not learn online.
+    /// A robot's learned forecast state. `None` if robots do not learn online.
     pub fn learned(&self, robot: usize) -> Option<Learned> {
         let (members, online) = (self.members?, self.columns.get(robot).online);
         Some(online.learned(&online.weights(members.start(online.mean_w))))

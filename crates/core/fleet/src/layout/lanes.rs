@@ -69,8 +69,8 @@ pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
     *place = select_unpredictable(mask, value, kept);
 }
 
-/// As `values.map(to)`, which is not always inlined: then the loop over lanes calls it for each
-/// robot in place of becoming vectors.
+/// Maps an array, always inlined. `values.map(to)` is not always inlined, and then the loop over
+/// lanes calls it for each robot instead of becoming vectors.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
 pub(crate) fn each<T: Copy, U: Copy + Default, const N: usize>(

@@ -200,7 +200,7 @@ macro_rules! columns {
                 }
             }
 
-            /// As [`Columns::block`].
+            /// Same as [`Columns::block`].
             #[inline(always)]
             pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
                 BlockRef {
@@ -236,7 +236,7 @@ columns! {
     }
 }
 
-/// Which optional columns a fleet needs.
+/// The optional columns that a fleet needs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Needed {
     /// A platform learns online.

@@ -27,7 +27,7 @@ fn settings(period_ns: u64) -> FleetSettings {
     settings
 }
 
-/// What is published of the robot in each tick, without instants.
+/// The robot's published values of each tick, without instants.
 type Shown = Option<(Quality, [u32; 6], [u64; 3])>;
 
 fn shown(fleet: &Fleet) -> Shown {

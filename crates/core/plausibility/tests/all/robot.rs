@@ -107,7 +107,7 @@ impl Recording {
     }
 }
 
-/// What is found in rows.
+/// Findings in rows.
 pub(crate) fn judged(known: Known, rows: &[Observation]) -> Vec<Finding> {
     let mut judge = Judge::new(known);
     rows.iter().for_each(|seen| judge.take(seen));

@@ -100,7 +100,7 @@ pub(crate) struct Account {
     news: Vec<String>,
 }
 
-/// What came from a robot on a route.
+/// Messages of a robot on a route.
 #[derive(Debug, Clone, Copy, Default)]
 struct Came {
     messages: u32,

@@ -14,7 +14,7 @@ use crate::mapping::ros::incoming::{BatteryFields, DISCHARGING, Received, RosRou
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Quantity;
 
-/// What becomes of each.
+/// The outcome of each.
 const TABLE: &str = "
 | finding | planted | MQTT, fields | VDA 5050 | ROS 2, BatteryState |
 |---|---|---|---|---|
@@ -33,7 +33,7 @@ const TABLE: &str = "
 
 ";
 
-/// What is planted, and the finding that it is.
+/// Planted faults, each with its finding.
 const PLANTED: [(&str, &str); 12] = [
     ("", "nothing"),
     ("sign", "a current of the other sign"),
@@ -175,7 +175,7 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
     }
 }
 
-/// What becomes of it: the alarm, a word in log and status, or a rule that makes it right.
+/// The outcome of a fault: the alarm, a word in log and status, or a rule that corrects it.
 fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
     let holds = Holds {
         command_ns: 5 * STEP_NS,

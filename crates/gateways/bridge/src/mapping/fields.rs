@@ -95,7 +95,7 @@ impl Flag {
     }
 }
 
-/// Which values a document has, and where.
+/// The values of a document, and their places in it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Fields {
     pub(crate) v: Option<Number>,
@@ -103,7 +103,7 @@ pub(crate) struct Fields {
     pub(crate) vy: Option<Number>,
     pub(crate) omega: Option<Number>,
     pub(crate) power: Option<Number>,
-    /// What `power` measures.
+    /// The flow that `power` measures.
     pub(crate) power_of: PowerOf,
     /// Without `power`, voltage times current is the battery's power.
     pub(crate) power_of_current: bool,

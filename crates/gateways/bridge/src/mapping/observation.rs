@@ -5,11 +5,11 @@
 pub(crate) struct PowerReading {
     /// The power, W, positive out of the battery.
     pub(crate) power_w: f32,
-    /// What the power is of.
+    /// The flow that was measured.
     pub(crate) of: PowerOf,
 }
 
-/// What a power meter measures.
+/// The flow that a power meter measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum PowerOf {

@@ -13,7 +13,7 @@ use crate::mapping::vizier;
 
 /// Number of rounds after which a request counts as unanswered.
 const ROUNDS: u64 = 3;
-/// What some programs write in front of a text.
+/// The mark that some programs write in front of a text.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Numbers that Python and JavaScript write though JSON has none of them: they are not known.
 const NOT_NUMBERS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];

@@ -23,7 +23,7 @@ const OTHER_RATE: f64 = 1.5;
 /// far apart.
 const NEAR_NS: u64 = 10_000_000_000;
 
-/// What the fleet's settings allow a simulated clock.
+/// Limits of the fleet's settings on a simulated clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Allowed {
     /// Step ahead beyond which a robot's samples would be refused.
@@ -75,7 +75,7 @@ pub(crate) struct SimulatedClock {
 #[derive(Debug, Clone, Copy)]
 struct Now {
     sim_ns: u64,
-    /// What is added to a simulated time for its stamp.
+    /// Offset from a simulated time to its stamp, ns.
     offset_ns: i128,
     /// The host's time of the newest step.
     moved_ns: u64,
@@ -142,7 +142,7 @@ impl SimulatedClock {
         }
     }
 
-    /// What there is to say at `host_ns` (monotonic): each change once.
+    /// Describes a change of the clock since the last call, at `host_ns` (monotonic).
     pub(crate) fn news(&mut self, host_ns: u64) -> Option<String> {
         if let Some((from_ns, to_ns)) = self.reset_ns.take() {
             let (from_s, to_s) = (seconds(from_ns), seconds(to_ns));

@@ -213,7 +213,7 @@ pub(super) struct Connection {
     heard: usize,
 }
 
-/// What the broker takes.
+/// Limits of the broker.
 struct Limits {
     unacknowledged: usize,
     packet_bytes: usize,

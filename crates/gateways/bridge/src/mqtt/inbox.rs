@@ -8,7 +8,7 @@ use mqtt5_protocol::{FixedHeader, MqttError, Packet, PacketType};
 /// Room for a message's topic and properties beside its payload, bytes.
 const HEAD_BYTES: usize = 66 << 10;
 
-/// What a broker has sent.
+/// A packet of the broker.
 #[derive(Debug)]
 pub(super) enum Incoming {
     Packet(Packet),

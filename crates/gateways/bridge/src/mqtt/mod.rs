@@ -63,7 +63,7 @@ pub(crate) struct Mqtt {
     /// The topics to subscribe to.
     filters: Vec<String>,
     ask_due_ns: u64,
-    /// What is said at the end. The broker says the first of it if the bridge dies.
+    /// Messages that are sent at the end. The broker sends the first of them if the bridge dies.
     goodbye: Vec<Outgoing>,
     shared: Arc<Shared>,
 }

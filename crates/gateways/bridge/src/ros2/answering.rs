@@ -34,7 +34,7 @@ pub(crate) struct Asked {
     pub(super) request: Received,
 }
 
-/// What requests are answered with.
+/// Parts that answer requests.
 pub(crate) struct Answering {
     pub(crate) config: Config,
     pub(crate) name: String,

@@ -1,4 +1,4 @@
-//! What both middlewares share: the account of messages, and errors.
+//! The shared part of both middlewares: the account of messages, and errors.
 
 use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
@@ -39,7 +39,7 @@ pub(crate) enum Ros2Error {
     Zenoh(anyhow::Error),
 }
 
-/// What both middlewares read, and where messages go.
+/// Routes that both middlewares read, and the receivers of their messages.
 pub(crate) struct Reading {
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) robots: Robots,

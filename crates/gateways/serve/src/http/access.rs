@@ -192,7 +192,7 @@ fn name_of(host: &str) -> &str {
 /// Requests per second of one address or user, and the size of a burst.
 const RATE: f64 = 200.0;
 const BURST: f64 = 1_000.0;
-/// What one refused request without the right token takes of its address's own allowance.
+/// Requests of its address's own allowance that a refused request without the right token costs.
 const COST_OF_REFUSED: f64 = 10.0;
 /// Maximum number of remembered addresses and users. Those with a full allowance are forgotten
 /// first.

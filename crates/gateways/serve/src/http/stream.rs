@@ -15,7 +15,7 @@ use super::view::{View, Window};
 /// are hard to click.
 const HOLD_ORDER_NS: u64 = 2_000_000_000;
 
-/// What a client has already received.
+/// A client, with the events that it has already received.
 #[derive(Debug)]
 pub(super) struct Client {
     view: View,

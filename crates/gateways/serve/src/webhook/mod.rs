@@ -82,7 +82,7 @@ struct Shared {
     ticks_missed: AtomicU64,
 }
 
-/// What became of the requests to a receiver.
+/// The host of a receiver, and counts of the requests to it by outcome.
 #[derive(Debug)]
 struct Counts {
     host: String,

@@ -64,7 +64,7 @@ impl Receiver {
         })
     }
 
-    /// Those of the file of `--webhooks`.
+    /// Reads the receivers of the file of `--webhooks`.
     pub(super) fn read(path: &Path) -> Result<Vec<Self>, ConfigError> {
         let file = CheckedFile::load(path, File::Webhooks)?;
         let root = file.root();

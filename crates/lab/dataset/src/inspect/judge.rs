@@ -22,10 +22,10 @@ const JUDGED: [(Quantity, Column); 6] = [
 /// Something implausible in a trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Implausible {
-    /// What it is.
+    /// The finding.
     #[serde(flatten)]
     pub finding: Finding,
-    /// What to do.
+    /// The remedy.
     pub remedy: String,
     /// The file, and the column in it.
     #[serde(flatten)]
@@ -37,7 +37,7 @@ pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     judge_from(Source::Recording, trial, limits)
 }
 
-/// As [`judge`], with the remedies of another source.
+/// Same as [`judge`], with the remedies of another source.
 pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     let mut judge = Judge::new(known(trial, limits));
     take(&mut judge, trial);

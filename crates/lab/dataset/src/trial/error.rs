@@ -182,7 +182,7 @@ pub enum TrialError {
         path: PathBuf,
         /// Row, from 1.
         row: usize,
-        /// What it is.
+        /// Description of the line.
         what: String,
     },
     /// Required columns are missing.
@@ -327,7 +327,7 @@ pub enum TrialError {
 }
 
 impl TrialError {
-    /// What a failed operation on a file becomes.
+    /// Makes the error of a failed operation on a file.
     pub(crate) fn io(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
         move |source| Self::Io { path: path.to_owned(), source }
     }
@@ -343,7 +343,7 @@ impl TrialError {
         )
     }
 
-    /// What is wrong with the line, without file and remedy.
+    /// The fault of the line, without file and remedy.
     pub(super) fn of_the_line(&self) -> String {
         match self {
             Self::Line { what, .. } => what.clone(),

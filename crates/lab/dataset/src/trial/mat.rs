@@ -82,7 +82,7 @@ struct Variables {
     by_length: BTreeMap<usize, Vec<(String, Vec<f64>)>>,
     /// Numbers in all of them.
     numbers: usize,
-    /// What is no array of numbers.
+    /// Variables that are no arrays of numbers.
     others: Vec<String>,
 }
 

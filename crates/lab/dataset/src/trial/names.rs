@@ -274,7 +274,7 @@ fn plain(name: &str) -> String {
 /// that states none, `power_mW=p1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MappedColumn {
-    /// As it was given.
+    /// The map as it was given.
     text: String,
     quantity: Quantity,
     /// The name in the file, or the value of every row.

@@ -109,7 +109,7 @@ impl Column {
 /// A column of a CSV that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SourceColumn {
-    /// What it holds.
+    /// The quantity that it holds.
     pub column: Column,
     /// Its name in the file.
     pub name: String,

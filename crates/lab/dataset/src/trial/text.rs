@@ -144,7 +144,7 @@ struct Notes {
     left_out: LeftOut,
 }
 
-/// What a line is that is no row.
+/// Describes a line that is no row.
 fn no_row(
     record: &ByteRecord,
     header: &ByteRecord,
@@ -558,7 +558,7 @@ struct Meter {
     /// The beginning of the text, of which `taken` bytes were read.
     head: Vec<u8>,
     taken: usize,
-    /// What happened after the head.
+    /// Error of reading after the head.
     failed: Option<io::Error>,
     ended: bool,
     bytes: u64,
@@ -708,7 +708,7 @@ enum TimeColumns {
 /// Where the value of a column is in a row.
 enum Source {
     Position(usize),
-    /// What every row has.
+    /// A value that every row has.
     Constant(f64),
 }
 

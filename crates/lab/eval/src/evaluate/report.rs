@@ -41,7 +41,7 @@ pub struct PlatformReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// Whose forecasts were scored. `None` without a trial.
+    /// The origin of the scored forecasts. `None` without a trial.
     pub forecast: Option<Forecast>,
     /// Trials.
     pub trials: usize,
@@ -65,7 +65,7 @@ pub struct RobotReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// Whose forecasts were scored.
+    /// The origin of the scored forecasts.
     pub forecast: Forecast,
     /// Quality notes, in one line.
     pub notes: String,

@@ -351,7 +351,7 @@ pub(super) fn fit_lines(
     Ok(lines)
 }
 
-/// What the references have learned in each fold.
+/// Fits the references in each fold.
 ///
 /// # Errors
 /// As [`fit_lines`].

@@ -69,7 +69,7 @@ pub enum ScoreError {
     Foreign {
         /// Its name.
         name: String,
-        /// What is wrong.
+        /// The fault.
         what: String,
     },
     /// A recording could not be read again.

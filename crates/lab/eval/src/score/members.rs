@@ -65,7 +65,7 @@ impl<'a> Member<'a> {
 }
 
 impl Subject<'_> {
-    /// Whose forecast is scored.
+    /// The origin of the forecast that is scored.
     pub(super) fn forecast(&self, model: &Model) -> Forecast {
         // A platform taken from a recording learns online.
         let online = self.platform.is_none_or(|platform| platform.online);

@@ -25,7 +25,7 @@ pub struct Recording {
     file: String,
     /// Notes on the trial's quality, in one line.
     notes: String,
-    /// What is implausible in it.
+    /// Implausible findings of its readings.
     implausible: Vec<Implausible>,
     /// Itself, if it is judged with others as well.
     short: Option<Arc<Trial>>,
@@ -108,7 +108,7 @@ impl Recording {
         }
     }
 
-    /// What is implausible in its readings, errors first.
+    /// Implausible findings of its readings, errors first.
     pub fn implausible(&self) -> &[Implausible] {
         &self.implausible
     }

@@ -32,7 +32,7 @@ pub enum Reference {
 }
 
 impl Reference {
-    /// Those that need no other program.
+    /// The references that need no other program.
     pub const OWN: [Self; 3] = [Self::Mean, Self::Seasonal, Self::Ridge(Terms::AR5_AND_VELOCITIES)];
 }
 
@@ -133,7 +133,7 @@ impl Foreign {
     }
 }
 
-/// What a reference has learned from the rows of a fold.
+/// A reference, fitted to the rows of a fold.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Learned {
     Nothing,
@@ -206,7 +206,7 @@ impl Differences {
         Self { readings: [0.0; 3], at: vec![[0.0; 2]; MAX_SEASON] }
     }
 
-    /// Those of some rows of a trial.
+    /// The sums of some rows of a trial.
     pub(super) fn new(rows: &TrialRows, part: Range<usize>) -> Self {
         let mut found = Self::none();
         for later in part.clone() {

@@ -64,7 +64,7 @@ pub struct ModelReport {
     pub name: String,
     /// Its hash, hexadecimal.
     pub hash: String,
-    /// Whose forecast was scored one tick ahead. Open loop is the network's alone.
+    /// The origin of the forecast that was scored one tick ahead. Open loop is the network's alone.
     pub forecast: Forecast,
     /// Names of the forecast's members in the tables. Empty for a single forecaster.
     pub members: Vec<String>,

@@ -9,7 +9,7 @@ const MAX_ARGUMENTS: usize = 8;
 const MAX_DIMENSIONS: usize = 8;
 
 impl Foreign {
-    /// What a call of it would make.
+    /// The object that a call of the function would make.
     fn made_of(&self, function: Id, arguments: Id) -> Foreign {
         Foreign { at: self.at, name: self.name.clone(), parts: vec![function, arguments] }
     }

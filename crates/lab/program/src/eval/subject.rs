@@ -128,7 +128,7 @@ impl Selection {
         })
     }
 
-    /// What is implausible in the recordings.
+    /// Judges what is implausible in the recordings.
     ///
     /// # Errors
     /// A finding that makes results wrong and is not accepted.

@@ -43,7 +43,7 @@ pub(crate) struct Archive {
     /// Recordings by name.
     recordings: HashMap<String, u32>,
     next: u32,
-    /// What its folders name. Unknown before the first trial.
+    /// Levels that its folders name. Unknown before the first trial.
     levels: Option<Levels>,
     /// Whether a trial may lack some of it.
     is_mixed: bool,
@@ -240,8 +240,8 @@ impl Archive {
         self.recordings.contains_key(name)
     }
 
-    /// What the folders of the archive name, for a trial of the recording `name` that has this.
-    /// pandas and Dask read no archive in which some trials lack a part of it.
+    /// Levels of the archive's folders, for a trial of the recording `name` whose own levels are
+    /// `own`. pandas and Dask read no archive in which some trials lack a part of it.
     ///
     /// # Errors
     /// The trials before have something else.

@@ -104,8 +104,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(report.left_out_lines > 0))
 }
 
-/// What the trials of a recording have for the folders of an archive, by its first rows. `None` if
-/// it cannot be read, which is told when it is exported.
+/// Levels that a recording's first rows have for the folders of an archive. `None` if it cannot be
+/// read, which the export reports.
 fn levels(file: &Path, map: &ColumnMap) -> Option<Levels> {
     if is_capture(file) {
         return Some(Levels::ALL);
@@ -120,7 +120,7 @@ fn levels(file: &Path, map: &ColumnMap) -> Option<Levels> {
     first.filter(|_| matches!(read, Err(None)))
 }
 
-/// What was judged.
+/// Findings, and trials still to be judged.
 #[derive(Default)]
 struct Found {
     implausible: Vec<Vec<Implausible>>,

@@ -8,10 +8,10 @@ use joulebus_program::utc::Utc;
 /// The partition value that engines read as null.
 const NOTHING: &str = "__HIVE_DEFAULT_PARTITION__";
 
-/// What a partition may name, outermost first.
+/// Names that a partition may have, outermost first.
 const NAMES: [&str; 3] = ["fleet", "day", "robot"];
 
-/// Which of fleet, day and robot the folders of an archive name.
+/// The levels that an archive's folders name: fleet, day, robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Levels([bool; 3]);
 
@@ -19,7 +19,7 @@ impl Levels {
     /// All of them.
     pub(crate) const ALL: Self = Self([true; 3]);
 
-    /// Those of a file in an archive.
+    /// The levels of a file in an archive.
     pub(crate) fn of_file(file: &Path) -> Self {
         let text = file.to_string_lossy();
         Self(NAMES.map(|name| text.split('/').any(|part| part.starts_with(&format!("{name}=")))))
@@ -53,7 +53,7 @@ impl Partition {
         Self([escaped(fleet), day, escaped(robot)])
     }
 
-    /// What is known.
+    /// The levels that are known.
     pub(crate) fn levels(&self) -> Levels {
         Levels([0, 1, 2].map(|at| self.0[at].is_some()))
     }

@@ -239,7 +239,7 @@ fn check_width(model: &Model, width: usize) -> Result<(), Failure> {
     Err(Failure::argument(format!("width is {width}, allowed is {allowed}")))
 }
 
-/// What each robot starts from.
+/// The start of each robot's rollout.
 ///
 /// # Safety
 /// If `of.before` is not null, two numbers for each robot lie there.

@@ -80,7 +80,7 @@ pub unsafe extern "C" fn joulebus_publisher_publish(
     })
 }
 
-/// As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for
+/// Same as joulebus_publisher_publish, for samples with the caller's own numbers and stamps: for
 /// recordings and simulations. Do not mix both for the same robot: seq and stamp_ns of each must
 /// increase strictly.
 #[unsafe(no_mangle)]
@@ -98,7 +98,7 @@ pub unsafe extern "C" fn joulebus_publisher_publish_samples(
     })
 }
 
-/// What the publisher has done.
+/// Reads the publisher's counts.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_publisher_get_counts(
     publisher: *mut joulebus_publisher,

@@ -6,7 +6,7 @@ use joulebus_wire::{
     Outlook, OutlookHeader,
 };
 
-/// What a call returns.
+/// Result of a call.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum joulebus_error {
@@ -107,7 +107,7 @@ pub struct joulebus_sent {
     pub refused: u32,
 }
 
-/// What a publisher has done.
+/// Counts of a publisher.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default)]
 pub struct joulebus_publisher_counts {
@@ -178,7 +178,7 @@ pub struct joulebus_outlooks {
     pub count: usize,
 }
 
-/// What happened.
+/// Kinds of events.
 #[repr(u32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum joulebus_event_kind {
@@ -214,7 +214,7 @@ pub enum joulebus_end {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_event {
-    /// What happened.
+    /// Kind of the event.
     pub kind: joulebus_event_kind,
     /// How the worker ended, of JOULEBUS_EVENT_KIND_GONE.
     pub end: joulebus_end,
@@ -238,7 +238,7 @@ pub enum joulebus_worker {
     Gone = 3,
 }
 
-/// What a subscriber has read.
+/// Status of a subscriber.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_subscriber_status {

@@ -290,7 +290,7 @@ fn the_examples_run_and_a_killed_worker_is_told() {
     }
 }
 
-/// What the adapter says of charges and the tasks planned after them.
+/// Lines of the adapter about charges and the tasks planned after them.
 const CHARGES: [&str; 5] = [
     "a charge as planned: go on",
     "a charge that is cancelled at once: plan again",

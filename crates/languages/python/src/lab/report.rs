@@ -25,7 +25,7 @@ pub(crate) struct Report {
 
 #[pymethods]
 impl Report {
-    /// What `report.json` has.
+    /// The contents of `report.json`.
     fn json(&self) -> PyResult<String> {
         json(&self.document)
     }

@@ -111,6 +111,7 @@ fn learn(
         robot.update_rls(&updates.get(lane));
         online.set_stacks(lane, scored[lane], &robot);
     }
+    // All readings count for the sizes, also those whose window cannot be scored.
     for lane in 0..LANES {
         let mut robot = online.get(lane);
         robot.read(&members, last_w[lane], due[lane], samples.power_w[lane]);
@@ -140,6 +141,8 @@ fn observe_energy(
     let mut working_s = *elapsed_s;
     for lane in 0..LANES {
         let sample = samples.get(lane);
+        // On the charger a robot draws other power than at work. Its levels wait, unless they are
+        // still unknown.
         put(&mut working_s[lane], sample.has(sample_flag::CHARGING) & energy.is_settled(lane), 0.0);
         let command = sample.command();
         put(&mut v_mps[lane], command.is_some(), sample.v_mps);

@@ -105,6 +105,8 @@ impl BuildRows<'_, '_> {
         for lane in slots::bits(lanes) {
             let slot = block * LANES + lane;
             let admission = &mut self.columns.admissions[slot];
+            // Robots of several platforms may share a block. Each pass serves one platform, in
+            // ascending order, and finds the next.
             if admission.platform != self.platform {
                 let next = self.found.next.is_none_or(|next| admission.platform < next);
                 if admission.platform > self.platform && next {
@@ -130,6 +132,7 @@ impl BuildRows<'_, '_> {
             irregular: [false; LANES],
             elapsed_ns: [0; LANES],
         };
+        // `&` in place of `&&`: branches would keep the loop from being vectorised.
         for lane in 0..LANES {
             let pending = pending_block.samples.get(lane);
             let elapsed_ns = pending.stamp_ns.saturating_sub(stamp_ns[lane]);
@@ -154,6 +157,8 @@ impl BuildRows<'_, '_> {
             if window.can_close(gap) {
                 step(context, self.columns, slot, &pending, gap, self.batch);
             } else {
+                // Its window needs forecasts over the gap: `bridge` computes them for all such
+                // robots as one batch.
                 self.batch.gaps.push(slot as u32);
             }
         }

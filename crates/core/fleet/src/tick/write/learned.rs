@@ -1,4 +1,4 @@
-//! What the robots of a block have learned, for the diagnostics and the plan states.
+//! Learned state of the robots of a block, for the diagnostics and the plan states.
 
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
@@ -8,7 +8,7 @@ use crate::layout::lanes::{Block as _, LANES, Lanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
 
-/// What the robots of a block have learned.
+/// Learned state of the robots of a block.
 pub(crate) struct LearnedLanes {
     /// Whether the robot's platform learns online.
     learns: Lanes<bool>,

@@ -41,7 +41,7 @@ pub(crate) struct BatteryFields {
     pub(crate) discharge_is_positive: bool,
     /// The unit of `percentage`.
     pub(crate) percentage: Unit,
-    /// What voltage times current is the power of. `None`: not a power.
+    /// The flow whose power is voltage times current. `None`: not a power.
     pub(crate) power_of: Option<PowerOf>,
 }
 

@@ -20,7 +20,7 @@ pub(crate) enum Service {
     Acknowledge,
 }
 
-/// What a request asks of the worker.
+/// A request to the worker.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Request {
     Ask(Question),

@@ -174,7 +174,7 @@ fn what_a_broker_refuses_is_told_with_its_reason() {
     worker.stop();
 }
 
-/// What a broker does with a connection, after the bridge's introduction.
+/// An action of a broker on a connection, after the bridge's introduction.
 enum Act {
     Close,
     Send(&'static [u8]),

@@ -91,7 +91,7 @@ fn shared_memory() -> String {
     for (said, name, value) in [
         ("The release of this header.", "VERSION", format!("\"{version}\"")),
         (
-            "What opening a handle checks: header and library must be of one release.",
+            "Checked when a handle is opened: header and library must be of one release.",
             "HEADER",
             format!("\"{version}, schema {SCHEMA_VERSION}\""),
         ),
