@@ -231,23 +231,40 @@ pub(crate) enum PassError {
 #[cfg(test)]
 mod tests {
     use bytemuck::{bytes_of, cast_slice};
-    use joulebus_bus::{Domain, Limits, WorkerLock};
+    use joulebus_bus::{Domain, WorkerLock};
     use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
     use joulebus_wire::SCHEMA_VERSION;
 
     use super::*;
-    use crate::protocol::carried::RawFrame;
+    use crate::protocol::message::{Body, FleetId, Sender, Worker, read_of};
+    use crate::protocol::offset::shifted;
+    use crate::protocol::receiver::Receiver;
+    use crate::protocol::selection::Selection;
+    use crate::protocol::shards::Shard;
+    use crate::protocol::stream::{LocalFrame, Stream};
 
-    /// A channel that this crate does not name.
+    impl Merged for Signals {
+        fn merged(parts: &[SignalHeader], _: &[SignalHeader]) -> SignalHeader {
+            parts[0]
+        }
+
+        fn silence(_: &mut Signal) {}
+    }
+
+    /// From the sender's stream to readers on the receiver's host, alone and as one of two shards.
     #[test]
-    fn a_frame_of_any_channel_is_written_with_the_times_and_the_place_of_this_host() {
+    fn frames_of_a_channel_that_is_declared_elsewhere_cross_a_link() {
+        const FLEET: FleetId = FleetId { name: 7, shards: 0 };
+        let signals = Carried::of::<Signals>(Carried::ALL.len() as u32 + 1);
+        let channels = [Carried::ALL, &[signals]].concat();
         let root = format!("/dev/shm/joulebus-test-{}-signals", std::process::id());
         let domain = Domain::new("test", root.as_ref(), "jbt_").unwrap();
         let limits = Limits::default();
         let bus = Bus::join(&domain, "link").unwrap();
         let _lock = WorkerLock::acquire(&domain).unwrap();
         let mut reader = bus.reader::<Signals>(&limits).unwrap();
-        let mut writer = bus.writer::<Signals>(&limits).unwrap();
+        let mut port = OutputPort::<Signals>::open(signals, (&bus, &limits), 2).unwrap();
+
         let header = SignalHeader {
             schema: SCHEMA_VERSION,
             worker_epoch: 70,
@@ -256,18 +273,59 @@ mod tests {
             sent_unix_ns: 9,
             ..SignalHeader::default()
         };
-        let row = Signal { robot: 3, stamp_ns: 4_000, level_dbm: -61.5, ..Signal::default() };
-        let mut bytes = bytes_of(&header).to_vec();
-        bytes.extend_from_slice(cast_slice(&[row; 2]));
-        let frame = RawFrame::new(Carried::of::<Signals>(9), 2, 64, &bytes).unwrap();
-        assert_eq!(frame.sent_ns(), 5_000);
-        let accepted = Accepted { frame, offset_ns: -400, term: 0 };
-        pass_on(&mut writer, &accepted, (&mut Runs::default(), 3)).unwrap();
+        let rows = [2, 3].map(|robot| Signal { robot, stamp_ns: 4_000, ..Signal::default() });
+        let own = Sender { fleet: FLEET, run: 1 };
+        let mut receiver = Receiver::new(own, Selection::new(signals.bit(), 1, vec![(3, 9)]));
+        let asked = receiver.request_if_due(900_000_000).unwrap();
+        let Body::Request(request) = read_of(&channels, &asked, FLEET, 0).unwrap().body else {
+            panic!("a request");
+        };
+        // The sender's clock is behind.
+        let mut stream = Stream::new(FLEET, request, 6_000);
+        let frame = LocalFrame {
+            service: signals,
+            source: 0,
+            tick: 12,
+            header: bytes_of(&header),
+            elements: cast_slice(&rows),
+        };
+        let mut sent = Vec::new();
+        assert!(stream.offer(frame, Worker::Alive.into(), 6_000, &mut sent));
+        let message = read_of(&channels, &sent, FLEET, 64).unwrap();
+        let accepted = receiver.take(&message, sent.len(), 900_000_000).unwrap();
+        let here_ns = |ns| shifted(ns, accepted.offset_ns);
+        assert!((899_000_000..900_000_000).contains(&here_ns(6_000)));
+
+        port.pass_on(&accepted, (&mut Runs::default(), 3)).unwrap();
+        let here = SignalHeader { pid: process_id(), tick: 4, sent_ns: here_ns(5_000), ..header };
+        let row = Signal { stamp_ns: here_ns(4_000), ..rows[1] };
         let found = reader.take_latest().unwrap().unwrap();
-        let here = SignalHeader { pid: process_id(), tick: 4, sent_ns: 4_600, ..header };
-        assert_eq!(*found.header(), here);
-        let here = Signal { stamp_ns: 3_600, ..row };
-        assert_eq!(found.payload(), [here; 2]);
+        assert_eq!((*found.header(), found.payload()), (here, &[row][..]));
+
+        let shards = [(0, 4), (5, 9)].map(|robots| Shard {
+            name: format!("from {}", robots.0),
+            workers: Vec::new(),
+            robots: vec![robots],
+        });
+        let shards = Shards::new(shards.to_vec());
+        // The other shard may not send rows of this robot.
+        for shard in [0, 1] {
+            port.put(&accepted, 3, (&shards, shard)).unwrap();
+        }
+        let round = MergeRound {
+            shards: &shards,
+            has_worker: &[true; 2],
+            is_live: &[true; 2],
+            now_ns: clock::monotonic_ns(),
+            period_ns: 33_000_000,
+            every: 3,
+            capacity: 64,
+            own: Origin { pid: 8, place: Place { run: 5, number: 6 } },
+        };
+        assert!(port.write(&round).unwrap());
+        let here = SignalHeader { pid: 8, worker_epoch: 5, tick: 6, ..here };
+        let found = reader.take_latest().unwrap().unwrap();
+        assert_eq!((*found.header(), found.payload()), (here, &[row][..]));
     }
 
     #[test]
