@@ -66,8 +66,7 @@ pub use attachments::{Attached, Attachments};
 pub use clock::Clock;
 pub use inspect::values;
 pub use messages::{
-    Content, DecodeError, Entry, ForEachChannel, Frame, Message, MessageKind, OutOfRange, Query,
-    RobotRow,
+    Content, DecodeError, Entry, Frame, Message, MessageKind, OutOfRange, Query, RobotRow,
 };
 pub use reader::{ReadError, Reader};
 pub use ros_file::{RosFile, RosTopic, RosTopicId};

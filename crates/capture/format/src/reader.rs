@@ -278,9 +278,8 @@ impl Channel {
 
     /// Sets the kind, if it is one of ours or one of `others`.
     fn find_kind(&mut self, others: &[MessageKind]) {
-        let mut kinds = MessageKind::ALL.iter().chain(others);
-        let kind = kinds.find(|kind| self.is_protobuf && kind.is_schema(&self.schema));
-        self.kind = kind.copied();
+        let mut kinds = MessageKind::all().chain(others.iter().copied());
+        self.kind = kinds.find(|kind| self.is_protobuf && kind.is_schema(&self.schema));
         if self.kind.is_some() {
             self.fleet = Arc::clone(&self.of_fleet);
         }

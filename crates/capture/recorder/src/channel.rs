@@ -1,8 +1,8 @@
 //! Channels that are recorded.
 
 use joulebus_bus::{Bus, Limits, OpenError, Reader, ReceiveError};
-use joulebus_capture_format::{ForEachChannel, Message, MessageKind};
-use joulebus_wire::Channel;
+use joulebus_capture_format::{Message, MessageKind};
+use joulebus_wire::{Channel, ForEachChannel, each_channel};
 
 pub(crate) type Open = fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>;
 
@@ -11,18 +11,15 @@ pub(crate) type Open = fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>;
 pub struct RecordedChannel {
     /// Kind of its messages.
     pub kind: MessageKind,
-    /// Whether its rows are repeated as messages of single robots, where that is asked for.
-    pub has_robots: bool,
     pub(crate) open: Open,
 }
 
 impl RecordedChannel {
     /// A channel, also one that is declared elsewhere.
     #[must_use]
-    pub const fn of<C: Channel>(has_robots: bool) -> Self {
+    pub const fn of<C: Channel>() -> Self {
         Self {
             kind: MessageKind::of::<C>(),
-            has_robots,
             open: |bus, limits| Ok(Box::new(bus.reader::<C>(limits)?)),
         }
     }
@@ -32,12 +29,12 @@ impl RecordedChannel {
     pub fn all() -> Vec<Self> {
         struct All(Vec<RecordedChannel>);
         impl ForEachChannel for All {
-            fn channel<C: Channel>(&mut self, has_robots: bool) {
-                self.0.push(RecordedChannel::of::<C>(has_robots));
+            fn channel<C: Channel>(&mut self) {
+                self.0.push(RecordedChannel::of::<C>());
             }
         }
         let mut all = All(Vec::new());
-        MessageKind::each_channel(&mut all);
+        each_channel(&mut all);
         all.0
     }
 }

@@ -137,8 +137,7 @@ fn place(message: &Message) -> (u8, u64, u64, usize) {
         // The journal says what a tick took.
         (_, FrameRows::Taken) => (1, place.run, place.number, 0),
         _ => {
-            let known = MessageKind::OF_FLEET.iter();
-            let after = known.take_while(|known| **known != kind).count();
+            let after = MessageKind::of_fleet().take_while(|known| *known != kind).count();
             (1, place.run, place.number, 1 + after)
         }
     }

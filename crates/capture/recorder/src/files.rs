@@ -320,7 +320,7 @@ impl Files {
     fn write_robots(&mut self, item: &Item) -> Result<(), WriteError> {
         let kind = item.message.kind();
         let mut channels = self.options.channels.iter();
-        if !channels.any(|channel| channel.has_robots && Some(channel.kind) == kind) {
+        if !channels.any(|channel| channel.kind.has_robots() && Some(channel.kind) == kind) {
             return Ok(());
         }
         let mut written = Ok(());

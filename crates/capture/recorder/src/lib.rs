@@ -230,7 +230,7 @@ impl Drop for Recorder {
 /// The number of channels per file is limited: checked before recording channels of all robots.
 fn check_channels(config: &Config, options: &Options) -> Result<(), StartError> {
     let robots = u64::from(config.settings().capacity);
-    let each = options.channels.iter().filter(|channel| channel.has_robots);
+    let each = options.channels.iter().filter(|channel| channel.kind.has_robots());
     let needed = options.channels.len() as u64 + each.count() as u64 * robots;
     let allowed = MAX_CHANNELS as u64;
     if options.per_robot && needed > allowed {

@@ -664,7 +664,7 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
     let (path, limits) = (stage.path("signals.mcap"), stage.config.limits());
     let mut writer = stage.bus.writer::<Signals>(&limits).unwrap();
     let mut options = Options::default();
-    options.channels.push(RecordedChannel::of::<Signals>(true));
+    options.channels.push(RecordedChannel::of::<Signals>());
     let recorder = stage.record(Target::File(path.clone()), &options);
     let begun_ns = clock::monotonic_ns();
     for tick in [1, 2, 4] {

@@ -13,7 +13,7 @@ pub(super) struct TopicChoice {
 
 impl TopicChoice {
     pub(super) fn new(topics: &[String], regex: Option<&str>) -> Result<Self, UsageError> {
-        let kinds = MessageKind::OF_FLEET.iter();
+        let kinds = MessageKind::of_fleet();
         let known: Vec<&str> = kinds.map(|kind| kind.name()).collect();
         let stranger =
             topics.iter().find(|topic| !topic.contains('/') && !known.contains(&topic.as_str()));
@@ -32,7 +32,7 @@ impl TopicChoice {
 
     /// Refuses a topic or an expression that none of these fleets' topics is or matches.
     pub(super) fn check(&self, fleets: &[&str]) -> Result<(), UsageError> {
-        let of_fleet = |fleet| MessageKind::OF_FLEET.iter().map(move |kind| kind.topic(fleet, 0));
+        let of_fleet = |fleet| MessageKind::of_fleet().map(move |kind| kind.topic(fleet, 0));
         let there: Vec<String> = fleets.iter().copied().flat_map(of_fleet).collect();
         let is_there = |topic: &&String| !topic.contains('/') || there.contains(topic);
         let what = match (self.topics.iter().find(|topic| !is_there(topic)), &self.regex) {

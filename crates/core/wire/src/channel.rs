@@ -111,6 +111,12 @@ pub trait FrameHeader: Row {
     fn period_ns(&mut self) -> Option<&mut u64>;
 }
 
+/// Is called with every channel by [`each_channel`].
+pub trait ForEachChannel {
+    /// Takes a channel.
+    fn channel<C: Channel>(&mut self);
+}
+
 macro_rules! channels {
     ($($(#[doc = $doc:literal])*
     $name:ident: $service:literal, $header:ident { $($part:tt)* }, $row:ty, $flow:expr, $rows:expr;)*) => {$(
@@ -128,7 +134,13 @@ macro_rules! channels {
         }
 
         $crate::frame_header!($header { $($part)* });
-    )*};
+    )*
+
+        /// Calls `each` with all channels of joulebus, causes before effects.
+        pub fn each_channel(each: &mut impl ForEachChannel) {
+            $(each.channel::<$name>();)*
+        }
+    };
 }
 
 /// Implements [`FrameHeader`] from the fields of the place, and of times and period if there are

@@ -2,10 +2,9 @@
 //! it encodes, and each field is what its name says.
 
 use joulebus_wire::{
-    Acknowledgements, Alarm, AlarmSet, Budgets, Channel, ChargeState, DiagnosticHeader,
-    Diagnostics, DropCounts, DropReason, FieldLayout, FieldRole, Forecast, ForecastHeader,
-    Forecasts, FrameHeader as _, InvalidReason, Level, Outlooks, Place, PlanStates, Quality,
-    Queries, Row, Samples, State, TickHeader, Ticks,
+    Alarm, AlarmSet, Channel, ChargeState, DiagnosticHeader, DropCounts, DropReason, FieldRole,
+    ForEachChannel, Forecast, ForecastHeader, FrameHeader as _, FrameRows, InvalidReason, Level,
+    Place, Quality, Row, TickHeader, each_channel,
 };
 
 #[test]
@@ -66,36 +65,31 @@ fn drops_are_counted_by_reason_and_in_total_without_wrapping() {
     assert_eq!(counts.total(), u64::MAX);
 }
 
-/// A channel, and the fields of its header and rows.
-fn fields<C: Channel>() -> impl Iterator<Item = (&'static str, FieldLayout)> {
-    let layouts = [<C::Header as Row>::LAYOUT, <C::Row as Row>::LAYOUT];
-    layouts
-        .into_iter()
-        .flat_map(|layout| layout.fields.iter().map(move |field| (layout.name, *field)))
+/// Checks the fields of each channel's header and rows.
+struct Fields;
+
+impl ForEachChannel for Fields {
+    fn channel<C: Channel>(&mut self) {
+        let durations = ["period_ns", "reading_age_ns", "metered_ns", "unmetered_ns"];
+        let layouts = [<C::Header as Row>::LAYOUT, <C::Row as Row>::LAYOUT];
+        for (of, field) in layouts.iter().flat_map(|of| of.fields.iter().map(move |it| (of, it))) {
+            let role = match field.name {
+                name if durations.contains(&name) || name.ends_with("_unix_ns") => FieldRole::Value,
+                name if name.ends_with("_ns") => FieldRole::Instant,
+                name if name.ends_with("_epoch") => FieldRole::Run,
+                _ => FieldRole::Value,
+            };
+            assert_eq!(field.role, role, "{}.{}", of.name, field.name);
+        }
+        if C::ROWS == FrameRows::Robots {
+            assert_eq!(layouts[1].fields[0].name, "robot", "{}", layouts[1].name);
+        }
+    }
 }
 
 #[test]
-fn every_time_of_a_frame_is_an_instant_a_run_or_known_to_mean_the_same_everywhere() {
-    let durations = ["period_ns", "reading_age_ns", "metered_ns", "unmetered_ns"];
-    let all = fields::<Samples>()
-        .chain(fields::<Forecasts>())
-        .chain(fields::<Diagnostics>())
-        .chain(fields::<Budgets>())
-        .chain(fields::<PlanStates>())
-        .chain(fields::<Outlooks>())
-        .chain(fields::<Ticks>())
-        .chain(fields::<State>())
-        .chain(fields::<Queries>())
-        .chain(fields::<Acknowledgements>());
-    for (of, field) in all {
-        let role = match field.name {
-            name if durations.contains(&name) || name.ends_with("_unix_ns") => FieldRole::Value,
-            name if name.ends_with("_ns") => FieldRole::Instant,
-            name if name.ends_with("_epoch") => FieldRole::Run,
-            _ => FieldRole::Value,
-        };
-        assert_eq!(field.role, role, "{of}.{}", field.name);
-    }
+fn times_are_instants_runs_or_mean_the_same_everywhere_and_rows_begin_with_their_robot() {
+    each_channel(&mut Fields);
 }
 
 #[test]

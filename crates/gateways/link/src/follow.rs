@@ -10,14 +10,15 @@ use joulebus_wire::WakeEvent;
 use crate::config::Follow;
 use crate::ingress::{self, Ingress};
 use crate::network::{Bytes, Event, Inbox, NetworkError};
-use crate::protocol::carried::{Carried, Kind, max_message_bytes};
+use crate::output_port::PassError;
+use crate::protocol::carried::{Kind, max_message_bytes};
 use crate::protocol::lease::MAX_TTL_S;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::report::Done;
 use crate::shard_merger::ShardMerger;
 use crate::shared::Shared;
-use crate::worker_ports::{PassError, WorkerPorts};
+use crate::worker_ports::WorkerPorts;
 
 /// Maximum sleep: the delay until a stop, a silence or a new reader of plan states is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -166,13 +167,7 @@ impl Rounds<Done, anyhow::Error> for Following {
         self.bus.check()?;
         // Some services are requested only while somebody here reads them, as the worker itself
         // writes them.
-        let ports = &self.worker_ports;
-        let read = [
-            (Carried::PLAN_STATES, ports.plan_states.readers()),
-            (Carried::OUTLOOKS, ports.outlooks.readers()),
-        ];
-        let unread = read.into_iter().filter(|(_, readers)| *readers == 0);
-        let services = unread.fold(self.requested, |wanted, (unread, _)| wanted & !unread.bit());
+        let services = self.requested & !self.worker_ports.unread();
         for ingress in self.ingresses() {
             ingress.receiver().select(services);
             ingress.request_if_due();
@@ -235,7 +230,7 @@ impl Following {
             _ => None,
         };
         Ok(Self {
-            worker_ports: WorkerPorts::open(&bus, config, every)?,
+            worker_ports: WorkerPorts::open(&bus, config, shards.len(), every)?,
             bus,
             inbox,
             shards,
@@ -270,7 +265,7 @@ impl Following {
                 let is_leader = place == *leader && !is_fenced;
                 let passed = match shard_merger {
                     _ if !is_leader => Ok(()),
-                    Some(shard_merger) => shard_merger.put(at, &accepted),
+                    Some(shard_merger) => shard_merger.put(worker_ports, at, &accepted),
                     None => worker_ports.pass_on(&accepted),
                 };
                 passed.map_err(|error| {

@@ -17,6 +17,7 @@ mod intake;
 mod leadership;
 mod link;
 mod network;
+mod output_port;
 mod outputs;
 mod protocol;
 mod refusals;

@@ -8,16 +8,15 @@ use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{Bus, Reader, Rounds, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
-use joulebus_consumer::{
-    Budgets, Diagnostics, Event, Feed, Outlooks, PlanStates, ReadError, Subscriber, WorkerState,
-};
+use joulebus_consumer::{Event, Feed, ReadError, Subscriber, WorkerState};
 use joulebus_files::disk;
 use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
 
 use crate::egress::Egress;
 use crate::leadership::Leadership;
-use crate::protocol::carried::{Carried, Kind};
+use crate::protocol::carried::{Carried, Kind, OfMerged};
+use crate::protocol::merge::Merged;
 use crate::protocol::message::{LeaderStatus, Worker};
 use crate::protocol::stream::LocalFrame;
 use crate::report::Done;
@@ -32,14 +31,6 @@ const AFTER_FRAME: Duration = Duration::from_millis(40);
 const RETRY_OPEN_NS: u64 = 1_000_000_000;
 /// Pause between a frame of forecasts and the frames that the worker writes after it.
 const BEHIND: Duration = Duration::from_millis(1);
-/// The services that the worker writes after its forecasts.
-const BEHIND_FORECASTS: [Carried; 5] = [
-    Carried::DIAGNOSTICS,
-    Carried::BUDGETS,
-    Carried::PLAN_STATES,
-    Carried::OUTLOOKS,
-    Carried::TICKS,
-];
 /// Interval of checks for a newer state of the worker, which writes one a second.
 const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
 /// Number of consecutive frames without a permit after which the worker is reported as started
@@ -76,7 +67,7 @@ impl Outputs {
 
 impl Rounds<Done, anyhow::Error> for Outputs {
     fn round(&mut self) -> anyhow::Result<Duration> {
-        let Self { shared, planner, egress, wait, unpermitted, .. } = self;
+        let Self { shared, planner, egress, feeds, wait, unpermitted, .. } = self;
         let leadership = shared.leadership.as_deref();
         let before = egress.leader;
         let mut pause = Duration::ZERO;
@@ -105,7 +96,7 @@ impl Rounds<Done, anyhow::Error> for Outputs {
                         elements: cast_slice(frame.robots()),
                     });
                 }
-                if BEHIND_FORECASTS.iter().any(|it| egress.wants(*it)) {
+                if feeds.are_wanted(egress) {
                     BEHIND
                 } else if egress.waits() {
                     POLL_INTERVAL
@@ -131,7 +122,7 @@ impl Rounds<Done, anyhow::Error> for Outputs {
         egress.leader = leader_status(worker, leadership);
         egress.poll()?;
         if leadership.is_none() || egress.leader.term > 0 {
-            self.feeds.give(&shared.config, planner, egress)?;
+            feeds.give(&shared.config, planner, egress)?;
         }
         if let Some(leadership) = leadership {
             self.state.give(leadership, egress);
@@ -214,29 +205,37 @@ impl StateFeed {
     }
 }
 
+/// [`pass`] of a channel.
+type Pass = Box<dyn FnMut(&Subscriber, &mut Egress) -> Result<(), ReadError>>;
+
 /// The services that the worker writes after its forecasts. They are read only while a receiver
 /// requests them.
 struct Feeds {
-    diagnostics: Wanted<Feed<Diagnostics>>,
-    budgets: Wanted<Feed<Budgets>>,
-    plan_states: Wanted<Feed<PlanStates>>,
-    outlooks: Wanted<Feed<Outlooks>>,
+    merged: Vec<(Carried, Pass)>,
     // Declared in this order: the port is dropped before the membership.
     ticks: Wanted<(Reader<Ticks>, Bus)>,
-    /// The last frame of each feed.
-    sent: [Place; 4],
+}
+
+struct NewFeed;
+
+impl OfMerged for NewFeed {
+    type Made = (Carried, Pass);
+
+    fn make<C: Merged>(&self, service: Carried) -> Self::Made {
+        let (mut wanted, mut sent) = (Wanted::<Feed<C>>::new(service), Place::default());
+        (service, Box::new(move |planner, egress| pass(&mut wanted, &mut sent, planner, egress)))
+    }
 }
 
 impl Feeds {
-    const fn new() -> Self {
-        Self {
-            diagnostics: Wanted::new("diagnostics"),
-            budgets: Wanted::new("budgets"),
-            plan_states: Wanted::new("plan states"),
-            outlooks: Wanted::new("outlooks"),
-            ticks: Wanted::new("the journal"),
-            sent: [Place { run: 0, number: 0 }; 4],
-        }
+    fn new() -> Self {
+        Self { merged: Carried::behind_forecasts(&NewFeed), ticks: Wanted::new(Carried::TICKS) }
+    }
+
+    /// Whether a receiver requests any of them.
+    fn are_wanted(&self, egress: &Egress) -> bool {
+        let mut merged = self.merged.iter();
+        merged.any(|(service, _)| egress.wants(*service)) || egress.wants(Carried::TICKS)
     }
 
     fn give(
@@ -245,21 +244,13 @@ impl Feeds {
         planner: &Subscriber,
         egress: &mut Egress,
     ) -> Result<(), ReadError> {
-        let [of_diagnostics, of_budgets, of_plan_states, of_outlooks] = &mut self.sent;
-        let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
-        pass(feed, of_diagnostics, egress, planner)?;
-        let feed = (Carried::BUDGETS, &mut self.budgets);
-        pass(feed, of_budgets, egress, planner)?;
-        let feed = (Carried::PLAN_STATES, &mut self.plan_states);
-        pass(feed, of_plan_states, egress, planner)?;
-        let feed = (Carried::OUTLOOKS, &mut self.outlooks);
-        pass(feed, of_outlooks, egress, planner)?;
+        self.merged.iter_mut().try_for_each(|(_, pass)| pass(planner, egress))?;
         self.ticks(config, egress);
         Ok(())
     }
 
     fn ticks(&mut self, config: &Config, egress: &mut Egress) {
-        self.ticks.keep(egress.wants(Carried::TICKS), || {
+        self.ticks.keep(egress, || {
             let bus = join(config, "link-journal")?;
             let reader = bus.reader::<Ticks>(&config.limits())?;
             Ok::<_, anyhow::Error>((reader, bus))
@@ -285,19 +276,19 @@ impl Feeds {
 /// A feed that is open while a receiver requests it. A failure is logged once and retried, because
 /// readers come and go.
 struct Wanted<F> {
-    what: &'static str,
+    service: Carried,
     feed: Option<F>,
     again_ns: u64,
     is_logged: bool,
 }
 
 impl<F> Wanted<F> {
-    const fn new(what: &'static str) -> Self {
-        Self { what, feed: None, again_ns: 0, is_logged: false }
+    const fn new(service: Carried) -> Self {
+        Self { service, feed: None, again_ns: 0, is_logged: false }
     }
 
-    fn keep<E: Display>(&mut self, is_wanted: bool, open: impl FnOnce() -> Result<F, E>) {
-        if !is_wanted {
+    fn keep<E: Display>(&mut self, egress: &Egress, open: impl FnOnce() -> Result<F, E>) {
+        if !egress.wants(self.service) {
             self.feed = None;
             return;
         }
@@ -312,7 +303,7 @@ impl<F> Wanted<F> {
 
     fn log_failure(&mut self, error: &dyn Display) {
         if !self.is_logged {
-            tracing::warn!("{} cannot be read: {error}", self.what);
+            tracing::warn!("{} cannot be read: {error}", self.service.name);
         }
         self.is_logged = true;
         self.again_ns = clock::monotonic_ns() + RETRY_OPEN_NS;
@@ -321,12 +312,12 @@ impl<F> Wanted<F> {
 
 /// Sends the newest frame, unless it was sent before.
 fn pass<C: Channel>(
-    (service, wanted): (Carried, &mut Wanted<Feed<C>>),
+    wanted: &mut Wanted<Feed<C>>,
     sent: &mut Place,
-    egress: &mut Egress,
     planner: &Subscriber,
+    egress: &mut Egress,
 ) -> Result<(), ReadError> {
-    wanted.keep(egress.wants(service), || planner.feed());
+    wanted.keep(egress, || planner.feed());
     let Some(feed) = &mut wanted.feed else {
         return Ok(());
     };
@@ -345,7 +336,7 @@ fn pass<C: Channel>(
     }
     *sent = place;
     egress.offer(LocalFrame {
-        service,
+        service: wanted.service,
         source: 0,
         tick: place.number,
         header: bytes_of(frame.header()),

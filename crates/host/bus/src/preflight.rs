@@ -4,8 +4,8 @@
 use std::io;
 
 use joulebus_wire::{
-    ANSWER_WORDS, Acknowledgements, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts,
-    Outlooks, PlanStates, QUERY_VALUES, Queries, QueryHeader, Samples, State, Ticks,
+    ANSWER_WORDS, AnswerHeader, Channel, Flow, ForEachChannel, Forecasts, QUERY_VALUES,
+    QueryHeader, Samples, each_channel,
 };
 use rustix::process::{Resource, getrlimit};
 
@@ -217,30 +217,48 @@ pub(crate) const fn client_bytes() -> u64 {
     ((2 * ACTIVE_QUERIES + 1) * frame + SEGMENT_OVERHEAD) as u64
 }
 
-fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
-    fn of<C: Channel>(limits: &Limits) -> u64 {
-        segment_bytes::<C>(limits, limits.rows(C::ROWS))
+/// What the ports of all channels take.
+struct Sums<'a> {
+    limits: &'a Limits,
+    /// Bytes of a source's segments, and of a worker's.
+    bytes: (u64, u64),
+    /// Channels that planners read.
+    read: usize,
+}
+
+impl ForEachChannel for Sums<'_> {
+    fn channel<C: Channel>(&mut self) {
+        let bytes = segment_bytes::<C>(self.limits, self.limits.rows(C::ROWS));
+        match C::FLOW {
+            Flow::Sources => self.bytes.0 += bytes,
+            Flow::Planners { .. } | Flow::Recorders { .. } => self.bytes.1 += bytes,
+        }
+        self.read += usize::from(matches!(C::FLOW, Flow::Planners { .. }));
     }
-    let samples = of::<Samples>(limits);
-    let of_worker = of::<Forecasts>(limits)
-        + of::<Diagnostics>(limits)
-        + of::<Budgets>(limits)
-        + of::<PlanStates>(limits)
-        + of::<Outlooks>(limits)
-        + of::<State>(limits)
-        + of::<Ticks>(limits)
-        + of::<Queries>(limits)
-        + of::<Acknowledgements>(limits)
-        + server_bytes(limits.query_clients());
-    let connections = ports.workers * (ports.sources + 6 * ports.planners);
+}
+
+impl<'a> Sums<'a> {
+    fn new(limits: &'a Limits) -> Self {
+        let mut sums = Self { limits, bytes: (0, 0), read: 0 };
+        each_channel(&mut sums);
+        sums
+    }
+}
+
+fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
+    let Sums { bytes: (of_source, of_worker), read, .. } = Sums::new(limits);
+    let of_worker = of_worker + server_bytes(limits.query_clients());
+    let connections = ports.workers * (ports.sources + read * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
-    ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
+    ports.sources as u64 * of_source + ports.workers as u64 * of_worker + small as u64
 }
 
 fn descriptors(limits: &Limits) -> u64 {
+    // One more for the channels that recorders alone read.
+    let read = Sums::new(limits).read + 1;
     let connections =
-        limits.shape(Samples::FLOW).publishers + 7 * limits.shape(Forecasts::FLOW).subscribers;
+        limits.shape(Samples::FLOW).publishers + read * limits.shape(Forecasts::FLOW).subscribers;
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 
@@ -323,4 +341,23 @@ pub enum CapacityError {
     /// Free shared memory or file descriptors could not be read.
     #[error("cannot read how much shared memory or how many file descriptors are free: {0}")]
     Measure(io::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Compares with sums that name each channel, of the ten channels that there are.
+    #[test]
+    fn every_channel_and_its_readers_count() {
+        for (capacity, max_planners, [sources, workers, planners], bytes, open_files) in [
+            (64, 8, [1, 1, 1], 16_634_288, 556),
+            (1_000, 32, [4, 1, 9], 152_308_720, 1_228),
+            (10_000, 60, [0, 2, 3], 3_897_359_456, 2_012),
+        ] {
+            let limits = Limits { capacity, max_planners, ..Limits::default() };
+            let found = needed_bytes(&limits, Ports { sources, workers, planners });
+            assert_eq!((found, descriptors(&limits)), (bytes, open_files), "{capacity}");
+        }
+    }
 }

@@ -18,6 +18,8 @@ mod intake;
 #[path = "../../../../crates/gateways/link/src/leadership.rs"]
 mod leadership;
 mod network;
+#[path = "../../../../crates/gateways/link/src/output_port.rs"]
+mod output_port;
 #[path = "../../../../crates/gateways/link/src/outputs.rs"]
 mod outputs;
 mod process;

@@ -1,54 +1,48 @@
 //! The kinds of messages of all channels.
 
-use joulebus_wire::{
-    Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, Outlooks, PlanStates, Queries, Row,
-    Samples, State, Ticks, records,
-};
+use std::sync::LazyLock;
+
+use joulebus_wire::{Channel, ForEachChannel, Queries, Row, each_channel, records};
 
 use super::descriptors;
 use super::frame::{Frame, RobotRow};
 use super::message::{Message, MessageKind};
 use super::query::Query;
 
-/// Is called with every channel of [`MessageKind::ALL`].
-pub trait ForEachChannel {
-    /// Takes a channel. `has_robots`, if captures may have its rows as messages of single robots.
-    fn channel<C: Channel>(&mut self, has_robots: bool);
+/// Kinds of frames, and of single robots' rows.
+#[derive(Default)]
+struct Kinds {
+    of_fleet: Vec<MessageKind>,
+    of_robot: Vec<MessageKind>,
 }
 
-macro_rules! channels {
-    ($([$($robots:ident)?] $channel:ident,)*) => {
-        impl MessageKind {
-            /// All kinds of the channels in [`joulebus_wire`]. First those with one topic for the
-            /// whole fleet.
-            pub const ALL: &'static [Self] = &[
-                $(Self::of::<$channel>(),)*
-                $($(Self::of_robot::<$robots>(),)?)*
-            ];
-
-            /// Kinds with one topic for the whole fleet.
-            pub const OF_FLEET: &'static [Self] = &[$(Self::of::<$channel>()),*];
-
-            /// Calls `each` with the channels of [`MessageKind::OF_FLEET`], in that order.
-            pub fn each_channel(each: &mut impl ForEachChannel) {
-                $(each.channel::<$channel>(!stringify!($($robots)?).is_empty());)*
-            }
+impl ForEachChannel for Kinds {
+    fn channel<C: Channel>(&mut self) {
+        let kind = MessageKind::of::<C>();
+        self.of_fleet.push(kind);
+        if kind.has_robots() {
+            self.of_robot.push(MessageKind::of_robot::<C>());
         }
-    };
+    }
 }
 
-// In brackets again where captures may have the rows as messages of single robots.
-channels! {
-    [Samples] Samples,
-    [Forecasts] Forecasts,
-    [Diagnostics] Diagnostics,
-    [Budgets] Budgets,
-    [] PlanStates,
-    [] Outlooks,
-    [] Ticks,
-    [] State,
-    [] Queries,
-    [] Acknowledgements,
+static KINDS: LazyLock<Kinds> = LazyLock::new(|| {
+    let mut kinds = Kinds::default();
+    each_channel(&mut kinds);
+    kinds
+});
+
+impl MessageKind {
+    /// All kinds of the channels in [`joulebus_wire`]. First those with one topic for the whole
+    /// fleet.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::of_fleet().chain(KINDS.of_robot.iter().copied())
+    }
+
+    /// Kinds with one topic for the whole fleet.
+    pub fn of_fleet() -> impl Iterator<Item = Self> {
+        KINDS.of_fleet.iter().copied()
+    }
 }
 
 impl MessageKind {

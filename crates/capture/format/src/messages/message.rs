@@ -260,6 +260,13 @@ impl MessageKind {
         self.rows
     }
 
+    /// Whether captures may have its rows as messages of single robots: where they are sent whether
+    /// or not somebody reads them.
+    #[must_use]
+    pub const fn has_robots(self) -> bool {
+        matches!(self.rows, FrameRows::Robots) && !self.flow.is_on_demand()
+    }
+
     /// The name of the service.
     #[must_use]
     pub const fn name(self) -> &'static str {

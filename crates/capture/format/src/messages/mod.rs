@@ -11,6 +11,5 @@ pub(crate) mod wire_fields;
 
 pub use codec::OutOfRange;
 pub use frame::{Frame, RobotRow};
-pub use kind::ForEachChannel;
 pub use message::{Content, DecodeError, Entry, Message, MessageKind};
 pub use query::Query;

@@ -1,8 +1,11 @@
 //! Messages with arbitrary bits.
 #![allow(dead_code, reason = "each test uses a part")]
 
-use joulebus_capture_format::{ForEachChannel, Message, MessageKind, Query};
-use joulebus_wire::{Channel, DropCounts, FieldLayout, FieldType, Queries, Refusal, Row};
+use joulebus_capture_format::{Message, MessageKind, Query};
+use joulebus_wire::{
+    Channel, DropCounts, FieldLayout, FieldType, ForEachChannel, Queries, Refusal, Row,
+    each_channel,
+};
 
 /// Arbitrary bits, often special values: zeros, ones, -0, infinities, NaNs with and without sign.
 pub(crate) struct Bits(pub(crate) u64);
@@ -92,20 +95,21 @@ impl Bits {
 pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
     struct Each<'a>(&'a mut Bits, Vec<Message>);
     impl ForEachChannel for Each<'_> {
-        fn channel<C: Channel>(&mut self, has_robots: bool) {
+        fn channel<C: Channel>(&mut self) {
             let Self(bits, messages) = self;
-            if MessageKind::of::<C>() == MessageKind::of::<Queries>() {
+            let kind = MessageKind::of::<C>();
+            if kind == MessageKind::of::<Queries>() {
                 messages.push(bits.query().into());
                 return;
             }
             messages.push(Message::of::<C>(bits.row(), bits.rows(Bits::row)));
-            if has_robots {
+            if kind.has_robots() {
                 Message::of::<C>(bits.row(), vec![bits.row()]).each_robot(|row| messages.push(row));
             }
         }
     }
     let mut each = Each(bits, Vec::new());
-    MessageKind::each_channel(&mut each);
-    assert_eq!(each.1.len(), MessageKind::ALL.len());
+    each_channel(&mut each);
+    assert_eq!(each.1.len(), MessageKind::all().count());
     each.1
 }

@@ -3,12 +3,11 @@
 use std::io::Cursor;
 
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, DecodeError, ForEachChannel, Message, MessageKind, Preset,
-    Reader, Times, Writer,
+    Attachments, CaptureSettings, DecodeError, Message, MessageKind, Preset, Reader, Times, Writer,
 };
 use joulebus_wire::{
-    AnswerHeader, AnswerRow, Channel, DropReason, FieldType, Forecasts, Queries, QueryHeader,
-    Refusal, Row,
+    AnswerHeader, AnswerRow, Channel, DropReason, FieldType, ForEachChannel, Forecasts, Queries,
+    QueryHeader, Refusal, Row, each_channel,
 };
 use proptest::prelude::*;
 use prost_reflect::{DescriptorPool, DynamicMessage, ReflectMessage as _, Value};
@@ -29,13 +28,13 @@ proptest! {
     }
 
     #[test]
-    fn the_decoder_never_panics(kind in 0..MessageKind::ALL.len(), data: Vec<u8>) {
-        let _ = Message::decode(MessageKind::ALL[kind], &data);
+    fn the_decoder_never_panics(kind in 0..MessageKind::all().count(), data: Vec<u8>) {
+        let _ = Message::decode(MessageKind::all().nth(kind).unwrap(), &data);
     }
 
     #[test]
     fn the_schema_names_every_field_and_its_value(seed: u64) {
-        MessageKind::each_channel(&mut Described(Bits(seed)));
+        each_channel(&mut Described(Bits(seed)));
     }
 
     #[test]
@@ -88,7 +87,7 @@ pub(crate) fn dynamic(kind: MessageKind, data: &[u8]) -> DynamicMessage {
 struct Described(Bits);
 
 impl ForEachChannel for Described {
-    fn channel<C: Channel>(&mut self, has_robots: bool) {
+    fn channel<C: Channel>(&mut self) {
         let (kind, mut data) = (MessageKind::of::<C>(), Vec::new());
         if kind == MessageKind::of::<Queries>() {
             let query = self.0.query();
@@ -98,7 +97,7 @@ impl ForEachChannel for Described {
         let message = Message::of::<C>(self.0.row(), self.0.rows(Bits::row));
         message.encode(&mut data);
         assert_described::<C>(&message, &dynamic(kind, &data));
-        if has_robots {
+        if kind.has_robots() {
             let row: C::Row = self.0.row();
             Message::of::<C>(C::Header::default(), vec![row]).each_robot(|message| {
                 data.clear();

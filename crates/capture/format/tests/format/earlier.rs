@@ -5,8 +5,8 @@
 use std::collections::BTreeSet;
 use std::io::Cursor;
 
-use joulebus_capture_format::{ForEachChannel, Message, MessageKind, Reader};
-use joulebus_wire::{Channel, PlanStates, Queries};
+use joulebus_capture_format::{Message, MessageKind, Reader};
+use joulebus_wire::{Channel, ForEachChannel, PlanStates, Queries, each_channel};
 
 use crate::bits::{assert_described, assert_query, dynamic};
 
@@ -18,7 +18,7 @@ const EARLIER: &[u8] = include_bytes!("../earlier.mcap");
 struct Same<'a>(&'a Message, &'a [u8]);
 
 impl ForEachChannel for Same<'_> {
-    fn channel<C: Channel>(&mut self, _: bool) {
+    fn channel<C: Channel>(&mut self) {
         let kind = MessageKind::of::<C>();
         if self.0.kind() == Some(kind) {
             let read = dynamic(kind, self.1);
@@ -56,8 +56,8 @@ fn an_earlier_capture_is_read_to_the_same_bits_and_the_same_is_written() {
         let mut written = Vec::new();
         entry.message.encode(&mut written);
         assert_eq!(*earlier.data, written, "{kind:?}");
-        MessageKind::each_channel(&mut Same(&entry.message, &earlier.data));
+        each_channel(&mut Same(&entry.message, &earlier.data));
     }
     assert!(reader.next_entry().unwrap().is_none());
-    assert_eq!((schemas.len(), count), (MessageKind::ALL.len() - 2, 36));
+    assert_eq!((schemas.len(), count), (MessageKind::all().count() - 2, 36));
 }

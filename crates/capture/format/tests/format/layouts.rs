@@ -51,11 +51,10 @@ fn field(message: &MessageDescriptor, name: &str, path: &str) -> FieldDescriptor
 /// `"topic".field[:]{key==$variable}.field`; returns the variables used.
 fn check(path: &str) -> Vec<String> {
     let (topic, rest) = path.strip_prefix('"').unwrap().split_once('"').unwrap();
-    let kind = MessageKind::OF_FLEET
-        .iter()
+    let kind = MessageKind::of_fleet()
         .find(|kind| kind.topic(FLEET, 0) == topic)
         .unwrap_or_else(|| panic!("{path}: no topic {topic:?}"));
-    let mut message = Some(message(*kind));
+    let mut message = Some(message(kind));
     let mut variables = Vec::new();
     for part in rest.split('.').filter(|part| !part.is_empty()) {
         let name = part.split(['[', '{']).next().unwrap();
@@ -128,9 +127,9 @@ fn every_curve_of_plotjuggler_is_a_number_of_a_message_of_one_robot() {
     for name in names {
         // It names a series by its topic and the path of its field.
         let (topic, path) = name.rsplit_once('/').unwrap();
-        let kind = MessageKind::ALL.iter().find(|kind| kind.topic("lab", 0) == topic);
+        let kind = MessageKind::all().find(|kind| kind.topic("lab", 0) == topic);
         let kind = kind.unwrap_or_else(|| panic!("{name}: no topic {topic:?}"));
-        let field = field(&message(*kind), path, name).kind();
+        let field = field(&message(kind), path, name).kind();
         // Names of an enum are texts there, without a line.
         assert!(field.as_enum().is_none() && field.as_message().is_none(), "{name}");
     }

@@ -117,7 +117,7 @@ fn channels_share_the_descriptors_of_their_schema() {
 
 #[test]
 fn no_message_of_empty_rows_is_decoded_that_has_more_than_a_fleet_has_robots() {
-    for kind in MessageKind::ALL.iter().copied() {
+    for kind in MessageKind::all() {
         for number in [1_u8, 5, 16, 20, 30] {
             let tag = u16::from(number) << 3 | 2;
             let empty = match u8::try_from(tag) {

@@ -6,8 +6,8 @@ use joulebus_bus::{
     Bus, Domain, JoinError, Limits, OpenError, SampleWriter, SendError, Waker, WorkerLock,
     WorkerLockError, Writer, clock,
 };
-use joulebus_capture_format::{ForEachChannel, Message, MessageKind};
-use joulebus_wire::{Channel, Flow, Forecasts, Samples, WakeEvent};
+use joulebus_capture_format::{Message, MessageKind};
+use joulebus_wire::{Channel, Flow, ForEachChannel, Forecasts, Samples, WakeEvent, each_channel};
 
 pub use rebase::{Moment, Rebase};
 
@@ -36,7 +36,7 @@ impl PlayedChannel {
     pub fn all() -> Vec<Self> {
         struct All(Vec<PlayedChannel>);
         impl ForEachChannel for All {
-            fn channel<C: Channel>(&mut self, _has_robots: bool) {
+            fn channel<C: Channel>(&mut self) {
                 let mut played = PlayedChannel::of::<C>();
                 if played.kind == MessageKind::of::<Samples>() {
                     played.open =
@@ -48,7 +48,7 @@ impl PlayedChannel {
             }
         }
         let mut all = All(Vec::new());
-        MessageKind::each_channel(&mut all);
+        each_channel(&mut all);
         all.0
     }
 }

@@ -91,20 +91,6 @@ impl Settings {
     }
 }
 
-/// Services that a planner's host has without `follow.services`. Forecasts are always carried.
-const USUAL: [Carried; 4] =
-    [Carried::DIAGNOSTICS, Carried::BUDGETS, Carried::PLAN_STATES, Carried::OUTLOOKS];
-
-fn service(name: &str) -> Carried {
-    match name {
-        "diagnostics" => Carried::DIAGNOSTICS,
-        "budgets" => Carried::BUDGETS,
-        "plan_states" => Carried::PLAN_STATES,
-        "outlooks" => Carried::OUTLOOKS,
-        _ => Carried::TICKS,
-    }
-}
-
 impl Settings {
     /// The fleet's identity in messages.
     pub(crate) fn fleet(&self, config: &Config) -> FleetId {
@@ -245,10 +231,17 @@ impl Check {
         config: &Config,
     ) -> Follow {
         let workers = self.workers(section, "worker", of);
-        let named = section.texts("services").iter().map(|name| service(name)).collect();
-        let services = if section.has("services") { named } else { USUAL.to_vec() };
-        let services = services.iter().map(|service| service.bit());
-        let services = services.fold(Carried::FORECASTS.bit(), |all, bit| all | bit);
+        let mut services = Carried::FORECASTS.bit();
+        for word in section.texts("services") {
+            match Carried::ALL.iter().find(|service| *service.name == *word) {
+                Some(service) => services |= service.bit(),
+                None => self.add(word.problem("does not cross a link", "Leave it out")),
+            }
+        }
+        if !section.has("services") {
+            let usual = Carried::ALL.iter().filter(|service| service.is_replaced());
+            services = usual.fold(services, |all, service| all | service.bit());
+        }
         let wants_ticks = services & Carried::TICKS.bit() != 0;
         if workers.len() > 1 && wants_ticks {
             let what = format!("has \"ticks\" of {} workers", workers.len());
@@ -304,6 +297,23 @@ mod tests {
         assert!(
             follow.selection.wants(Carried::FORECASTS) && !follow.selection.wants(Carried::TICKS)
         );
+    }
+
+    #[test]
+    fn each_service_that_the_key_allows_is_followed_beside_the_forecasts() {
+        let key = joulebus_config::keys().find(|key| key.path == "follow.services").unwrap();
+        let joulebus_config::ValueKind::Words(words) = key.kind else {
+            panic!("{key:?}");
+        };
+        for word in words {
+            let settings = load(&format!("{OTHER}services = [{word:?}]\n")).unwrap();
+            let Side::Other { follow: Some(follow), .. } = settings.side else {
+                panic!("another host's");
+            };
+            let wanted = Carried::ALL.iter().filter(|it| follow.selection.wants(**it));
+            let wanted: Vec<&str> = wanted.map(|service| service.name).collect();
+            assert_eq!(wanted, ["forecasts", word]);
+        }
     }
 
     #[test]

@@ -1,48 +1,65 @@
 //! The channels that a link carries, and the layout of their frames.
 
+use std::cmp::Ordering;
+
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameRows, Outlooks, PlanStates,
-    SCHEMA_VERSION, Samples, State, Ticks,
+    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader as _, FrameRows, Outlooks,
+    PlanStates, SCHEMA_VERSION, Samples, State, Ticks,
 };
 
-/// A channel whose frames cross a link, by its code in messages. Codes start at 1, because 0 is a
-/// message without a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Carried(u32);
+use crate::protocol::merge::Merged;
 
-/// A link's knowledge of a channel.
+/// A channel whose frames cross a link.
 #[derive(Debug, Clone, Copy)]
-struct Frames {
+pub(crate) struct Carried {
+    /// Its code in messages. Codes start at 1, because 0 is a message without a frame.
+    pub(crate) code: u32,
+    /// The last component of the service's name.
+    pub(crate) name: &'static str,
     /// Size of a header and of an element, bytes.
     sizes: (usize, usize),
+    flow: Flow,
     rows: FrameRows,
     sent_ns: fn(&[u8]) -> Option<u64>,
 }
 
-impl Frames {
-    const fn of<C: Channel>() -> Self {
-        Self {
-            sizes: (size_of::<C::Header>(), size_of::<C::Row>()),
-            rows: C::ROWS,
-            sent_ns: |header| pod_read_unaligned::<C::Header>(header).sent_ns(),
-        }
-    }
+/// Makes something of each merged channel.
+pub(crate) trait OfMerged {
+    type Made;
+
+    fn make<C: Merged>(&self, service: Carried) -> Self::Made;
 }
 
-/// The channels in the order of their codes.
-const CHANNELS: &[Frames] = &[
-    Frames::of::<Forecasts>(),
-    Frames::of::<Diagnostics>(),
-    Frames::of::<Budgets>(),
-    Frames::of::<PlanStates>(),
-    Frames::of::<Ticks>(),
-    Frames::of::<Samples>(),
-    Frames::of::<State>(),
-    Frames::of::<Outlooks>(),
-    #[cfg(test)]
-    Frames::of::<joulebus_testkit_channels::Signals>(),
-];
+macro_rules! carried {
+    ($($(#[doc = $doc:literal])* $code:literal $name:ident: $channel:ident $(, $make:ident)?;)*) => {
+        impl Carried {
+            $($(#[doc = $doc])* pub(crate) const $name: Self = Self::of::<$channel>($code);)*
+
+            /// In the order of their codes.
+            pub(crate) const ALL: &'static [Self] = &[$(Self::$name),*];
+
+            /// Makes something of each merged channel that a worker writes after its forecasts.
+            pub(crate) fn behind_forecasts<M: OfMerged>(of: &M) -> Vec<M::Made> {
+                vec![$($(of.$make::<$channel>(Self::$name),)?)*]
+            }
+        }
+    };
+}
+
+// The channels that cross a link, with `make` where a worker writes them after its forecasts and
+// those of several shards are merged. Words of `follow.services` are the names of the services.
+carried! {
+    1 FORECASTS: Forecasts;
+    2 DIAGNOSTICS: Diagnostics, make;
+    3 BUDGETS: Budgets, make;
+    4 PLAN_STATES: PlanStates, make;
+    5 TICKS: Ticks;
+    6 SAMPLES: Samples;
+    /// A worker's whole state, for standbys. The elements are its bytes.
+    7 STATE: State;
+    8 OUTLOOKS: Outlooks, make;
+}
 
 /// Maximum size of a state, bytes: for each robot of the capacity, and for the rest. It takes some
 /// 500 and a few thousand.
@@ -50,52 +67,40 @@ const STATE_BYTES_PER_ROBOT: usize = 4_096;
 const STATE_BYTES: usize = 1 << 18;
 
 impl Carried {
-    pub(crate) const FORECASTS: Self = Self(1);
-    pub(crate) const DIAGNOSTICS: Self = Self(2);
-    pub(crate) const BUDGETS: Self = Self(3);
-    pub(crate) const PLAN_STATES: Self = Self(4);
-    pub(crate) const TICKS: Self = Self(5);
-    pub(crate) const SAMPLES: Self = Self(6);
-    /// A worker's whole state, for standbys. The elements are its bytes.
-    pub(crate) const STATE: Self = Self(7);
-    pub(crate) const OUTLOOKS: Self = Self(8);
-    #[cfg(test)]
-    pub(crate) const SIGNALS: Self = Self(9);
-
-    pub(crate) fn all() -> impl Iterator<Item = Self> {
-        (1..).take(CHANNELS.len()).map(Self)
-    }
-
-    pub(crate) const fn code(self) -> u32 {
-        self.0
-    }
-
-    pub(crate) fn decode(code: u32) -> Option<Self> {
-        Self::all().find(|carried| carried.code() == code)
+    pub(crate) const fn of<C: Channel>(code: u32) -> Self {
+        Self {
+            code,
+            name: C::SERVICE.name(),
+            sizes: (size_of::<C::Header>(), size_of::<C::Row>()),
+            flow: C::FLOW,
+            rows: C::ROWS,
+            sent_ns: |header| pod_read_unaligned::<C::Header>(header).sent_ns(),
+        }
     }
 
     /// The bit in a request's set of services.
     pub(crate) const fn bit(self) -> u32 {
-        1 << (self.0 - 1)
-    }
-
-    const fn frames(self) -> &'static Frames {
-        &CHANNELS[self.0 as usize - 1]
+        1 << (self.code - 1)
     }
 
     /// Size of a header and of an element, bytes.
     pub(crate) const fn sizes(self) -> (usize, usize) {
-        self.frames().sizes
+        self.sizes
+    }
+
+    /// Whether only the newest frame counts.
+    pub(crate) const fn is_replaced(self) -> bool {
+        matches!(self.flow, Flow::Planners { .. })
     }
 
     /// Whether each element belongs to one robot and begins with its id.
     pub(crate) const fn is_by_robot(self) -> bool {
-        matches!(self.frames().rows, FrameRows::Robots)
+        matches!(self.rows, FrameRows::Robots)
     }
 
     /// Maximum number of elements of a frame in a fleet with that capacity.
     pub(crate) const fn most(self, capacity: usize) -> usize {
-        match self.frames().rows {
+        match self.rows {
             FrameRows::Bytes => {
                 capacity.saturating_mul(STATE_BYTES_PER_ROBOT).saturating_add(STATE_BYTES)
             }
@@ -104,12 +109,32 @@ impl Carried {
     }
 }
 
+impl PartialEq for Carried {
+    fn eq(&self, other: &Self) -> bool {
+        self.code == other.code
+    }
+}
+
+impl Eq for Carried {}
+
+impl PartialOrd for Carried {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Carried {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.code.cmp(&other.code)
+    }
+}
+
 /// Maximum size of a message's and its frame's headers, bytes.
 const MAX_HEADER_BYTES: usize = 4_096;
 
 /// Maximum message size in a fleet of that capacity, bytes.
 pub(crate) fn max_message_bytes(capacity: usize) -> usize {
-    let rows = Carried::all().map(|service| service.sizes().1);
+    let rows = Carried::ALL.iter().map(|service| service.sizes().1);
     let longest = rows.max().unwrap_or_default();
     MAX_HEADER_BYTES + capacity.saturating_mul(longest)
 }
@@ -186,7 +211,7 @@ impl<'a> RawFrame<'a> {
     /// When the frame was sent by its header, monotonic ns of its host. 0 if headers do not state
     /// it.
     pub(crate) fn sent_ns(&self) -> u64 {
-        (self.service.frames().sent_ns)(self.header).unwrap_or_default()
+        (self.service.sent_ns)(self.header).unwrap_or_default()
     }
 
     /// The number of elements.
@@ -233,17 +258,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_and_bits_are_distinct_and_decode_to_their_service() {
-        let mut bits = 0;
-        for (at, service) in Carried::all().enumerate() {
-            assert_eq!(service.code() as usize, at + 1);
-            assert_eq!(Carried::decode(service.code()), Some(service));
-            assert_eq!(bits & service.bit(), 0);
-            bits |= service.bit();
-        }
-        for code in [0, CHANNELS.len() as u32 + 1, u32::MAX] {
-            assert_eq!(Carried::decode(code), None, "{code}");
-        }
+    fn codes_count_from_one() {
+        let codes: Vec<u32> = Carried::ALL.iter().map(|service| service.code).collect();
+        assert!(codes.iter().copied().eq(1..=codes.len() as u32), "{codes:?}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Merges the newest frames of all shards into frames of one fleet.
 
+use bytemuck::Zeroable as _;
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
     Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, OUTLOOK_HORIZONS,
@@ -16,6 +17,9 @@ pub(crate) struct Origin {
 
 /// A channel whose frames of several shards can be merged.
 pub(crate) trait Merged: Channel {
+    /// Parts that do not agree with the first are left out. `None` where any can be merged.
+    const AGREE: Option<Agree<Self>> = None;
+
     /// The header of a merged frame. `parts` has the header of each fresh shard, at least one. Its
     /// times are the oldest ones, so that nothing looks fresher than it is. Counts are sums over
     /// `all` shards. [`Merge::write`] sets the place and the times of sending.
@@ -23,7 +27,13 @@ pub(crate) trait Merged: Channel {
 
     /// Removes the parts of a robot's row that are unknown while its shard is stale.
     fn silence(row: &mut Self::Row);
+
+    /// Adds the counters of a worker's earlier runs, because a merged fleet is one run.
+    fn add_counters(_to: &mut Self::Header, _from: &Self::Header) {}
 }
+
+/// Whether a part agrees with the first of a frame.
+pub(crate) type Agree<C> = fn(&<C as Channel>::Header, &<C as Channel>::Header) -> bool;
 
 /// Pause after which a service starts again, and the time that all shards then have for their first
 /// frames, in periods. A request takes some periods.
@@ -32,7 +42,10 @@ const BEGIN_PERIODS: u64 = 10;
 /// The newest frame of a shard.
 #[derive(Debug)]
 struct Part<C: Channel> {
+    /// With the counters of earlier runs.
     header: C::Header,
+    /// The last header of the run before.
+    before: C::Header,
     rows: Vec<C::Row>,
     is_new: bool,
 }
@@ -55,16 +68,20 @@ impl<C: Merged> Merge<C> {
     pub(crate) fn put(
         &mut self,
         shard: usize,
-        header: C::Header,
+        mut header: C::Header,
         rows: impl Iterator<Item = C::Row>,
         now_ns: u64,
     ) {
         self.since_ns.get_or_insert(now_ns);
-        let last = self.parts[shard].take();
-        let mut kept = last.map(|part| part.rows).unwrap_or_default();
+        let (before, mut kept) = match self.parts[shard].take() {
+            Some(last) if last.header.place().run == header.place().run => (last.before, last.rows),
+            Some(last) => (last.header, last.rows),
+            None => (C::Header::zeroed(), Vec::new()),
+        };
+        C::add_counters(&mut header, &before);
         kept.clear();
         kept.extend(rows);
-        self.parts[shard] = Some(Part { header, rows: kept, is_new: true });
+        self.parts[shard] = Some(Part { header, before, rows: kept, is_new: true });
     }
 
     pub(crate) fn header(&self, shard: usize) -> Option<&C::Header> {
@@ -189,6 +206,20 @@ impl Merged for Forecasts {
         (row.power_w, row.lo_w, row.hi_w) = (f32::NAN, f32::NAN, f32::NAN);
         (row.quality, row.quality_detail) = STALE.encode();
     }
+
+    fn add_counters(to: &mut ForecastHeader, from: &ForecastHeader) {
+        for (to, from) in [
+            (&mut to.ticks_skipped, from.ticks_skipped),
+            (&mut to.ticks_late, from.ticks_late),
+            (&mut to.samples_accepted, from.samples_accepted),
+        ] {
+            *to = to.saturating_add(from);
+        }
+        let counts = to.samples_dropped.counts.iter_mut();
+        for (to, from) in counts.zip(from.samples_dropped.counts) {
+            *to = to.saturating_add(from);
+        }
+    }
 }
 
 impl Merged for Diagnostics {
@@ -222,7 +253,12 @@ impl Merged for Budgets {
 }
 
 impl Merged for PlanStates {
-    /// The parts agree in settings and models. Others were left out before.
+    /// In settings and models, because a planner computes with one set.
+    const AGREE: Option<Agree<Self>> = Some(|part, first| {
+        let by = |it: &PlanStateHeader| (it.settings_hash, it.model_hash, it.models);
+        by(part) == by(first)
+    });
+
     fn merged(parts: &[PlanStateHeader], _: &[PlanStateHeader]) -> PlanStateHeader {
         let of = |field: fn(&PlanStateHeader) -> u64| parts.iter().map(field);
         PlanStateHeader {
@@ -263,43 +299,6 @@ impl Merged for Outlooks {
 }
 
 const STALE: Quality = Quality::Invalid(InvalidReason::Stale);
-
-/// Counters of a shard's worker, continued over its runs, because a merged fleet is one run.
-#[derive(Debug, Default)]
-pub(crate) struct Continued {
-    /// The newest header of the current run.
-    last: Option<ForecastHeader>,
-    /// Sums over ended runs.
-    before: ForecastHeader,
-}
-
-impl Continued {
-    /// Adds the counters of earlier runs to a header that has just arrived.
-    pub(crate) fn add(&mut self, header: &mut ForecastHeader) {
-        let own = *header;
-        if let Some(last) = self.last
-            && last.worker_epoch != own.worker_epoch
-        {
-            add_counters(&mut self.before, &last);
-        }
-        self.last = Some(own);
-        add_counters(header, &self.before);
-    }
-}
-
-fn add_counters(to: &mut ForecastHeader, from: &ForecastHeader) {
-    for (to, from) in [
-        (&mut to.ticks_skipped, from.ticks_skipped),
-        (&mut to.ticks_late, from.ticks_late),
-        (&mut to.samples_accepted, from.samples_accepted),
-    ] {
-        *to = to.saturating_add(from);
-    }
-    let counts = to.samples_dropped.counts.iter_mut();
-    for (to, from) in counts.zip(from.samples_dropped.counts) {
-        *to = to.saturating_add(from);
-    }
-}
 
 #[cfg(test)]
 mod tests {
@@ -375,15 +374,11 @@ mod tests {
 
     #[test]
     fn counters_go_on_over_the_runs_of_a_worker_and_never_fall() {
-        let mut continued = Continued::default();
-        let mut last = 0;
+        let mut merge = Merge::<Forecasts>::new(1);
         for (run, accepted, sum) in [(1, 5, 5), (1, 9, 9), (2, 0, 9), (2, 3, 12), (7, 1, 13)] {
-            let mut header = header(0, accepted);
-            header.worker_epoch = run;
-            continued.add(&mut header);
-            assert_eq!(header.samples_accepted, sum);
-            assert!(header.samples_accepted >= last);
-            last = header.samples_accepted;
+            let header = ForecastHeader { worker_epoch: run, ..header(0, accepted) };
+            merge.put(0, header, [].into_iter(), 0);
+            assert_eq!(merge.header(0).unwrap().samples_accepted, sum);
         }
     }
 

@@ -192,7 +192,7 @@ pub(crate) fn write_frame(
     out.clear();
     out.extend_from_slice(bytes_of(&prelude(FRAME, sender, number)));
     let mut head = FrameHead {
-        service: frame.as_ref().map_or(0, |frame| frame.service.code()),
+        service: frame.as_ref().map_or(0, |frame| frame.service.code),
         elements: 0,
         worker: status.leader.worker as u32,
         reserved: 0,
@@ -246,6 +246,16 @@ pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> V
 /// # Errors
 /// [`MessageError`].
 pub(crate) fn read(bytes: &[u8], fleet: FleetId, most: usize) -> Result<Message<'_>, MessageError> {
+    read_of(Carried::ALL, bytes, fleet, most)
+}
+
+/// Same as [`read`], if these channels cross the link.
+pub(crate) fn read_of<'a>(
+    channels: &[Carried],
+    bytes: &'a [u8],
+    fleet: FleetId,
+    most: usize,
+) -> Result<Message<'a>, MessageError> {
     let (prelude, rest) = split::<Prelude>(bytes)?;
     if prelude.magic != MAGIC {
         return Err(MessageError::Foreign);
@@ -267,14 +277,18 @@ pub(crate) fn read(bytes: &[u8], fleet: FleetId, most: usize) -> Result<Message<
         return Err(MessageError::Shards { found: prelude.shards, allowed: fleet.shards });
     }
     let body = match prelude.kind {
-        FRAME => read_frame(rest, most)?,
+        FRAME => read_frame(channels, rest, most)?,
         REQUEST => Body::Request(read_request(rest)?),
         found => return Err(MessageError::Kind { found }),
     };
     Ok(Message { run: prelude.run, number: prelude.number, body })
 }
 
-fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
+fn read_frame<'a>(
+    channels: &[Carried],
+    bytes: &'a [u8],
+    most: usize,
+) -> Result<Body<'a>, MessageError> {
     let (head, rest) = split::<FrameHead>(bytes)?;
     let status = Status {
         asked_ns: head.asked_ns,
@@ -292,8 +306,9 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
         return Ok(Body::Frame(status, None));
     }
     let found = head.service;
-    let service = Carried::decode(found).ok_or(MessageError::Kind { found })?;
-    let frame = RawFrame::new(service, head.elements, most, rest)?;
+    let service = channels.iter().find(|service| service.code == found);
+    let service = service.ok_or(MessageError::Kind { found })?;
+    let frame = RawFrame::new(*service, head.elements, most, rest)?;
     Ok(Body::Frame(status, Some(frame)))
 }
 

@@ -16,11 +16,6 @@ pub(crate) const REQUEST_INTERVAL_NS: u64 = 100_000_000;
 /// frame of its service acknowledges it, because the sender has room for two. The delay exceeds the
 /// period of most fleets, and is shorter than the time that a frame takes on a busy path.
 const MAX_ACK_DELAY_NS: u64 = 40_000_000;
-/// The services of which only the newest frame counts.
-const REPLACED: u32 = Carried::FORECASTS.bit()
-    | Carried::DIAGNOSTICS.bit()
-    | Carried::BUDGETS.bit()
-    | Carried::PLAN_STATES.bit();
 /// Timeout of a request. Older ones cannot be the request that an answer names.
 const REQUEST_TIMEOUT_NS: u64 = 10_000_000_000;
 
@@ -193,7 +188,8 @@ impl Receiver {
     /// due at once before the clock offset is known. For other services the sender has room for one
     /// more frame.
     fn note(&mut self, frame: Option<RawFrame<'_>>, now_ns: u64) {
-        let bit = frame.map_or(0, |frame| frame.service.bit() & REPLACED);
+        let service = frame.map(|frame| frame.service);
+        let bit = service.filter(|it| it.is_replaced()).map_or(0, Carried::bit);
         let is_second = self.unanswered & bit != 0;
         self.owes |= bit == 0 || is_second || !self.offset.is_measured();
         if self.unanswered == 0 {

@@ -86,7 +86,7 @@ impl Selection {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample};
+    use joulebus_wire::Sample;
     use proptest::prelude::*;
 
     use super::*;
@@ -104,27 +104,6 @@ mod tests {
         let many = (0..100).map(|at| (at * 2, at * 2)).collect();
         let selection = Selection::new(0, 0, many);
         assert_eq!((selection.every, selection.ranges().len()), (1, MAX_RANGES));
-    }
-
-    #[test]
-    fn the_id_is_what_each_row_of_a_robot_begins_with() {
-        let mut forecast = Forecast::default();
-        let mut diagnostic = Diagnostic::default();
-        let (mut budget, mut state) = (Budget::default(), PlanState::default());
-        let sample = Sample::new(0x0102_0304, 0, 0);
-        forecast.robot = sample.robot;
-        diagnostic.robot = sample.robot;
-        budget.robot = sample.robot;
-        state.robot = sample.robot;
-        for bytes in [
-            bytemuck::bytes_of(&forecast),
-            bytemuck::bytes_of(&diagnostic),
-            bytemuck::bytes_of(&budget),
-            bytemuck::bytes_of(&state),
-            bytemuck::bytes_of(&sample),
-        ] {
-            assert_eq!(bytes[..4], sample.robot.to_le_bytes());
-        }
     }
 
     proptest! {

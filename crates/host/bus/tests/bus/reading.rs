@@ -4,8 +4,7 @@ use std::path::Path;
 
 use joulebus_bus::{Bus, Domain, Limits, OpenError, WorkerLock};
 use joulebus_wire::{
-    Acknowledgements, Budgets, Channel, Diagnostics, Flow, Forecast, ForecastHeader, Forecasts,
-    Outlooks, PlanStates, Queries, Samples, State, Ticks,
+    Channel, Flow, ForEachChannel, Forecast, ForecastHeader, Forecasts, each_channel,
 };
 
 #[test]
@@ -44,9 +43,9 @@ fn planners_and_views_leave_the_places_of_worker_recorders_links_and_operators()
         domain: &'a Domain,
         limits: Limits,
     }
-    impl Filling<'_> {
-        fn channel<C: Channel>(&self) {
-            let (Self { domain, limits }, name) = (self, C::SERVICE.name());
+    impl ForEachChannel for Filling<'_> {
+        fn channel<C: Channel>(&mut self) {
+            let (Self { domain, limits }, name) = (&*self, C::SERVICE.name());
             let open = limits.open_places(C::FLOW);
             let join = |name: &str| Bus::join(domain, name).unwrap();
             let (own, view, other) = (join("worker"), join("watch"), join("page"));
@@ -83,17 +82,8 @@ fn planners_and_views_leave_the_places_of_worker_recorders_links_and_operators()
     let root = format!("/dev/shm/joulebus-places-{}", std::process::id());
     let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
     let limits = Limits { max_planners: 3, ..Limits::default() };
-    let filling = Filling { domain: &domain, limits };
-    filling.channel::<Samples>();
-    filling.channel::<Forecasts>();
-    filling.channel::<Diagnostics>();
-    filling.channel::<Budgets>();
-    filling.channel::<PlanStates>();
-    filling.channel::<Outlooks>();
-    filling.channel::<Ticks>();
-    filling.channel::<State>();
-    filling.channel::<Queries>();
-    filling.channel::<Acknowledgements>();
+    let mut filling = Filling { domain: &domain, limits };
+    each_channel(&mut filling);
     // And those who are woken.
     let join = |name: &str| Bus::join(&domain, name).unwrap();
     let (view, link) = (join("watch"), join("link"));
