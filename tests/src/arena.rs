@@ -244,7 +244,7 @@ impl Arena {
     pub fn worker(&self) -> Child {
         let mut worker = self.spawn_worker();
         worker.wait_for_line("ready:");
-        worker
+        worker.at_drop(Child::stop)
     }
 
     /// The probe as a command.
@@ -254,9 +254,14 @@ impl Arena {
         command
     }
 
+    /// Starts the probe. It is finished when it is dropped.
+    pub fn member(&self, name: &str, arguments: &[&str]) -> Child {
+        Child::spawn(name, self.probe(arguments)).at_drop(Child::finish)
+    }
+
     /// Starts a source controlled by the test and waits until it has joined.
     pub fn source(&self, name: &str) -> Source {
-        Source::new(Child::spawn(name, self.probe(&["source", name])))
+        Source::new(self.member(name, &["source", name]))
     }
 
     /// Starts a controller: a publisher that sends [`crate::steady`] samples of `robots` robots
@@ -264,22 +269,22 @@ impl Arena {
     pub fn controller(&self, name: &str, first: u32, robots: u32, rate_hz: f64) -> Child {
         let numbers = [first.to_string(), robots.to_string(), rate_hz.to_string()];
         let arguments = ["controller", name, &numbers[0], &numbers[1], &numbers[2]];
-        Child::spawn(name, self.probe(&arguments))
+        self.member(name, &arguments)
     }
 
     /// Starts a planner that reports every frame, and waits until it has joined.
     pub fn planner(&self) -> Planner {
-        Planner::ready(Child::spawn("planner", self.probe(&["planner"])))
+        Planner::ready(self.member("planner", &["planner"]))
     }
 
     /// Starts a planner built on the consumer library, and waits until it has joined.
     pub fn consumer(&self) -> Planner {
-        Planner::ready(Child::spawn("consumer", self.probe(&["consumer"])))
+        Planner::ready(self.member("consumer", &["consumer"]))
     }
 
     /// Starts a reader of samples beside the worker, and waits until it has joined.
     pub fn recorder(&self) -> Planner {
-        Planner::ready(Child::spawn("recorder", self.probe(&["recorder"])))
+        Planner::ready(self.member("recorder", &["recorder"]))
     }
 
     /// Files left of the fleet: objects in shared memory, and the root directory with its drafts.

@@ -19,8 +19,8 @@ pub use figure::{Dice, Spread, figure};
 pub use joulebus_testkit::{Child, Ended, MemoryGroup, PATIENCE, as_in_docker, eventually};
 pub use planner::{Answers, Planner};
 pub use protocol::{
-    AskerLine, BudgetFrame, BudgetLine, DiagnosticFrame, DiagnosticLine, ForecastFrame,
-    ForecastLine, Forge, FrameLine, ReaderLine, RefusalLine, SampleLine, SourceLine,
+    Answer, AskerLine, Forge, FrameLine, FrameRead, ReaderLine, SourceLine, accounted, answer,
+    drawn_exact, names, tick_ns,
 };
 pub use script::{is_whole, sample, script, steady, steady_uw};
 pub use source::Source;

@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use joulebus_wire::{Quality, Sample};
+use joulebus_wire::{Forecasts, Quality, Sample};
 
-use crate::{Child, Ended, ForecastFrame, PATIENCE, ReaderLine, Source};
+use crate::{Answer, Child, Ended, FrameRead, PATIENCE, ReaderLine, Source, answer};
 
-/// First answers to samples, by robot and sample number: quality code and detail, and the bits of
-/// forecast, interval and reading.
-pub type Answers = BTreeMap<(u32, u64), ((u16, u16), [u32; 4])>;
+/// First answers to samples, by robot and sample number.
+pub type Answers = BTreeMap<(u32, u64), Answer>;
 
 /// Interval of checking whether a source has exited.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -31,7 +30,7 @@ impl Planner {
 
     pub(crate) fn ready(child: Child) -> Self {
         let mut planner = Self::new(child);
-        planner.until("it has joined", |line| (*line == ReaderLine::Ready).then_some(()));
+        planner.until("it has joined", |line| matches!(line, ReaderLine::Ready).then_some(()));
         planner
     }
 
@@ -83,7 +82,7 @@ impl Planner {
     pub fn forecast<T>(
         &mut self,
         what: &str,
-        mut look: impl FnMut(&ForecastFrame) -> Option<T>,
+        mut look: impl FnMut(&FrameRead<Forecasts>) -> Option<T>,
     ) -> T {
         self.until(what, |line| match line {
             ReaderLine::Forecasts(frame) => look(frame),
@@ -97,11 +96,13 @@ impl Planner {
     }
 
     /// Reads until each of `samples` is the newest one answered by its robot's forecast.
-    pub fn answered(&mut self, samples: &[Sample]) -> ForecastFrame {
+    pub fn answered(&mut self, samples: &[Sample]) -> FrameRead<Forecasts> {
         self.forecast("the samples are answered", |frame| {
             let is_answered = |sample: &Sample| {
                 let line = frame.robot(sample.robot);
-                line.is_some_and(|line| line.seq == sample.seq && line.stamp_ns == sample.stamp_ns)
+                line.is_some_and(|line| {
+                    (line.sample_seq, line.stamp_ns) == (sample.seq, sample.stamp_ns)
+                })
             };
             samples.iter().all(is_answered).then(|| frame.clone())
         })
@@ -122,7 +123,7 @@ impl Planner {
     }
 
     /// All frames of forecasts read so far.
-    pub fn forecasts(&mut self) -> impl Iterator<Item = &ForecastFrame> {
+    pub fn forecasts(&mut self) -> impl Iterator<Item = &FrameRead<Forecasts>> {
         self.seen().iter().filter_map(|line| match line {
             ReaderLine::Forecasts(frame) => Some(frame),
             _ => None,
@@ -137,7 +138,7 @@ impl Planner {
             let answered =
                 matches!(line.quality(), Quality::Fresh | Quality::Held | Quality::Warmup { .. });
             if answered && line.stamp_ns > 0 && is_one(line.robot) {
-                answers.entry((line.robot, line.seq)).or_insert((line.code, line.bits));
+                answers.entry((line.robot, line.sample_seq)).or_insert_with(|| answer(line));
             }
         }
         answers

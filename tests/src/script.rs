@@ -2,8 +2,6 @@
 
 use joulebus_wire::Sample;
 
-use crate::SampleLine;
-
 /// Power of `robot` in [`steady`], µW: exact in `f32` as watts, and within the limits of a GTernal
 /// up to robot 130.
 pub const fn steady_uw(robot: u32) -> i128 {
@@ -47,7 +45,7 @@ pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
 pub fn is_whole(sample: &Sample) -> bool {
     let expected = steady(sample.robot, sample.seq, sample.stamp_ns);
     // As bits: what a sample does not state is NaN.
-    SampleLine::from(*sample) == SampleLine::from(expected)
+    bytemuck::bytes_of(sample) == bytemuck::bytes_of(&expected)
 }
 
 /// SplitMix64 of the two numbers.

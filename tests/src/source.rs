@@ -31,8 +31,7 @@ impl Source {
 
     /// Sends a frame with a forged header; returns the number of readers.
     pub fn send_forged(&mut self, samples: &[Sample], forge: Forge) -> usize {
-        let samples = samples.iter().copied().map(Into::into).collect();
-        self.send_all(&[FrameLine { samples, forge }])
+        self.send_all(&[FrameLine::new(samples, forge)])
     }
 
     /// Sends frames without a pause; returns the number of readers of the last one.

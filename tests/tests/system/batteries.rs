@@ -35,7 +35,6 @@ fn report(arena: &Arena, robots: std::ops::Range<u32>) {
         seq += 1;
         seq > 3 && robots.clone().all(|robot| bounds(arena, robot).is_some())
     });
-    source.leave();
 }
 
 #[test]
@@ -112,7 +111,7 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
     assert_eq!(worker.kill().signal(), Some(9));
     let (generation, before) = saved(&arena).expect("it was there");
     let errors = remembered(&arena).expect("they were there");
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut after = Vec::new();
     eventually("the next worker has saved them", || {
         let newer = saved(&arena).filter(|(newer, _)| *newer > generation + 1);
@@ -127,7 +126,6 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
     // Few enough that none has faded, and none is forgotten.
     assert!(remembered(&arena).is_some_and(|after| after >= errors && errors < 200.0));
     controller.kill();
-    worker.stop();
 }
 
 #[test]

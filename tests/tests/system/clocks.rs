@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use joulebus_tests::{Arena, Child, Planner, ReaderLine, Setup, figure, script};
-use joulebus_wire::Quality;
+use joulebus_wire::{Forecast, Quality};
 use rustix::process::Signal;
 
 /// How far the clocks differ, s.
@@ -55,7 +55,7 @@ fn processes_whose_clocks_differ_are_forecast_and_each_notices_a_silent_worker()
         let consumer = arena.probe(&["consumer"]);
         let mut planner = Planner::new(Child::spawn("planner", elsewhere(&consumer, ahead_s)));
         beside.forecast("forecasts of all robots", |frame| {
-            let fresh = |line: &joulebus_tests::ForecastLine| {
+            let fresh = |line: &Forecast| {
                 let ahead_ns = line.stamp_ns.cast_signed() - frame.read_ns.cast_signed();
                 let far_s = if line.robot < 2 { 0 } else { ahead_s };
                 let as_its_clock = (ahead_ns / 1_000_000_000 - far_s).abs() < AWAY_S / 2;
@@ -80,8 +80,6 @@ fn processes_whose_clocks_differ_are_forecast_and_each_notices_a_silent_worker()
     for controller in [&mut near, away.as_mut().unwrap()] {
         controller.kill();
     }
-    beside.leave();
-    worker.stop();
 }
 
 #[test]

@@ -8,10 +8,10 @@ use std::process::Command;
 use joulebus_bus::clock;
 use joulebus_testkit::eventually;
 use joulebus_tests::{
-    Arena, Child, Ended, ForecastLine, MemoryGroup, Planner, ReaderLine, Setup, alone,
-    as_in_docker, figure, without_loss,
+    Arena, Child, Ended, MemoryGroup, Planner, ReaderLine, Setup, alone, as_in_docker, figure,
+    without_loss,
 };
-use joulebus_wire::Quality;
+use joulebus_wire::{Forecast, Quality};
 
 fn setup() -> Setup {
     Setup {
@@ -25,7 +25,7 @@ fn setup() -> Setup {
     }
 }
 
-fn is_forecast(line: &ForecastLine) -> bool {
+fn is_forecast(line: &Forecast) -> bool {
     matches!(line.quality(), Quality::Fresh | Quality::Held)
 }
 

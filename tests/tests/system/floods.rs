@@ -5,7 +5,7 @@ use std::time::Instant;
 use joulebus_tests::{
     Answers, Arena, Forge, FrameLine, Planner, ReaderLine, Setup, Source, figure, sample, script,
 };
-use joulebus_wire::Sample;
+use joulebus_wire::{Refusal, Sample};
 use serde_json::Value;
 
 const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
@@ -18,7 +18,7 @@ const FRAMES: u64 = 150;
 struct Run {
     answers: Answers,
     report: Value,
-    refused: Vec<(u32, u32, String)>,
+    refused: Vec<Refusal>,
     flooded: u64,
     flood_pid: u32,
 }
@@ -30,10 +30,7 @@ fn burst(round: u64, setup: &Setup) -> Vec<FrameLine> {
             let seq = round * TIMES + place;
             let samples = FLOODED
                 .map(|robot| Sample { seq, ..sample(robot, seq, setup.period_ns() / TIMES) });
-            FrameLine {
-                samples: samples.into_iter().map(Into::into).collect(),
-                forge: Forge::default(),
-            }
+            FrameLine::new(&samples, Forge::default())
         })
         .collect()
 }
@@ -65,15 +62,14 @@ fn run(setup: &Setup, with_flood: bool) -> Run {
     Run { answers, report, refused, flooded, flood_pid }
 }
 
-/// All refusals reported so far: robot, pid, reason.
-fn refusals(planner: &mut Planner) -> Vec<(u32, u32, String)> {
+/// All refusals reported so far.
+fn refusals(planner: &mut Planner) -> Vec<Refusal> {
     let lines = planner.seen().iter();
     let frames = lines.filter_map(|line| match line {
-        ReaderLine::Diagnostics(frame) => Some(&frame.refused),
+        ReaderLine::Diagnostics(frame) => Some(frame.refusals()),
         _ => None,
     });
-    let named = frames.flatten();
-    named.map(|refusal| (refusal.robot, refusal.pid, refusal.reason.clone())).collect()
+    frames.flatten().copied().collect()
 }
 
 #[test]
@@ -102,9 +98,9 @@ fn row_5_a_source_that_floods_tenfold_loses_only_its_own_samples() {
     let accepted = flooded.report["samples_accepted"].as_u64().unwrap();
     assert_eq!(accepted + drops, wanted as u64 + flooded.flooded, "{}", flooded.report);
     assert!(drops > 0, "{}", flooded.report);
-    for (robot, pid, reason) in &flooded.refused {
-        assert!(FLOODED.contains(robot), "robot {robot}: {reason}");
-        assert_eq!(*pid, flooded.flood_pid, "{reason}");
+    for refusal in &flooded.refused {
+        assert!(FLOODED.contains(&refusal.robot), "{refusal:?}");
+        assert_eq!(refusal.pid, flooded.flood_pid, "{refusal:?}");
     }
     assert_eq!(flooded.report["frames_unsent"], 0, "{}", flooded.report);
 

@@ -2,24 +2,22 @@
 
 use std::time::Duration;
 
-use joulebus_tests::{Arena, Dice, ForecastLine, Planner, Setup, Source, Spread, figure, sample};
-use joulebus_wire::{Quality, Sample};
+use joulebus_tests::{
+    Arena, Dice, FrameRead, Planner, Setup, Source, Spread, answer, figure, sample,
+};
+use joulebus_wire::{Forecast, Forecasts, Quality, Sample};
 
 /// Readings in a lag window.
 const WINDOW: u64 = 5;
 
-/// Sends the frame and waits for its answer; returns the lines of `robots` in it, and its tick.
-fn answer(
-    planner: &mut Planner,
-    source: &mut Source,
-    frame: &[Sample],
-) -> (u64, Vec<ForecastLine>) {
+/// Sends the frame and waits for its answer; returns its tick and its robots.
+fn answered(planner: &mut Planner, source: &mut Source, frame: &[Sample]) -> (u64, Vec<Forecast>) {
     source.send(frame);
     let answered = planner.answered(frame);
     (answered.tick, answered.robots)
 }
 
-fn line(lines: &[ForecastLine], robot: u32) -> ForecastLine {
+fn line(lines: &[Forecast], robot: u32) -> Forecast {
     *lines.iter().find(|line| line.robot == robot).expect("an answer for each robot")
 }
 
@@ -28,7 +26,7 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
     const JOINERS: u32 = 20;
     let setup = Setup { capacity: 32, ..Setup::default() };
     let arena = Arena::new(&setup);
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut source = arena.source("fleet");
     let fleet: Vec<u32> = (0..4).collect();
@@ -42,7 +40,7 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
             frame.push(sample(joiner, own, setup.period_ns()));
             seq += 1;
             let before = planner.forecasts().last().map_or(0, |frame| frame.tick);
-            let (tick, lines) = answer(&mut planner, &mut source, &frame);
+            let (tick, lines) = answered(&mut planner, &mut source, &frame);
             let found = line(&lines, joiner);
             let expected = if own + 1 < WINDOW {
                 Quality::Warmup { have: own as u16 + 1 }
@@ -63,8 +61,8 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
             }
         }
         let read = |seq: u64| {
-            move |frame: &&joulebus_tests::ForecastFrame| {
-                frame.robot(joiner).is_some_and(|line| line.seq >= seq && line.stamp_ns > 0)
+            move |frame: &&FrameRead<Forecasts>| {
+                frame.robot(joiner).is_some_and(|line| line.sample_seq >= seq && line.stamp_ns > 0)
             }
         };
         let joined_ns = planner.forecasts().find(read(0)).expect("answered").read_ns;
@@ -75,9 +73,6 @@ fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample(
         "row 10, join to first forecast",
         format_args!("{WINDOW} samples, at most {most_ticks} ticks after the joining one; {ticks}"),
     );
-    source.leave();
-    planner.leave();
-    worker.stop();
 }
 
 #[test]
@@ -87,7 +82,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
     // No continuing robot is silent for two seconds, however busy the machine is.
     let setup = Setup { capacity: 4, stale_after_s: 2.0, leave_after_s: 2.0, ..Setup::default() };
     let arena = Arena::new(&setup);
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut source = arena.source("fleet");
     let stayers = [2, 3];
@@ -96,7 +91,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
         seq += 1;
         stayers.map(|robot| sample(robot, seq, setup.period_ns())).to_vec()
     };
-    let mut first_stay: Vec<Vec<ForecastLine>> = Vec::new();
+    let mut first_stay: Vec<Vec<Forecast>> = Vec::new();
     let (mut compared, mut generations) = (0, Vec::new());
     for stay in 0..stays {
         // Two pairs of robots alternate in the same two slots.
@@ -104,7 +99,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
         for own in 0..SAMPLES {
             let mut frame = stayers_frame();
             frame.extend(visitors.map(|robot| sample(robot, own, setup.period_ns())));
-            let (_, lines) = answer(&mut planner, &mut source, &frame);
+            let (_, lines) = answered(&mut planner, &mut source, &frame);
             assert_eq!(lines.len(), 4);
             let found = visitors.map(|robot| line(&lines, robot));
             if own + 1 < WINDOW {
@@ -122,11 +117,8 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
                     for (first, again) in first.iter().zip(&found) {
                         // Provisional open-loop forecasts of a busy machine are excluded.
                         if !matches!(again.quality(), Quality::OpenLoop { .. }) {
-                            assert_eq!(
-                                (first.code, first.bits),
-                                (again.code, again.bits),
-                                "stay {stay} sample {own}"
-                            );
+                            let (first, again) = (answer(first), answer(again));
+                            assert_eq!(first, again, "stay {stay} sample {own}");
                             compared += 1;
                         }
                     }
@@ -139,7 +131,7 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
         // The visitors fall silent; the others continue until the slots are free.
         loop {
             let frame = stayers_frame();
-            let (_, lines) = answer(&mut planner, &mut source, &frame);
+            let (_, lines) = answered(&mut planner, &mut source, &frame);
             if lines.len() == 2 {
                 break;
             }
@@ -156,7 +148,4 @@ fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
         "row 11, stale reads",
         format_args!("0 of {compared} answers after {stays} changes of owner, compared to the bit"),
     );
-    source.leave();
-    planner.leave();
-    worker.stop();
 }

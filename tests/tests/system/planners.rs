@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use joulebus_tests::{Arena, Child, Dice, Planner, ReaderLine, Setup, Spread, figure, sample};
+use joulebus_tests::{
+    Arena, Child, Dice, Planner, ReaderLine, Setup, Spread, figure, sample, tick_ns,
+};
 use joulebus_wire::Sample;
 use rustix::process::Signal;
 
@@ -33,7 +35,8 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed(
     for round in 0..rounds {
         let mut planner = Planner::new(Child::spawn("holder", arena.probe(&["holder"])));
         if round % 2 == 0 {
-            planner.until("it holds a frame", |line| (*line == ReaderLine::Holds).then_some(()));
+            planner
+                .until("it holds a frame", |line| matches!(line, ReaderLine::Holds).then_some(()));
         } else {
             starting += 1;
         }
@@ -46,7 +49,8 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed(
     let holders: Vec<Planner> = (0..2)
         .map(|_| {
             let mut holder = Planner::new(Child::spawn("holder", arena.probe(&["holder"])));
-            holder.until("it holds a frame", |line| (*line == ReaderLine::Holds).then_some(()));
+            holder
+                .until("it holds a frame", |line| matches!(line, ReaderLine::Holds).then_some(()));
             holder
         })
         .collect();
@@ -121,7 +125,7 @@ fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_
     let mut ticks = Spread::default();
     for frame in witness.forecasts().filter(|frame| (first.tick..=last.tick).contains(&frame.tick))
     {
-        ticks.add_ns(frame.tick_ns);
+        ticks.add_ns(tick_ns(frame));
     }
     figure(
         "row 4, while a planner is stopped",

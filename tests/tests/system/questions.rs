@@ -29,8 +29,7 @@ struct Asker {
 
 impl Asker {
     fn new(arena: &Arena, arguments: &[&str]) -> Self {
-        let child = Child::spawn(&arguments.join(" "), arena.probe(arguments));
-        Self { child, read: 0 }
+        Self { child: arena.member(&arguments.join(" "), arguments), read: 0 }
     }
 
     /// The next line; `None` at the end of the output.
@@ -139,7 +138,7 @@ fn connections_of_clients_that_left_while_their_questions_were_unread_are_given_
     const AT_ONCE: usize = 8;
     let arena = Arena::new(&setup());
     let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let _source = arena.controller("source", 0, ROBOTS, HZ);
     let mut witness = Asker::new(&arena, &["asker", "flood"]);
     witness.is_asking();
     let before = least(&arena, worker.pid());
@@ -177,15 +176,13 @@ fn connections_of_clients_that_left_while_their_questions_were_unread_are_given_
         _ => None,
     });
     assert_eq!(failed, None, "a client that stays is answered all the time");
-    source.finish();
-    worker.stop();
 }
 
 #[test]
 fn a_worker_that_ends_refuses_the_questions_that_wait() {
     let arena = Arena::new(&setup());
     let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let _source = arena.controller("source", 0, ROBOTS, HZ);
     let mut askers = [(); 6].map(|()| Asker::new(&arena, &["asker", "heavy"]));
     askers.iter_mut().for_each(Asker::is_asking);
     let report = worker.stop().json();
@@ -203,7 +200,6 @@ fn a_worker_that_ends_refuses_the_questions_that_wait() {
     assert!(names.contains_key("Ending"), "{names:?}");
     let counted = report["queries"]["refused"]["Ending"].as_u64();
     assert!(counted >= names.get("Ending").copied(), "{report}");
-    source.finish();
 }
 
 #[test]
@@ -248,7 +244,7 @@ fn a_killed_worker_is_an_error_at_once_and_the_next_one_answers() {
 fn a_stopped_worker_is_a_time_out_and_answers_again_when_it_continues() {
     let arena = Arena::new(&setup());
     let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let _source = arena.controller("source", 0, ROBOTS, HZ);
     let mut asker = Asker::new(&arena, &["asker", "late"]);
     asker.is_asking();
     worker.signal(Signal::STOP);
@@ -259,9 +255,6 @@ fn a_stopped_worker_is_a_time_out_and_answers_again_when_it_continues() {
     assert!(after_ns >= 200_000_000, "{after_ns}");
     worker.signal(Signal::CONT);
     asker.is_asking();
-    asker.child.finish();
-    source.finish();
-    worker.stop();
 }
 
 #[test]
@@ -344,25 +337,19 @@ fn hostile_questions_are_refused_by_reason_and_counted_and_harm_nobody() {
 #[test]
 fn the_worker_answers_with_the_bits_that_a_planner_computes_itself() {
     let arena = Arena::new(&setup());
-    let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let _worker = arena.worker();
+    let _source = arena.controller("source", 0, ROBOTS, HZ);
     let mut asker = Asker::new(&arena, &["asker", "bits", "60"]);
     assert_eq!(asker.next(), Some(AskerLine::Done { answered: 60 }), "{}", asker.child.tail());
-    asker.child.finish();
-    source.finish();
-    worker.stop();
 }
 
 #[test]
 fn a_question_that_takes_longer_than_two_ticks_is_a_yes_about_a_state_that_is_not_stale() {
     let arena = Arena::new(&setup());
-    let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let _worker = arena.worker();
+    let _source = arena.controller("source", 0, ROBOTS, HZ);
     let mut asker = Asker::new(&arena, &["asker", "far", "3"]);
     assert_eq!(asker.next(), Some(AskerLine::Done { answered: 3 }), "{}", asker.child.tail());
-    asker.child.finish();
-    source.finish();
-    worker.stop();
 }
 
 #[test]

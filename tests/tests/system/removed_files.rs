@@ -47,9 +47,7 @@ impl Fleet {
     /// Stops the processes that have not exited.
     fn end(mut self) {
         for member in &mut self.members {
-            if member.is_running() {
-                member.end();
-            }
+            member.end();
         }
     }
 }
@@ -153,7 +151,7 @@ fn every_program_whose_files_are_removed_reports_it_and_exits() {
 #[test]
 fn doctor_finds_no_fault_with_what_a_reader_that_has_left_had() {
     let arena = Arena::new(&Setup::default());
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut controller = arena.controller("fleet", 0, 4, 30.0);
     planner.forecast("all work", |frame| frame.robot(3).map(|_| ()));
@@ -167,7 +165,6 @@ fn doctor_finds_no_fault_with_what_a_reader_that_has_left_had() {
     }
     controller.finish();
     planner.child.end();
-    worker.stop();
 }
 
 #[test]

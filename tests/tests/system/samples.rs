@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use joulebus_tests::{
-    Answers, Arena, Dice, ForecastFrame, Forge, FrameLine, Planner, ReaderLine, Setup, figure,
-    sample, script,
+    Answers, Arena, Dice, Forge, FrameLine, FrameRead, Planner, ReaderLine, Setup, accounted,
+    drawn_exact, figure, names, sample, script,
 };
-use joulebus_wire::{DropReason, Quality, Sample};
+use joulebus_wire::{DropReason, Forecasts, Quality, Sample};
 
 const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
 
@@ -75,7 +75,7 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
     let clean = clean_run(&setup, &frames);
 
     let arena = Arena::new(&setup);
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut source = arena.source("fleet");
     let mut expected: BTreeMap<&str, u64> = BTreeMap::new();
@@ -105,17 +105,13 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
             other => panic!("{what}: {other:?}"),
         }
         assert_eq!(shown.flags & 0b11, 0, "{what}: no forecast");
-        assert_eq!(answered.dropped(*reason), expected[reason.name()], "{what}");
+        assert_eq!(answered.samples_dropped.get(*reason), expected[reason.name()], "{what}");
         let alarmed = planner.until("diagnostics", |line| match line {
             ReaderLine::Diagnostics(frame) if frame.tick >= answered.tick => Some(frame.clone()),
             _ => None,
         });
-        let named = alarmed.refused.iter().any(|refusal| {
-            refusal.robot == VICTIM
-                && refusal.reason == reason.name()
-                && refusal.pid == source.child.pid()
-        });
-        assert!(named, "{what}: {:?}", alarmed.refused);
+        let is_named = names(&alarmed, VICTIM, *reason, source.child.pid());
+        assert!(is_named, "{what}: {:?}", alarmed.refused);
     }
     let others = planner.answers(|robot| robot != VICTIM);
     let compared = assert_same(&clean, &others, frames.len() * (ROBOTS.len() - 1));
@@ -123,9 +119,6 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
         "row 7, contaminated rows",
         format_args!("0 of {compared} compared to the bit, {} poisons", 2 * POISON.len()),
     );
-    source.leave();
-    planner.leave();
-    worker.stop();
 }
 
 #[test]
@@ -135,7 +128,7 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
     let clean = clean_run(&setup, &frames);
 
     let arena = Arena::new(&setup);
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut owner = arena.source("owner");
     let mut second = arena.source("second");
@@ -166,39 +159,41 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_eff
     let rounds = rest.len() as u64;
     let accounted = rounds * 5 + frames.len() as u64 * 6;
     let counted = await_accounted(&mut planner, last.unwrap(), accounted);
-    assert_eq!(counted.dropped(DropReason::ForeignSource), 3 * rounds);
-    assert_eq!(counted.dropped(DropReason::UnknownRobot), 2 * rounds);
-    assert_eq!(counted.accepted, frames.len() as u64 * 6);
+    assert_eq!(counted.samples_dropped.get(DropReason::ForeignSource), 3 * rounds);
+    assert_eq!(counted.samples_dropped.get(DropReason::UnknownRobot), 2 * rounds);
+    assert_eq!(counted.samples_accepted, frames.len() as u64 * 6);
     let named = planner.until("diagnostics", |line| match line {
-        ReaderLine::Diagnostics(frame) if frame.tick >= counted.tick => Some(frame.refused.clone()),
+        ReaderLine::Diagnostics(frame) if frame.tick >= counted.tick => Some(frame.clone()),
         _ => None,
     });
-    for (robot, reason) in [(0, "ForeignSource"), (2, "ForeignSource"), (10, "UnknownRobot")] {
-        let is_it = |refusal: &joulebus_tests::RefusalLine| {
-            refusal.robot == robot && refusal.reason == reason && refusal.pid == second.child.pid()
-        };
-        assert!(named.iter().any(is_it), "{robot} {reason}: {named:?}");
+    let pid = second.child.pid();
+    for (robot, reason) in [
+        (0, DropReason::ForeignSource),
+        (2, DropReason::ForeignSource),
+        (10, DropReason::UnknownRobot),
+    ] {
+        assert!(names(&named, robot, reason, pid), "{robot} {reason:?}: {:?}", named.refused);
     }
     let answers = planner.answers(|_| true);
     let compared = assert_same(&clean, &answers, frames.len() * ROBOTS.len());
     figure("row 8, cross-talk", format_args!("0 of {compared} answers compared to the bit"));
-    owner.leave();
-    second.leave();
-    planner.leave();
-    worker.stop();
 }
 
 /// Waits for the first frame in which `samples` samples are accounted for; `newest` has been read
 /// already.
-fn await_accounted(planner: &mut Planner, newest: ForecastFrame, samples: u64) -> ForecastFrame {
-    if newest.accounted() >= samples {
-        assert_eq!(newest.accounted(), samples);
+fn await_accounted(
+    planner: &mut Planner,
+    newest: FrameRead<Forecasts>,
+    samples: u64,
+) -> FrameRead<Forecasts> {
+    if accounted(&newest) >= samples {
+        assert_eq!(accounted(&newest), samples);
         return newest;
     }
     let what = format!("{samples} samples are accounted for");
     let frame =
-        planner.forecast(&what, |frame| (frame.accounted() >= samples).then(|| frame.clone()));
-    assert_eq!(frame.accounted(), samples, "sent = accepted + dropped: {frame:?}");
+        planner.forecast(&what, |frame| (accounted(frame) >= samples).then(|| frame.clone()));
+    assert_eq!(accounted(&frame), samples, "sent = accepted + dropped: {frame:?}");
     frame
 }
 
@@ -238,7 +233,7 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
     let mut dice = Dice::roll();
     let setup = Setup::default();
     let arena = Arena::new(&setup);
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut source = arena.source("fleet");
     let mut oracles: Vec<Oracle> = ROBOTS.iter().map(|_| Oracle::default()).collect();
@@ -273,9 +268,8 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
         tail = seq;
         // One after the other, so that no sample is lost in a burst and the oracle knows all of
         // them.
-        let accounted = sent;
         planner.forecast("the frame is accounted for", |frame| {
-            (frame.accounted() >= accounted).then_some(())
+            (accounted(frame) >= sent).then_some(())
         });
     }
     // A duplicate frame is dropped as a whole.
@@ -289,14 +283,14 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
     }
     let total = sent + 2 * again.len() as u64;
     let frame = planner.forecast("all is accounted for", |frame| {
-        (frame.accounted() >= total).then(|| frame.clone())
+        (accounted(frame) >= total).then(|| frame.clone())
     });
-    assert_eq!(frame.accounted(), total, "{frame:?}");
-    assert_eq!(frame.accepted, oracles.iter().map(|oracle| oracle.accepted).sum::<u64>());
-    let refused =
-        [DropReason::Duplicate, DropReason::OutOfOrder].map(|reason| frame.dropped(reason));
+    assert_eq!(accounted(&frame), total, "{frame:?}");
+    assert_eq!(frame.samples_accepted, oracles.iter().map(|oracle| oracle.accepted).sum::<u64>());
+    let refused = [DropReason::Duplicate, DropReason::OutOfOrder]
+        .map(|reason| frame.samples_dropped.get(reason));
     assert!(refused[0] > 50 && refused[1] > 20, "{refused:?}");
-    assert_eq!(refused[0] + refused[1] + frame.accepted, total);
+    assert_eq!(refused[0] + refused[1] + frame.samples_accepted, total);
     let budgets = planner.until("budgets", |line| match line {
         ReaderLine::Budgets(budgets) if budgets.tick >= frame.tick => Some(budgets.clone()),
         _ => None,
@@ -305,7 +299,7 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
         let found = budgets.robot(*robot).unwrap();
         let expected = (oracle.metered_ns, oracle.unmetered_ns, oracle.drawn);
         assert_eq!(
-            (found.metered_ns, found.unmetered_ns, found.drawn_exact()),
+            (found.metered_ns, found.unmetered_ns, drawn_exact(found)),
             expected,
             "robot {robot}"
         );
@@ -316,14 +310,11 @@ fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_
         format_args!(
             "0 µJ over {} robots, {total} samples = {} accepted + {} twice + {} out of order",
             ROBOTS.len(),
-            frame.accepted,
+            frame.samples_accepted,
             refused[0],
             refused[1]
         ),
     );
-    source.leave();
-    planner.leave();
-    worker.stop();
 }
 
 #[test]
@@ -342,17 +333,12 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
     let frames = script(&[0, 1, 2], 600, setup.period_ns());
     for burst in frames.chunks(150) {
         for (source, shift) in sources.iter_mut().zip([0, 10]) {
-            let lines: Vec<FrameLine> = burst
-                .iter()
-                .map(|frame| FrameLine {
-                    samples: frame
-                        .iter()
-                        .map(|sample| Sample { robot: sample.robot + shift, ..*sample }.into())
-                        .collect(),
-                    forge: Forge::default(),
-                })
-                .collect();
-            source.send_all(&lines);
+            let shifted = |sample: &Sample| Sample { robot: sample.robot + shift, ..*sample };
+            let line = |frame: &Vec<Sample>| {
+                let samples: Vec<Sample> = frame.iter().map(shifted).collect();
+                FrameLine::new(&samples, Forge::default())
+            };
+            source.send_all(&burst.iter().map(line).collect::<Vec<_>>());
         }
     }
     // Losses of the last frames are known from the next frame's header.
@@ -363,9 +349,9 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
     sources[1].send(&other);
     let total = 2 * 3 * 601;
     let frame = planner.forecast("all is accounted for", |frame| {
-        (frame.accounted() >= total).then(|| frame.clone())
+        (accounted(frame) >= total).then(|| frame.clone())
     });
-    assert_eq!(frame.accounted(), total, "sent = accepted + dropped: {frame:?}");
+    assert_eq!(accounted(&frame), total, "sent = accepted + dropped: {frame:?}");
     let budgets = planner.until("budgets", |line| match line {
         ReaderLine::Budgets(budgets) if budgets.tick >= frame.tick => Some(budgets.clone()),
         _ => None,
@@ -385,7 +371,11 @@ fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
     };
     figure(
         "row 9, bursts",
-        format_args!("{total} sent = {} accepted + {:?}", frame.accepted, frame.dropped),
+        format_args!(
+            "{total} sent = {} accepted + {:?}",
+            frame.samples_accepted,
+            frame.samples_dropped.iter().collect::<Vec<_>>()
+        ),
     );
     assert_eq!(report["receive_errors"], 0);
 }
@@ -412,20 +402,16 @@ fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep
     let total = 40 * 6 + 39 * 3;
     source.send(&[sample(0, 40, setup.period_ns())]);
     let frame = planner.forecast("all is accounted for", |frame| {
-        (frame.accounted() > total).then(|| frame.clone())
+        (accounted(frame) > total).then(|| frame.clone())
     });
-    assert_eq!(frame.dropped(DropReason::OverCapacity), 39 * 3);
+    assert_eq!(frame.samples_dropped.get(DropReason::OverCapacity), 39 * 3);
     let named = planner.until("diagnostics", |line| match line {
-        ReaderLine::Diagnostics(found) if found.tick >= frame.tick => Some(found.refused.clone()),
+        ReaderLine::Diagnostics(found) if found.tick >= frame.tick => Some(found.clone()),
         _ => None,
     });
     for robot in [20, 21, 22] {
-        let is_it = |refusal: &joulebus_tests::RefusalLine| {
-            refusal.robot == robot
-                && refusal.reason == "OverCapacity"
-                && refusal.pid == crowd.child.pid()
-        };
-        assert!(named.iter().any(is_it), "{robot}: {named:?}");
+        let is_named = names(&named, robot, DropReason::OverCapacity, crowd.child.pid());
+        assert!(is_named, "{robot}: {:?}", named.refused);
     }
     let answers = planner.answers(|_| true);
     let answers: Answers = answers.into_iter().filter(|((_, seq), _)| *seq < 40).collect();

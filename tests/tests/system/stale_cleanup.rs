@@ -95,12 +95,10 @@ fn row_18_after_a_killed_worker_the_last_process_to_leave_removes_its_files() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let mut planner = arena.planner();
-    let source = arena.source("fleet");
+    let _source = arena.source("fleet");
     let pid = worker.pid();
     planner.forecast("it works", |frame| (frame.pid == pid).then_some(()));
     worker.kill();
-    source.leave();
-    planner.leave();
 }
 
 #[test]
@@ -113,10 +111,12 @@ fn row_18_doctor_does_not_touch_files_in_use() {
     planner.forecast("it works", |frame| frame.robot(10).map(|_| ()));
     let ended = arena.run(&["doctor", "--fix"]);
     assert_eq!(ended.code(), Some(0), "{ended:?}");
-    let newest =
-        planner.forecasts().last().map(|frame| (frame.tick, frame.robot(10).map(|line| line.seq)));
+    let newest = planner
+        .forecasts()
+        .last()
+        .map(|frame| (frame.tick, frame.robot(10).map(|line| line.sample_seq)));
     planner.forecast("and continues", |frame| {
-        let now = Some((frame.tick, frame.robot(10).map(|line| line.seq)));
+        let now = Some((frame.tick, frame.robot(10).map(|line| line.sample_seq)));
         (now > newest).then_some(())
     });
     controller.finish();

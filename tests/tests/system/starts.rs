@@ -195,7 +195,7 @@ fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works(
     }
     limited.arg(command.get_program()).args(command.get_args());
     limited.env("XDG_STATE_HOME", arena.state()).env_remove("STATE_DIRECTORY");
-    let mut worker = Child::spawn("worker", limited);
+    let mut worker = Child::spawn("worker", limited).at_drop(Child::stop);
     let line = worker.wait_for_line("memory was not locked");
     says(&line, "RLIMIT_MEMLOCK is 64 kB | LimitMEMLOCK=infinity | worker.memory".split(" | "));
     worker.wait_for_line("ready:");
@@ -204,7 +204,4 @@ fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works(
     let frame = [joulebus_tests::sample(3, 0, 1_000_000)];
     source.send(&frame);
     planner.answered(&frame);
-    source.leave();
-    planner.leave();
-    worker.stop();
 }

@@ -80,10 +80,10 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
         return;
     };
     let config = arena.config().display().to_string();
-    let mut worker = arena.worker();
+    let _worker = arena.worker();
     let mut planner = arena.planner();
     let mut source = arena.source("fleet");
-    let mut controller = arena.controller("controller", 20, 2, 30.0);
+    let _controller = arena.controller("controller", 20, 2, 30.0);
     planner.forecast("all are there", |frame| frame.robot(20).map(|_| ()));
 
     let mut intruder =
@@ -121,10 +121,6 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
         "row 19, leaks and injections",
         format_args!("0 in {tried} attempts on objects, directories and sockets"),
     );
-    controller.finish();
-    source.leave();
-    planner.leave();
-    worker.stop();
 }
 
 #[test]

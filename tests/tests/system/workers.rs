@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_tests::{
-    Arena, BudgetFrame, Child, Dice, Planner, ReaderLine, Setup, Spread, eventually, figure,
-    sample, steady_uw,
+    Arena, Child, Dice, FrameRead, Planner, ReaderLine, Setup, Spread, drawn_exact, eventually,
+    figure, sample, steady_uw,
 };
+use joulebus_wire::Budgets;
 use serde_json::Value;
 
 const ROBOTS: u32 = 4;
@@ -57,7 +58,7 @@ struct Audit {
 }
 
 impl Audit {
-    fn check(&mut self, frame: &BudgetFrame) {
+    fn check(&mut self, frame: &FrameRead<Budgets>) {
         for line in frame.robots.iter().filter(|line| line.stamp_ns > 0) {
             let elapsed_ns = line.metered_ns + line.unmetered_ns;
             let first_ns = *self.first_ns.entry(line.robot).or_insert(line.stamp_ns - elapsed_ns);
@@ -67,7 +68,7 @@ impl Audit {
                 "metered + unmetered = elapsed: {line:?}"
             );
             let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
-            assert_eq!(line.drawn_exact(), drawn, "energy over the metered time: {line:?}");
+            assert_eq!(drawn_exact(line), drawn, "energy over the metered time: {line:?}");
             self.ledgers += 1;
         }
     }
@@ -218,7 +219,7 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     for line in &budgets.robots {
         assert!(line.metered_ns > 0, "the older account goes on: {line:?}");
         let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
-        assert_eq!(line.drawn_exact(), drawn, "and not the edited one: {line:?}");
+        assert_eq!(drawn_exact(line), drawn, "and not the edited one: {line:?}");
     }
     controller.finish();
     planner.leave();
@@ -313,11 +314,9 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
         planner.forecast("it ticks", |frame| (frame.pid == pid).then_some(()));
         owner.kill();
     }
-    let mut last = arena.worker();
+    let last = arena.worker();
     let pid = last.pid();
     planner.forecast("it ticks", |frame| (frame.pid == pid).then_some(()));
     assert_eq!(runs(&mut planner).len() as u64, rounds + 1);
     figure("row 17, owners at once", format_args!("1 in {rounds} races of {RACERS}"));
-    planner.leave();
-    last.stop();
 }

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use joulebus_bus::{Bus, FrameBuf, PeerWatch, Reader, clock};
 use joulebus_config::Config;
-use joulebus_tests::{BudgetFrame, DiagnosticFrame, ForecastFrame, ReaderLine, is_whole};
-use joulebus_wire::{Budgets, Diagnostics, Forecasts};
+use joulebus_tests::{FrameRead, ReaderLine, is_whole};
+use joulebus_wire::{Budgets, Channel, Diagnostics, Forecasts};
 
 use crate::{Done, print_line, stop_with_stdin};
 
@@ -79,21 +79,25 @@ struct Ports {
 impl Ports {
     /// Reports all available frames; returns the pid of the worker that sent the newest frame.
     fn print_frames(&mut self) -> Result<Option<u32>, Box<dyn std::error::Error>> {
-        let mut newest = None;
-        while let Some(frame) = self.forecasts.take_next()? {
-            newest = Some(frame.header().pid);
-            let line = ForecastFrame::new(frame.header(), frame.payload(), clock::monotonic_ns());
-            print_line(&ReaderLine::Forecasts(line))?;
-        }
-        while let Some(frame) = self.diagnostics.take_next()? {
-            let line = DiagnosticFrame::new(frame.header(), frame.payload());
-            print_line(&ReaderLine::Diagnostics(line))?;
-        }
-        while let Some(frame) = self.budgets.take_next()? {
-            print_line(&ReaderLine::Budgets(BudgetFrame::new(frame.header(), frame.payload())))?;
-        }
-        Ok(newest)
+        let newest = print_all(&mut self.forecasts, ReaderLine::Forecasts)?;
+        print_all(&mut self.diagnostics, ReaderLine::Diagnostics)?;
+        print_all(&mut self.budgets, ReaderLine::Budgets)?;
+        Ok(newest.map(|header| header.pid))
     }
+}
+
+/// Reports all available frames of a channel; returns the header of the newest.
+fn print_all<C: Channel>(
+    reader: &mut Reader<C>,
+    line: fn(FrameRead<C>) -> ReaderLine,
+) -> Result<Option<C::Header>, Box<dyn std::error::Error>> {
+    let mut newest = None;
+    while let Some(frame) = reader.take_next()? {
+        newest = Some(*frame.header());
+        let read = FrameRead::new(frame.header(), frame.payload(), clock::monotonic_ns());
+        print_line(&line(read))?;
+    }
+    Ok(newest)
 }
 
 /// Reads samples beside the worker and reports whether they are intact.

@@ -3,7 +3,7 @@
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
 use joulebus_tests::{FrameLine, SourceLine};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
+use joulebus_wire::{SCHEMA_VERSION, SampleHeader, fnv1a};
 
 use crate::{Done, print_line};
 
@@ -32,9 +32,8 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
                 samples_before: frame.forge.samples_before.unwrap_or(header.samples_before),
                 ..header
             };
-            let samples = frame.samples;
-            readers = match writer.send(forged, samples.len(), |place| Sample::from(samples[place]))
-            {
+            let samples = frame.samples();
+            readers = match writer.send(forged, samples.len(), |place| samples[place]) {
                 Ok(sent) => sent.readers,
                 Err(error) => {
                     print_line(&SourceLine::Failed(error.to_string()))?;
