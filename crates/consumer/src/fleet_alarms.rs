@@ -19,7 +19,7 @@ use crate::{
 /// use joulebus_consumer::{Change, FleetAlarm};
 ///
 /// let raised = FleetAlarm::new(None, &AlarmCard::WORKER_STALE, Change::Raised, 2_000_000_000);
-/// assert_eq!((raised.level, raised.lasted_s()), (Level::Error, None));
+/// assert_eq!((raised.level, raised.lasted_s()), (Level::Stale, None));
 /// let mut cleared = raised;
 /// (cleared.change, cleared.at_ns) = (Change::Cleared, 5_500_000_000);
 /// assert_eq!(cleared.lasted_s(), Some(3.5));
