@@ -109,7 +109,7 @@ MUTATIONS = [
      "Reply::Acquired(true)) => {", "Reply::Acquired(_)) => {"),
     ("a lease lasts longer than the store says", "link/src/protocol/lease.rs",
      "ttl_ns.saturating_sub(apart_ns).min(MAX_TTL_NS)", "(ttl_ns + apart_ns).max(MAX_TTL_NS)"),
-    ("runs go back when a worker's host boots", "link/src/worker_ports.rs",
+    ("runs go back when a worker's host boots", "link/src/output_port.rs",
      "(run, run.max(last.saturating_add(1)))", "(run, run.min(last.saturating_add(run)))"),
 ]
 

@@ -1,13 +1,12 @@
 //! A process of the user that sends false frames on every service.
 
+use bytemuck::{Zeroable as _, bytes_of_mut};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader,
-    PlanStates, QueryHeader, SCHEMA_VERSION, Sample, SampleHeader, State, StateHeader, TickHeader,
-    Ticks, WakeEvent, budget_flag, sample_flag,
+    Channel, Flow, ForEachChannel, FrameHeader as _, FrameRows, Place, QueryHeader, SCHEMA_VERSION,
+    Sample, SampleHeader, WakeEvent, each_channel, sample_flag,
 };
-use simulated_bus::Bus;
+use simulated_bus::{Bus, Limits};
 use simulated_host::{self as host, time};
 
 use crate::process::FALSE_ROBOT;
@@ -102,61 +101,58 @@ fn live(work: impl FnOnce() -> Option<()>) {
     host::end_life(PID);
 }
 
+/// Sends a false frame of a channel, with that schema, process and place.
+type SendFalse = Box<dyn FnMut(u32, u32, Place)>;
+
+/// Opens every channel but samples.
+struct Open<'a>(&'a Bus, Limits, Option<Vec<SendFalse>>);
+
+impl ForEachChannel for Open<'_> {
+    fn channel<C: Channel>(&mut self) {
+        let Self(bus, limits, Some(opened)) = self else { return };
+        if C::FLOW == Flow::Sources {
+            return;
+        }
+        let Ok(mut writer) = bus.writer::<C>(limits) else {
+            self.2 = None;
+            return;
+        };
+        opened.push(Box::new(move |schema, pid, place| {
+            let now_ns = time::monotonic_ns();
+            let mut header = C::Header::zeroed();
+            bytes_of_mut(&mut header)[..4].copy_from_slice(&schema.to_ne_bytes());
+            header.set_place(pid, place);
+            header.set_sent(any(now_ns), any(now_ns));
+            if let Some(period_ns) = header.period_ns() {
+                *period_ns = any(1_000_000_000);
+            }
+            let mut row = C::Row::zeroed();
+            bytes_of_mut(&mut row).fill(host::below(256) as u8);
+            let of_robots = C::ROWS == FrameRows::Robots;
+            if of_robots {
+                bytes_of_mut(&mut row)[..4].copy_from_slice(&FALSE_ROBOT.to_ne_bytes());
+            }
+            let len = if of_robots { 1 } else { host::below(3) };
+            let _ = writer.send(header, len, |_| row);
+        }));
+    }
+}
+
 fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
     let bus = Bus::join(&config.domain().ok()?, "hostile").ok()?;
     let limits = config.limits();
-    let mut forecasts = bus.writer::<Forecasts>(&limits).ok()?;
-    let mut diagnostics = bus.writer::<Diagnostics>(&limits).ok()?;
-    let mut budgets = bus.writer::<Budgets>(&limits).ok()?;
-    let mut plan_states = bus.writer::<PlanStates>(&limits).ok()?;
-    let mut outlooks = bus.writer::<Outlooks>(&limits).ok()?;
-    let mut ticks = bus.writer::<Ticks>(&limits).ok()?;
-    let mut state = bus.writer::<State>(&limits).ok()?;
+    let mut open = Open(&bus, limits, Some(Vec::new()));
+    each_channel(&mut open);
+    let mut channels = open.2?;
     let waker = bus.planner_waker(&limits).ok()?;
     let pids = [PID, 100 + host::below(40) as u32];
     for _ in 0..frames {
-        let now_ns = time::monotonic_ns();
         let pid = pids[host::below(2)];
-        let (schema, worker_epoch, tick) = (schema(), any(now_ns), any(1_000));
-        let header = ForecastHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            sent_ns: any(now_ns),
-            period_ns: any(1_000_000_000),
-            ..ForecastHeader::default()
-        };
-        let row = Forecast { robot: FALSE_ROBOT, ..Forecast::default() };
-        let _ = forecasts.send(header, 1, |_| row);
-        let header = DiagnosticHeader { schema, pid, worker_epoch, tick, ..Default::default() };
-        let row = Diagnostic { robot: FALSE_ROBOT, ..Diagnostic::default() };
-        let _ = diagnostics.send(header, 1, |_| row);
-        let header = BudgetHeader { schema, pid, worker_epoch, tick, ..Default::default() };
-        let row = Budget {
-            robot: FALSE_ROBOT,
-            flags: budget_flag::LEDGER,
-            drawn_uj: i64::MAX,
-            ..Budget::default()
-        };
-        let _ = budgets.send(header, 1, |_| row);
-        let header = PlanStateHeader {
-            schema,
-            pid,
-            worker_epoch,
-            tick,
-            sent_ns: any(now_ns),
-            ..Default::default()
-        };
-        let row = PlanState { robot: FALSE_ROBOT, ..PlanState::default() };
-        let _ = plan_states.send(header, 1, |_| row);
-        let header = OutlookHeader { schema, pid, worker_epoch, tick, ..Default::default() };
-        let row = Outlook { robot: FALSE_ROBOT, ..Outlook::default() };
-        let _ = outlooks.send(header, 1, |_| row);
-        let header = TickHeader { schema, pid, worker_epoch, tick, ..Default::default() };
-        let _ = ticks.send(header, 0, |_| Default::default());
-        let header = StateHeader { schema, pid, worker_epoch, tick, ..Default::default() };
-        let _ = state.send(header, 9, |_| host::below(256) as u8);
+        let place = Place { run: any(time::monotonic_ns()), number: any(1_000) };
+        let schema = schema();
+        for send in &mut channels {
+            send(schema, pid, place);
+        }
         let event = [WakeEvent::Frame, WakeEvent::Died, WakeEvent::Ended][host::below(3)];
         let _ = waker.wake(event);
     }

@@ -6,10 +6,11 @@ use std::time::Duration;
 use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
 use joulebus_config::Config;
 use joulebus_plan::{Plan, Question, Reply};
-use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_consumer::{
-    Budgets, Diagnostics, End, Event, Feed, Outlooks, PlanStates, Subscriber,
+use joulebus_wire::{
+    Channel, Flow, ForEachChannel, Forecast, ForecastHeader, Forecasts, FrameRows, Sample,
+    each_channel,
 };
+use simulated_consumer::{End, Event, Subscriber};
 use simulated_host::{self as host, time};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
@@ -207,15 +208,39 @@ impl SourceProgram {
     }
 }
 
-/// A planner that reads forecasts, diagnostics, budgets, what plans start from, and outlooks.
+/// A planner that reads forecasts, and all other channels with rows of robots.
 pub(crate) struct PlannerProgram {
     planner: Subscriber,
-    diagnostics: Feed<Diagnostics>,
-    budgets: Feed<Budgets>,
-    plan_states: Feed<PlanStates>,
-    outlooks: Feed<Outlooks>,
+    feeds: Vec<HasFalseRobot>,
     polls: bool,
     every_ns: u64,
+}
+
+/// Reads a channel's newest frame. Returns whether it has [`FALSE_ROBOT`].
+type HasFalseRobot = Box<dyn FnMut() -> bool>;
+
+/// Opens the channels that a planner reads beside the forecasts.
+struct Feeds<'a>(&'a Subscriber, Option<Vec<HasFalseRobot>>);
+
+impl ForEachChannel for Feeds<'_> {
+    fn channel<C: Channel>(&mut self) {
+        let is_read = matches!(C::FLOW, Flow::Planners { .. }) && C::ROWS == FrameRows::Robots;
+        if !is_read || C::SERVICE == Forecasts::SERVICE {
+            return;
+        }
+        let Ok(mut feed) = self.0.feed::<C>() else {
+            self.1 = None;
+            return;
+        };
+        let has_false_robot = move || {
+            let newest = feed.latest().ok().flatten();
+            let is_false = |row: &C::Row| C::robot(row) == Some(FALSE_ROBOT);
+            newest.is_some_and(|frame| frame.robots().iter().any(is_false))
+        };
+        if let Some(feeds) = &mut self.1 {
+            feeds.push(Box::new(has_false_robot));
+        }
+    }
 }
 
 impl PlannerProgram {
@@ -228,14 +253,13 @@ impl PlannerProgram {
             None => Subscriber::with_config(config, "planner").ok()?,
         };
         let looks = planner.look_every();
+        let mut feeds = Feeds(&planner, Some(Vec::new()));
+        each_channel(&mut feeds);
         Some(Self {
             polls: looks.is_some(),
             every_ns: looks
                 .map_or(POLL_INTERVAL_NS.max(setup.period_ns / 2), |every| every.as_nanos() as u64),
-            diagnostics: planner.diagnostics().ok()?,
-            budgets: planner.budgets().ok()?,
-            plan_states: planner.plan_states().ok()?,
-            outlooks: planner.outlooks().ok()?,
+            feeds: feeds.1?,
             planner,
         })
     }
@@ -263,17 +287,9 @@ impl PlannerProgram {
             Err(error) => return Stepped::Ended(error.to_string()),
         }
         if !learned.frames.is_empty() {
-            if let Ok(Some(frame)) = self.diagnostics.latest() {
-                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
-            }
-            if let Ok(Some(frame)) = self.budgets.latest() {
-                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
-            }
-            if let Ok(Some(frame)) = self.plan_states.latest() {
-                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
-            }
-            if let Ok(Some(frame)) = self.outlooks.latest() {
-                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            // Every feed is read, whatever the others have.
+            for has_false_robot in &mut self.feeds {
+                learned.is_false |= has_false_robot();
             }
         }
         Stepped::Learned(time::now_ns() + self.every_ns, learned)
