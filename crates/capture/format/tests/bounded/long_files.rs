@@ -11,9 +11,15 @@ use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::recover::recover;
 use joulebus_capture_format::scan::ScanError;
 use joulebus_capture_format::values::values;
+use joulebus_capture_format::{
+    Attachments, CaptureSettings, Message, Preset, Reader, Times, Writer,
+};
 use joulebus_testkit::counting;
+use joulebus_wire::Forecasts;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
+
+use crate::fields::Bits;
 
 /// Maximum memory of reading, bytes. The guarantee is 200 MB for a file of 2 GB.
 const MAX_BYTES: u64 = 32 << 20;
@@ -63,13 +69,15 @@ impl From<ScanError> for Never {
     }
 }
 
+fn megabytes() -> u64 {
+    std::env::var("JOULEBUS_CAPTURE_MB").map_or(USUAL_MB, |text| text.parse().unwrap())
+}
+
 #[test]
 fn a_long_file_is_read_in_bounded_memory() {
-    let megabytes =
-        std::env::var("JOULEBUS_CAPTURE_MB").map_or(USUAL_MB, |text| text.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.mcap");
-    let messages = write(File::create(&path).unwrap(), megabytes);
+    let messages = write(File::create(&path).unwrap(), megabytes());
     let file_mb = path.metadata().unwrap().len() as f64 / 1e6;
     let open = || File::open(&path).unwrap();
     let rate = |start: Instant| file_mb / start.elapsed().as_secs_f64();
@@ -117,4 +125,36 @@ fn a_long_file_is_read_in_bounded_memory() {
         rate(start),
         used as f64 / 1e6
     );
+}
+
+#[test]
+fn a_long_capture_is_read_in_bounded_memory() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("long.mcap");
+    let settings = CaptureSettings::new(Preset::FastWrite);
+    let file = File::create_new(&path).unwrap();
+    let mut writer = Writer::new(file, settings, &Attachments::default()).unwrap();
+    // 100 robots at 30 Hz, with incompressible bits.
+    let mut bits = Bits(1);
+    let rows = (0..100).map(|_| bits.row()).collect();
+    let message = Message::of::<Forecasts>(bits.row(), rows);
+    let mut written = 0;
+    while writer.bytes() < megabytes() << 20 {
+        let times = Times { log_ns: written * 33_333_333, publish_ns: 0 };
+        writer.write("lab", times, &message).unwrap();
+        written += 1;
+    }
+    writer.finish().unwrap();
+    let (read, used) = counting::peak(|| {
+        let mut reader = Reader::open(&path).unwrap();
+        let mut read = 0;
+        while let Some(entry) = reader.next_entry().unwrap() {
+            assert_eq!(entry.log_time_ns, read * 33_333_333);
+            read += 1;
+        }
+        read
+    });
+    assert_eq!(read, written);
+    println!("figure: reading took {used} bytes of memory");
+    assert!(used < MAX_BYTES, "{used} bytes");
 }

@@ -4,6 +4,8 @@
 
 mod damage;
 mod damaged;
+#[path = "../fields/mod.rs"]
+mod fields;
 mod long_files;
 
 use joulebus_testkit::counting;

@@ -64,21 +64,6 @@ fn batched(network: &Network, rows: &[Features]) -> Vec<u32> {
 }
 
 #[test]
-fn every_batch_size_gives_the_reference_bits_on_every_kernel() {
-    for set in SETS {
-        let network = network(1, set);
-        let mut noise = Noise(2);
-        for count in (0..=70).chain([127, 128, 129, 1_000]) {
-            let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
-            let expected = reference(&network, &rows);
-            for network in kernels(&network) {
-                assert_eq!(batched(&network, &rows), expected, "{:?} {count}", network.kernel());
-            }
-        }
-    }
-}
-
-#[test]
 fn the_shorter_slice_decides_and_the_rest_is_unchanged() {
     let rows: Vec<Features> = (0..40).map(|_| row(&mut Noise(3))).collect();
     for network in kernels(&network(1, FeatureSet::Full)) {
@@ -248,6 +233,9 @@ fn persistence_repeats_the_newest_reading_and_refuses_bad_residuals() {
     let row = features(0.1, 0.2, None, &[5.0, 4.0, 3.0, 2.0, 1.0]);
     let mut out_w = [0.0];
     model.predict(&[row], &mut out_w);
+    assert_eq!(out_w, [5.0]);
+    let columns = row.each_ref().map(std::slice::from_ref);
+    model.predict_columns(columns, &mut out_w).expect("a value in each column");
     assert_eq!(out_w, [5.0]);
     assert_eq!(model.residual(), fine);
     assert!(model.training_range().is_none());

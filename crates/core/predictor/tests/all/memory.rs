@@ -9,12 +9,12 @@ use joulebus_predictor::{
 use joulebus_testkit_networks::random::{Noise, network, row};
 
 /// Batch sizes that reach each tile and each tail of each kernel: all up to the widest tile and its
-/// tails, but under Miri only for the kernels of its target.
+/// tails, and longer ones. Under Miri only for the kernels of its target.
 fn batches(kernel: Kernel) -> Vec<usize> {
     match kernel {
         Kernel::Scalar if cfg!(miri) => vec![5],
         _ if cfg!(miri) => vec![19],
-        _ => (0..=55).collect(),
+        _ => (0..=70).chain([127, 128, 129, 1_000]).collect(),
     }
 }
 
@@ -35,11 +35,11 @@ fn bits(values: &[f32]) -> Vec<u32> {
 #[test]
 fn rows_of_every_length_and_alignment_give_the_reference_bits_and_write_nothing_else() {
     let mut noise = Noise(41);
-    for network in networks(42, FeatureSet::Full).chain(networks(42, FeatureSet::Freshness)) {
+    for network in FeatureSet::ALL.into_iter().flat_map(|set| networks(42, set)) {
         for count in batches(network.kernel()) {
             let rows: Vec<Features> = (0..count + 1).map(|_| row(&mut noise)).collect();
             let expected = expected(&network, &rows[1..]);
-            for tiling in [Tiling::BatchMajor, Tiling::OutputMajor] {
+            for tiling in [Tiling::ByInput, Tiling::BatchMajor, Tiling::OutputMajor] {
                 let mut out_w = vec![-1.0; count + 2];
                 let network = network.clone().with_tiling(tiling);
                 network.predict(&rows[1..], &mut out_w[1..=count]);

@@ -1,11 +1,11 @@
 //! Rollouts and columns give the bits of rows, and refuse mismatched shapes.
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, INPUTS, Kernel, LAGS, LengthError, Model, Network, Persistence,
-    ReadingAge, ResidualStats, RolloutError, RolloutStart, Rollouts, features,
+    FeatureSet, INPUTS, Kernel, LAGS, LengthError, Model, Network, Persistence, ReadingAge,
+    ResidualStats, RolloutError, RolloutStart, Rollouts, features,
 };
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_networks::random::{Noise, network, row};
+use joulebus_testkit_networks::random::{Noise, network};
 use proptest::prelude::*;
 
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;
@@ -33,33 +33,6 @@ fn models(seed: u64) -> Vec<Model> {
 
 fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|value| value.to_bits()).collect()
-}
-
-fn columns(rows: &[Features]) -> [Vec<f32>; INPUTS] {
-    std::array::from_fn(|feature| rows.iter().map(|row| row[feature]).collect())
-}
-
-#[test]
-fn columns_give_the_bits_of_rows_for_every_batch_size() {
-    let mut noise = Noise(21);
-    for model in models(20) {
-        for count in (0..=70).chain([127, 128, 129, 1_000]) {
-            let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
-            let mut by_rows = vec![-1.0; count];
-            model.predict(&rows, &mut by_rows);
-            let mut columns = columns(&rows);
-            if !model.needs_command() {
-                columns[..6].fill(Vec::new());
-            }
-            if !model.needs_freshness() {
-                columns[FEATURES..].fill(Vec::new());
-            }
-            let mut by_columns = vec![-1.0; count];
-            let columns = columns.each_ref().map(Vec::as_slice);
-            model.predict_columns(columns, &mut by_columns).unwrap();
-            assert_eq!(bits(&by_columns), bits(&by_rows), "{count}");
-        }
-    }
 }
 
 #[test]

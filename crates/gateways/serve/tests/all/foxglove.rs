@@ -3,9 +3,9 @@
 use std::fs;
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::thread;
 use std::time::Duration;
@@ -14,57 +14,23 @@ use joulebus_capture_format::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_testkit::{Child, PATIENCE, end_signals, eventually, left_behind};
+use joulebus_testkit::{Child, PATIENCE, end_signals, eventually};
 use joulebus_wire::Forecasts;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Error, HandshakeError, Message as Frame, WebSocket};
 
-/// A fleet whose worker and source are threads of the test.
-struct Fleet {
-    directory: tempfile::TempDir,
-    config: Config,
-}
+use crate::http::fleet::Fleet;
 
-impl Fleet {
-    fn new() -> Self {
-        static NUMBER: AtomicU32 = AtomicU32::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let root = format!("/dev/shm/jbserve-{}-{number}", std::process::id());
-        let text = format!(
-            "[fleet]\nname = \"serve\"\ncapacity = 20\n\
-             [domain]\nroot = \"{root}\"\nprefix = \"jbserve_\"\n\
-             [intake]\nmax_sources = 4\n[readers]\nmax_planners = 4\n\
-             [ledger]\ncheckpoint = \"\"\n\
-             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n"
-        );
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("fleet.toml");
-        fs::write(&path, text).unwrap();
-        let config = Config::load(path).unwrap();
-        Self { directory, config }
-    }
-
-    fn path(&self) -> PathBuf {
-        self.directory.path().join("fleet.toml")
-    }
-
-    /// Sends samples of three robots until `stop`.
-    fn publish(&self, stop: &AtomicBool) {
-        let mut publisher = Publisher::with_config(&self.config, "serve").unwrap();
-        let mut pace = Pace::every(Duration::from_nanos(33_333_333));
-        while !stop.load(Ordering::Relaxed) {
-            pace.wait();
-            let robots = (0..3).map(|id| RobotState::new(id).command(0.1, 0.2).reading(3.5));
-            publisher.publish(robots).unwrap();
-        }
-    }
-
-    /// Files left behind by the fleet.
-    fn stale_files(&self) -> Vec<PathBuf> {
-        let domain = self.config.domain().unwrap();
-        left_behind(domain.shm_prefix(), domain.root())
+/// Sends samples of three robots until `stop`.
+fn publish(config: &Config, stop: &AtomicBool) {
+    let mut publisher = Publisher::with_config(config, "serve").unwrap();
+    let mut pace = Pace::every(Duration::from_nanos(33_333_333));
+    while !stop.load(Ordering::Relaxed) {
+        pace.wait();
+        let robots = (0..3).map(|id| RobotState::new(id).command(0.1, 0.2).reading(3.5));
+        publisher.publish(robots).unwrap();
     }
 }
 
@@ -74,11 +40,11 @@ fn start(config: &Path, more: &[&str]) -> (Child, String) {
     command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
     command.arg(config).args(more).env_remove("JOULEBUS_LOG");
     let mut server = Child::spawn("serve", command);
-    let line = server.wait_for_line("serving fleet serve at ");
+    let line = server.wait_for_line("serving fleet http at ");
     let address = line.rsplit(' ').next().unwrap();
     assert!(address.starts_with("ws://127.0.0.1:"), "{address}");
     let address = address.to_owned();
-    (server, address)
+    (server.at_drop(Child::stop), address)
 }
 
 fn dial(address: &str) -> TcpStream {
@@ -130,13 +96,11 @@ impl Drop for StopOnDrop<'_> {
 #[test]
 fn a_server_that_shows_the_fleet_is_not_told_as_one_that_records_it() {
     let fleet = Fleet::new();
-    let (mut server, _) = start(&fleet.path(), &[]);
+    let (_server, _) = start(&fleet.path(), &[]);
     let members = joulebus_bus::inspect(&fleet.config.domain().unwrap()).unwrap();
     let names: Vec<_> = members.nodes.iter().map(|node| node.name.as_str()).collect();
     assert_eq!(names, ["foxglove"]);
     assert_ne!(names, [joulebus_capture_recorder::RECORDER]);
-    server.stop();
-    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -155,19 +119,18 @@ fn a_client_receives_the_channels_and_a_message_it_can_decode() {
             }
         });
         finished.recv().unwrap();
-        scope.spawn(|| fleet.publish(&stop));
+        scope.spawn(|| publish(&fleet.config, &stop));
         see_a_forecast(&fleet.path());
     });
-    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
 
 fn see_a_forecast(config: &Path) {
     let (mut server, address) = start(config, &[]);
     let mut client = connect(&address);
     let info = next_json(&mut client, "serverInfo");
-    assert_eq!(info["name"], "joulebus serve");
+    assert_eq!(info["name"], "joulebus http");
     let kind = MessageKind::of::<Forecasts>();
-    let topic = kind.topic("serve", 0);
+    let topic = kind.topic("http", 0);
     let channel = loop {
         let advertised = next_json(&mut client, "advertise");
         let channels = advertised["channels"].as_array().unwrap().clone();
@@ -243,14 +206,13 @@ fn connections_do_not_block_the_exit_of_the_server() {
         server.signal(signal);
         let ended = server.wait();
         assert_eq!(ended.code(), Some(0), "{ended:?}");
-        assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
     }
 }
 
 #[test]
 fn an_incomplete_handshake_is_closed() {
     let fleet = Fleet::new();
-    let (mut server, address) = start(&fleet.path(), &[]);
+    let (_server, address) = start(&fleet.path(), &[]);
     let mut idle = dial(&address);
     let mut half = dial(&address);
     half.write_all(HALF).unwrap();
@@ -280,7 +242,6 @@ fn an_incomplete_handshake_is_closed() {
     assert!(response.starts_with("HTTP/1.1 431 ") || response.is_empty(), "{response}");
     // The server serves other clients meanwhile.
     next_json(&mut connect(&address), "serverInfo");
-    server.stop();
 }
 
 #[test]
@@ -304,13 +265,12 @@ fn pages_of_this_host_and_of_foxglove_are_served_and_others_refused() {
         let response = server.wait_for_line("--allow-origin");
         assert!(response.contains(origin), "{response}");
     }
-    server.stop();
 }
 
 #[test]
 fn the_number_of_connections_is_bounded_and_closed_ones_are_freed() {
     let fleet = Fleet::new();
-    let (mut server, address) = start(&fleet.path(), &[]);
+    let (server, address) = start(&fleet.path(), &[]);
     let mut streams: Vec<TcpStream> = (0..200).map(|_| dial(&address)).collect();
     let mut responses = streams.iter_mut().rev().map(farewell);
     let full = responses.find(|response| response.starts_with("HTTP/1.1 503 "));
@@ -327,5 +287,4 @@ fn the_number_of_connections_is_bounded_and_closed_ones_are_freed() {
         })
     });
     drop(streams);
-    server.stop();
 }

@@ -6,16 +6,17 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_testkit::{Child, joulebus_beside, left_behind};
+use joulebus_testkit::{Child, joulebus_beside, left_behind, remove};
 
 /// The `joulebus` program of the same build.
 fn joulebus() -> &'static Path {
     joulebus_beside(env!("CARGO_BIN_EXE_joulebus-serve"))
 }
 
+/// The fleet of one test. What its processes have left fails the test when it is dropped.
 pub(crate) struct Fleet {
     directory: tempfile::TempDir,
-    config: Config,
+    pub(crate) config: Config,
 }
 
 impl Fleet {
@@ -46,19 +47,19 @@ impl Fleet {
         self.directory.path().join(name)
     }
 
-    /// Starts a verb of the program.
+    /// Starts a verb of the program. It is ended when it is dropped.
     pub(crate) fn joulebus(&self, words: &str) -> Child {
         let mut command = Command::new(joulebus());
         command.args(words.split(' ')).arg("--config").arg(self.path());
         command.env_remove("JOULEBUS_LOG");
-        Child::spawn(words, command)
+        Child::spawn(words, command).at_drop(Child::end)
     }
 
     /// Starts a worker.
     pub(crate) fn worker(&self) -> Child {
         let mut worker = self.joulebus("run");
         worker.wait_for_line("ready:");
-        worker
+        worker.at_drop(Child::stop)
     }
 
     /// Starts a server on a free port. Returns it with its address.
@@ -82,7 +83,7 @@ impl Fleet {
         let mut server = Child::spawn("serve", command);
         let line = server.wait_for_line("serving fleet http at http://");
         let address = line.rsplit('/').next().unwrap().to_owned();
-        (server, address)
+        (server.at_drop(Child::stop), address)
     }
 
     /// Starts a server at a Unix socket alone.
@@ -108,5 +109,13 @@ impl Fleet {
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let domain = self.config.domain().unwrap();
         left_behind(domain.shm_prefix(), domain.root())
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        let left = self.stale_files();
+        left.iter().for_each(|path| remove(path));
+        assert!(left.is_empty() || std::thread::panicking(), "left behind: {left:?}");
     }
 }

@@ -70,8 +70,8 @@ fn status_of(address: &str, bytes: &[u8]) -> Option<u16> {
 fn ten_thousand_malformed_requests_leave_worker_and_server_live() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 3");
-    let (mut server, address) = fleet.serve(&[]);
+    let _source = fleet.joulebus("publish sim --robots 3");
+    let (_server, address) = fleet.serve(&[]);
     let mut statuses = std::collections::BTreeMap::new();
     for number in 0..10_000 {
         let status = status_of(&address, &malformed(number));
@@ -83,17 +83,14 @@ fn ten_thousand_malformed_requests_leave_worker_and_server_live() {
     assert!(statuses[&Some(400)] > 1_000, "{statuses:?}");
     assert_live(&address);
     assert!(worker.is_running());
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn a_thousand_idle_connections_keep_nobody_out() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 3");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 3");
+    let (_server, address) = fleet.serve(&[]);
     let mut events = Events::open(&address, "hz=10");
     let mut limits = getrlimit(Resource::Nofile);
     limits.current = limits.maximum;
@@ -114,16 +111,13 @@ fn a_thousand_idle_connections_keep_nobody_out() {
     events.until("the stream goes on", |view| tick(view) > before);
     drop(idle);
     assert_live(&address);
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn a_request_that_drips_is_closed_and_others_are_served_meanwhile() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serve(&[]);
     let mut slow: Vec<TcpStream> = (0..100).map(|_| dial(&address)).collect();
     let mut dripping = 0;
     let head = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ";
@@ -147,16 +141,14 @@ fn a_request_that_drips_is_closed_and_others_are_served_meanwhile() {
         });
         slow.is_empty()
     });
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 20");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 20");
+    let (_server, address) = fleet.serve(&[]);
     eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20);
     // Slow streams take a long time to fill up.
     let seldom = |from: [u8; 4]| {
@@ -182,30 +174,26 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     eventually("a place for a stream", || status(third) == "200");
     assert_eq!(status(one), "503", "the others keep their places");
     drop(deaf);
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn a_body_that_is_too_long_is_refused() {
     let fleet = Fleet::new();
-    let (mut server, address) = fleet.serve(&[]);
+    let (_server, address) = fleet.serve(&[]);
     let head = format!(
         "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
     );
     let body = vec![b' '; (1 << 20) + 1];
     let refused = send(&address, &head, &body);
     assert_eq!(refused.status, 413, "{}", refused.text());
-    server.stop();
 }
 
 #[test]
 fn clients_that_ask_and_hang_up_leave_nothing_to_be_computed() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 20");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 20");
+    let (_server, address) = fleet.serve(&[]);
     eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20);
     let head = format!(
         "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
@@ -234,7 +222,4 @@ fn clients_that_ask_and_hang_up_leave_nothing_to_be_computed() {
         answered.status == 200
     });
     assert_live(&address);
-    source.end();
-    server.stop();
-    worker.stop();
 }

@@ -56,7 +56,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 7 --fault 2=stuck");
-    let (mut server, address) = fleet.serve(&["--metrics-robots", "5"]);
+    let (_server, address) = fleet.serve(&["--metrics-robots", "5"]);
     eventually("an alarm", || has_alarm(&address, 2, "StuckSensor"));
     // A scrape has them computed for the next one.
     let ahead = |robot: &str| {
@@ -130,7 +130,6 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     assert_eq!(value("joulebus_forecast_latency_seconds_bucket", "le", "+Inf"), Some(count));
     assert_eq!(value("joulebus_health_level", "robot", "5"), None, "beyond the cap");
     assert_eq!(value("joulebus_build_info", "version", env!("CARGO_PKG_VERSION")), Some(1.0));
-    server.stop();
 }
 
 /// A running Prometheus and its address. Without one it logs that the test is skipped.
@@ -194,9 +193,9 @@ const MAY_BE_EMPTY: [&str; 6] = [
 #[test]
 fn a_real_prometheus_scrapes_the_metrics_and_answers_the_dashboard() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 3");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 3");
+    let (_server, address) = fleet.serve(&[]);
     if let Some((mut prometheus, at)) = prometheus(&fleet, &address) {
         let value = |query: &str| -> Option<f64> {
             let answer = get(&at, &format!("/api/v1/query?query={query}"));
@@ -224,7 +223,4 @@ fn a_real_prometheus_scrapes_the_metrics_and_answers_the_dashboard() {
         }
         prometheus.end();
     }
-    source.end();
-    server.stop();
-    worker.stop();
 }

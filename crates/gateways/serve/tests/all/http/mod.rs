@@ -1,7 +1,7 @@
 //! The page's server from a client's point of view, with real processes.
 
 mod client;
-mod fleet;
+pub(crate) mod fleet;
 mod hostile;
 mod metrics;
 mod openapi;
@@ -26,9 +26,9 @@ use serde_json::{Value, json};
 fn a_stopped_workers_values_equal_those_of_watch() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 6 --fault 3=stuck");
-    let (mut server, address) = fleet.serve(&[]);
-    let mut watch = fleet.joulebus("watch --format json");
+    let _source = fleet.joulebus("publish sim --robots 6 --fault 3=stuck");
+    let (_server, address) = fleet.serve(&[]);
+    let watch = fleet.joulebus("watch --format json");
     eventually("six robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6);
     // A worker stopped between two frames of a tick may appear to one program and not to the other.
     // Try again then.
@@ -46,32 +46,24 @@ fn a_stopped_workers_values_equal_those_of_watch() {
         is_same(&address, &shown)
     });
     worker.signal(Signal::CONT);
-    watch.end();
-    source.end();
-    server.stop();
-    worker.stop();
-    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
 
 #[test]
 fn the_page_needs_nothing_that_docker_forbids() {
     let fleet = Fleet::new();
     let Some(command) = as_in_docker(&fleet.serve_command(&[])) else { return };
-    let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serving(command);
-    let mut source = fleet.joulebus("publish sim --robots 6");
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serving(command);
+    let _source = fleet.joulebus("publish sim --robots 6");
     eventually("six robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6);
     assert_eq!(get(&address, "/healthz").status, 200);
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn the_next_page_works_when_the_kernel_has_killed_one_for_memory() {
     let Some(group) = MemoryGroup::new(160 << 20) else { return };
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 6");
     for is_killed in [true, false] {
         let page = group.first_to_die(&fleet.serve_command(&[]));
@@ -85,8 +77,6 @@ fn the_next_page_works_when_the_kernel_has_killed_one_for_memory() {
         }
     }
     source.end().exits(0);
-    worker.stop();
-    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }
 
 /// Whether fleet and robots equal a frame that `watch` shows.
@@ -119,27 +109,25 @@ fn page_and_worker_name_a_platform_that_its_model_was_not_trained_for() {
     let fleet = Fleet::new();
     let text = std::fs::read_to_string(fleet.path()).unwrap() + "power_max_w = 5000.0\n";
     std::fs::write(fleet.path(), text).unwrap();
-    let (mut server, address) = fleet.serve(&[]);
+    let (_server, address) = fleet.serve(&[]);
     let found = get_json(&address, "/api/v1/fleet")["model_warnings"].to_string();
     says(&found, ["rover", "was trained on readings of", "5000 W"]);
     let mut worker = fleet.joulebus("run");
     worker.wait_for_line("was trained on readings of");
     worker.wait_for_line("ready:");
-    worker.stop();
-    server.stop();
 }
 
 #[test]
 fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     let fleet = Fleet::new();
-    let (mut server, address) = fleet.serve(&[]);
+    let (_server, address) = fleet.serve(&[]);
     let mut events = Events::open(&address, "hz=10&robot=2");
     assert_eq!(events.view["fleet"]["worker"]["state"], "waiting");
     let unready = get(&address, "/readyz");
     assert_eq!((unready.status, unready.header("retry-after")), (503, Some("1")));
     assert!(unready.json()["error"].as_str().unwrap().contains("joulebus run"));
     let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 4");
+    let _source = fleet.joulebus("publish sim --robots 4");
     events.until("robots", |view| {
         view["robots"]["total"] == 4 && view["robot"]["power_w"].is_number()
     });
@@ -153,22 +141,19 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     // The last known robots are still shown.
     assert_eq!(events.view["robots"]["total"], 4);
     assert_eq!((get(&address, "/readyz").status, get(&address, "/healthz").status), (503, 200));
-    let mut worker = fleet.worker();
+    let worker = fleet.worker();
     events.until("another worker", |view| {
         view["fleet"]["worker"]["state"] == "alive"
             && view["fleet"]["worker"]["pid"] == worker.pid()
     });
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     const JSON: &str = "Content-Type: application/json";
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serve(&[]);
     let mut source = fleet.joulebus("publish sim --robots 3");
     eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3);
     let of = |alarm: &str| json!({"robot": 1, "alarm": alarm, "by": "ann"}).to_string();
@@ -206,16 +191,14 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     becomes("its end", None);
     source.end();
     becomes("its return", Some(Value::Null));
-    server.stop();
-    worker.stop();
 }
 
 /// A bridge writes what it finds beside the fleet's shared memory.
 #[test]
 fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serve(&[]);
     let config = joulebus_config::Config::load(fleet.path()).unwrap();
     let mut findings = FindingsFile::new(&config, "bridge");
     findings.write([(7, "sign: power is negative")]).unwrap();
@@ -233,15 +216,13 @@ fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
     assert!(cards.any(|card| card["alarm"] == "Implausible"));
     drop(findings);
     eventually("its end", || !is_raised());
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serve(&[]);
+    let (_server, address) = fleet.serve(&[]);
     let mut events = Events::open(&address, "hz=10&sort=robot");
     let mut source = fleet.joulebus("publish sim --robots 5 --fault 1=stuck");
     events.until("an alarm", |view| {
@@ -284,16 +265,15 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
         view["robots"] == get_json(&address, "/api/v1/robots?sort=robot")
             && view["alarms"] == get_json(&address, "/api/v1/alarms")
     });
-    server.stop();
 }
 
 #[test]
 fn the_server_sorts_filters_and_cuts() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let (mut server, address) = fleet.serve(&[]);
-    let mut source = fleet.joulebus("publish sim --robots 12");
-    let mut rovers = fleet.joulebus("publish sim --robots 3 --platform rover");
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serve(&[]);
+    let _source = fleet.joulebus("publish sim --robots 12");
+    let _rovers = fleet.joulebus("publish sim --robots 3 --platform rover");
     eventually("fifteen robots", || get_json(&address, "/api/v1/robots")["total"] == 15);
     let ids = |query: &str| -> Vec<u64> {
         let robots = get_json(&address, &format!("/api/v1/robots?{query}"));
@@ -332,19 +312,14 @@ fn the_server_sorts_filters_and_cuts() {
     assert_eq!(get(&address, "/api/v1/robots/x").status, 400);
     assert_eq!(get(&address, "/api/v1/robots/77/history").status, 404);
     assert_eq!(get(&address, "/api/v1/robots/77/outlook").status, 404);
-    for child in [&mut source, &mut rovers] {
-        child.end();
-    }
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn a_question_is_answered_as_by_ask() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 3");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 3");
+    let (_server, address) = fleet.serve(&[]);
     eventually("readings", || get(&address, "/api/v1/robots/1").json()["power_w"].is_number());
     let ask = |question: &Value| what_if(&address, &question.to_string());
     let answered = ask(&json!({"robot": 1, "idle_s": 20, "coverage": 0.8}));
@@ -385,15 +360,12 @@ fn a_question_is_answered_as_by_ask() {
     }
     let plain = send(&address, &format!("POST /api/v1/what_if HTTP/1.1\r\nHost: {address}"), b"{}");
     assert_eq!(plain.status, 415);
-    source.end();
-    server.stop();
-    worker.stop();
 }
 
 #[test]
 fn every_file_of_the_page_is_served_and_nothing_else() {
     let fleet = Fleet::new();
-    let (mut server, address) = fleet.serve(&[]);
+    let (_server, address) = fleet.serve(&[]);
     let page = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/page"));
     let mut folders = vec![page.clone()];
     while let Some(folder) = folders.pop() {
@@ -435,7 +407,6 @@ fn every_file_of_the_page_is_served_and_nothing_else() {
     ] {
         assert_eq!(get(&address, path).status, 404, "{path}");
     }
-    server.stop();
 }
 
 #[test]
@@ -463,7 +434,7 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
     write("short", 0o600);
     assert!(refused(&with_token).contains("5 characters"));
     write("0123456789abcdef\n", 0o600);
-    let (mut server, address) = fleet.serve(&with_token);
+    let (_server, address) = fleet.serve(&with_token);
     let address = address.replace("0.0.0.0", "127.0.0.1");
     for path in [
         "/",
@@ -490,7 +461,6 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
     let elsewhere =
         "GET / HTTP/1.1\r\nHost: evil.example\r\nAuthorization: Bearer 0123456789abcdef";
     assert_eq!(send(&address, elsewhere, b"").status, 403);
-    server.stop();
 }
 
 #[test]
@@ -528,5 +498,7 @@ fn a_server_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
         assert!(ended.text().is_empty(), "{words:?}: {ended:?}");
         says(&ended.errors(), ["error: ", "RemoveIPC"]);
         assert_eq!(worker.wait().code(), Some(1));
+        // What they made meanwhile.
+        fleet.stale_files().iter().for_each(|path| remove(path));
     }
 }

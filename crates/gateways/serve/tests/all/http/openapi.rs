@@ -63,9 +63,9 @@ fn differences(
 #[test]
 fn every_answer_is_as_the_document_says() {
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");
-    let (mut server, address) = fleet.serve(&[]);
+    let _worker = fleet.worker();
+    let _source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");
+    let (_server, address) = fleet.serve(&[]);
     // By then the robot's history has points, too.
     eventually("an alarm of the robot", || has_alarm(&address, 2, "StuckSensor"));
     let document = get_json(&address, "/api/v1/openapi.json");
@@ -109,7 +109,4 @@ fn every_answer_is_as_the_document_says() {
             assert_eq!(response.status, 200, "{path}");
         }
     }
-    source.end();
-    server.stop();
-    worker.stop();
 }

@@ -94,7 +94,7 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
         return;
     }
     let fleet = Fleet::new();
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 4");
     // Same as systemd's RuntimeDirectory= of mode 0750: files in it get its group.
     let place = tempfile::tempdir().unwrap();
@@ -158,7 +158,6 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
     source.end();
     server.stop();
     assert!(!socket.exists(), "the socket is left");
-    worker.stop();
 }
 
 #[test]

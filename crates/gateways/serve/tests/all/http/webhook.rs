@@ -10,7 +10,6 @@ use std::time::Duration;
 
 use joulebus_testkit::{Child, PATIENCE, eventually, free_port};
 use rustix::net::sockopt::set_socket_linger;
-use rustix::process::Signal;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ServerConfig, ServerConnection, StreamOwned};
@@ -285,22 +284,20 @@ fn every_change_is_told_in_order_also_after_failures() {
     eventually("the robots' silence is told", || {
         (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
     });
-    worker.signal(Signal::KILL);
+    worker.kill();
     eventually("the worker's end is told", || {
         receiver.changes().iter().any(|change| change == "null WorkerGone raised")
     });
     let report = end_delivered(&mut server);
     assert_eq!(report[0]["told"], receiver.changes().len(), "{report:?}");
     assert_eq!(report[0]["failed"], 3, "{report:?}");
-    watch.end();
-    drop(worker);
 }
 
 #[test]
 fn what_is_refused_is_lost_and_counted() {
     let fleet = Fleet::new();
     let receiver = Receiver::start(&["400 Bad Request"]);
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     let mut server = serve(&fleet, &receiver.address);
     publish(&fleet);
     server.wait_for_line("refused, and not sent again: 400");
@@ -308,7 +305,6 @@ fn what_is_refused_is_lost_and_counted() {
     assert_eq!(ended.code(), Some(3), "{ended:?}");
     let report: Value = serde_json::from_str(&ended.text()).unwrap();
     assert!(report["webhooks"][0]["lost"].as_u64().unwrap() > 0, "{report}");
-    worker.stop();
 }
 
 #[test]
@@ -319,7 +315,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
     let fleet = Fleet::new();
     let receiver = Receiver::start_tls(&authority);
     let (own, other) = (authority.file(), stranger.file());
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     // Another authority, and Mozilla's list.
     let mut refusing = [
         serve_with(&fleet, &["--webhook", &receiver.address, "--webhook-ca", &other]),
@@ -347,7 +343,6 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
         (0..3).all(|robot| receiver.changes().contains(&format!("{robot} NoData raised")))
     });
     end_delivered(&mut server);
-    worker.stop();
 }
 
 #[test]
@@ -375,7 +370,7 @@ fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
             let _ = accepted.send(stream);
         }
     });
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     let mut server = serve(&fleet, &to);
     publish(&fleet);
     let _first = requests.recv_timeout(PATIENCE).unwrap();
@@ -386,7 +381,6 @@ fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
     assert!(report["webhooks"][0]["lost"].as_u64().unwrap() > 0, "{report}");
     // The request has 10 s. A server that waited for it would have sent it again.
     assert!(requests.try_recv().is_err(), "sent again");
-    worker.stop();
 }
 
 const SECRET: &str = "whsec_MDEyMzQ1Njc4OTAxMjM0NTY3ODkwMTIzNDU2Nzg5MDE=";
@@ -507,7 +501,7 @@ fn alertmanager(fleet: &Fleet) -> Option<(Child, String)> {
 #[test]
 fn a_real_alertmanager_keeps_raised_alarms_and_ends_them_when_they_end() {
     let fleet = Fleet::new();
-    let Some((mut manager, at)) = alertmanager(&fleet) else {
+    let Some((_manager, at)) = alertmanager(&fleet) else {
         return;
     };
     let active = |robot: &str| {
@@ -522,7 +516,7 @@ fn a_real_alertmanager_keeps_raised_alarms_and_ends_them_when_they_end() {
     let hook = |more: &str| {
         format!("[[webhook]]\naddress = \"http://{at}\"\nformat = \"alertmanager\"\n{more}")
     };
-    let mut worker = fleet.worker();
+    let _worker = fleet.worker();
     // Alerts that last four seconds if they are not repeated.
     let mut server = serve_listed(&fleet, &hook("repeat_s = 1\npage = \"http://page:8630\"\n"));
     publish(&fleet);
@@ -544,10 +538,7 @@ fn a_real_alertmanager_keeps_raised_alarms_and_ends_them_when_they_end() {
     // Alerts that last four hours: an end is one that was sent.
     let mut server = serve_listed(&fleet, &hook("repeat_s = 3600\n"));
     eventually("three alerts", || (0..3).all(|robot| active(&robot.to_string()).is_some()));
-    let mut source = fleet.joulebus("publish sim --robots 3");
+    let _source = fleet.joulebus("publish sim --robots 3");
     eventually("the end of each", || (0..3).all(|robot| active(&robot.to_string()).is_none()));
     end_delivered(&mut server);
-    source.end();
-    manager.end();
-    worker.stop();
 }
