@@ -186,8 +186,8 @@ impl EnergyModel {
     }
 
     /// The power of each step of a plan, W, whose sum times the period is the energy of
-    /// [`EnergyModel::forecast`] up to rounding. As with [`Iterator::zip`], steps beyond the shorter
-    /// of plan and `power_w` are not written. An unknown command draws the platform's mean.
+    /// [`EnergyModel::forecast`] up to rounding. As with [`Iterator::zip`], steps beyond the
+    /// shorter of plan and `power_w` are not written. An unknown command draws the platform's mean.
     pub fn power_w(&self, state: &EnergyState, plan: Commands<'_>, power_w: &mut [f32]) {
         let level = self.level(state, &plan);
         let motions = plan.motions(state.command());
@@ -198,8 +198,8 @@ impl EnergyModel {
     }
 
     /// Derivatives of the energy with respect to each command of a plan: J per m/s into `by_v`, and
-    /// J per rad/s into `by_omega`. As with [`Iterator::zip`], steps beyond the shortest of plan and
-    /// slices are not written.
+    /// J per rad/s into `by_omega`. As with [`Iterator::zip`], steps beyond the shortest of plan
+    /// and slices are not written.
     pub fn gradient(
         &self,
         state: &EnergyState,

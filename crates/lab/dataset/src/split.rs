@@ -416,8 +416,8 @@ pub fn left_out(sources: &[SourceInfo], names: &[String]) -> Result<Vec<bool>, S
 
 impl Assignment {
     /// All rows, or, if there are more than `max_rows`, about as many of each part as its share of
-    /// them. They are stretches of at most [`MAX_STRETCH_ROWS`] consecutive rows, evenly spread over
-    /// the part, at least one of each part.
+    /// them. They are stretches of at most [`MAX_STRETCH_ROWS`] consecutive rows, evenly spread
+    /// over the part, at least one of each part.
     pub fn thin(&self, max_rows: usize) -> Thinned {
         let found: usize = self.summary.rows.iter().sum();
         let stretch = match found > max_rows {
