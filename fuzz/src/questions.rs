@@ -11,7 +11,7 @@ use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Path, Plan, Point, Question, Refused, Reply, RobotRows};
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
-    ANSWER_WORDS, AnswerHeader, Budget, PlanState, QueryHeader, SCHEMA_VERSION, answer_parts,
+    AnswerHeader, Budget, MAX_ANSWER_WORDS, PlanState, QueryHeader, SCHEMA_VERSION, answer_parts,
     records,
 };
 
@@ -161,7 +161,7 @@ fn answer(question: Question) -> bool {
         Ok(reply) => reply.encode(&mut header, &mut words),
         Err(error) => Refused::from(error).encode(&mut header, &mut words),
     }
-    assert!(words.len() <= ANSWER_WORDS, "{} words", words.len());
+    assert!(words.len() <= MAX_ANSWER_WORDS, "{} words", words.len());
     let found = Reply::decode(&header, &words);
     assert_eq!(found.is_ok(), replied.is_ok());
     let mut again = (rows.answer, Vec::new());

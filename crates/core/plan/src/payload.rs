@@ -1,9 +1,9 @@
 //! Questions and replies as payloads in shared memory and in recordings.
 
 use joulebus_wire::{
-    ANSWER_WORDS, Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_NAME_BYTES,
-    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal,
-    ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
+    Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_ANSWER_WORDS,
+    MAX_NAME_BYTES, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_VALUES, QueryHeader,
+    QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
 };
 
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
@@ -236,8 +236,8 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     for (name, found, allowed) in [
         ("robots", robots, max_robots),
         ("candidates", candidates, MAX_QUERY_CANDIDATES),
-        ("steps or points", steps, QUERY_VALUES),
-        ("values", found, QUERY_VALUES),
+        ("steps or points", steps, MAX_QUERY_VALUES),
+        ("values", found, MAX_QUERY_VALUES),
     ] {
         if found > allowed {
             let text = format!(
@@ -293,7 +293,7 @@ impl Reply {
         let rows: Vec<AnswerRow> = self.rows.iter().map(Row::encode).collect();
         header.rows = count(rows.len());
         words.extend_from_slice(bytemuck::cast_slice(&rows));
-        if rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) > ANSWER_WORDS {
+        if rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) > MAX_ANSWER_WORDS {
             return;
         }
         header.powers = count(self.power_w.len());
@@ -330,7 +330,7 @@ impl Reply {
 impl Refused {
     /// Appends the text to the words of an answer, and sets reason and length.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
-        let most = 8 * ANSWER_WORDS;
+        let most = 8 * MAX_ANSWER_WORDS;
         let text = self.text.get(..self.text.len().min(most)).unwrap_or_default();
         header.refusal = self.reason.code();
         header.text_bytes = count(text.len());

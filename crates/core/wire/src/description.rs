@@ -4,10 +4,10 @@
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
-    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, Outlook, OutlookHeader, PlanState,
-    PlanStateHeader, QUERY_VALUES, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
-    SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag, diagnostic_flag,
-    forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
+    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, MAX_QUERY_VALUES, Outlook,
+    OutlookHeader, PlanState, PlanStateHeader, Quality, QueryHeader, QueryKind, QueryRefusal,
+    Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag,
+    diagnostic_flag, forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
 };
 
 /// Constants that belong together: bits of a field, or its codes.
@@ -132,7 +132,7 @@ fn codes() -> Vec<Constants> {
         of(
             "MAX_QUERY",
             vec![
-                ("Values", QUERY_VALUES as u64),
+                ("Values", MAX_QUERY_VALUES as u64),
                 ("Robots", MAX_QUERY_ROBOTS as u64),
                 ("Candidates", MAX_QUERY_CANDIDATES as u64),
                 ("Steps", MAX_QUERY_STEPS as u64),

@@ -62,10 +62,10 @@ pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, 
 pub use outlook::{OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, OutlookHeader, outlook_flag};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
-    ANSWER_RULES, ANSWER_WORDS, AnswerHeader, AnswerRow, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS,
-    MAX_QUERY_STEPS, MAX_RECORD_WORDS, QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader,
-    QueryKind, QueryRecord, QueryRefusal, ROW_WORDS, Record, TICK_RULES, answer_flag, answer_parts,
-    push_record, query_flag, records,
+    ANSWER_RULES, AnswerHeader, AnswerRow, MAX_ANSWER_WORDS, MAX_QUERY_CANDIDATES,
+    MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, MAX_QUERY_VALUES, MAX_RECORD_WORDS, QueriesHeader,
+    QueryCounts, QueryHeader, QueryKind, QueryRecord, QueryRefusal, ROW_WORDS, Record, TICK_RULES,
+    answer_flag, answer_parts, push_record, query_flag, records,
 };
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};

@@ -25,9 +25,9 @@ pub const ANSWER_RULES: u32 = 3;
 pub const TICK_RULES: u32 = 6;
 
 /// Maximum number of values of a question.
-pub const QUERY_VALUES: usize = 4_096;
+pub const MAX_QUERY_VALUES: usize = 4_096;
 /// Maximum number of words of an answer.
-pub const ANSWER_WORDS: usize = 4_608;
+pub const MAX_ANSWER_WORDS: usize = 4_608;
 /// Maximum number of robots of a question.
 pub const MAX_QUERY_ROBOTS: usize = 64;
 /// Maximum number of candidates of a question.

@@ -4,7 +4,7 @@
 use std::io;
 
 use joulebus_wire::{
-    ANSWER_WORDS, AnswerHeader, Channel, Flow, ForEachChannel, Forecasts, QUERY_VALUES,
+    AnswerHeader, Channel, Flow, ForEachChannel, Forecasts, MAX_ANSWER_WORDS, MAX_QUERY_VALUES,
     QueryHeader, Samples, each_channel,
 };
 use rustix::process::{Resource, getrlimit};
@@ -207,13 +207,13 @@ pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 
 /// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each
 /// question in a queue or a client's hands, one response buffered, borrowed and loaned.
 pub(crate) const fn server_bytes(clients: usize) -> u64 {
-    let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * ANSWER_WORDS;
+    let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * MAX_ANSWER_WORDS;
     (clients * 2 * ACTIVE_QUERIES * 3 * frame + SEGMENT_OVERHEAD) as u64
 }
 
 /// Bytes of the memory that a client writes its questions to.
 pub(crate) const fn client_bytes() -> u64 {
-    let frame = FRAME_OVERHEAD + size_of::<QueryHeader>() + 8 * QUERY_VALUES;
+    let frame = FRAME_OVERHEAD + size_of::<QueryHeader>() + 8 * MAX_QUERY_VALUES;
     ((2 * ACTIVE_QUERIES + 1) * frame + SEGMENT_OVERHEAD) as u64
 }
 

@@ -6,7 +6,9 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 
 use joulebus_simulated_host::{self as host, memory::outside};
-use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
+use joulebus_wire::{
+    AnswerHeader, MAX_ANSWER_WORDS, MAX_QUERY_VALUES, QueryHeader, Service, WakeEvent,
+};
 
 use crate::liveness::worker_lock::WorkerLock;
 use crate::liveness::worker_ports::WorkerPorts;
@@ -161,7 +163,7 @@ impl QueryServer {
         host::operation();
         self.bus.check()?;
         if !host::is_dead() {
-            let words = outside(|| words[..words.len().min(ANSWER_WORDS)].to_vec());
+            let words = outside(|| words[..words.len().min(MAX_ANSWER_WORDS)].to_vec());
             *query.transfer.answer.borrow_mut() = Some((header, words));
         }
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
@@ -275,8 +277,8 @@ impl QueryClient {
         host::operation();
         self.give_up();
         self.bus.check()?;
-        if values.len() > QUERY_VALUES {
-            return Err(QueryError::TooLong { found: values.len(), allowed: QUERY_VALUES });
+        if values.len() > MAX_QUERY_VALUES {
+            return Err(QueryError::TooLong { found: values.len(), allowed: MAX_QUERY_VALUES });
         }
         let server = self.watch()?;
         self.number += 1;

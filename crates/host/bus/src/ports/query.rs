@@ -22,7 +22,9 @@ use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{AllocationStrategy, BackpressureStrategy, CallbackProgression};
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::client::ClientCreateError;
-use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
+use joulebus_wire::{
+    AnswerHeader, MAX_ANSWER_WORDS, MAX_QUERY_VALUES, QueryHeader, Service, WakeEvent,
+};
 
 use super::connection_leak::ConnectionLeak;
 use super::degradation::Failures;
@@ -84,7 +86,7 @@ impl QueryServer {
         let failures = Failures::new();
         let server = factory
             .server_builder()
-            .initial_max_slice_len(ANSWER_WORDS)
+            .initial_max_slice_len(MAX_ANSWER_WORDS)
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_responses_per_request(1)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
@@ -140,7 +142,7 @@ impl QueryServer {
         Ok(received.map(|request| OpenQuery { request, _member: Rc::clone(&self.member) }))
     }
 
-    /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
+    /// Answers a question and wakes its client. The words beyond [`MAX_ANSWER_WORDS`] are not sent.
     ///
     /// # Errors
     /// [`SendError`]. Nothing was sent.
@@ -152,7 +154,7 @@ impl QueryServer {
         words: &[u64],
     ) -> Result<Sent, SendError> {
         self.member.presence.check()?;
-        let words = &words[..words.len().min(ANSWER_WORDS)];
+        let words = &words[..words.len().min(MAX_ANSWER_WORDS)];
         let loan = query.request.loan_slice_uninit(words.len());
         let mut response = loan.map_err(SendError::loan)?.write_from_slice(words);
         *response.user_header_mut() = header;
@@ -246,7 +248,7 @@ impl QueryClient {
         let create = || {
             factory
                 .client_builder()
-                .initial_max_slice_len(QUERY_VALUES)
+                .initial_max_slice_len(MAX_QUERY_VALUES)
                 .allocation_strategy(AllocationStrategy::Static)
                 .backpressure_strategy(BackpressureStrategy::DiscardData)
                 .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
@@ -315,8 +317,8 @@ impl QueryClient {
     pub fn send(&mut self, header: QueryHeader, values: &[f64]) -> Result<(), QueryError> {
         self.pending = None;
         self.member.presence.check()?;
-        if values.len() > QUERY_VALUES {
-            return Err(QueryError::TooLong { found: values.len(), allowed: QUERY_VALUES });
+        if values.len() > MAX_QUERY_VALUES {
+            return Err(QueryError::TooLong { found: values.len(), allowed: MAX_QUERY_VALUES });
         }
         self.watch()?;
         self.number += 1;
