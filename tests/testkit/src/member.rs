@@ -28,9 +28,15 @@ impl Member {
         command
     }
 
-    /// Starts a member, which is finished when it is dropped; `name` is used in messages.
+    /// Starts a member; `name` is used in messages.
     pub fn spawn(name: &str, command: Command) -> Self {
-        Self { child: Child::spawn(name, command).at_drop(Child::finish), lines_read: 0 }
+        Self { child: Child::spawn(name, command), lines_read: 0 }
+    }
+
+    /// Starts a member that is finished when it is dropped: it ends with its stdin.
+    pub fn spawn_to_finish(name: &str, command: Command) -> Self {
+        let child = Child::spawn(name, command).at_drop(Child::finish);
+        Self { child, lines_read: 0 }
     }
 
     /// Its pid.

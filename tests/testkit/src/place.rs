@@ -60,7 +60,7 @@ impl Place {
     pub fn start(&self, role: &str) -> Member {
         let mut command = Member::command();
         command.env(ROLE, role).env(CONFIG, &self.config);
-        Member::spawn(role, command)
+        Member::spawn_to_finish(role, command)
     }
 }
 

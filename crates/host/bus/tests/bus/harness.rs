@@ -54,7 +54,7 @@ impl Place {
     }
 
     pub(crate) fn member(&self) -> Member {
-        Member::spawn("member", self.as_member(Member::command()))
+        Member::spawn_to_finish("member", self.as_member(Member::command()))
     }
 
     /// A member that has joined and opened the ports of `role`.

@@ -17,7 +17,7 @@ fn member_under(place: &Place, program: &str, arguments: &[&str]) -> Member {
     let mine = Member::command();
     let mut command = Command::new(program);
     command.args(arguments).arg(mine.get_program()).args(mine.get_args());
-    Member::spawn(program, place.as_member(command))
+    Member::spawn_to_finish(program, place.as_member(command))
 }
 
 #[test]
