@@ -250,10 +250,15 @@ impl Child {
         ended
     }
 
+    /// Closes its stdin and waits for the exit with any status.
+    pub fn close(&mut self) -> Ended {
+        self.stdin = None;
+        self.wait()
+    }
+
     /// Closes its stdin and waits for the exit; it must succeed.
     pub fn finish(&mut self) -> Ended {
-        self.stdin = None;
-        let ended = self.wait();
+        let ended = self.close();
         assert_eq!(ended.code(), Some(0), "{}: {ended:?}", self.name);
         ended
     }

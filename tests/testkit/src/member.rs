@@ -108,6 +108,11 @@ impl Member {
         sent.map(|(_, text)| text.to_owned()).collect()
     }
 
+    /// Closes its stdin and waits for the exit with any status.
+    pub fn close(mut self) -> Ended {
+        self.child.close()
+    }
+
     /// Closes its stdin and waits for the exit, which must succeed.
     pub fn finish(mut self) {
         self.child.finish();
