@@ -264,8 +264,9 @@ impl Unscheduled {
 
     /// The sum over all threads since the begin.
     fn since_ns(&self) -> u64 {
-        let now_ns = Self::now_ns(&self.pids).into_iter();
-        now_ns.map(|(at, now_ns)| now_ns - self.before_ns.get(&at).copied().unwrap_or(0)).sum()
+        let before_ns = |at| self.before_ns.get(at).copied().unwrap_or(0);
+        // A new thread may have the number of one that has ended.
+        Self::now_ns(&self.pids).iter().map(|(at, ns)| ns.saturating_sub(before_ns(at))).sum()
     }
 }
 
