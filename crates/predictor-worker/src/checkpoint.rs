@@ -373,7 +373,7 @@ pub(crate) mod tests {
     /// The robots that a fleet of eight keeps when it starts.
     fn restored(ledger: &Checkpoint) -> Vec<u32> {
         let all = ledger.ledgers();
-        let mut newest: Vec<u32> = all.iter().rev().take(8).map(|it| it.robot).collect();
+        let mut newest: Vec<u32> = all.iter().rev().take(8).map(|account| account.robot).collect();
         newest.sort_unstable();
         newest
     }

@@ -756,7 +756,7 @@ mod tests {
             fs::write(&path, text).unwrap();
             let error = error("lab");
             assert!(
-                matches!(error, LedgerFileError::Version { found: it, .. } if it == found),
+                matches!(error, LedgerFileError::Version { found: version, .. } if version == found),
                 "{error}"
             );
         }

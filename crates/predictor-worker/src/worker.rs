@@ -179,12 +179,12 @@ impl Worker {
         let before = read_ledger(config)?;
         // Accounts of robots that the config no longer names stay in the file: those may return.
         let saved = before.checkpoint.ledgers().into_iter();
-        let saved: Vec<_> = saved.filter(|it| fleet.is_configured(it.robot)).collect();
+        let saved: Vec<_> = saved.filter(|account| fleet.is_configured(account.robot)).collect();
         let written = saved.len();
         before.checkpoint.lost.iter().for_each(|ids| fleet.lose(*ids));
         let kept = saved
             .into_iter()
-            .filter(|it| fleet.restore(it.robot, it.ledger, it.charged, it.battery))
+            .filter(|account| fleet.restore(account.robot, account.ledger, account.charged, account.battery))
             .count();
         if kept < written {
             tracing::warn!(
@@ -378,8 +378,8 @@ impl Worker {
         tracing::info!(
             term = permit.term,
             robots = self.fleet.len(),
-            state_of_term = restored.map(|it| it.term),
-            state_age_ms = restored.map(|it| now_ns.saturating_sub(it.taken_ns) / 1_000_000),
+            state_of_term = restored.map(|state| state.term),
+            state_age_ms = restored.map(|state| now_ns.saturating_sub(state.taken_ns) / 1_000_000),
             frames = replayed.frames,
             samples = replayed.samples,
             "this worker serves"

@@ -173,8 +173,8 @@ impl Scene {
     fn accounts(&self) -> (i64, u64, u64) {
         let read = self.read.lock().unwrap();
         let budgets = read.1.iter();
-        budgets.fold((0, 0, 0), |(drawn, metered, unmetered), it| {
-            (drawn + it.drawn_uj, metered + it.metered_ns, unmetered + it.unmetered_ns)
+        budgets.fold((0, 0, 0), |(drawn, metered, unmetered), budget| {
+            (drawn + budget.drawn_uj, metered + budget.metered_ns, unmetered + budget.unmetered_ns)
         })
     }
 
@@ -182,7 +182,7 @@ impl Scene {
         let read = self.read.lock().unwrap();
         let forecasts = &read.0;
         forecasts.len() == ROBOTS as usize
-            && forecasts.iter().all(|it| matches!(it.quality(), Quality::Fresh | Quality::Held))
+            && forecasts.iter().all(|forecast| matches!(forecast.quality(), Quality::Fresh | Quality::Held))
     }
 }
 
@@ -262,7 +262,7 @@ fn goes_on_after(frames: u64) {
         let before = scene.frames.load(Ordering::Relaxed);
         let first = first_frame(&scene, &mut worker);
         assert!(scene.frames.load(Ordering::Relaxed) > before);
-        let is_warm = |it: &Quality| !matches!(it, Quality::Warmup { .. });
+        let is_warm = |quality: &Quality| !matches!(quality, Quality::Warmup { .. });
         assert!(first.iter().all(is_warm), "{first:?}");
         assert_eq!(first.len(), ROBOTS as usize);
         scene.until(&mut worker, "budgets of all", |_| scene.accounts().0 > accounts.0);

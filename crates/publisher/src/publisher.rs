@@ -215,7 +215,7 @@ impl Publisher {
         let sent = self.writer.send(header, samples.len(), |i| samples[i])?;
         self.frames_sent += 1;
         self.samples_sent += samples.len() as u64;
-        let mut refusals = samples.iter().filter_map(|it| self.settings.refusal(it));
+        let mut refusals = samples.iter().filter_map(|sample| self.settings.refusal(sample));
         let first_refused = refusals.next();
         let refused = refusals.count() + usize::from(first_refused.is_some());
         Ok(Sent {

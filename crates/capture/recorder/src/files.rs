@@ -565,7 +565,7 @@ mod tests {
             }
             files.end().unwrap();
             assert_eq!(names(&files), wanted);
-            let messages: u64 = files.written().iter().map(|(_, it)| it.messages).sum();
+            let messages: u64 = files.written().iter().map(|(_, summary)| summary.messages).sum();
             assert_eq!(messages, times.end);
             // The first name is refused at the start, also where nothing is written yet.
             for snapshot in [None, Some(kept)] {

@@ -504,7 +504,7 @@ fn a_snapshot_keeps_the_last_seconds_and_saves_them_on_request_and_on_alarm() {
     // Nothing is saved while there is nothing in memory: the recorder may have got no processor
     // since.
     let give_up = Instant::now() + PATIENCE;
-    while recorder.summary().kept.is_none_or(|it| it.messages == 0) {
+    while recorder.summary().kept.is_none_or(|kept| kept.messages == 0) {
         assert!(Instant::now() < give_up, "{:?}", recorder.summary());
         stage.tick(4);
         std::thread::sleep(Duration::from_millis(25));

@@ -208,9 +208,9 @@ impl fmt::Display for AlarmsReport {
         for episode in &self.alarms {
             let after_s = s_between(from_ns, episode.raised_ns);
             let lasted = episode.lasted_s.map_or(String::new(), |s| Lasting(s).to_string());
-            let by = episode.acknowledged.as_ref().map_or(String::new(), |it| {
-                let after_s = s_between(episode.raised_ns, it.at_unix_ns);
-                format!(", acknowledged by {} after {}", it.by, Lasting(after_s))
+            let by = episode.acknowledged.as_ref().map_or(String::new(), |acknowledgement| {
+                let after_s = s_between(episode.raised_ns, acknowledgement.at_unix_ns);
+                format!(", acknowledged by {} after {}", acknowledgement.by, Lasting(after_s))
             });
             let Episode { fleet, robot, alarm, level, end, .. } = episode;
             let fleet = fleet_column(fleet);

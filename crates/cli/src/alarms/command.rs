@@ -102,7 +102,7 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
         .env("JOULEBUS_LEVEL", line.0.level)
         .env("JOULEBUS_CHANGE", line.0.change)
         .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
-        .env("JOULEBUS_BY", shown(line.0.acknowledged.as_ref().map(|it| it.by.clone())))
+        .env("JOULEBUS_BY", shown(line.0.acknowledged.as_ref().map(|acknowledgement| acknowledgement.by.clone())))
         .env("JOULEBUS_LASTED_S", shown(line.0.lasted_s.map(|s| s.to_string())))
         .stdin(Stdio::null())
         // Results of the verb stay alone on stdout.

@@ -114,7 +114,7 @@ impl fmt::Display for Line {
             None => write!(out, "worker: ")?,
         }
         write!(out, "{} {}", self.0.alarm, self.0.change)?;
-        let by = self.0.acknowledged.as_ref().map(|it| &it.by);
+        let by = self.0.acknowledged.as_ref().map(|acknowledgement| &acknowledgement.by);
         match (self.0.lasted_s, by) {
             (None, None) => write!(out, " ({})", self.0.level),
             (None, Some(by)) => write!(out, " by {by}"),

@@ -94,7 +94,7 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     let lines: Vec<Value> =
         stdout(&watched).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let shown = lines.iter().map(|line| {
-        let robot = line["robot"].as_u64().map_or(String::new(), |it| it.to_string());
+        let robot = line["robot"].as_u64().map_or(String::new(), |id| id.to_string());
         let word = |name: &str| line[name].as_str().unwrap().to_owned();
         format!("{robot} {} {}", word("alarm"), word("change"))
     });
@@ -106,10 +106,10 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     let history = output(["alarms", "--format", "json", capture.to_str().unwrap()]);
     let history = json(&history);
     let episodes = history["alarms"].as_array().unwrap();
-    let silent: Vec<&Value> = episodes.iter().filter(|it| it["alarm"] == "NoData").collect();
-    let robots: BTreeSet<u64> = silent.iter().filter_map(|it| it["robot"].as_u64()).collect();
+    let silent: Vec<&Value> = episodes.iter().filter(|episode| episode["alarm"] == "NoData").collect();
+    let robots: BTreeSet<u64> = silent.iter().filter_map(|episode| episode["robot"].as_u64()).collect();
     assert_eq!(robots.len(), ROBOTS, "{history}");
-    let ended = |end: &str| silent.iter().filter(|it| it["end"] == end).count();
+    let ended = |end: &str| silent.iter().filter(|episode| episode["end"] == end).count();
     assert_eq!((ended("cleared"), ended("raised")), (cleared, ROBOTS), "{history}");
     assert!(fleet.stale_files().is_empty());
 }
@@ -224,7 +224,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     let ended_with = |program: &mut Program, expected: &[&str]| {
         eventually(&format!("{expected:?}"), || {
             of_robot_1(program, "NoData")
-                .ends_with(&expected.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>())
+                .ends_with(&expected.iter().map(|end| (*end).to_owned()).collect::<Vec<_>>())
         });
     };
     ended_with(&mut watcher, &["raised nobody"]);
@@ -265,11 +265,11 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     let history = json(&output(["alarms", "--format", "json", capture.to_str().unwrap()]));
     let episodes = history["alarms"].as_array().unwrap().iter();
     let silent: Vec<&Value> =
-        episodes.filter(|it| it["robot"] == 1 && it["alarm"] == "NoData").collect();
+        episodes.filter(|episode| episode["robot"] == 1 && episode["alarm"] == "NoData").collect();
     let (first, rest) = silent.split_first().unwrap();
     assert_eq!((&first["acknowledged"]["by"], &first["end"]), (&"ann".into(), &"cleared".into()));
     let after_ns = first["acknowledged"]["at_unix_ns"].as_u64() > first["raised_ns"].as_u64();
-    assert!(after_ns && rest.iter().all(|it| it["acknowledged"].is_null()), "{history}");
+    assert!(after_ns && rest.iter().all(|episode| episode["acknowledged"].is_null()), "{history}");
 
     let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
     watcher.wait_for_stderr("alarms of fleet cli");
@@ -315,7 +315,7 @@ fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verifi
 
     let history = json(&output(["alarms", "--format", "json", capture.to_str().unwrap()]));
     let mut episodes = history["alarms"].as_array().unwrap().iter();
-    let load = episodes.find(|it| it["robot"] == 1 && it["alarm"] == "LevelHigh").unwrap();
+    let load = episodes.find(|episode| episode["robot"] == 1 && episode["alarm"] == "LevelHigh").unwrap();
     assert_eq!((&load["acknowledged"]["by"], &load["end"]), (&"ann".into(), &"cleared".into()));
     let verified = output(["replay", "--verify", "--format", "json", capture.to_str().unwrap()]);
     let report = json(&verified);

@@ -43,7 +43,7 @@ fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_bef
     fs::write(&renamed, named).unwrap();
     let after = Config::load(&renamed).unwrap_or_else(|error| panic!("{error}"));
     assert!(after.warnings().is_empty(), "{:?}", after.warnings());
-    let [old, new] = [&before, &after].map(|it| it.settings().platforms[0].clone());
+    let [old, new] = [&before, &after].map(|config| config.settings().platforms[0].clone());
     let limits = new.alarms.unwrap();
     let values =
         [limits.cusum_limit, limits.noise_limit, limits.mismatch_limit, limits.level_limit];

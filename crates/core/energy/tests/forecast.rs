@@ -107,7 +107,7 @@ impl Reference<'_> {
                 continue;
             }
             let later = &self.samples[place..];
-            let counted = later.iter().map(|it| f64::from(it.elapsed_s).max(0.0));
+            let counted = later.iter().map(|step| f64::from(step.elapsed_s).max(0.0));
             let kept: f64 = counted.map(|s| level_s / (level_s + s)).product();
             let elapsed_s = f64::from(elapsed_s);
             sums[0] += kept * f64::from(power_w) * elapsed_s;

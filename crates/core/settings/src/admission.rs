@@ -171,20 +171,20 @@ mod tests {
         assert_eq!(refusal(|_| ()), None);
         type Case = (fn(&mut Sample), DropReason, &'static str);
         let cases: [Case; 10] = [
-            (|it| it.power_w = 3500.0, DropReason::PowerOutOfRange, "power_w is 3500, allowed are"),
-            (|it| it.v_mps = -9e9, DropReason::CommandOutOfRange, "v_mps is -9000000000"),
-            (|it| it.omega_radps = 9e9, DropReason::CommandOutOfRange, "omega_radps is 9000000000"),
+            (|sample| sample.power_w = 3500.0, DropReason::PowerOutOfRange, "power_w is 3500, allowed are"),
+            (|sample| sample.v_mps = -9e9, DropReason::CommandOutOfRange, "v_mps is -9000000000"),
+            (|sample| sample.omega_radps = 9e9, DropReason::CommandOutOfRange, "omega_radps is 9000000000"),
             (
-                |it| it.soc = 80.0,
+                |sample| sample.soc = 80.0,
                 DropReason::BatteryOutOfRange,
                 "soc is 80, allowed are -0.05 to 1.05",
             ),
-            (|it| it.return_j = -1.0, DropReason::BatteryOutOfRange, "return_j is -1"),
-            (|it| it.voltage_v = f32::NAN, DropReason::NotFinite, "voltage_v is NaN"),
-            (|it| it.current_a = f32::INFINITY, DropReason::NotFinite, "current_a is inf"),
-            (|it| it.measured_ns = 1, DropReason::BadTime, "measured after its stamp"),
-            (|it| it.flags |= sample_flag::FULL, DropReason::BadFlags, "flags"),
-            (|it| it.robot = 10_000, DropReason::UnknownRobot, "platform.robots"),
+            (|sample| sample.return_j = -1.0, DropReason::BatteryOutOfRange, "return_j is -1"),
+            (|sample| sample.voltage_v = f32::NAN, DropReason::NotFinite, "voltage_v is NaN"),
+            (|sample| sample.current_a = f32::INFINITY, DropReason::NotFinite, "current_a is inf"),
+            (|sample| sample.measured_ns = 1, DropReason::BadTime, "measured after its stamp"),
+            (|sample| sample.flags |= sample_flag::FULL, DropReason::BadFlags, "flags"),
+            (|sample| sample.robot = 10_000, DropReason::UnknownRobot, "platform.robots"),
         ];
         for (set, reason, said) in cases {
             let (found, text) = refusal(set).unwrap();
@@ -192,9 +192,9 @@ mod tests {
             assert!(text.contains(said), "{text}");
         }
         // What is no number comes before what is out of range. What is unknown is not looked at.
-        let both = refusal(|it| (it.power_w, it.soc) = (3500.0, f32::NAN)).unwrap();
+        let both = refusal(|sample| (sample.power_w, sample.soc) = (3500.0, f32::NAN)).unwrap();
         assert_eq!(both.0, DropReason::NotFinite, "{}", both.1);
-        let unknown = refusal(|it| (it.flags, it.power_w, it.soc) = (0, f32::NAN, 80.0));
+        let unknown = refusal(|sample| (sample.flags, sample.power_w, sample.soc) = (0, f32::NAN, 80.0));
         assert_eq!(unknown, None);
     }
 }

@@ -145,7 +145,7 @@ fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
     let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
     let clock = ros2.use_sim_time.then(|| format!("{CLOCK_TOPIC} ({})", Clock::NAME));
-    let serve = |(it, name): &(Service, String)| format!("{name} ({})", it.type_name());
+    let serve = |(service, name): &(Service, String)| format!("{name} ({})", service.type_name());
     RosCheckReport {
         domain_id: ros2.domain_id,
         zenoh: is_zenoh(),
@@ -458,7 +458,7 @@ impl fmt::Display for CheckReport {
         let networks = if *zenoh { "zenoh (RMW_IMPLEMENTATION)".to_owned() } else { networks };
         writeln!(out, "ROS domain {domain_id} on {networks}")?;
         let lists = [("reads", reads), ("writes", writes), ("serves", services)];
-        let mut lines = lists.iter().flat_map(|(verb, all)| all.iter().map(move |it| (verb, it)));
+        let mut lines = lists.iter().flat_map(|(verb, all)| all.iter().map(move |topic| (verb, topic)));
         lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
     }
 }

@@ -76,7 +76,7 @@ pub(crate) fn run(
         states.clear();
         let mut late_ns = 0;
         for group in &mut groups {
-            if let Some((slot, now_ns)) = now_ns.and_then(|it| Some((group.grid.take(it)?, it))) {
+            if let Some((slot, now_ns)) = now_ns.and_then(|now_ns| Some((group.grid.take(now_ns)?, now_ns))) {
                 late_ns = late_ns.max(now_ns - slot.intended_ns);
                 let mut intake = shared.intake();
                 states
@@ -129,7 +129,7 @@ fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
     let mut by_period: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
     for (robot, _) in robots.iter() {
         let is_its = |ids: &std::ops::RangeInclusive<u32>| ids.contains(&robot);
-        let platform = platforms.iter().find(|it| it.robots.iter().any(is_its));
+        let platform = platforms.iter().find(|platform| platform.robots.iter().any(is_its));
         // The check of the bridge's file refuses robots without a platform.
         if let Some(platform) = platform {
             by_period.entry(platform.period_ns).or_default().push(robot);

@@ -68,7 +68,7 @@ impl Shared {
     /// Takes a message of `/clock`.
     pub(crate) fn set_clock(&self, sim_ns: u64) {
         let host_ns = clock::monotonic_ns();
-        if self.simulated().is_some_and(|mut it| it.take(sim_ns, host_ns)) {
+        if self.simulated().is_some_and(|mut simulated| simulated.take(sim_ns, host_ns)) {
             self.intake().forget();
         }
         self.moved.notify_all();
@@ -86,7 +86,7 @@ impl Shared {
 
     /// Logs what is new about the simulated clock.
     pub(crate) fn log_clock(&self) {
-        let news = self.simulated().and_then(|mut it| it.news(clock::monotonic_ns()));
+        let news = self.simulated().and_then(|mut simulated| simulated.news(clock::monotonic_ns()));
         if let Some(line) = news {
             say(&line);
         }

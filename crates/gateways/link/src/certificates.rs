@@ -162,7 +162,7 @@ impl CertificateReport {
         let mut names = parsed.subject().iter_common_name();
         let name = names.next().and_then(|name| name.as_str().ok()).unwrap_or_default().to_owned();
         let alternatives = parsed.subject_alternative_name().ok().flatten();
-        let alternatives = alternatives.iter().flat_map(|it| &it.value.general_names);
+        let alternatives = alternatives.iter().flat_map(|extension| &extension.value.general_names);
         let addresses = alternatives.filter_map(|name| match name {
             GeneralName::DNSName(host) => Some((*host).to_owned()),
             GeneralName::IPAddress(bytes) => {

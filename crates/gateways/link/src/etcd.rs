@@ -237,20 +237,20 @@ impl Etcd {
         let range = |key: &str| json!({"requestRange": {"key": key}});
         let all = [&self.holder, &self.term, &self.requested].map(|key| range(key));
         let done: Done = self.post("kv/txn", &json!({"success": all}))?;
-        let mut ranges = done.responses.into_iter().map(|it| it.response_range);
+        let mut ranges = done.responses.into_iter().map(|response| response.response_range);
         let mut key = || -> anyhow::Result<Option<KeyValue>> {
             let range = ranges.next().flatten();
             let range = range.ok_or_else(|| anyhow!("an answer is missing"))?;
             Ok(range.kvs.into_iter().next())
         };
         let (holder, term, requested) = (key()?, key()?, key()?);
-        let holder = holder.map(|it| {
+        let holder = holder.map(|entry| {
             let value: HolderValue =
-                serde_json::from_str(&it.text()?).context("the holder's key")?;
-            Ok::<_, anyhow::Error>(Holder { name: value.name, term: value.term, lease: it.lease.0 })
+                serde_json::from_str(&entry.text()?).context("the holder's key")?;
+            Ok::<_, anyhow::Error>(Holder { name: value.name, term: value.term, lease: entry.lease.0 })
         });
-        let number = |it: &KeyValue| {
-            let term: u64 = it.text()?.parse().context("the term's key")?;
+        let number = |entry: &KeyValue| {
+            let term: u64 = entry.text()?.parse().context("the term's key")?;
             anyhow::ensure!(
                 term < u64::MAX,
                 "the term's key: after {term} there is no other. Set it anew"
@@ -260,8 +260,8 @@ impl Etcd {
         Ok(StoreView {
             holder: holder.transpose()?,
             term: term.as_ref().map_or(Ok(0), number)?,
-            term_revision: term.map_or(0, |it| it.mod_revision.0),
-            requested: requested.map(|it| it.text()).transpose()?,
+            term_revision: term.map_or(0, |entry| entry.mod_revision.0),
+            requested: requested.map(|entry| entry.text()).transpose()?,
         })
     }
 

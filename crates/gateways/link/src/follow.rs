@@ -200,7 +200,7 @@ impl Rounds<Done, anyhow::Error> for Following {
             shard.report();
         }
         if let Some(shard_merger) = &mut self.shard_merger {
-            let has_worker = self.shards.iter_mut().map(|it| it.worker() == Worker::Alive);
+            let has_worker = self.shards.iter_mut().map(|shard| shard.worker() == Worker::Alive);
             let has_worker: Vec<bool> = has_worker.collect();
             let written = shard_merger.write(&mut self.worker_ports, &has_worker);
             is_final(written)?;

@@ -90,7 +90,7 @@ impl Rounds<Done, anyhow::Error> for Forwarding {
 
 fn log_absent_receivers(to: &[String], asked: &[EgressRecord], own: &str) {
     for name in to {
-        if !asked.iter().any(|it| it.to == *name) {
+        if !asked.iter().any(|egress| egress.to == *name) {
             tracing::warn!(
                 "{name} has not asked for the samples published here so far. Does its link run? Does its \
                  file have a `[[worker.take]]` with `from = {own:?}`? With TLS, does the certificate \

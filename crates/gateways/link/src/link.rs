@@ -97,8 +97,8 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     }
     match certificate {
         Some(Err(error)) => tracing::warn!("{error:#}"),
-        Some(Ok(it)) if it.days_left < WARN_DAYS => {
-            tracing::warn!("the certificate expires in {} days", it.days_left);
+        Some(Ok(certificate)) if certificate.days_left < WARN_DAYS => {
+            tracing::warn!("the certificate expires in {} days", certificate.days_left);
         }
         _ => {}
     }
@@ -130,7 +130,7 @@ fn checked(
     let (takes, gives) = match &settings.side {
         Side::Worker(takes) => (takes.iter().map(|take| take.from.clone()).collect(), Vec::new()),
         Side::Other { samples, follow } => (
-            follow.iter().flat_map(|it| it.workers.concat()).collect(),
+            follow.iter().flat_map(|follow| follow.workers.concat()).collect(),
             samples.clone().unwrap_or_default(),
         ),
     };
@@ -140,7 +140,7 @@ fn checked(
         let name = |shard: usize| map.all()[shard].name.clone();
         robots.extend(map.all().iter().map(|shard| (shard.name.clone(), 0)));
         let platforms = config.settings().platforms.iter();
-        for robot in platforms.flat_map(|it| it.robots.iter().cloned().flatten()) {
+        for robot in platforms.flat_map(|platform| platform.robots.iter().cloned().flatten()) {
             if let Some(shard) = map.of_robot(robot) {
                 *robots.entry(name(shard)).or_default() += 1;
             }
@@ -162,13 +162,13 @@ fn checked(
         stands_by_with: settings
             .standby
             .iter()
-            .flat_map(|it| &it.others)
+            .flat_map(|standby| &standby.others)
             .map(|(_, name)| name.clone())
             .collect(),
         lease: settings
             .standby
             .iter()
-            .filter_map(|it| it.lease.as_ref())
+            .filter_map(|standby| standby.lease.as_ref())
             .flat_map(|lease| lease.endpoints.clone())
             .collect(),
     }
@@ -182,7 +182,7 @@ fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Opt
         Some(_) => max_state_message_bytes(capacity),
         None => max_message_bytes(capacity),
     };
-    let candidates = settings.standby.iter().flat_map(|it| &it.others);
+    let candidates = settings.standby.iter().flat_map(|standby| &standby.others);
     let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
     let takes: Option<Vec<&str>> = match &settings.side {
         Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
@@ -212,7 +212,7 @@ impl LinkReport {
     fn is_lossy(&self) -> bool {
         let given = self.given.iter();
         self.refused.total() > 0
-            || given.clone().any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
+            || given.clone().any(|egress| egress.sent.dropped > 0 || egress.sent.unheard > 0)
             || self.taken.iter().any(|IngressRecord { received, refused, .. }| {
                 received.lost > 0
                     || received.dropped > 0
@@ -233,19 +233,19 @@ impl fmt::Display for LinkReport {
             )?;
         }
         for taken in &self.taken {
-            let it = &taken.received;
+            let received = &taken.received;
             writeln!(
                 out,
                 "received {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} \
                     runs, {} silences",
-                it.frames,
-                it.bytes,
+                received.frames,
+                received.bytes,
                 taken.from,
-                it.lost,
-                it.dropped,
-                it.repeated,
-                it.runs,
-                it.silences
+                received.lost,
+                received.dropped,
+                received.repeated,
+                received.runs,
+                received.silences
             )?;
             if let Some(uncertainty_s) = taken.clock_uncertainty_s {
                 let by = if taken.clock_realtime { " by realtime clocks" } else { "" };

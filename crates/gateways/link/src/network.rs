@@ -457,11 +457,11 @@ mod tests {
         let access = access("lab", "base-1", (&["edge"], &["base-2", "base-3"]));
         let list = |value: &Value| -> Vec<String> {
             let texts = value.as_array().unwrap().iter();
-            texts.map(|it| it.as_str().unwrap().to_owned()).collect()
+            texts.map(|text| text.as_str().unwrap().to_owned()).collect()
         };
         let with = |part: &str, id: &str| -> Value {
             let all = access[part].as_array().unwrap();
-            all.iter().find(|it| it["id"] == id).unwrap().clone()
+            all.iter().find(|entry| entry["id"] == id).unwrap().clone()
         };
         let mut found = Vec::new();
         for policy in access["policies"].as_array().unwrap() {

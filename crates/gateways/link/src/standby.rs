@@ -103,7 +103,7 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
             }
         };
         permit_writer.follow(leadership, candidate.leader_lease(clock::boot_ns()));
-        let found = candidate.holder().map(|it| it.name.clone());
+        let found = candidate.holder().map(|holder| holder.name.clone());
         if found != *holder {
             match &found {
                 Some(name) => tracing::info!("etcd: shard {shard} is held by {name}"),
@@ -182,7 +182,7 @@ impl PermitWriter {
                 tracing::error!("{error}");
                 return;
             }
-            (Ok(()), before, Some(now)) if before.is_none_or(|it| it.term != now.term) => {
+            (Ok(()), before, Some(now)) if before.is_none_or(|holder| holder.term != now.term) => {
                 tracing::info!("this host serves, term {}", now.term);
             }
             (Ok(()), Some(before), None) => {
@@ -227,7 +227,7 @@ impl Rounds<Done, anyhow::Error> for Rivals {
         match self.inbox.next(POLL_INTERVAL) {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
                 let leadership = &self.leadership;
-                let ingress = self.others.iter_mut().find(|(_, it)| *it.from() == *from);
+                let ingress = self.others.iter_mut().find(|(_, ingress)| *ingress.from() == *from);
                 if let Some((rank, ingress)) = ingress {
                     ingress.message(&bytes, arrived_ns, |accepted| {
                         keep(leadership, &accepted)
@@ -239,7 +239,7 @@ impl Rounds<Done, anyhow::Error> for Rivals {
                 }
             }
             Ok(Event::Lost { name }) => {
-                for (_, ingress) in self.others.iter_mut().filter(|(_, it)| *it.from() == *name) {
+                for (_, ingress) in self.others.iter_mut().filter(|(_, ingress)| *ingress.from() == *name) {
                     ingress.receiver().lost();
                 }
             }

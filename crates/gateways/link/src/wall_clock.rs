@@ -52,16 +52,16 @@ impl WallClock {
         let most_ns = within_ns.max(MAX_ERROR_NS);
         let found = clock::synchronisation();
         let is_kept =
-            |it: &clock::Synchronisation| it.is_synchronised && it.most_error_ns <= most_ns;
+            |state: &clock::Synchronisation| state.is_synchronised && state.most_error_ns <= most_ns;
         self.is_synchronised = found.as_ref().is_ok_and(is_kept);
         if self.is_synchronised || IS_LOGGED.swap(true, Ordering::Relaxed) {
             return;
         }
         let why = match found {
             Err(error) => format!("the kernel does not report its state: {error}"),
-            Ok(it) if it.is_synchronised => format!(
+            Ok(state) if state.is_synchronised => format!(
                 "its error may be {} µs, allowed are {}",
-                it.most_error_ns / 1_000,
+                state.most_error_ns / 1_000,
                 most_ns / 1_000
             ),
             Ok(_) => "nothing keeps it".to_owned(),

@@ -419,6 +419,6 @@ fn text(key: &Key, text: &str) -> Result<(), (String, Option<String>)> {
 fn scalar(value: &DeValue<'_>) -> Option<Scalar> {
     let text = || Some(Scalar::Text(value.as_str()?.to_owned()));
     let flag = || value.as_bool().map(Scalar::Flag);
-    let number = || number(value).filter(|it| it.is_finite()).map(Scalar::Number);
+    let number = || number(value).filter(|number| number.is_finite()).map(Scalar::Number);
     integer(value).map(Scalar::Integer).or_else(number).or_else(text).or_else(flag)
 }

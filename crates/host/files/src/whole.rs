@@ -115,7 +115,7 @@ impl Drop for Draft {
 impl Draft {
     /// Begins the file for `path`.
     fn begin(path: &Path) -> io::Result<Self> {
-        let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
         match open(folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(MODE)) {
             Ok(file) => Ok(Self { file: file.into(), hidden: None }),

@@ -103,7 +103,7 @@ impl Levels {
     }
 
     fn hears(&self, of: &Metadata<'_>) -> bool {
-        let targets = self.overheard.map_or(&[][..], |it| it.targets);
+        let targets = self.overheard.map_or(&[][..], |overheard| overheard.targets);
         targets.iter().any(|(target, level)| of.target().starts_with(target) && of.level() <= level)
     }
 }
@@ -122,7 +122,7 @@ impl<S: Subscriber> Layer<S> for Levels {
 
     fn max_level_hint(&self) -> Option<LevelFilter> {
         let shown = Layer::<S>::max_level_hint(&self.levels)?;
-        let targets = self.overheard.map_or(&[][..], |it| it.targets);
+        let targets = self.overheard.map_or(&[][..], |overheard| overheard.targets);
         Some(targets.iter().fold(shown, |max, (_, level)| max.max(*level)))
     }
 

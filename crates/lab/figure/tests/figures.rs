@@ -101,7 +101,7 @@ fn places(node: Node<'_, '_>) -> Vec<[f64; 2]> {
 fn check(svg: &str) {
     let document = Document::parse(svg).unwrap();
     let size = document.root_element().attribute("viewBox").unwrap();
-    let size: Vec<f64> = size.split(' ').map(|it| it.parse().unwrap()).collect();
+    let size: Vec<f64> = size.split(' ').map(|length| length.parse().unwrap()).collect();
     for node in document.descendants() {
         for [x, y] in places(node) {
             let inside = (0.0..=size[2]).contains(&x) && (0.0..=size[3]).contains(&y);

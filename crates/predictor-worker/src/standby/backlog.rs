@@ -38,7 +38,7 @@ fn size(held: &Held) -> usize {
 impl Backlog {
     /// For as many robots as `settings` allow, all at the rate of the fastest platform.
     pub(crate) fn new(settings: &FleetSettings) -> Self {
-        let periods_ns = settings.platforms.iter().map(|it| it.period_ns);
+        let periods_ns = settings.platforms.iter().map(|platform| platform.period_ns);
         let fastest_ns = periods_ns.fold(MAX_PERIOD_NS, u64::min).max(1);
         let samples = usize::try_from(ROOM_NS / fastest_ns).unwrap_or(usize::MAX);
         Self {
@@ -124,7 +124,7 @@ mod tests {
         };
         let due = |backlog: &mut Backlog, now_ns| -> Vec<u64> {
             let due = std::iter::from_fn(|| backlog.pop_due(now_ns));
-            due.map(|it| it.header.frame_seq).collect()
+            due.map(|held| held.header.frame_seq).collect()
         };
         for (seq, taken_ns) in [(1, 1_000), (2, 2_000), (3, 1_000 + KEEP_NS)] {
             backlog.keep(frame(seq, 10, taken_ns));

@@ -111,7 +111,7 @@ impl Following {
             return;
         }
         self.tried = self.newest;
-        let before = self.restored.map(|it| (it.term, it.taken_ns));
+        let before = self.restored.map(|state| (state.term, state.taken_ns));
         if let Some(restored) = restore(fleet, places, before) {
             self.restored = Some(restored);
             (self.replayed, self.tick_ns) = (Replayed::default(), None);
@@ -191,9 +191,9 @@ mod tests {
     fn save(path: &Path, term: u64, begun_ns: u64) -> u64 {
         let mut fleet = fleet();
         for seq in 0..10 {
-            let it = held(9, seq, begun_ns + seq * PERIOD_NS);
-            fleet.take(&it.header, &it.samples, it.taken_ns);
-            fleet.tick(it.taken_ns, false);
+            let frame = held(9, seq, begun_ns + seq * PERIOD_NS);
+            fleet.take(&frame.header, &frame.samples, frame.taken_ns);
+            fleet.tick(frame.taken_ns, false);
         }
         let mut bytes = Vec::new();
         fleet.state().encode_into(&mut bytes);
@@ -215,7 +215,7 @@ mod tests {
         }
         following.advance(&mut fleet, &places);
         let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
-        assert_eq!(restored.map(|it| it.term), Some(1));
+        assert_eq!(restored.map(|state| state.term), Some(1));
         assert_eq!((replayed.frames, replayed.samples), (20, 20));
         assert_eq!((fleet.accepted(), fleet.drops().total()), (30, 0));
     }
@@ -244,7 +244,7 @@ mod tests {
             let _ = following.keep(held(9, 30, taken_ns + 20 * PERIOD_NS));
             following.advance(&mut fleet, &places);
             let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
-            assert_eq!(restored.map(|it| it.term), Some(2), "{damage}");
+            assert_eq!(restored.map(|state| state.term), Some(2), "{damage}");
             assert_eq!(replayed.frames, 21, "{damage}");
             let drops = fleet.drops().total();
             assert_eq!((fleet.accepted(), drops), (31, 0), "{damage}");

@@ -57,7 +57,7 @@ impl Waker {
         self.bus.check()?;
         if !host::is_dead() {
             with(self.service, |state| {
-                let of_id = |it: &&Rc<Waiting>| u128::from(it.number) == waiter;
+                let of_id = |waiting: &&Rc<Waiting>| u128::from(waiting.number) == waiter;
                 if let Some(waiting) = state.waiting.iter().find(of_id) {
                     waiting.wake(event);
                 }

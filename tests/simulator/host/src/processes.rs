@@ -159,7 +159,7 @@ pub fn wake(pid: u32, thread: u64) {
 pub fn wake_thread(number: u64) {
     let now_ns = time::now_ns();
     THREADS.with_borrow_mut(|threads| {
-        for thread in threads.iter_mut().filter(|it| it.number == number) {
+        for thread in threads.iter_mut().filter(|thread| thread.number == number) {
             thread.due_ns = thread.due_ns.min(now_ns);
             thread.is_woken = true;
         }

@@ -66,7 +66,7 @@ pub fn deliver(packet: &Packet) {
     let from: Arc<str> = packet.from.as_str().into();
     let arrived_ns = time::monotonic_ns();
     put(
-        |it| it.stream == packet.stream && it.is_from(&from),
+        |subscription| subscription.stream == packet.stream && subscription.is_from(&from),
         || Event::Message {
             from: Arc::clone(&from),
             bytes: Bytes(packet.bytes.clone()),
@@ -78,14 +78,14 @@ pub fn deliver(packet: &Packet) {
 /// The connection to the link `name` is lost.
 pub fn lose(name: &str) {
     let name: Arc<str> = name.into();
-    put(|it| it.is_from(&name), || Event::Lost { name: Arc::clone(&name) });
+    put(|subscription| subscription.is_from(&name), || Event::Lost { name: Arc::clone(&name) });
 }
 
 fn put(is_meant: impl Fn(&Subscription) -> bool, event: impl Fn() -> Event) {
     SUBSCRIPTIONS.with_borrow(|all| {
-        for it in all.iter().filter(|it| is_meant(it)) {
-            it.queue.put(event());
-            host::wake(it.queue.pid, it.queue.thread);
+        for subscription in all.iter().filter(|subscription| is_meant(subscription)) {
+            subscription.queue.put(event());
+            host::wake(subscription.queue.pid, subscription.queue.thread);
         }
     });
 }
@@ -170,7 +170,7 @@ impl Inbox {
 
 impl Drop for Inbox {
     fn drop(&mut self) {
-        SUBSCRIPTIONS.with_borrow_mut(|all| all.retain(|it| !Rc::ptr_eq(&it.queue, &self.0)));
+        SUBSCRIPTIONS.with_borrow_mut(|all| all.retain(|subscription| !Rc::ptr_eq(&subscription.queue, &self.0)));
     }
 }
 

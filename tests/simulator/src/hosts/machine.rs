@@ -243,7 +243,7 @@ impl Machine {
         let (told, now_ns) = (&mut self.told, time::monotonic_ns());
         for frame in &learned.frames {
             let before = told.newest.replace(*frame);
-            if before.is_some_and(|it| it.0 == frame.0 && (frame.1, frame.2) <= (it.1, it.2)) {
+            if before.is_some_and(|before| before.0 == frame.0 && (frame.1, frame.2) <= (before.1, before.2)) {
                 let found = format!("a planner has frame {frame:?} after {before:?}");
                 return Err(failure("planners see runs and ticks in order", found));
             }
@@ -538,16 +538,16 @@ impl Program {
 
 /// Each sample is as its source made it.
 fn right(header: &SampleHeader, samples: &[Sample]) -> Checked {
-    for it in samples {
-        let expected = Sample::new(it.robot, it.seq, it.stamp_ns)
+    for sample in samples {
+        let expected = Sample::new(sample.robot, sample.seq, sample.stamp_ns)
             .command(0.2, 0.0)
-            .reading(power_w(it.robot, it.seq), it.measured_ns);
-        let mut found = *it;
+            .reading(power_w(sample.robot, sample.seq), sample.measured_ns);
+        let mut found = *sample;
         found.instants(|stamp_ns| *stamp_ns = 0);
         let mut wanted = expected;
         wanted.instants(|stamp_ns| *stamp_ns = 0);
         if bytemuck::bytes_of(&found) != bytemuck::bytes_of(&wanted) {
-            let found = format!("{it:?} in frame {}, expected {expected:?}", header.frame_seq);
+            let found = format!("{sample:?} in frame {}, expected {expected:?}", header.frame_seq);
             return Err(failure("no bit changes on the way", found));
         }
     }

@@ -91,7 +91,7 @@ pub(crate) fn run(seed: u64, duration_ns: u64, stop: &AtomicBool) -> (Outcome, V
         };
         let played = world.play(duration_ns, stop);
         let now_ns = world.now_ns;
-        world.outcome.failure = played.err().map(|it| Failure { at_ns: now_ns, ..it });
+        world.outcome.failure = played.err().map(|failure| Failure { at_ns: now_ns, ..it });
         world.outcome.is_stopped = stop.load(Ordering::Relaxed);
         world.outcome.simulated_ns = now_ns;
         for host in &world.hosts {
@@ -419,9 +419,9 @@ impl World {
         self.run_until(self.now_ns + WATCH_NS)?;
         let expected = WATCH_NS / self.period_ns * 7 / 10;
         let frames = self.outcome.ticks - frames;
-        let robots = self.newest.map_or(0, |it| it.robots);
+        let robots = self.newest.map_or(0, |header| header.robots);
         let taken = [1, 2].map(|at| (self.taken[at] - taken[at]) / self.robots as u64);
-        if frames < expected || robots != self.robots || taken.iter().any(|it| *it < expected) {
+        if frames < expected || robots != self.robots || taken.iter().any(|count| *count < expected) {
             let found = format!(
                 "in {WATCH_NS} ns the planner had {frames} frames of {robots} robots, and the \
                  workers {taken:?} frames of samples, expected {expected} of {}",

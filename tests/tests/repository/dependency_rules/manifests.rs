@@ -28,7 +28,7 @@ fn described() -> Vec<Member> {
 fn drawing() -> Vec<Vec<String>> {
     let page = page(ARCHITECTURE);
     let (_, after) = page.split_once("## Crate layout\n\n```\n").unwrap();
-    let known: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
+    let known: BTreeSet<String> = described().into_iter().map(|member| member.name).collect();
     let crates_of = |line: &str| -> Vec<String> {
         let words = line.split_whitespace().map(str::to_owned);
         words.filter(|word| known.contains(word)).collect()
@@ -56,7 +56,7 @@ fn table(path: &str, first: &str) -> Vec<(String, String)> {
 fn graph() -> Graph {
     let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let mut graph = Graph::new();
-    let ours: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
+    let ours: BTreeSet<String> = described().into_iter().map(|member| member.name).collect();
     // `lab` is a crate of crates.io, too.
     let outside = |name: &str| match ours.contains(name) {
         true => format!("{name} of crates.io"),
@@ -107,7 +107,7 @@ fn a_crate_reaches_only_lower_lines_of_the_diagram() {
     let members = described();
     for Member { name, .. } in &members {
         let (above, reached) = (line(name), reached(&graph, name));
-        for below in members.iter().filter(|it| reached.contains(&it.name)) {
+        for below in members.iter().filter(|member| reached.contains(&member.name)) {
             assert!(line(&below.name) > above, "{name} reaches {}", below.name);
         }
         assert!(
@@ -124,7 +124,7 @@ fn a_crate_does_not_reach_what_it_must_not_know() {
     let words = table(ARCHITECTURE, "who must not know");
     let mut used = BTreeSet::new();
     for (name, unknown) in table(CRATES, "crate") {
-        if !members.iter().any(|it| it.name == name) {
+        if !members.iter().any(|member| member.name == name) {
             continue;
         }
         let reached = reached(&graph, &name);
@@ -135,7 +135,7 @@ fn a_crate_does_not_reach_what_it_must_not_know() {
             used.insert(word);
             for target in targets.split(", ").map(|name| name.trim_matches('`')) {
                 if target == "any crate" {
-                    let ours = members.iter().find(|it| reached.contains(&it.name));
+                    let ours = members.iter().find(|member| reached.contains(&member.name));
                     assert!(ours.is_none(), "{name} reaches {}", ours.unwrap().name);
                     continue;
                 }
@@ -156,7 +156,7 @@ fn a_crate_does_not_reach_what_it_must_not_know() {
 
 #[test]
 fn the_program_crate_has_few_dependencies() {
-    let members: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
+    let members: BTreeSet<String> = described().into_iter().map(|member| member.name).collect();
     for name in &graph()["program"] {
         let light = ["config", "files", "predictor", "settings"].contains(&name.as_str());
         assert!(light || !members.contains(name), "program depends on {name}");

@@ -26,7 +26,7 @@ fn unsafe_code_is_only_in_the_listed_files() {
         "c/src/abi/questions.rs",
         "c/src/abi/subscriber.rs",
     ];
-    for Member { name, directory, .. } in members().iter().filter(|it| it.name != "bus") {
+    for Member { name, directory, .. } in members().iter().filter(|member| member.name != "bus") {
         let src = directory.join("src");
         let found = places(
             &src,

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Member, members, sources};
+use super::{Member, members, root, sources};
 
 /// Code without comments, so that comments may use the names.
 fn code(text: &str) -> String {
@@ -27,7 +27,7 @@ pub(crate) fn places(directory: &Path, words: &[&str], allowed: &[&str]) -> Vec<
 /// The sources of a crate.
 fn src(name: &str) -> PathBuf {
     let members = members();
-    let member = members.iter().find(|it| it.name == name);
+    let member = members.iter().find(|member| member.name == name);
     member.unwrap().directory.join("src")
 }
 
@@ -80,7 +80,7 @@ fn only_three_files_of_the_link_use_zenoh() {
 
 #[test]
 fn only_the_bus_uses_iceoryx2() {
-    for member in members().iter().filter(|it| it.name != "bus") {
+    for member in members().iter().filter(|member| member.name != "bus") {
         let found = places(
             &member.directory.join("src"),
             &["iceoryx2::", "iceoryx2_"],
@@ -92,7 +92,7 @@ fn only_the_bus_uses_iceoryx2() {
 
 #[test]
 fn only_the_format_of_captures_uses_mcap() {
-    for member in members().iter().filter(|it| it.name != "capture-format") {
+    for member in members().iter().filter(|member| member.name != "capture-format") {
         let found = places(&member.directory.join("src"), &["mcap::"], &[]);
         assert_eq!(found, Vec::<String>::new());
     }
@@ -116,9 +116,18 @@ fn only_archives_of_datasets_use_parquet() {
 #[test]
 fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
-    for member in members().iter().filter(|it| it.name != "model-files") {
+    for member in members().iter().filter(|member| member.name != "model-files") {
         // It says what a file is that nobody reads.
         let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
+        assert_eq!(found, Vec::<String>::new());
+    }
+}
+
+#[test]
+fn no_binding_is_named_it() {
+    let words = ["|it|", "&it|", "mut it|", "|it:", "|it,", ", it|", "|(it,", ", it)|", "let it "];
+    for folder in ["crates", "tests", "benches", "fuzz/src"] {
+        let found = places(&root().join(folder), &words, &["dependency_rules/words.rs"]);
         assert_eq!(found, Vec::<String>::new());
     }
 }

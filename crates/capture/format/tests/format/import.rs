@@ -241,7 +241,7 @@ fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
     };
     let imported = bag().import("").unwrap();
     let robots = imported.robots.iter();
-    let found: Vec<_> = robots.map(|it| (it.name.as_str(), it.rows[2].v_mps)).collect();
+    let found: Vec<_> = robots.map(|robot| (robot.name.as_str(), robot.rows[2].v_mps)).collect();
     assert_eq!(found, [("a", 1.0), ("b", 2.0)]);
     let mapping = "time = \"log\"\n[[robot]]\nname = \"second\"\nid = 9\nbattery = \"/b/battery\"\n\
         command = \"/a/cmd_vel\"\ncurrent = \"discharge-positive\"\nvoltage_unit_v = 0.001\ncurrent_unit_a = 0.001";
@@ -353,7 +353,7 @@ fn channels_of_one_topic_in_one_file_are_one() {
     }
     let imported = bag.import("").unwrap();
     let robots: Vec<_> =
-        imported.robots.iter().map(|it| (it.name.as_str(), it.row_count)).collect();
+        imported.robots.iter().map(|robot| (robot.name.as_str(), robot.row_count)).collect();
     assert_eq!(robots, [("r", 10)]);
     assert!(imported.is_whole());
 }

@@ -636,7 +636,7 @@ fn a_comparison_of_models_takes_new_normals_and_does_not_miss_them_as_frames() {
     entries(messages).into_iter().for_each(|entry| what_if.push(entry));
     let found = what_if.finish();
     assert_eq!((found.ticks, found.frames_missing), (NEW_NORMAL_AT + 10, 0), "{found}");
-    let loaded = found.robots.iter().find(|it| it.robot == LOADED).unwrap();
+    let loaded = found.robots.iter().find(|difference| difference.robot == LOADED).unwrap();
     assert_eq!(loaded.recorded.ticks_in_alarm, loaded.other.ticks_in_alarm, "{found}");
 }
 

@@ -81,9 +81,9 @@ impl Fleet {
         let tick = TickContext::new(settings, models)?;
         let settings = &tick.settings;
         let needed = Needed {
-            online: tick.platforms.iter().any(|it| it.members.is_some()),
+            online: tick.platforms.iter().any(|platform| platform.members.is_some()),
             batteries: settings.has_batteries(),
-            levels: tick.platforms.iter().any(|it| it.levels.is_some()),
+            levels: tick.platforms.iter().any(|platform| platform.levels.is_some()),
         };
         let capacity = settings.capacity as usize;
         Ok(Self {

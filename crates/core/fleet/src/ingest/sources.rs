@@ -117,7 +117,7 @@ pub(crate) struct Sources {
 impl Sources {
     pub(crate) fn new(settings: &FleetSettings) -> Self {
         let most = usize::from(settings.intake.max_sources);
-        let stale_after_ns = settings.platforms.iter().map(|it| it.stale_after_ns);
+        let stale_after_ns = settings.platforms.iter().map(|platform| platform.stale_after_ns);
         Self {
             sources: Vec::with_capacity(most),
             most,
@@ -164,7 +164,7 @@ impl Sources {
     /// [`Sources::frame`]: the clock of a host that has booted restarts, and with it the numbers of
     /// its runs.
     pub(crate) fn has_accounted(&self, header: &SampleHeader, now_ns: u64) -> bool {
-        let source = self.sources.iter().find(|it| it.id == header.source_id);
+        let source = self.sources.iter().find(|source| source.id == header.source_id);
         source.is_some_and(|source| {
             let (run, epoch) = (&source.run, header.source_epoch);
             let other = source.other.filter(|other| other.epoch == epoch);

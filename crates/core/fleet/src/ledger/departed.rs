@@ -210,7 +210,7 @@ mod tests {
             let (mut departed, mut queue) = (Departed::new(most, false), VecDeque::new());
             let (mut given_up, mut lost) = (0, BTreeSet::new());
             for (at, (leaves, robot)) in steps.into_iter().enumerate() {
-                let known = queue.iter().position(|it: &Account| it.robot == robot);
+                let known = queue.iter().position(|account: &Account| account.robot == robot);
                 if leaves {
                     let account = account(robot, at as u64);
                     let room = known.is_some() || queue.len() < most as usize;
@@ -218,25 +218,27 @@ mod tests {
                         Some(known) => queue[known] = account,
                         None => {
                             given_up += u64::from(!room);
-                            lost.extend(queue.drain(..usize::from(!room)).map(|it| it.robot));
+                            lost.extend(queue.drain(..usize::from(!room)).map(|account| account.robot));
                             queue.push_back(account);
                         }
                     }
                     prop_assert_eq!(departed.keep(account), room);
                 } else {
                     let taken = departed.take(robot);
-                    prop_assert_eq!(taken.map(|it| it.ledger), known.map(|it| queue[it].ledger));
+                    prop_assert_eq!(taken.map(|account| account.ledger), known.map(|index| queue[index].ledger));
                     if let Some(known) = known {
                         queue.swap(0, known);
                         queue.pop_front();
                     }
                 }
-                let kept: Vec<_> = departed.accounts().map(|it| (it.robot, it.charged, it.ledger)).collect();
-                let expected: Vec<_> = queue.iter().map(|it| (it.robot, it.charged, it.ledger)).collect();
+                let parts = |account: Account| (account.robot, account.charged, account.ledger);
+                let kept: Vec<_> = departed.accounts().map(parts).collect();
+                let expected: Vec<_> = queue.iter().copied().map(parts).collect();
                 prop_assert_eq!(kept, expected);
                 for robot in 0..40 {
                     let found = departed.ledger(robot).copied();
-                    let queued = queue.iter().find(|it| it.robot == robot).map(|it| it.ledger);
+                    let queued = queue.iter().find(|account| account.robot == robot);
+                    let queued = queued.map(|account| account.ledger);
                     prop_assert_eq!(found, queued);
                     prop_assert_eq!(departed.is_lost(robot), lost.contains(&robot));
                 }

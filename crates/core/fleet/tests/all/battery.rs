@@ -346,7 +346,7 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
         let before = bench.drive(10, with_soc);
         let shown = bench.send(4.0, |sample, _| sample.state_of_charge(soc));
         let drops = bench.fleet.drops();
-        let drops: Vec<_> = drops.iter().map(|it| (it.0.name(), it.1)).collect();
+        let drops: Vec<_> = drops.iter().map(|drop| (drop.0.name(), drop.1)).collect();
         assert_eq!(drops, [(reason, 1)], "{soc}");
         assert!(shown.soc <= before.soc, "{soc}");
         assert_in_order(&shown);

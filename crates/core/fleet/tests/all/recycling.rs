@@ -83,7 +83,7 @@ fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account
 fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
     let far = u64::MAX;
     let settings = world::settings(2);
-    let stale_after_ns = settings.platforms.iter().map(|it| it.stale_after_ns).max();
+    let stale_after_ns = settings.platforms.iter().map(|platform| platform.stale_after_ns).max();
     let forged_at = 20;
     let back_at = forged_at + stale_after_ns.unwrap() / PERIOD_NS + 2;
     for (epoch, before) in [(far, 0), (far, far), (6, 0), (5, far), (5, 1 << 40)] {

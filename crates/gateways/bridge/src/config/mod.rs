@@ -52,8 +52,8 @@ impl Settings {
     pub(crate) fn is_source(&self) -> bool {
         let mqtt = self.mqtt.as_ref();
         let ros2 = self.ros2.as_ref();
-        mqtt.is_some_and(|it| !it.routes.is_empty() || it.vizier.is_some())
-            || ros2.is_some_and(|it| !it.routes.is_empty())
+        mqtt.is_some_and(|mqtt| !mqtt.routes.is_empty() || mqtt.vizier.is_some())
+            || ros2.is_some_and(|ros2| !ros2.routes.is_empty())
     }
 
     /// Whether energies left are written.
@@ -95,7 +95,7 @@ impl Settings {
         let platforms = &config.settings().platforms;
         let robots = self.robots.iter().filter_map(|(id, _)| {
             let platform =
-                platforms.iter().find(|it| it.robots.iter().any(|ids| ids.contains(&id)))?;
+                platforms.iter().find(|platform| platform.robots.iter().any(|ids| ids.contains(&id)))?;
             let reading = platform.battery.map(|battery| battery.charge_reading);
             Some((id, reading.unwrap_or(joulebus_settings::ChargeReading::Load)))
         });
@@ -159,7 +159,7 @@ impl Check<'_> {
         }
         let platforms = &config.settings().platforms;
         let known =
-            |id: u32| platforms.iter().any(|it| it.robots.iter().any(|ids| ids.contains(&id)));
+            |id: u32| platforms.iter().any(|platform| platform.robots.iter().any(|ids| ids.contains(&id)));
         let strangers: Vec<u32> =
             robots.iter().map(|(id, _)| id).filter(|id| !known(*id)).collect();
         if let Some(first) = strangers.first() {
@@ -257,7 +257,7 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
     }
@@ -275,7 +275,7 @@ mod tests {
         assert_eq!((ros2.domain_id, ros2.networks.len()), (7, 1));
         assert_eq!(ros2.routes[0].topic.of("r2"), "/lab/r2/battery");
         assert_eq!(ros2.routes[0].pattern.matches("/lab/x/battery"), Some(Some("x")));
-        let topics: Vec<String> = ros2.writes.iter().map(|it| it.topic.of("r2")).collect();
+        let topics: Vec<String> = ros2.writes.iter().map(|write| write.topic.of("r2")).collect();
         assert_eq!(topics, ["/r2/joulebus/power_w", "/diagnostics"]);
         assert_eq!(ros2.writes[0].value.as_ref().unwrap().unit.name, "mW");
     }
@@ -314,7 +314,7 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
         let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();

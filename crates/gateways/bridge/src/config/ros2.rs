@@ -54,7 +54,7 @@ impl Check<'_> {
         let before = self.problems.len();
         let domain_id = self.domain_id(section);
         let networks = section.texts("networks");
-        let networks = networks.iter().filter_map(|it| self.checked(it, it.parse::<Ipv4Addr>()));
+        let networks = networks.iter().filter_map(|network| self.checked(network, network.parse::<Ipv4Addr>()));
         let networks = networks.collect();
         let routes: Vec<RosRoute> =
             section.list("read").filter_map(|read| self.ros_route(&read, robots)).collect();
@@ -69,7 +69,7 @@ impl Check<'_> {
         }
         let services: Vec<(Service, String)> = Service::ALL
             .into_iter()
-            .filter_map(|it| Some((it, self.service(section, it)?)))
+            .filter_map(|service| Some((service, self.service(section, service)?)))
             .collect();
         let is_idle = routes.is_empty() && writes.is_empty() && services.is_empty();
         if is_idle && self.problems.len() == before {
@@ -110,7 +110,7 @@ impl Check<'_> {
         let ros_type = self.checked(&kind, read_type(&kind))?;
         let of_battery = ["current", "percentage_unit", "power_of", "power_of_current"];
         let fits =
-            ros_type == RosType::BatteryState || !of_battery.iter().any(|it| section.has(it));
+            ros_type == RosType::BatteryState || !of_battery.iter().any(|key| section.has(key));
         let fits = fits.then_some(()).ok_or("has no current, percentage or power");
         self.checked(&kind, fits)?;
         let power_of = section.word("power_of").unwrap_or(PowerOf::Battery);
@@ -202,12 +202,12 @@ impl Check<'_> {
     ) {
         let mut topics: Vec<(String, &str)> = Vec::new();
         for (_, robot) in robots.iter() {
-            topics.extend(routes.iter().map(|it| (it.topic.of(robot), it.name.as_str())));
-            let of_robot = writes.iter().filter(|it| it.what.is_of_robot());
-            topics.extend(of_robot.map(|it| (it.topic.of(robot), it.name.as_str())));
+            topics.extend(routes.iter().map(|route| (route.topic.of(robot), route.name.as_str())));
+            let of_robot = writes.iter().filter(|write| write.what.is_of_robot());
+            topics.extend(of_robot.map(|write| (write.topic.of(robot), write.name.as_str())));
         }
-        let of_fleet = writes.iter().filter(|it| !it.what.is_of_robot());
-        topics.extend(of_fleet.map(|it| (it.topic.of(""), it.name.as_str())));
+        let of_fleet = writes.iter().filter(|write| !write.what.is_of_robot());
+        topics.extend(of_fleet.map(|write| (write.topic.of(""), write.name.as_str())));
         topics.sort();
         let twice = topics.windows(2).find(|pair| pair[0].0 == pair[1].0);
         if let Some([(topic, one), (_, other)]) = twice {

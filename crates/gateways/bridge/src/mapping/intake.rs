@@ -480,7 +480,7 @@ mod tests {
                 let Some(state) = state else { continue };
                 let reading = newest(|seen| seen.power.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
                 prop_assert_eq!(state.measured_ns, reading.map(|(at_ns, _)| *at_ns));
-                prop_assert_eq!(state.power_w, reading.and_then(|(_, seen)| seen.power).map(|it| it.power_w));
+                prop_assert_eq!(state.power_w, reading.and_then(|(_, seen)| seen.power).map(|power| power.power_w));
                 prop_assert_eq!(state.held, reading.is_some() && last_measured == state.measured_ns);
                 last_measured = state.measured_ns.or(last_measured);
                 let command = newest(|seen| seen.v_mps.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 50);

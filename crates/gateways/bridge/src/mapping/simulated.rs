@@ -37,10 +37,10 @@ pub(crate) struct Allowed {
 impl Allowed {
     pub(crate) fn new(settings: &FleetSettings, tick_period_ns: u64) -> Self {
         let platforms = settings.platforms.iter();
-        let stale_ns = platforms.clone().map(|it| it.stale_after_ns).max().unwrap_or_default();
-        let least = platforms.clone().map(|it| it.period_ns as f64 / it.stale_after_ns as f64);
+        let stale_ns = platforms.clone().map(|platform| platform.stale_after_ns).max().unwrap_or_default();
+        let least = platforms.clone().map(|platform| platform.period_ns as f64 / platform.stale_after_ns as f64);
         let most = f64::from(settings.intake.max_samples_per_tick) / tick_period_ns as f64;
-        let most = platforms.map(|it| it.period_ns as f64 * most);
+        let most = platforms.map(|platform| platform.period_ns as f64 * most);
         let jump_ns = settings.intake.max_jump_ns;
         Self {
             jump_ns,
@@ -246,7 +246,7 @@ mod tests {
             assert_eq!(sim_ns, (20.0 * rate * 1e9) as u64);
             assert!(said[0].contains("goes on at 0"), "{said:?}");
             assert_eq!(said.len(), 1 + expected.len(), "{said:?}");
-            assert!(said[1..].iter().zip(expected).all(|(it, part)| it.contains(part)), "{said:?}");
+            assert!(said[1..].iter().zip(expected).all(|(line, part)| line.contains(part)), "{said:?}");
         }
     }
 

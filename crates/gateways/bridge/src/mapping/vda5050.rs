@@ -21,7 +21,7 @@ pub(crate) fn add_outlook(state: &mut Value, values: &Object) {
     let references: Vec<Value> = known
         .map(|(name, value)| json!({"referenceKey": name, "referenceValue": value.to_string()}))
         .collect();
-    let is_known = references.iter().any(|it| it["referenceKey"] == "energy_1s_j");
+    let is_known = references.iter().any(|reference| reference["referenceKey"] == "energy_1s_j");
     let Value::Object(state) = state else { return };
     let information = state.entry("information").or_insert_with(|| json!([]));
     if let (Value::Array(information), true) = (information, is_known) {

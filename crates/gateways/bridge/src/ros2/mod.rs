@@ -131,7 +131,7 @@ impl Ros2 {
         let topics = settings.writes.iter().map(|write| ros.open_writers(&publisher, write));
         let topics = topics.collect::<Result<Vec<Topic>, Ros2Error>>()?;
         let services = settings.services.iter();
-        let services = services.map(|it| ros.open_service(it, &subscriber, &publisher));
+        let services = services.map(|service| ros.open_service(service, &subscriber, &publisher));
         let repliers = services.collect::<Result<Vec<Writer>, Ros2Error>>()?;
         let written: usize = topics.iter().map(|topic| topic.writers.len()).sum();
         say(&format!(
@@ -318,7 +318,7 @@ impl Ros2 {
             names.push(name);
         }
         let clock = std::mem::take(&mut self.clock).into_iter();
-        let mut clock: SelectAll<_> = clock.map(|it| it.async_sample_stream()).collect();
+        let mut clock: SelectAll<_> = clock.map(|reader| reader.async_sample_stream()).collect();
         let listener = self.participant.status_listener();
         let mut events = pin!(listener.as_async_status_stream());
         let mut seen = HashSet::new();

@@ -310,7 +310,7 @@ mod tests {
             let Side::Other { follow: Some(follow), .. } = settings.side else {
                 panic!("another host's");
             };
-            let wanted = Carried::ALL.iter().filter(|it| follow.selection.wants(**it));
+            let wanted = Carried::ALL.iter().filter(|service| follow.selection.wants(**service));
             let wanted: Vec<&str> = wanted.map(|service| service.name).collect();
             assert_eq!(wanted, ["forecasts", word]);
         }
@@ -355,7 +355,7 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
     }
@@ -417,7 +417,7 @@ mod tests {
             let refused = load_with(&shards, text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
         for (from, to, expected) in [

@@ -84,7 +84,7 @@ impl Check {
             }),
             None => None,
         };
-        let within_s = file.section("clock").and_then(|it| it.number("realtime_within_s"));
+        let within_s = file.section("clock").and_then(|clock| clock.number("realtime_within_s"));
         // Within its range this is a positive whole number.
         let realtime_within_ns = within_s.map(|within_s| (within_s * 1e9).round() as u64);
         Some(NetworkSettings { mode, connect, listen, tls, realtime_within_ns })
@@ -118,5 +118,5 @@ fn address(text: &str, has_tls: bool, unencrypted: bool) -> Result<(), &'static 
 
 pub(super) fn is_loopback(host: &str) -> bool {
     let host = host.trim_start_matches('[').trim_end_matches(']');
-    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|it| it.is_loopback())
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }

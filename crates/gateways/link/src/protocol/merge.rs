@@ -184,18 +184,18 @@ impl Merged for Forecasts {
         let taken = parts.iter().map(|part| part.frames_taken);
         ForecastHeader {
             schema: SCHEMA_VERSION,
-            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            period_ns: of(|header| header.period_ns).max().unwrap_or_default(),
             model_hash: common(hashes.clone()).unwrap_or_else(|| combine_hashes(hashes)),
-            capacity: parts.iter().map(|it| it.capacity).max().unwrap_or_default(),
+            capacity: parts.iter().map(|part| part.capacity).max().unwrap_or_default(),
             frames_taken: taken.fold(0, u32::saturating_add),
-            first_intended_ns: earliest(of(|it| it.first_intended_ns)),
-            first_sent_ns: earliest(of(|it| it.first_sent_ns)),
-            first_taken_ns: earliest(of(|it| it.first_taken_ns)),
-            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
-            compute_end_ns: earliest(of(|it| it.compute_end_ns)),
-            ticks_skipped: total(|it| it.ticks_skipped),
-            ticks_late: total(|it| it.ticks_late),
-            samples_accepted: total(|it| it.samples_accepted),
+            first_intended_ns: earliest(of(|header| header.first_intended_ns)),
+            first_sent_ns: earliest(of(|header| header.first_sent_ns)),
+            first_taken_ns: earliest(of(|header| header.first_taken_ns)),
+            compute_start_ns: earliest(of(|header| header.compute_start_ns)),
+            compute_end_ns: earliest(of(|header| header.compute_end_ns)),
+            ticks_skipped: total(|header| header.ticks_skipped),
+            ticks_late: total(|header| header.ticks_late),
+            samples_accepted: total(|header| header.samples_accepted),
             samples_dropped: dropped,
             ..ForecastHeader::default()
         }
@@ -255,15 +255,15 @@ impl Merged for Budgets {
 impl Merged for PlanStates {
     /// In settings and models, because a planner computes with one set.
     const AGREE: Option<Agree<Self>> = Some(|part, first| {
-        let by = |it: &PlanStateHeader| (it.settings_hash, it.model_hash, it.models);
+        let by = |header: &PlanStateHeader| (header.settings_hash, header.model_hash, header.models);
         by(part) == by(first)
     });
 
     fn merged(parts: &[PlanStateHeader], _: &[PlanStateHeader]) -> PlanStateHeader {
         let of = |field: fn(&PlanStateHeader) -> u64| parts.iter().map(field);
         PlanStateHeader {
-            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
-            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            period_ns: of(|header| header.period_ns).max().unwrap_or_default(),
+            compute_start_ns: earliest(of(|header| header.compute_start_ns)),
             ..parts[0]
         }
     }
@@ -277,12 +277,12 @@ impl Merged for PlanStates {
 impl Merged for Outlooks {
     fn merged(parts: &[OutlookHeader], _: &[OutlookHeader]) -> OutlookHeader {
         let of = |field: fn(&OutlookHeader) -> u64| parts.iter().map(field);
-        let hashes = of(|it| it.model_hash);
+        let hashes = of(|header| header.model_hash);
         OutlookHeader {
             schema: SCHEMA_VERSION,
-            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            period_ns: of(|header| header.period_ns).max().unwrap_or_default(),
             model_hash: common(hashes.clone()).unwrap_or_else(|| combine_hashes(hashes)),
-            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            compute_start_ns: earliest(of(|header| header.compute_start_ns)),
             ..OutlookHeader::default()
         }
     }

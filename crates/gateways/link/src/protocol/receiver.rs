@@ -189,7 +189,7 @@ impl Receiver {
     /// more frame.
     fn note(&mut self, frame: Option<RawFrame<'_>>, now_ns: u64) {
         let service = frame.map(|frame| frame.service);
-        let bit = service.filter(|it| it.is_replaced()).map_or(0, Carried::bit);
+        let bit = service.filter(|service| service.is_replaced()).map_or(0, Carried::bit);
         let is_second = self.unanswered & bit != 0;
         self.owes |= bit == 0 || is_second || !self.offset.is_measured();
         if self.unanswered == 0 {

@@ -525,8 +525,8 @@ proptest! {
 #[test]
 fn through_hours_of_weather_and_restarts_every_calm_brings_all_frames_back() {
     let variable = |name: &str| std::env::var(name).ok();
-    let hours: f64 = variable("JOULEBUS_LINK_HOURS").map_or(0.1, |it| it.parse().unwrap());
-    let seed: u64 = variable("JOULEBUS_SEED").map_or(1, |it| it.parse().unwrap());
+    let hours: f64 = variable("JOULEBUS_LINK_HOURS").map_or(0.1, |hours| hours.parse().unwrap());
+    let seed: u64 = variable("JOULEBUS_SEED").map_or(1, |seed| seed.parse().unwrap());
     let mut dice = Way { dice: seed, ..Way::default() };
     let mut hosts = Hosts::new(-70 * i128::from(SECOND), FAST, seed);
     let until_ns = BEGIN_NS + (hours * 3.6e12) as u64;

@@ -179,7 +179,7 @@ fn who_shows_no_certificate_gets_no_connection() {
     eventually("a connection", || connects(&address, folder.path(), Some("desk")));
     // A TLS connection breaks if one thread writes it while another reads it.
     let threads = threads(link.pid());
-    let has = |name: &str| threads.iter().any(|it| it.starts_with(name));
+    let has = |name: &str| threads.iter().any(|thread| thread.starts_with(name));
     assert!(has("rx-") && !has("tx-"), "{threads:?}");
     assert!(!connects(&address, folder.path(), None));
 }

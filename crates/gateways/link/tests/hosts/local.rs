@@ -365,7 +365,7 @@ fn links_need_nothing_that_docker_forbids() {
     let Some(links) = commands.iter().map(as_in_docker).collect::<Option<Vec<_>>>() else {
         return;
     };
-    let links: Vec<_> = links.into_iter().map(|it| Child::spawn("link", it)).collect();
+    let links: Vec<_> = links.into_iter().map(|command| Child::spawn("link", command)).collect();
     let _robots = there.robots(&["--robots", "2"]);
     let mut planner = there.planner();
     planner.fresh_sample();

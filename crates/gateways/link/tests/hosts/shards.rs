@@ -155,7 +155,7 @@ fn one_fleet(shards: &str) -> u64 {
     }
     known += accepted.iter().sum::<u64>();
     assert!(silences > 0 || known == sent, "{known} of {sent}: {reports:?}");
-    assert!(accepted.iter().all(|it| *it > 0), "{accepted:?}");
+    assert!(accepted.iter().all(|count| *count > 0), "{accepted:?}");
     silences
 }
 

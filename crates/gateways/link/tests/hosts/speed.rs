@@ -196,7 +196,7 @@ fn collected(from: &mut Member, pids: &[u32]) -> (Vec<Seen>, u64) {
 }
 
 fn took_ns(seen: &[Seen]) -> Vec<u64> {
-    let took = seen.iter().map(|it| it.read_ns - it.sent_ns);
+    let took = seen.iter().map(|frame| frame.read_ns - frame.sent_ns);
     took.collect()
 }
 
@@ -261,7 +261,7 @@ fn median(rounds: &[Cost]) -> Cost {
         all.sort_unstable_by(f64::total_cmp);
         all[all.len() / 2]
     };
-    Cost { p50: of(|it| it.p50), p99: of(|it| it.p99), cpu: of(|it| it.cpu) }
+    Cost { p50: of(|cost| cost.p50), p99: of(|cost| cost.p99), cpu: of(|cost| cost.cpu) }
 }
 
 fn show(what: &str, robots: usize, cost: Cost) {
@@ -357,7 +357,7 @@ fn speed_of_a_fleet_on_four_shards() {
         }
         let all = || {
             let of = |children: &[joulebus_testkit::Child]| {
-                spent(&children.iter().map(|it| it.pid()).collect::<Vec<u32>>())
+                spent(&children.iter().map(|child| child.pid()).collect::<Vec<u32>>())
             };
             [of(&workers), of(&links), spent(&[gives.pid()]), spent(&[reads.pid()])]
         };

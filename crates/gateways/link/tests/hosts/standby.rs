@@ -126,7 +126,7 @@ impl Scene {
         let now_ns = clock::monotonic_ns();
         eventually("a state has crossed", || {
             SavedState::read(&replica)
-                .is_ok_and(|saved| saved.is_some_and(|it| it.taken_ns > now_ns))
+                .is_ok_and(|saved| saved.is_some_and(|state| state.taken_ns > now_ns))
         });
     }
 
@@ -235,7 +235,7 @@ fn accounts(host: &Host) -> Vec<Account> {
 fn unsampled_s(robots: &mut Child, planner: Reader) -> f64 {
     let skipped = robots.end().json()["ticks_skipped"].as_f64().unwrap();
     let frames = planner.all_frames();
-    let dropped: BTreeMap<u64, u64> = frames.iter().map(|it| (it.epoch, it.dropped)).collect();
+    let dropped: BTreeMap<u64, u64> = frames.iter().map(|frame| (frame.epoch, frame.dropped)).collect();
     let dropped = dropped.values().sum::<u64>() as f64 / f64::from(ROBOTS);
     // From the sample before each missing one to the sample after it.
     2.0 * (skipped + dropped) * PERIOD_S
@@ -477,7 +477,7 @@ fn without_a_lease_operators_command_who_serves() {
     let words = ["doctor", "--format", "json"];
     let view = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
     let checks = view.json()["checks"].clone();
-    let permit = checks.as_array().unwrap().iter().find(|it| it["name"] == "permit");
+    let permit = checks.as_array().unwrap().iter().find(|check| check["name"] == "permit");
     let found = permit.unwrap()["found"].as_str().unwrap();
     assert_eq!(found, "to serve in term 3, until it is withdrawn");
     // A restarted link continues with the permit.
@@ -520,7 +520,7 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
         links[serving].wait_for_line("etcd answers again");
         fresh(&mut planner);
         // Either candidate may lead.
-        let serves = || workers.iter().position(|it| it.errors().contains("ready:"));
+        let serves = || workers.iter().position(|worker| worker.errors().contains("ready:"));
         eventually("one logs that it serves", || serves().is_some());
         serving = serves().unwrap();
     }

@@ -391,7 +391,7 @@ impl Sending {
         if !status.is_server_error() && ![408, 425, 429].contains(&status.as_u16()) {
             return Answer::Refused(status.to_string());
         }
-        let asked = response.headers().get("retry-after").and_then(|it| it.to_str().ok());
+        let asked = response.headers().get("retry-after").and_then(|value| value.to_str().ok());
         Answer::Later(status.to_string(), asked.and_then(asked_pause))
     }
 

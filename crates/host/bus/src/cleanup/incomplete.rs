@@ -176,16 +176,16 @@ impl Abandoned {
             is_empty || !open.contains(&service.identity)
         });
         let now_ns = clock::monotonic_ns();
-        self.seen.retain(|(identity, _)| services.iter().any(|it| it.identity == *identity));
+        self.seen.retain(|(identity, _)| services.iter().any(|service| service.identity == *identity));
         services.retain(|service| {
-            let since = self.seen.iter().find(|(it, _)| *it == service.identity);
+            let since = self.seen.iter().find(|(identity, _)| *identity == service.identity);
             let since_ns = since.map(|(_, since_ns)| *since_ns);
             if since_ns.is_none() {
                 self.seen.push((service.identity, now_ns));
             }
             since_ns.is_some_and(|since_ns| now_ns - since_ns >= ABANDONED_AFTER_NS)
         });
-        services.into_iter().map(|it| u64::from(it.remove())).sum()
+        services.into_iter().map(|service| u64::from(service.remove())).sum()
     }
 }
 

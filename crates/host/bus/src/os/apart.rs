@@ -94,7 +94,7 @@ mod tests {
             apart.keep_off();
             go.send(()).unwrap();
             let mut expected = cpus(&all);
-            expected.retain(|it| *it != cpu || all.count() < 2);
+            expected.retain(|other| *other != cpu || all.count() < 2);
             assert_eq!(cpus(&other.join().unwrap()), expected);
         });
     }

@@ -111,7 +111,7 @@ fn join_in_threads(domain: &Domain, times: u64) -> Answer {
     let joins = || (0..times).try_for_each(|_| Bus::join(domain, "test").map(drop));
     std::thread::scope(|scope| {
         let threads: Vec<_> = (0..6).map(|_| scope.spawn(joins)).collect();
-        threads.into_iter().try_for_each(|it| it.join().unwrap())
+        threads.into_iter().try_for_each(|thread| thread.join().unwrap())
     })?;
     Ok(String::new())
 }

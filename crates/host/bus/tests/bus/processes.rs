@@ -514,8 +514,8 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
             assert!(answer.starts_with("ok"), "{call} {number}");
             let nodes = inspect(&place.domain).unwrap().nodes;
             let is_it = |node: &NodeInfo| node.pid == Some(traced.as_raw_pid().cast_unsigned());
-            let it = nodes.iter().find(|node| is_it(node)).unwrap();
-            assert_eq!(it.alive, Some(true), "{call} {number}");
+            let node = nodes.iter().find(|node| is_it(node)).unwrap();
+            assert_eq!(node.alive, Some(true), "{call} {number}");
             // Its files are cleaned up beside the next one's start.
             kill_process(traced, Signal::KILL).unwrap();
             starting.wait();

@@ -84,8 +84,8 @@ impl Thresholds {
             let place = usize::try_from(alarms).unwrap_or(last).min(last);
             extremes.get(place).copied()
         };
-        let greatest_w = first.iter().filter_map(|it| greatest(it, power_w));
-        let least_v = first.iter().filter_map(|it| greatest(it, below_v));
+        let greatest_w = first.iter().filter_map(|samples| greatest(samples, power_w));
+        let least_v = first.iter().filter_map(|samples| greatest(samples, below_v));
         let power_w_limit = beyond(sorted(greatest_w.map(|greatest_w| -greatest_w)));
         let voltage_v = beyond(sorted(least_v.map(|greatest_v| -greatest_v)));
         let mut thresholds = Self {
@@ -95,11 +95,11 @@ impl Thresholds {
             voltage_false: 0.0,
         };
         let share = |found: &dyn Fn(&[Sample]) -> bool| {
-            let count = second.iter().filter(|it| found(it)).count();
+            let count = second.iter().filter(|samples| found(samples)).count();
             count as f64 / second.len().max(1) as f64
         };
-        thresholds.power_false = share(&|it| thresholds.by_power(it, 0).is_some());
-        thresholds.voltage_false = share(&|it| thresholds.by_voltage(it, 0).is_some());
+        thresholds.power_false = share(&|samples| thresholds.by_power(samples, 0).is_some());
+        thresholds.voltage_false = share(&|samples| thresholds.by_voltage(samples, 0).is_some());
         thresholds
     }
 
@@ -187,8 +187,8 @@ impl<'a> Faulty<'a> {
                 fault,
                 calibrated: by(calibrated)?,
                 textbook: by(textbook)?,
-                power: self.found(fault, |it, from_ns| Ok(thresholds.by_power(it, from_ns)))?,
-                voltage: self.found(fault, |it, from_ns| Ok(thresholds.by_voltage(it, from_ns)))?,
+                power: self.found(fault, |samples, from_ns| Ok(thresholds.by_power(samples, from_ns)))?,
+                voltage: self.found(fault, |samples, from_ns| Ok(thresholds.by_voltage(samples, from_ns)))?,
             })
         };
         Fault::ALL.into_iter().map(row).collect()

@@ -80,7 +80,7 @@ pub(super) struct Curves(pub Vec<Curve>);
 
 impl Curves {
     pub(super) fn new(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
-        let curves = recordings.par_iter().map(|it| Curve::new(robot, it));
+        let curves = recordings.par_iter().map(|samples| Curve::new(robot, samples));
         Ok(Self(curves.collect::<Result<_, _>>()?))
     }
 

@@ -86,7 +86,7 @@ pub fn calibrate(
             alarms: [chosen_on.raised(kind), stated_on.raised(kind)],
         }),
         others: std::array::from_fn(|other| {
-            let count = |half: &Half| half.played.iter().map(|it| it.others[other]).sum::<u64>();
+            let count = |half: &Half| half.played.iter().map(|played| played.others[other]).sum::<u64>();
             (OTHERS[other].name(), count(&chosen_on) + count(&stated_on))
         }),
         textbook_per_robot_h: alone.raised(0) as f64 / alone.evidence().hours,
@@ -141,7 +141,7 @@ struct Half {
 
 impl Half {
     fn new(robot: &Robot, recordings: &[Vec<Sample>]) -> Result<Self, SettingsError> {
-        let played = recordings.par_iter().map(|it| robot.play(it, None));
+        let played = recordings.par_iter().map(|samples| robot.play(samples, None));
         Ok(Self {
             played: played.collect::<Result<_, _>>()?,
             rows: recordings.iter().map(Vec::len).sum(),
@@ -149,12 +149,12 @@ impl Half {
     }
 
     fn raised(&self, kind: usize) -> u64 {
-        self.played.iter().map(|it| it.raised[kind]).sum()
+        self.played.iter().map(|played| played.raised[kind]).sum()
     }
 
     fn at_most(&self, confidence: f64) -> f64 {
-        let counts: Vec<u64> = self.played.iter().map(|it| it.raised.iter().sum()).collect();
-        let hours: Vec<f64> = self.played.iter().map(|it| it.watched_s / 3600.0).collect();
+        let counts: Vec<u64> = self.played.iter().map(|played| played.raised.iter().sum()).collect();
+        let hours: Vec<f64> = self.played.iter().map(|played| played.watched_s / 3600.0).collect();
         upper_rate(&counts, &hours, confidence)
     }
 
@@ -162,7 +162,7 @@ impl Half {
         Evidence {
             recordings: self.played.len(),
             rows: self.rows,
-            hours: self.played.iter().map(|it| it.watched_s).sum::<f64>() / 3600.0,
+            hours: self.played.iter().map(|played| played.watched_s).sum::<f64>() / 3600.0,
             alarms: (0..KINDS).map(|kind| self.raised(kind)).sum(),
         }
     }
@@ -177,7 +177,7 @@ impl Half {
 fn digest(trials: &[Trial]) -> u64 {
     let rows = trials.iter().flat_map(|trial| {
         let samples = trial.to_samples(play::ROBOT, halves::BASE_NS);
-        samples.into_iter().map(|it| (it.stamp_ns, it.power_w.to_bits()))
+        samples.into_iter().map(|sample| (sample.stamp_ns, sample.power_w.to_bits()))
     });
     fnv1a(rows.flat_map(|(stamp_ns, bits)| {
         let stamp = stamp_ns.to_le_bytes().into_iter();

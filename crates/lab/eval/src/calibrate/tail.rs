@@ -24,7 +24,7 @@ pub(super) struct Tail {
 impl Tail {
     /// The tail of the highest steps that enough recordings reached. `None` if none reached any.
     pub(super) fn new(curves: &Curves, kind: usize, confidence: f64) -> Option<Self> {
-        let mut peaks: Vec<usize> = curves.0.iter().filter_map(|it| it.peak(kind)).collect();
+        let mut peaks: Vec<usize> = curves.0.iter().filter_map(|curve| curve.peak(kind)).collect();
         peaks.sort_unstable_by(|one, other| other.cmp(one));
         let from = *peaks.get(FITTED - 1).or(peaks.last())?;
         let beyond = || peaks.iter().filter(|peak| **peak >= from);

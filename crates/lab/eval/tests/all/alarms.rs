@@ -173,7 +173,7 @@ fn a_load_is_found_in_seconds_and_its_alarm_stays() {
         let planted = [0, 1, 2].map(|robot| (robot, load, 30.0, &[Alarm::LevelHigh][..]));
         let run = play(seed, 5, 300.0, &planted);
         found_s.extend(found_after_s(&planted, &run));
-        let at_end = (0..3).filter(|it| run.at_end.contains(&(*it, Alarm::LevelHigh.name())));
+        let at_end = (0..3).filter(|robot| run.at_end.contains(&(*robot, Alarm::LevelHigh.name())));
         stays += at_end.count();
         // In the same tick, whatever the robot does in the three seconds in which it learns.
         accepted += play_as((true, true), seed, 5, 300.0, &planted).levels;

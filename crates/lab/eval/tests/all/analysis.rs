@@ -67,7 +67,7 @@ fn settings(change: impl FnOnce(&mut AnalysisSettings)) -> AnalysisSettings {
 
 /// The series on a grid, or the native one.
 fn series(trials: &[Trial], grid: Option<Resample>) -> Series {
-    let settings = settings(|it| it.grids.extend(grid));
+    let settings = settings(|settings| settings.grids.extend(grid));
     let mut found = analyze(&recordings(trials), &settings, &[]).unwrap().series;
     found.pop().unwrap()
 }
@@ -191,9 +191,9 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
         })
         .collect();
     let leave_out = |names: &[&str]| {
-        let settings = settings(|it| {
-            it.leave_out = names.iter().map(|name| (*name).to_owned()).collect();
-            it.split.by = By::Group;
+        let settings = settings(|settings| {
+            settings.leave_out = names.iter().map(|name| (*name).to_owned()).collect();
+            settings.split.by = By::Group;
         });
         analyze(&recordings(&trials), &settings, &[])
     };
@@ -211,8 +211,8 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
     says(&unknown, ["ICE, SAND, SNOW"]);
     let few = refused(&["ICE", "SNOW"]);
     assert!(matches!(few, SplitError::TooFew { .. }));
-    let no_lags = settings(|it| it.lags = 0);
-    let long = settings(|it| it.window = 6);
+    let no_lags = settings(|settings| settings.lags = 0);
+    let long = settings(|settings| settings.window = 6);
     for (settings, what) in [(no_lags, "lags"), (long, "1 to 5")] {
         let refused = analyze(&recordings(&trials), &settings, &[]);
         says(&refused.unwrap_err(), [what]);
@@ -229,7 +229,7 @@ fn the_robotino_scores_equal_the_reference() {
         return;
     };
     let trials: Vec<Trial> = paths.iter().map(|path| Trial::read(path).unwrap()).collect();
-    let settings = settings(|it| it.grids.extend(grid(Method::Linear, 30.0)));
+    let settings = settings(|settings| settings.grids.extend(grid(Method::Linear, 30.0)));
     let found = analyze(&recordings(&trials), &settings, &[]).unwrap();
     let wanted = [(0.888, 0.819, 0.03, 0.860), (0.928, 0.895, 0.03, 0.909)];
     for (series, (lag_1, persistence, velocities, all)) in found.series.iter().zip(wanted) {

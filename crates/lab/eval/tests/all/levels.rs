@@ -83,7 +83,7 @@ fn loads_are_found_on_floors_that_nobody_trained_on() {
     println!("{found}");
     let load = |share: f64| {
         let load = Fault::ExtraLoad(share);
-        found.delays.iter().find(|it| it.fault == load).unwrap().calibrated
+        found.delays.iter().find(|delays| delays.fault == load).unwrap().calibrated
     };
     let double = load(1.0);
     assert!(double.found >= 0.95 && double.median_s < 1.5, "{double:?}");
@@ -137,7 +137,7 @@ fn on_other_terrains_healthy_robots_raise_next_to_no_level() {
         }
         println!("{folder}: {raised:?} in {hours:.2} h");
         let levels = [Alarm::LevelHigh, Alarm::LevelLow];
-        let count: usize = levels.iter().filter_map(|it| raised.get(it.name())).sum();
+        let count: usize = levels.iter().filter_map(|alarm| raised.get(alarm.name())).sum();
         assert!(count <= 1, "{folder}: {raised:?}");
     }
 }

@@ -197,11 +197,11 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
     let found = found("flat.npy");
     let changes: [fn(&mut Convention); 6] = [
         |_| (),
-        |it| it.order = LagOrder::Oldest,
-        |it| it.lags = Lags::First,
-        |it| it.derivative = Derivative::NormalisedPerStep,
-        |it| (it.derivative, it.magnitude) = (Derivative::RawPerSecond, Magnitude::Raw),
-        |it| (it.derivative, it.magnitude) = (Derivative::RawPerStep, Magnitude::Divided),
+        |convention| convention.order = LagOrder::Oldest,
+        |convention| convention.lags = Lags::First,
+        |convention| convention.derivative = Derivative::NormalisedPerStep,
+        |convention| (convention.derivative, convention.magnitude) = (Derivative::RawPerSecond, Magnitude::Raw),
+        |convention| (convention.derivative, convention.magnitude) = (Derivative::RawPerStep, Magnitude::Divided),
     ];
     for change in changes {
         let mut convention = FIXTURES;

@@ -210,7 +210,7 @@ fn difference(network: &Network, layers: &Layers, activation: Activation) -> (f6
 fn a_smaller_network_of_any_depth_and_activation_gives_the_unpadded_result() {
     let trial = any_trial();
     for hidden in "64 64 32|1 1 1|32 32 32|16 64 5|11 11 11|64 64|24 24|3 64|64|7|1".split('|') {
-        let hidden: Vec<usize> = hidden.split(' ').map(|it| it.parse().unwrap()).collect();
+        let hidden: Vec<usize> = hidden.split(' ').map(|width| width.parse().unwrap()).collect();
         let widths: Vec<usize> = [&[FEATURES][..], &hidden, &[1]].concat();
         for activation in Activation::ALL {
             let layers = layers(&widths, 3);

@@ -59,7 +59,7 @@ fn readings_are_polled_at_10_hz_and_held_in_between() {
 #[test]
 fn every_command_and_reading_is_within_the_platform_limits() {
     for reading in recorded(Plant::new(6, 10), 3_000).iter().flatten() {
-        let [v, omega] = [reading.v_mps, reading.omega_radps].map(|it| f64::from(it.abs()));
+        let [v, omega] = [reading.v_mps, reading.omega_radps].map(|command| f64::from(command.abs()));
         assert!(v <= V_MAX_MPS + 1e-6, "{reading:?}");
         assert!(omega <= OMEGA_MAX_RADPS + 1e-6, "{reading:?}");
         assert!((2.5..12.0).contains(&reading.power_w), "{reading:?}");
@@ -90,7 +90,7 @@ fn moments(values: &[f64]) -> (f64, f64) {
 fn the_robots_of_a_fleet_resemble_the_published_ones() {
     // Each robot drives every protocol once.
     let series = recorded(Plant::new(7, 42), (6.0 * TRIAL_S / DT_S) as usize);
-    let robots: Vec<(f64, f64)> = series.iter().map(|it| moments(&powers(it))).collect();
+    let robots: Vec<(f64, f64)> = series.iter().map(|samples| moments(&powers(samples))).collect();
     let lag1 = mean(series.iter().zip(&robots).map(|(series, (mean_w, std_w))| {
         let powers = powers(series);
         let pairs = powers.windows(2);
@@ -154,7 +154,7 @@ fn robots_for_training_are_none_of_the_live_fleet() {
     let live = recorded(Plant::new(3, 6), 60);
     let training = recorded(Plant::driving(3, Protocol::ALL), 60);
     for robot in &live {
-        assert!(training.iter().all(|it| powers(it) != powers(robot)));
+        assert!(training.iter().all(|other| powers(other) != powers(robot)));
     }
 }
 

@@ -130,7 +130,7 @@ fn what_differs_between_robots_is_not_attributed_to_commands() {
             (*v, *omega) = (*v * share, *omega * share);
         }
         let commands = robot.commands.iter();
-        robot.power_w = commands.map(|it| robot.level * true_w(*it)).collect();
+        robot.power_w = commands.map(|command| robot.level * true_w(*command)).collect();
     }
     let model = made(&robots);
     let (v_mps, omega_radps) = ([0.1f32; 50], [0.4f32; 50]);

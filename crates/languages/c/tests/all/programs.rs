@@ -320,7 +320,7 @@ fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
             && driven.windows(2).all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
             && *at_rest > 0.0
             && (0.0..=100.0).contains(left)
-            && CHARGES.into_iter().all(|line| said.iter().any(|it| it == line))
+            && CHARGES.into_iter().all(|line| said.iter().any(|printed| printed == line))
     });
     controller.stop();
     finished(&mut worker);

@@ -194,7 +194,7 @@ fn compare_energy(
         (
             metered.map(f32::to_bits),
             learned.map(f32::to_bits),
-            bounds.map(|it| it.map(f32::to_bits)),
+            bounds.map(|bound| bound.map(f32::to_bits)),
         )
     };
     prop_assert_eq!(

@@ -45,7 +45,7 @@ pub(crate) fn encoded(fleet: &Fleet) -> Vec<u8> {
 
 fn generations(fleet: &Fleet) -> Vec<(u32, u32)> {
     let forecast = |place| -> Forecast { fleet.forecast(place) };
-    let of = |it: Forecast| (it.robot, it.generation);
+    let of = |forecast: Forecast| (forecast.robot, forecast.generation);
     (0..fleet.len()).map(|place| of(forecast(place))).collect()
 }
 

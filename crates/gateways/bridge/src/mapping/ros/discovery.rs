@@ -99,7 +99,7 @@ mod tests {
             let mut account = Account::default();
             announced(&routes, &robots, (topic, kind), &mut account);
             let found = account.records();
-            let found = found.first().map(|it| (it.reason, it.names[0].as_str()));
+            let found = found.first().map(|refusal| (refusal.reason, refusal.names[0].as_str()));
             assert_eq!(found, expected, "{topic} {kind}");
         }
     }

@@ -332,7 +332,7 @@ mod tests {
         let status = robot_status("r1", &values());
         assert_eq!((status.level, status.name.as_str()), (1, "joulebus: r1"));
         assert_eq!(status.message, "StuckSensor, HeldTooLong");
-        let of = |key: &str| status.values.iter().find(|it| it.key == key).unwrap();
+        let of = |key: &str| status.values.iter().find(|entry| entry.key == key).unwrap();
         assert_eq!((of("power_w").value.as_str(), of("lo_w").value.as_str()), ("48.0", "unknown"));
         assert_eq!(robot_status("r1", &Object::new()).level, STALE);
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");

@@ -145,7 +145,7 @@ fn what_a_killed_bridge_has_written_expires_where_the_broker_knows_that() {
             later.wait_for("jb/lab/bridge", offline);
             later.wait_for("jb/lab/r1/alarms", |_| true);
             let messages = later.messages();
-            messages.iter().any(|it| it.topic == "jb/lab/r1/budget")
+            messages.iter().any(|message| message.topic == "jb/lab/r1/budget")
         };
         if version == "5" {
             eventually("the budget expires", || !kept());

@@ -132,7 +132,7 @@ fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
     let later = broker.client("later", "jb/#");
     eventually("what is kept", || {
         let messages = later.messages();
-        let mut budgets = messages.iter().filter(|it| it.topic == "jb/lab/r3/budget");
+        let mut budgets = messages.iter().filter(|message| message.topic == "jb/lab/r3/budget");
         budgets.any(|budget| budget.retained)
     });
     let online = later.wait_for("jb/lab/bridge", |document| document["state"] == "online");
@@ -151,7 +151,7 @@ fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
     // The documents of robots that leave the fleet are deleted from the broker.
     eventually("no budget is kept", || {
         let mut messages = listener.messages().into_iter();
-        messages.any(|it| it.topic == "jb/lab/r1/budget" && it.payload.is_empty())
+        messages.any(|message| message.topic == "jb/lab/r1/budget" && message.payload.is_empty())
     });
     worker.kill();
     listener.wait_for("jb/lab/alarms", |document| {
@@ -334,7 +334,7 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
             listener.send(topic, state.to_string());
             std::thread::sleep(Duration::from_millis(100));
             let messages = listener.messages();
-            let budgets = messages.iter().filter(|it| it.topic == "jb/0001/budget");
+            let budgets = messages.iter().filter(|message| message.topic == "jb/0001/budget");
             budgets.map(broker::Message::json).any(|document| {
                 let drawn_w = document["mean_power_w"].as_f64();
                 let is_mean = mean_w.is_none_or(|mean_w| {

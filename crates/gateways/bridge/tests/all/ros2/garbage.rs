@@ -201,7 +201,7 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
     let ports = [domain.first_port(), domain.first_port() + 1];
     // The bridge answers it with the announcements of its readers and writers.
     eventually("the bridge takes the stranger for a participant", || {
-        stranger.announced.iter().for_each(|it| stranger.send(ports[0], it));
+        stranger.announced.iter().for_each(|packet| stranger.send(ports[0], packet));
         std::thread::sleep(Duration::from_millis(50));
         stranger.receive();
         // The peer announces itself.

@@ -108,7 +108,7 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     let graph = json!({"hear": "ros_discovery_info", "type": "ParticipantEntitiesInfo", "transient_local": true});
     peer.order(&graph);
     let node =
-        peer.wait_for("ros_discovery_info", 0, |it| it["node_entities_info_seq"][0].is_object());
+        peer.wait_for("ros_discovery_info", 0, |graph| graph["node_entities_info_seq"][0].is_object());
     let node = &node["node_entities_info_seq"][0];
     assert_eq!(
         (&node["node_namespace"], &node["node_name"]),
@@ -288,7 +288,7 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     let from = listener.received();
     listener.wait_for("/diagnostics", from, |document| {
         let robot = status(document, "joulebus: r1");
-        robot["level"] == 3 && robot["message"].as_str().is_some_and(|it| it.contains("NoData"))
+        robot["level"] == 3 && robot["message"].as_str().is_some_and(|text| text.contains("NoData"))
     });
     let mut talker = Peer::start(&python, &domain);
     let other =
@@ -349,7 +349,7 @@ fn late_subscriber(start: impl FnOnce(&RosDomain) -> Peer) {
     // More than 64 KiB, when each robot has its values.
     late.wait_for("/diagnostics", 0, |array| {
         let is_known = |status: &Value| text(status, "power_w").parse::<f64>().is_ok();
-        array["status"].as_array().unwrap().iter().filter(|it| is_known(it)).count()
+        array["status"].as_array().unwrap().iter().filter(|status| is_known(status)).count()
             == ROBOTS as usize
     });
     // Nobody publishes commands.

@@ -68,17 +68,17 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     peer.publish("/fleet/r3/battery_state", "Truncated", &json!({}));
 
     let reading = "/r1/joulebus/reading_w";
-    let first = peer.wait_for(reading, 0, |it| is_near(&it["data"], 4_400.0));
-    let later = peer.wait_for(reading, peer.received(), |it| it["data"].is_number());
+    let first = peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4_400.0));
+    let later = peer.wait_for(reading, peer.received(), |reading| reading["data"].is_number());
     let (first, later) = (&first["attached"], &later["attached"]);
     assert!(later["number"].as_i64() > first["number"].as_i64(), "{first} {later}");
     assert_eq!((&first["gid"], &first["length"]), (&later["gid"], &json!(16)));
     assert!((-1.0..60.0).contains(&later["age_s"].as_f64().unwrap()), "{later}");
-    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |it| it["current"].is_number());
+    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |forecast| forecast["current"].is_number());
     assert!(forecast["current"].as_f64().unwrap() < 0.0, "out of the battery: {forecast}");
     assert_ne!(forecast["attached"]["gid"], later["gid"], "each publisher has an id of its own");
     // Without velocities there would be no forecast, and an alarm.
-    peer.wait_for("/diagnostics", 0, |it| status(it, "joulebus: r1")["level"] == 0);
+    peer.wait_for("/diagnostics", 0, |array| status(array, "joulebus: r1")["level"] == 0);
     let node = "/NN/%/%/joulebus_bridge";
     let written = format!(
         "/joulebus_bridge/%r1%joulebus%forecast/sensor_msgs::msg::dds_::BatteryState_/{}/::,10:,:,:,,",
@@ -114,7 +114,7 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
     let reading = "/r1/joulebus/reading_w";
     peer.subscribe(reading, "Float64");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    peer.wait_for(reading, 0, |it| is_near(&it["data"], 4_400.0));
+    peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4_400.0));
     let tasks = fs::read_dir(format!("/proc/{}/task", bridge.pid())).unwrap();
     let children = tasks.map(|task| fs::read_to_string(task.unwrap().path().join("children")));
     let children: String = children.map(Result::unwrap).collect();
@@ -147,7 +147,7 @@ fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() 
         hash("DiagnosticArray")
     );
     wait_for_token(&early, &token, true);
-    early.wait_for("/diagnostics", 0, |it| it["attached"]["number"] == 1);
+    early.wait_for("/diagnostics", 0, |note| note["attached"]["number"] == 1);
     let mut late = Peer::beside(&python, &address);
     late.order(&latched);
     let told = late.wait_for("/diagnostics", 0, |_| true);

@@ -36,16 +36,16 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     peer.publish(battery, "BatteryState", &discharging());
     peer.publish(commands, "Twist", &twist());
     peer.subscribe("/r1/joulebus/outlook", "Outlook");
-    let outlook = peer.wait_for("/r1/joulebus/outlook", 0, |it| it["energy_j"][3].is_number());
+    let outlook = peer.wait_for("/r1/joulebus/outlook", 0, |outlook| outlook["energy_j"][3].is_number());
     assert_eq!(outlook["horizon_s"], json!([1.0, 10.0, 60.0, 300.0]), "{outlook}");
     assert_eq!(outlook["header"]["frame_id"], "r1", "{outlook}");
     let energy_j = outlook["energy_j"].as_array().unwrap().iter();
-    let energy_j: Vec<f64> = energy_j.map(|it| it.as_f64().unwrap()).collect();
+    let energy_j: Vec<f64> = energy_j.map(|energy_j| energy_j.as_f64().unwrap()).collect();
     assert!(energy_j.is_sorted() && energy_j[0] > 0.0, "{outlook}");
     assert!(outlook["usable_j"].as_f64().unwrap() > 0.0, "{outlook}");
 
     let idle = json!({"robots": ["r1"], "idle_s": 60.0});
-    let response = call(peer, ask, &idle, |it| it["answers"][0]["energy_j"].is_number());
+    let response = call(peer, ask, &idle, |response| response["answers"][0]["energy_j"].is_number());
     let answer = &response["answers"][0];
     assert_eq!((&response["refused"], &answer["robot"]), (&json!(""), &json!("r1")));
     assert!(response["tick"].as_u64().unwrap() > 0, "{response}");
@@ -55,14 +55,14 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
         "robots": ["r1"], "path": [point(0.0), point(1.0)], "return_to_start": true, "coverage": 0.8,
     });
     // Responses to earlier calls may come late.
-    let is_other = |it: &Value| it["answers"][0]["duration_s"].as_f64().is_some_and(|s| s < 50.0);
+    let is_other = |response: &Value| response["answers"][0]["duration_s"].as_f64().is_some_and(|s| s < 50.0);
     let response = call(peer, ask, &path, is_other);
     let answer = &response["answers"][0];
     assert!(answer["energy_hi_j"].as_f64() > answer["energy_lo_j"].as_f64(), "{response}");
     let commands_of = json!({
         "robots": ["r1"], "candidates": 2, "period_s": 1.0, "v_mps": [0.0, 0.1], "omega_radps": [0.0, 0.0],
     });
-    let response = call(peer, ask, &commands_of, |it| it["answers"][1]["energy_j"].is_number());
+    let response = call(peer, ask, &commands_of, |response| response["answers"][1]["energy_j"].is_number());
     assert_eq!(response["answers"].as_array().map(Vec::len), Some(2), "{response}");
     let along = |path: Value| json!({"robots": ["r1"], "path": path});
     let far = |x: &str| along(json!([point(0.0), {"x": 1.0, "y": x, "z": 0.0}]));
@@ -77,20 +77,20 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
         (long(2_000), "6001 values: the worker answers at most 4096"),
         (long(10_000), "the request is longer than 65536 bytes"),
     ] {
-        let is_it = |it: &Value| it["refused"].as_str().unwrap().contains(expected);
+        let is_it = |response: &Value| response["refused"].as_str().unwrap().contains(expected);
         let refused = call(peer, ask, &request, is_it);
         assert_eq!(refused["answers"], json!([]), "{refused}");
     }
-    call(peer, ask, &idle, |it| it["answers"][0]["energy_j"].is_number());
+    call(peer, ask, &idle, |response| response["answers"][0]["energy_j"].is_number());
 
     let acknowledge = ("/joulebus/acknowledge", "Acknowledge");
     let request = json!({"robot": "r1", "alarm": "NoData", "by": "Ada"});
-    let refused = call(peer, acknowledge, &request, |it| it["success"] == false);
+    let refused = call(peer, acknowledge, &request, |response| response["success"] == false);
     assert!(refused["message"].as_str().unwrap().contains("is not raised"), "{refused}");
     for topic in [battery, commands] {
         peer.order(&json!({"hush": topic}));
     }
-    let taken = call(peer, acknowledge, &request, |it| it["success"] == true);
+    let taken = call(peer, acknowledge, &request, |response| response["success"] == true);
     assert_eq!(taken["message"], "", "{taken}");
 }
 
@@ -98,7 +98,7 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
 fn end(bridge: &mut Child) {
     let report = bridge.end().exits(3).json();
     let unmapped = report["unmapped"].as_array().unwrap();
-    let reasons: Vec<Value> = unmapped.iter().map(|it| it["reason"].clone()).collect();
+    let reasons: Vec<Value> = unmapped.iter().map(|message| message["reason"].clone()).collect();
     assert_eq!(json!([report["not_written"], reasons]), json!([0, ["too_long"]]), "{report}");
 }
 
@@ -125,7 +125,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_with_nodes_of_ros_2() {
     let mut peer = Peer::node(&ros2, &domain);
     outlook_questions_and_acknowledgement(&mut peer);
     peer.order(&json!({"graph": "joulebus_bridge"}));
-    let of = peer.wait_for("graph", 0, |it| it["writes"]["/r3/joulebus/outlook"].is_array());
+    let of = peer.wait_for("graph", 0, |graph| graph["writes"]["/r3/joulebus/outlook"].is_array());
     let kinds = &of["services"]["/joulebus/what_if"];
     assert_eq!(*kinds, json!(["joulebus_msgs/srv/WhatIf"]), "{of}");
     end(&mut bridge);
@@ -145,7 +145,7 @@ fn outlooks_questions_and_acknowledgements_are_exchanged_over_zenoh() {
         "/SS/%/%/joulebus_bridge/%joulebus%what_if/joulebus_msgs::srv::dds_::WhatIf_/{}/::,10:,:,:,,",
         hash("WhatIf")
     );
-    peer.wait_for("@", 0, |it| it["token"].as_str().unwrap().ends_with(&token));
+    peer.wait_for("@", 0, |note| note["token"].as_str().unwrap().ends_with(&token));
     end(&mut bridge);
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());

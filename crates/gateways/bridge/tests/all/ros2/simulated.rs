@@ -35,11 +35,11 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
     peer.order(&stamped);
     peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
     bridge.wait_for_line("no message of /clock in 5 s, and without simulated time no samples");
-    let says = |it: &Value, text: &str| {
-        let worker = status(it, "joulebus: worker of lab");
-        worker["message"].as_str().is_some_and(|it| it.ends_with(text)) && worker["level"] == 1
+    let says = |array: &Value, text: &str| {
+        let worker = status(array, "joulebus: worker of lab");
+        worker["message"].as_str().is_some_and(|message| message.ends_with(text)) && worker["level"] == 1
     };
-    let early = peer.wait_for("/diagnostics", 0, |it| says(it, ", no /clock"));
+    let early = peer.wait_for("/diagnostics", 0, |array| says(array, ", no /clock"));
     assert_eq!(stamp_s(&early), 0, "{early}");
     let mut forecasts = 0;
     peer.each(forecast, |_| forecasts += 1);
@@ -47,23 +47,23 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
 
     peer.order(&json!({"clock": 3.0, "from_s": 1_000.0, "type": "Clock"}));
     bridge.wait_for_line("the simulated time goes on at 10");
-    peer.wait_for(forecast, 0, |it| stamp_s(it) >= 1_010 && it["current"].is_number());
-    peer.wait_for(metered, 0, |it| it["data"].as_f64().is_some_and(|metered_s| metered_s > 5.0));
+    peer.wait_for(forecast, 0, |forecast| stamp_s(forecast) >= 1_010 && forecast["current"].is_number());
+    peer.wait_for(metered, 0, |metered| metered["data"].as_f64().is_some_and(|metered_s| metered_s > 5.0));
 
     peer.order(&json!({"clock": 0.0, "type": "Clock"}));
     bridge.wait_for_line("the simulated time stands at 1");
-    peer.wait_for("/diagnostics", 0, |it| says(it, ", /clock stands"));
-    let stood = peer.wait_for(metered, peer.received(), |it| it["data"].is_number());
-    let again = peer.wait_for(metered, peer.received() + 5, |it| it["data"].is_number());
+    peer.wait_for("/diagnostics", 0, |array| says(array, ", /clock stands"));
+    let stood = peer.wait_for(metered, peer.received(), |metered| metered["data"].is_number());
+    let again = peer.wait_for(metered, peer.received() + 5, |metered| metered["data"].is_number());
     assert_eq!(stood["data"], again["data"], "a pause takes no energy");
 
     let from = peer.received();
     peer.order(&json!({"clock": 1.0, "type": "Clock"}));
-    peer.wait_for(forecast, from, |it| it["current"].is_number());
+    peer.wait_for(forecast, from, |forecast| forecast["current"].is_number());
     peer.order(&json!({"clock": 1.0, "from_s": 5.0, "type": "Clock"}));
     bridge.wait_for_line("what robots said before is dropped");
-    peer.wait_for(forecast, from, |it| {
-        (5..1_000).contains(&stamp_s(it)) && it["current"].is_number()
+    peer.wait_for(forecast, from, |forecast| {
+        (5..1_000).contains(&stamp_s(forecast)) && forecast["current"].is_number()
     });
     // A driver by its wall clock. Of r1 a message may have come before the clock's own reset.
     let fields = json!({"header": {"stamp": {"sec": 1_700_000_000}}, "voltage": 4.0});

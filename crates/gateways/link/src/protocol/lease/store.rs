@@ -21,7 +21,7 @@ impl Store {
     pub(crate) fn expire(&mut self, now_ns: u64) {
         self.leases.retain(|_, until_ns| now_ns < *until_ns);
         let leases = &self.leases;
-        self.holder = self.holder.take().filter(|it| leases.contains_key(&it.lease));
+        self.holder = self.holder.take().filter(|holder| leases.contains_key(&holder.lease));
     }
 
     pub(crate) fn answer(&mut self, name: &str, call: &Call, now_ns: u64, ttl_ns: u64) -> Reply {

@@ -82,7 +82,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let kind = response.header("content-type").unwrap();
     assert!(kind.starts_with("text/plain; version=0.0.4"), "{kind}");
     let text = response.text();
-    for line in text.lines().filter_map(|it| it.strip_prefix("# TYPE ")) {
+    for line in text.lines().filter_map(|line| line.strip_prefix("# TYPE ")) {
         let (_, kind) = line.split_once(' ').unwrap();
         assert!(["counter", "gauge", "histogram"].contains(&kind), "{line}");
     }

@@ -175,8 +175,8 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     source.end();
     let by = |alarms: &Value| {
         let mut raised = alarms["raised"].as_array().unwrap().iter();
-        let found = raised.find(|it| it["robot"] == 1 && it["alarm"] == "NoData");
-        found.map(|it| it["acknowledged"]["by"].clone())
+        let found = raised.find(|episode| episode["robot"] == 1 && episode["alarm"] == "NoData");
+        found.map(|episode| episode["acknowledged"]["by"].clone())
     };
     let becomes = |what: &str, expected: Option<Value>| {
         eventually(what, || by(&get_json(&address, "/api/v1/alarms")) == expected);

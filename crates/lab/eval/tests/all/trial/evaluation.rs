@@ -132,7 +132,7 @@ fn on_gap_free_trials_the_tick_equals_one_batch_over_the_columns_to_the_bit() {
     let power_only = network(9, FeatureSet::PowerOnly, 30.0);
     let fleets = [networks(), vec![persistence(); 3], vec![power_only; 3]];
     let mut compared = [0; 3];
-    for (robot, trial) in trials.iter().filter(|it| is_gap_free(it.0, &it.1)) {
+    for (robot, trial) in trials.iter().filter(|entry| is_gap_free(entry.0, &entry.1)) {
         let kind = (*robot / 1_000 - 1) as usize;
         for models in &fleets {
             let found = evaluate_trial(&settings, models, *robot, trial).unwrap();
