@@ -9,7 +9,7 @@ use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{
     Acknowledgement, AcknowledgementHeader, Acknowledgements, Alarm, AlarmSet, Diagnostic,
-    DiagnosticHeader, Diagnostics, FrameHeader as _, Place, SCHEMA_VERSION,
+    DiagnosticHeader, Diagnostics, FrameHeader as _, FrameOrder, SCHEMA_VERSION,
 };
 
 use crate::newest::{ReadError, check_schema};
@@ -88,7 +88,7 @@ pub struct AlarmHistory {
     ticks_missed: u64,
     /// The newest frame of what is acknowledged.
     listed: Vec<Listed>,
-    listed_at: Option<Place>,
+    listed_at: Option<FrameOrder>,
 }
 
 /// An alarm that the worker lists as acknowledged.
@@ -195,10 +195,10 @@ impl AlarmHistory {
         at_ns: u64,
         mut each: impl FnMut(AlarmChange),
     ) {
-        if self.listed_at >= Some(header.place()) {
+        if self.listed_at >= Some(header.order()) {
             return;
         }
-        self.listed_at = Some(header.place());
+        self.listed_at = Some(header.order());
         let known = std::mem::take(&mut self.listed);
         for row in rows {
             let found = known.iter().find(|known| known.row == *row);

@@ -48,7 +48,7 @@ impl<C: Channel> Feed<C> {
     pub fn latest(&mut self) -> Result<Option<Frame<'_, C>>, ReadError> {
         let (mut place, mut foreign) = (self.place, None);
         let found = self.reader.hold_latest(|header, _, run| {
-            let at = header.place();
+            let at = header.order();
             newer(header.schema(), (run, at.run, at.number), &mut place, &mut foreign)
         })?;
         check_schema(found, foreign)?;

@@ -3,7 +3,7 @@
 use bytemuck::{Zeroable as _, bytes_of_mut};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Channel, Flow, ForEachChannel, FrameHeader as _, FrameRows, Place, QueryHeader, SCHEMA_VERSION,
+    Channel, Flow, ForEachChannel, FrameHeader as _, FrameOrder, FrameRows, QueryHeader, SCHEMA_VERSION,
     Sample, SampleHeader, WakeEvent, each_channel, sample_flag,
 };
 use simulated_bus::{Bus, Limits};
@@ -101,8 +101,8 @@ fn live(work: impl FnOnce() -> Option<()>) {
     host::end_life(PID);
 }
 
-/// Sends a false frame of a channel, with that schema, process and place.
-type SendFalse = Box<dyn FnMut(u32, u32, Place)>;
+/// Sends a false frame of a channel, with that schema, process and order.
+type SendFalse = Box<dyn FnMut(u32, u32, FrameOrder)>;
 
 /// Opens every channel but samples.
 struct Open<'a>(&'a Bus, Limits, Option<Vec<SendFalse>>);
@@ -117,11 +117,11 @@ impl ForEachChannel for Open<'_> {
             self.2 = None;
             return;
         };
-        opened.push(Box::new(move |schema, pid, place| {
+        opened.push(Box::new(move |schema, pid, order| {
             let now_ns = time::monotonic_ns();
             let mut header = C::Header::zeroed();
             bytes_of_mut(&mut header)[..4].copy_from_slice(&schema.to_ne_bytes());
-            header.set_place(pid, place);
+            header.set_order(pid, order);
             header.set_sent(any(now_ns), any(now_ns));
             if let Some(period_ns) = header.period_ns() {
                 *period_ns = any(1_000_000_000);
@@ -148,10 +148,10 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
     let pids = [PID, 100 + host::below(40) as u32];
     for _ in 0..frames {
         let pid = pids[host::below(2)];
-        let place = Place { run: any(time::monotonic_ns()), number: any(1_000) };
+        let order = FrameOrder { run: any(time::monotonic_ns()), number: any(1_000) };
         let schema = schema();
         for send in &mut channels {
-            send(schema, pid, place);
+            send(schema, pid, order);
         }
         let event = [WakeEvent::Frame, WakeEvent::Died, WakeEvent::Ended][host::below(3)];
         let _ = waker.wake(event);

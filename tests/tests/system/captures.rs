@@ -43,10 +43,10 @@ const KINDS: [&str; 7] =
 
 /// Identity of a message.
 fn name(entry: &Entry) -> (String, u64, u64) {
-    let place = entry.message.place().unwrap();
+    let order = entry.message.order().unwrap();
     let (run, number) = match entry.message.frame::<State>() {
         Some(piece) => (piece.header.tick, piece.header.offset),
-        None => (place.run, place.number),
+        None => (order.run, order.number),
     };
     (entry.topic.to_string(), run, number)
 }

@@ -81,7 +81,7 @@ impl Drain {
             self.complain(&error);
         }
         let now_ns = self.clock.unix_ns(clock::monotonic_ns());
-        self.batch.sort_by_cached_key(place);
+        self.batch.sort_by_cached_key(sort_key);
         for message in self.batch.drain(..) {
             let sent_ns = message.sent_ns().map(|sent_ns| self.clock.unix_ns(sent_ns));
             // No frame was sent after now, and written times must be in order.
@@ -127,18 +127,18 @@ impl Steps for Drain {
 
 /// Causes are sorted before effects: samples first, then tick by tick. Otherwise messages stay in
 /// the order in which they were sent.
-fn place(message: &Message) -> (u8, u64, u64, usize) {
-    let (Some(kind), Some(place)) = (message.kind(), message.place()) else {
+fn sort_key(message: &Message) -> (u8, u64, u64, usize) {
+    let (Some(kind), Some(order)) = (message.kind(), message.order()) else {
         return (2, 0, 0, 0);
     };
     match (kind.flow(), kind.rows()) {
         (Flow::Sources, _) => (0, message.sent_ns().unwrap_or_default(), 0, 0),
         (_, FrameRows::UpTo(_)) => (2, 0, 0, 0),
         // The journal says what a tick took.
-        (_, FrameRows::Taken) => (1, place.run, place.number, 0),
+        (_, FrameRows::Taken) => (1, order.run, order.number, 0),
         _ => {
             let after = MessageKind::of_fleet().take_while(|known| *known != kind).count();
-            (1, place.run, place.number, 1 + after)
+            (1, order.run, order.number, 1 + after)
         }
     }
 }

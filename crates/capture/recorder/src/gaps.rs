@@ -4,7 +4,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use joulebus_wire::{Diagnostics, Flow, FrameRows, Place, Samples, TickHeader, Ticks, tick_flag};
+use joulebus_wire::{Diagnostics, Flow, FrameOrder, FrameRows, Samples, TickHeader, Ticks, tick_flag};
 
 use joulebus_capture_format::{Message, MessageKind};
 
@@ -85,14 +85,14 @@ impl Gaps {
     }
 
     fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
-        let (Some(kind), Some(place)) = (message.kind(), message.place()) else {
+        let (Some(kind), Some(order)) = (message.kind(), message.order()) else {
             return 0;
         };
         // Pieces of a keyframe state their completeness themselves.
         if kind.rows() == FrameRows::Bytes {
             return 0;
         }
-        let Place { run: epoch, number } = place;
+        let FrameOrder { run: epoch, number } = order;
         let samples = message.frame::<Samples>();
         let source = samples.map_or(0, |samples| samples.header.source_id);
         // Sources count from 0, and ticks are numbered from 1.
@@ -182,7 +182,7 @@ mod tests {
             let mut gaps = Gaps::new(0);
             let mut missing = |number| {
                 let mut header = C::Header::default();
-                header.set_place(1, Place { run: 5, number });
+                header.set_order(1, FrameOrder { run: 5, number });
                 gaps.look(&fleet, &Message::of::<C>(header, Vec::new())).missing
             };
             assert_eq!([7, 28, 29, 32, 33].map(&mut missing), [0, 0, 0, 2, 0]);

@@ -20,7 +20,7 @@ use joulebus_capture_recorder::{
 use joulebus_config::Config;
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Place, PlanStates,
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameOrder, Outlooks, PlanStates,
     SCHEMA_VERSION, Sample, SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
 };
 
@@ -127,14 +127,14 @@ impl Stage {
         self.samples.send(header, ROBOTS, sample).unwrap();
         self.tick += 1;
         let (worker_epoch, tick) = (self.worker_epoch, self.tick);
-        let place = Place { run: worker_epoch, number: tick };
-        send(&mut self.forecasts, place, |robot, row| row.robot = robot);
-        send(&mut self.diagnostics, place, |robot, row| {
+        let order = FrameOrder { run: worker_epoch, number: tick };
+        send(&mut self.forecasts, order, |robot, row| row.robot = robot);
+        send(&mut self.diagnostics, order, |robot, row| {
             (row.robot, row.alarms) = (robot, if robot == 3 { alarms } else { 0 });
         });
-        send(&mut self.budgets, place, |robot, row| row.robot = robot);
-        send(&mut self.plan_states, place, |robot, row| row.robot = robot);
-        send(&mut self.outlooks, place, |robot, row| row.robot = robot);
+        send(&mut self.budgets, order, |robot, row| row.robot = robot);
+        send(&mut self.plan_states, order, |robot, row| row.robot = robot);
+        send(&mut self.outlooks, order, |robot, row| row.robot = robot);
         let header = TickHeader {
             worker_epoch,
             tick,
@@ -163,9 +163,9 @@ impl Stage {
 }
 
 /// Sends a frame with a row of each robot.
-fn send<C: Channel>(writer: &mut BusWriter<C>, place: Place, fill: impl Fn(u32, &mut C::Row)) {
+fn send<C: Channel>(writer: &mut BusWriter<C>, order: FrameOrder, fill: impl Fn(u32, &mut C::Row)) {
     let mut header = C::Header::default();
-    header.set_place(std::process::id(), place);
+    header.set_order(std::process::id(), order);
     header.set_sent(clock::monotonic_ns(), clock::unix_ns());
     let row = |robot: usize| {
         let mut row = C::Row::default();

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
-    Forecasts, Place, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
+    Forecasts, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
 };
 
 use crate::output::Output;
@@ -122,10 +122,10 @@ impl Assembler {
             self.put(std::mem::take(frame));
         } else if let Some(piece) = message.frame::<State>() {
             self.add_piece(piece.header, &piece.rows);
-        } else if let (Some(kind), Some(place)) = (message.kind(), message.place())
+        } else if let (Some(kind), Some(order)) = (message.kind(), message.order())
             && self.is_of_tick(kind)
         {
-            let parts = self.parts(place, kind);
+            let parts = self.parts(order, kind);
             match message.into_frame::<Ticks>() {
                 Ok(journal) => {
                     parts.journal = Some(journal);
@@ -198,8 +198,8 @@ impl Assembler {
             .is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)
     }
 
-    fn parts(&mut self, place: Place, kind: MessageKind) -> &mut TickParts {
-        let (worker_epoch, tick) = (place.run, place.number);
+    fn parts(&mut self, order: FrameOrder, kind: MessageKind) -> &mut TickParts {
+        let (worker_epoch, tick) = (order.run, order.number);
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
         self.first.get_or_insert((worker_epoch, tick));

@@ -22,7 +22,7 @@ const MAX_KEPT: usize = 128 << 20;
 const MAX_WAITING: usize = 64 << 20;
 
 /// Run and number of a tick.
-type Place = (u64, u64);
+type TickId = (u64, u64);
 
 /// A question, and the hash of the name of the fleet that it was asked of.
 type Asked = (Query, u64);
@@ -32,14 +32,14 @@ type Asked = (Query, u64);
 pub(super) struct Queries {
     fleet: PlanFleet,
     /// By the later of the two ticks that the answer is computed from.
-    waiting: BTreeMap<Place, Vec<Asked>>,
+    waiting: BTreeMap<TickId, Vec<Asked>>,
     waiting_bytes: usize,
-    kept: BTreeMap<Place, Tick>,
+    kept: BTreeMap<TickId, Tick>,
     kept_bytes: usize,
     /// Whether the answers were computed by the rules of another version.
     pub(super) has_other_rules: bool,
     /// The first and the last tick that was computed.
-    span: Option<(Place, Place)>,
+    span: Option<(TickId, TickId)>,
 }
 
 /// Plan states and budgets of one tick.
@@ -93,7 +93,7 @@ impl Queries {
     /// verifies the questions that waited for it.
     pub(super) fn ticked(
         &mut self,
-        place: Place,
+        place: TickId,
         fleet: &Fleet,
         plans: bool,
         report: &mut Verification,
@@ -133,7 +133,7 @@ impl Queries {
 
     /// Computes an answer again and compares it. The tick that has to be computed first is the
     /// error.
-    fn verify(&self, (query, fleet): &Asked, report: &mut Verification) -> Result<(), Place> {
+    fn verify(&self, (query, fleet): &Asked, report: &mut Verification) -> Result<(), TickId> {
         let (asked, answer) = (&query.record.query, &query.record.answer);
         let is_acknowledgement = asked.kind == QueryKind::Acknowledge.code();
         if is_acknowledgement || depends_on_time(answer) {
@@ -194,7 +194,7 @@ impl Queries {
         answered.map_err(|error| Refused::from(&error))
     }
 
-    fn find(&self, place: Place) -> Found<'_> {
+    fn find(&self, place: TickId) -> Found<'_> {
         if place.1 == 0 {
             return Found::None;
         }

@@ -1,7 +1,7 @@
 //! `joulebus ask`: what a plan costs, computed here from shared memory, or by the worker.
 
 mod path_file;
-mod place;
+mod point;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use joulebus_wire::QueryRefusal;
 
-use place::{Place, ReturnTo};
+use point::{PointArgument, ReturnTo};
 
 /// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -76,7 +76,7 @@ pub(crate) struct Args {
     return_to: Option<ReturnTo>,
     /// Where the dock of `--return dock` is, m [default: where the path begins]
     #[arg(long, value_name = "X,Y", requires = "return_to", allow_hyphen_values = true)]
-    dock: Option<Place>,
+    dock: Option<PointArgument>,
     /// Speed where the path file states none, m/s [default: the platform's greatest]
     #[arg(long, value_name = "M/S", conflicts_with = "idle")]
     speed: Option<f64>,
@@ -126,7 +126,7 @@ impl Args {
                 let begin = path.points[0];
                 let back_to = self.return_to.map(|to| match to {
                     ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
-                    ReturnTo::At(place) => place.0,
+                    ReturnTo::At(point) => point.0,
                 });
                 Plan::Follow { robots, path, back_to }
             }

@@ -2,7 +2,7 @@
 
 mod account;
 mod capture;
-mod place;
+mod directory;
 mod run_ahead;
 mod show;
 mod summary;
@@ -24,7 +24,7 @@ use crate::watch::PlannerReport;
 
 use account::{Account, SourceRun, WorkerAccount};
 use capture::Captured;
-use place::Place;
+use directory::DemoDirectory;
 use run_ahead::RunAhead;
 use summary::{Planted, Summary};
 
@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let wanted = (!args.no_capture).then_some(args.capture.as_deref());
     let capture = wanted.map(capture::file).transpose()?;
-    let place = Place::make(args.robots)?;
+    let directory = DemoDirectory::make(args.robots)?;
     // After the directory, so that it is dropped first: all processes are waited for before the
     // clean-up.
     let mut demo = Demo {
@@ -99,7 +99,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         events: Vec::new(),
     };
     say(&demo.purpose());
-    let played = demo.play(&place, &stop);
+    let played = demo.play(&directory, &stop);
     let events = demo.supervisor.end_all();
     if played.is_err() {
         for event in demo.events.iter().chain(&events) {
@@ -107,7 +107,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         }
     }
     drop(demo);
-    let left_behind = place.clear()?;
+    let left_behind = directory.clear()?;
     let mut summary = played?;
     summary.left_behind = left_behind;
     output.report(&summary)?;
@@ -163,37 +163,37 @@ impl Demo<'_> {
     }
 
     /// Starts, shows and ends everything in order.
-    fn play(&mut self, place: &Place, stop: &Stop) -> anyhow::Result<Summary> {
-        self.supervisor.add(task(WORKER, place, &["run"]));
-        self.supervisor.add(task(PLANNER, place, &["watch", "--summary"]));
+    fn play(&mut self, directory: &DemoDirectory, stop: &Stop) -> anyhow::Result<Summary> {
+        self.supervisor.add(task(WORKER, directory, &["run"]));
+        self.supervisor.add(task(PLANNER, directory, &["watch", "--summary"]));
         if let Some(capture) = &self.capture {
-            self.supervisor.add(recorder(place, capture));
+            self.supervisor.add(recorder(directory, capture));
         }
-        let feed = Feed::start(place.config(), "demo", (true, true))?;
+        let feed = Feed::start(directory.config(), "demo", (true, true))?;
         self.wait_for_worker(&feed, stop)?;
         if self.capture.is_some() {
             self.wait_for_line(&feed, stop, RECORDER, "recording ");
         }
         if self.lines_to_stdout && find_program("joulebus-serve").is_ok() {
             let verb = ["serve", "--http", "127.0.0.1:0"];
-            self.supervisor.add(task(PAGE, place, &verb));
+            self.supervisor.add(task(PAGE, directory, &verb));
             if let Some(line) = self.wait_for_line(&feed, stop, PAGE, "serving fleet ") {
                 say(&line);
                 feed.board().note(line, clock::monotonic_ns());
             }
         }
         feed.board().begin(clock::monotonic_ns());
-        self.supervisor.add(self.source(place));
+        self.supervisor.add(self.source(directory));
         let began_ns = clock::monotonic_ns();
         if !stop.is_asked() {
-            self.show(place.config(), &feed, stop, began_ns)?;
+            self.show(directory.config(), &feed, stop, began_ns)?;
         }
-        let platform = place.config().settings().platforms.first();
+        let platform = directory.config().settings().platforms.first();
         self.finish(feed, platform.map_or(0, |platform| platform.period_ns))
     }
 
-    fn source(&self, place: &Place) -> Task {
-        let mut task = task(SOURCE, place, &["publish", "sim"]);
+    fn source(&self, directory: &DemoDirectory) -> Task {
+        let mut task = task(SOURCE, directory, &["publish", "sim"]);
         let (robots, seed) = (self.args.robots.to_string(), self.args.seed.to_string());
         for argument in ["--robots", &robots, "--seed", &seed] {
             task.arguments.push(argument.into());
@@ -353,16 +353,16 @@ impl Demo<'_> {
 }
 
 /// A process of the demo.
-fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
+fn task(name: &'static str, directory: &DemoDirectory, verb: &[&str]) -> Task {
     let mut arguments: Vec<std::ffi::OsString> = verb.iter().map(Into::into).collect();
-    arguments.extend(["--config".into(), place.file().into()]);
+    arguments.extend(["--config".into(), directory.file().into()]);
     arguments.extend(["--format".into(), "json".into()]);
     Task { name, arguments }
 }
 
 /// The recorder. After a crash it continues in another file.
-fn recorder(place: &Place, capture: &Path) -> Task {
-    let mut task = task(RECORDER, place, &["record", "--resume"]);
+fn recorder(directory: &DemoDirectory, capture: &Path) -> Task {
+    let mut task = task(RECORDER, directory, &["record", "--resume"]);
     let arguments = ["--out".into(), capture.as_os_str().to_owned()];
     task.arguments.extend(arguments);
     task

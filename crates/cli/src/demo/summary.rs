@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::account::Account;
 use super::capture::Captured;
-use super::place::LeftBehind;
+use super::directory::LeftBehind;
 use super::run_ahead::RunAhead;
 use crate::view::count;
 use crate::watch::PlannerReport;

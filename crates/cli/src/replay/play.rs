@@ -16,7 +16,7 @@ use super::Args;
 use super::files::Files;
 use super::pace::Pace;
 use super::report::PlayReport;
-use super::span::Place;
+use super::span::SpanPosition;
 use joulebus_source::flow::{Flow, SendWindow};
 use joulebus_source::rate::{Passes, Rate};
 use joulebus_source::window::Window;
@@ -195,13 +195,13 @@ impl Player {
         let (mut before, mut at_ns) = (Before::default(), 0);
         for entry in messages.by_ref() {
             let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
-            match args.span.place(entry.log_time_ns.saturating_sub(first_ns)) {
-                Place::Before => {
+            match args.span.position(entry.log_time_ns.saturating_sub(first_ns)) {
+                SpanPosition::Before => {
                     before.keep(entry);
                     continue;
                 }
-                Place::Inside => {}
-                Place::After => break,
+                SpanPosition::Inside => {}
+                SpanPosition::After => break,
             }
             let kind = entry.message.kind();
             let Some(kind) = kind.filter(|kind| self.kinds.contains(kind)) else {

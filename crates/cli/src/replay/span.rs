@@ -19,7 +19,7 @@ pub(super) struct Span {
 
 /// Position of a message relative to the span.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum SpanPosition {
     Before,
     Inside,
     After,
@@ -31,15 +31,15 @@ fn offset(text: &str) -> Result<Duration, String> {
 
 impl Span {
     /// Position of a message recorded `at_ns` after the first.
-    pub(super) fn place(&self, at_ns: u64) -> Place {
+    pub(super) fn position(&self, at_ns: u64) -> SpanPosition {
         let at = Duration::from_nanos(at_ns);
         let end = self.playback_duration.map(|duration| self.start_offset.saturating_add(duration));
         if at < self.start_offset {
-            Place::Before
+            SpanPosition::Before
         } else if end.is_some_and(|end| at > end) {
-            Place::After
+            SpanPosition::After
         } else {
-            Place::Inside
+            SpanPosition::Inside
         }
     }
 
@@ -51,12 +51,12 @@ impl Span {
         let mut first_ns = None;
         let placed = move |entry: Entry| {
             let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
-            (self.place(entry.log_time_ns.saturating_sub(first_ns)), entry)
+            (self.position(entry.log_time_ns.saturating_sub(first_ns)), entry)
         };
         entries
             .map(placed)
-            .take_while(|(place, _)| *place != Place::After)
-            .filter_map(|(place, entry)| (place == Place::Inside).then_some(entry))
+            .take_while(|(position, _)| *position != SpanPosition::After)
+            .filter_map(|(position, entry)| (position == SpanPosition::Inside).then_some(entry))
     }
 }
 
@@ -70,10 +70,10 @@ mod tests {
             start_offset: Duration::from_secs(2),
             playback_duration: Some(Duration::from_secs(3)),
         };
-        for (at_s, place) in
-            [(0, Place::Before), (2, Place::Inside), (5, Place::Inside), (6, Place::After)]
+        for (at_s, position) in
+            [(0, SpanPosition::Before), (2, SpanPosition::Inside), (5, SpanPosition::Inside), (6, SpanPosition::After)]
         {
-            assert_eq!(span.place(at_s * 1_000_000_000), place, "{at_s} s");
+            assert_eq!(span.position(at_s * 1_000_000_000), position, "{at_s} s");
         }
     }
 }

@@ -23,21 +23,21 @@ pub fn residual_quantiles<E>(
     let Some(last) = count.checked_sub(1) else {
         return Ok(ResidualQuantiles::of_sorted(&[]));
     };
-    let ranks = ResidualQuantiles::SHARES.map(|share| Place::new(share, last));
+    let ranks = ResidualQuantiles::SHARES.map(|share| RankPosition::new(share, last));
     let mut wanted: Vec<Bucket> = Vec::new();
-    for rank in ranks.iter().flat_map(|place| [place.below, place.above]) {
+    for rank in ranks.iter().flat_map(|position| [position.below, position.above]) {
         let (half, _) = bucket(&upper, rank);
         if wanted.iter().all(|bucket| bucket.half != half) {
             wanted.push(Bucket { half, lower: vec![0; HALVES] });
         }
     }
-    let mut place_of = vec![usize::MAX; HALVES];
-    for (place, bucket) in wanted.iter().enumerate() {
-        place_of[usize::from(bucket.half)] = place;
+    let mut bucket_of = vec![usize::MAX; HALVES];
+    for (index, bucket) in wanted.iter().enumerate() {
+        bucket_of[usize::from(bucket.half)] = index;
     }
     each(&mut |value| {
         let (half, low) = halves(value);
-        if let Some(bucket) = wanted.get_mut(place_of[usize::from(half)]) {
+        if let Some(bucket) = wanted.get_mut(bucket_of[usize::from(half)]) {
             bucket.lower[usize::from(low)] += 1;
         }
     })?;
@@ -46,25 +46,25 @@ pub fn residual_quantiles<E>(
         let own = wanted.iter().find(|bucket| bucket.half == half);
         own.map_or(f64::NAN, |own| own.value(rank - before))
     };
-    Ok(ResidualQuantiles::at_shares(ranks.map(|place| {
-        let [below, above] = [place.below, place.above].map(value);
-        below + place.part * (above - below)
+    Ok(ResidualQuantiles::at_shares(ranks.map(|position| {
+        let [below, above] = [position.below, position.above].map(value);
+        below + position.part * (above - below)
     })))
 }
 
 /// The position of a quantile between two ranks, as in [`quantile`](crate::metrics::quantile).
 #[derive(Clone, Copy)]
-struct Place {
+struct RankPosition {
     below: u64,
     above: u64,
     part: f64,
 }
 
-impl Place {
+impl RankPosition {
     fn new(share: f64, last: u64) -> Self {
-        let place = share * last as f64;
-        let below = (place.floor() as u64).min(last);
-        Self { below, above: (below + 1).min(last), part: place - below as f64 }
+        let position = share * last as f64;
+        let below = (position.floor() as u64).min(last);
+        Self { below, above: (below + 1).min(last), part: position - below as f64 }
     }
 }
 
@@ -83,7 +83,7 @@ impl Bucket {
     }
 }
 
-/// The place that has the number of this rank, and how many are before it.
+/// The half that has the number of this rank, and the count of numbers before that half.
 fn bucket(counts: &[u64], rank: u64) -> (u16, u64) {
     let mut before = 0;
     for (half, count) in (0..=u16::MAX).zip(counts) {

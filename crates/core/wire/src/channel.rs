@@ -78,9 +78,9 @@ pub enum FrameRows {
     UpTo(usize),
 }
 
-/// Where a frame stands among those of its channel.
+/// Total order of the frames of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
-pub struct Place {
+pub struct FrameOrder {
     /// The run of the worker, or of the source.
     pub run: u64,
     /// The tick within it, the number of the source's frame, or else the time of sending.
@@ -92,11 +92,11 @@ pub trait FrameHeader: Row {
     /// Version of its payloads.
     fn schema(&self) -> u32;
 
-    /// Its place: a later frame has a greater one.
-    fn place(&self) -> Place;
+    /// Its order: that of a later frame is greater.
+    fn order(&self) -> FrameOrder;
 
-    /// Puts the frame at another place, sent by process `pid`.
-    fn set_place(&mut self, pid: u32, place: Place);
+    /// Gives the frame another order, as sent by process `pid`.
+    fn set_order(&mut self, pid: u32, order: FrameOrder);
 
     /// When the frame was sent, monotonic ns. `None` where that is not stated.
     fn sent_ns(&self) -> Option<u64>;
@@ -143,13 +143,13 @@ macro_rules! channels {
     };
 }
 
-/// Implements [`FrameHeader`] from the fields of the place, and of times and period if there are
+/// Implements [`FrameHeader`] from the fields of the order, and of times and period if there are
 /// any:
-/// `frame_header!(Header { place: run, number; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
+/// `frame_header!(Header { order: run, number; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
 #[macro_export]
 macro_rules! frame_header {
     ($header:ident {
-        place: $run:ident, $number:ident;
+        order: $run:ident, $number:ident;
         $(sent: $sent:ident $(, $unix:ident)?;)?
         $(period: $period:ident;)?
     }) => {
@@ -158,12 +158,12 @@ macro_rules! frame_header {
                 self.schema
             }
 
-            fn place(&self) -> $crate::Place {
-                $crate::Place { run: self.$run, number: self.$number }
+            fn order(&self) -> $crate::FrameOrder {
+                $crate::FrameOrder { run: self.$run, number: self.$number }
             }
 
-            fn set_place(&mut self, pid: u32, place: $crate::Place) {
-                (self.pid, self.$run, self.$number) = (pid, place.run, place.number);
+            fn set_order(&mut self, pid: u32, order: $crate::FrameOrder) {
+                (self.pid, self.$run, self.$number) = (pid, order.run, order.number);
             }
 
             fn sent_ns(&self) -> Option<u64> {

@@ -51,7 +51,7 @@ pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use channel::{
     Acknowledgements, Budgets, Channel, Diagnostics, Flow, ForEachChannel, Forecasts, FrameHeader,
-    FrameRows, Outlooks, Place, PlanStates, Queries, Samples, State, Ticks, each_channel,
+    FrameOrder, FrameRows, Outlooks, PlanStates, Queries, Samples, State, Ticks, each_channel,
 };
 pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};

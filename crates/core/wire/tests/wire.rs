@@ -4,7 +4,7 @@
 use joulebus_wire::{
     Alarm, AlarmSet, Channel, ChargeState, DiagnosticHeader, DropCounts, DropReason, FieldRole,
     ForEachChannel, Forecast, ForecastHeader, FrameHeader as _, FrameRows, InvalidReason, Level,
-    Place, Quality, Row, TickHeader, each_channel,
+    FrameOrder, Quality, Row, TickHeader, each_channel,
 };
 
 #[test]
@@ -114,19 +114,19 @@ fn instants_and_runs_of_a_row_are_those_that_are_marked() {
 
 #[test]
 fn a_header_states_its_place_and_when_it_was_sent_where_it_has_fields_for_that() {
-    let (place, mut seen) = (Place { run: 7, number: 9 }, Vec::new());
+    let (order, mut seen) = (FrameOrder { run: 7, number: 9 }, Vec::new());
     let mut forecasts = ForecastHeader::default();
-    forecasts.set_place(3, place);
+    forecasts.set_order(3, order);
     forecasts.set_sent(5, 6);
-    seen.push((forecasts.place(), forecasts.sent_ns(), forecasts.sent_unix_ns()));
+    seen.push((forecasts.order(), forecasts.sent_ns(), forecasts.sent_unix_ns()));
     let mut ticks = TickHeader::default();
-    ticks.set_place(3, place);
+    ticks.set_order(3, order);
     ticks.set_sent(5, 6);
-    seen.push((ticks.place(), ticks.sent_ns(), ticks.sent_unix_ns()));
+    seen.push((ticks.order(), ticks.sent_ns(), ticks.sent_unix_ns()));
     let mut diagnostics = DiagnosticHeader::default();
-    diagnostics.set_place(3, place);
+    diagnostics.set_order(3, order);
     diagnostics.set_sent(5, 6);
-    seen.push((diagnostics.place(), diagnostics.sent_ns(), diagnostics.sent_unix_ns()));
-    assert_eq!(seen, [(place, Some(5), Some(6)), (place, Some(5), None), (place, None, None)]);
+    seen.push((diagnostics.order(), diagnostics.sent_ns(), diagnostics.sent_unix_ns()));
+    assert_eq!(seen, [(order, Some(5), Some(6)), (order, Some(5), None), (order, None, None)]);
     assert_eq!((forecasts.pid, ticks.pid, diagnostics.pid), (3, 3, 3));
 }

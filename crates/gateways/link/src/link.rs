@@ -20,7 +20,7 @@ use crate::network::{Network, NetworkError};
 use crate::protocol::carried::{max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
 use crate::report::{Done, EgressRecord, IngressRecord};
-use crate::threads::{Place, Threads};
+use crate::threads::{HostClaim, Threads};
 use crate::{init, rmw, take_over, tls_causes, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
@@ -103,11 +103,11 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         _ => {}
     }
     yield_to_the_worker(NICE);
-    let place = Place::take(&config, &settings)?;
+    let claim = HostClaim::take(&config, &settings)?;
     let Some(network) = open(&config, &settings, &stop)? else {
         return Ok(Outcome::Done);
     };
-    let threads = Threads::start(&config, &settings, place, network)?;
+    let threads = Threads::start(&config, &settings, claim, network)?;
     say(&format!("link {} of fleet {} is open", settings.name, config.fleet()));
     while !stop.is_asked() && !threads.have_ended() {
         thread::sleep(POLL_INTERVAL);

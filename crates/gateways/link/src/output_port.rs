@@ -1,7 +1,7 @@
 //! The port of a channel that workers write, on a host where a link writes in their place.
 
 use joulebus_bus::{Bus, Limits, SendError, Writer, clock, process_id};
-use joulebus_wire::{Channel, FrameHeader as _, Place};
+use joulebus_wire::{Channel, FrameHeader as _, FrameOrder};
 
 use crate::protocol::carried::Carried;
 use crate::protocol::merge::{Merge, Merged, Origin};
@@ -168,9 +168,9 @@ pub(crate) fn pass_on<C: Channel>(
 ) -> Result<(), PassError> {
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header = header_here::<C>(accepted, every)?;
-    let place = header.place();
-    let place = Place { run: runs.of(place.run), number: place.number / u64::from(every) };
-    header.set_place(process_id(), place);
+    let order = header.order();
+    let order = FrameOrder { run: runs.of(order.run), number: order.number / u64::from(every) };
+    header.set_order(process_id(), order);
     let mut loan = writer.loan_to_fill(frame.len())?;
     *loan.header_mut() = header;
     for (to, mut element) in loan.payload_mut().iter_mut().zip(frame.elements()) {
@@ -320,7 +320,7 @@ mod tests {
             period_ns: 33_000_000,
             every: 3,
             capacity: 64,
-            own: Origin { pid: 8, place: Place { run: 5, number: 6 } },
+            own: Origin { pid: 8, order: FrameOrder { run: 5, number: 6 } },
         };
         assert!(port.write(&round).unwrap());
         let here = SignalHeader { pid: 8, worker_epoch: 5, tick: 6, ..here };

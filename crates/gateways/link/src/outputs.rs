@@ -11,7 +11,7 @@ use joulebus_connect::join;
 use joulebus_consumer::{Event, Feed, ReadError, Subscriber, WorkerState};
 use joulebus_files::disk;
 use joulebus_standby::SavedState;
-use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
+use joulebus_wire::{Channel, FrameHeader as _, FrameOrder, SCHEMA_VERSION, StateHeader, Ticks};
 
 use crate::egress::Egress;
 use crate::leadership::Leadership;
@@ -222,7 +222,7 @@ impl OfMerged for NewFeed {
     type Made = (Carried, Pass);
 
     fn make<C: Merged>(&self, service: Carried) -> Self::Made {
-        let (mut wanted, mut sent) = (Wanted::<Feed<C>>::new(service), Place::default());
+        let (mut wanted, mut sent) = (Wanted::<Feed<C>>::new(service), FrameOrder::default());
         (service, Box::new(move |planner, egress| pass(&mut wanted, &mut sent, planner, egress)))
     }
 }
@@ -313,7 +313,7 @@ impl<F> Wanted<F> {
 /// Sends the newest frame, unless it was sent before.
 fn pass<C: Channel>(
     wanted: &mut Wanted<Feed<C>>,
-    sent: &mut Place,
+    sent: &mut FrameOrder,
     planner: &Subscriber,
     egress: &mut Egress,
 ) -> Result<(), ReadError> {
@@ -330,15 +330,15 @@ fn pass<C: Channel>(
         }
         Err(error) => return Err(error),
     };
-    let place = frame.header().place();
-    if place == *sent {
+    let order = frame.header().order();
+    if order == *sent {
         return Ok(());
     }
-    *sent = place;
+    *sent = order;
     egress.offer(LocalFrame {
         service: wanted.service,
         source: 0,
-        tick: place.number,
+        tick: order.number,
         header: bytes_of(frame.header()),
         elements: cast_slice(frame.robots()),
     });

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use joulebus_bus::{SendError, clock, process_id};
 use joulebus_config::Config;
-use joulebus_wire::Place;
+use joulebus_wire::FrameOrder;
 
 use crate::output_port::{AnyOutputPort as _, MergeRound, PassError};
 use crate::protocol::carried::Carried;
@@ -65,7 +65,7 @@ impl ShardMerger {
         let live = has_worker.iter().enumerate();
         let live = live.map(|(shard, has)| *has && ports.forecasts.is_fresh(shard, now_ns));
         let is_live: Vec<bool> = live.collect();
-        let own = |number| Origin { pid: process_id(), place: Place { run: self.run, number } };
+        let own = |number| Origin { pid: process_id(), order: FrameOrder { run: self.run, number } };
         let mut round = MergeRound {
             shards: &self.shards,
             has_worker,

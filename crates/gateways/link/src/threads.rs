@@ -19,26 +19,26 @@ use crate::shared::Shared;
 use crate::standby::{Candidacy, Rivals};
 
 /// What a link takes on its host before it opens the network.
-pub(crate) struct Place {
+pub(crate) struct HostClaim {
     /// Answers planners' questions on a host without a worker.
     questions: Option<PlanServer>,
     lock: Option<WorkerLock>,
 }
 
-impl Place {
+impl HostClaim {
     /// Takes the place of a worker, on a host without one.
     ///
     /// # Errors
     /// The fleet cannot be joined, or the host has a worker.
     pub(crate) fn take(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
-        let mut place = Self { questions: None, lock: None };
+        let mut claim = Self { questions: None, lock: None };
         if let Side::Other { follow, .. } = &settings.side {
             if follow.is_some() {
-                place.questions = Some(PlanServer::start(config, None)?);
+                claim.questions = Some(PlanServer::start(config, None)?);
             }
-            place.lock = Some(WorkerLock::acquire(&config.domain()?)?);
+            claim.lock = Some(WorkerLock::acquire(&config.domain()?)?);
         }
-        Ok(place)
+        Ok(claim)
     }
 }
 
@@ -58,7 +58,7 @@ impl Threads {
     pub(crate) fn start(
         config: &Config,
         settings: &Settings,
-        Place { questions, lock }: Place,
+        HostClaim { questions, lock }: HostClaim,
         network: Network,
     ) -> anyhow::Result<Self> {
         let places = Places::new(config);

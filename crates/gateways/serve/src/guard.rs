@@ -133,9 +133,9 @@ impl Drop for Guard {
 }
 
 /// Counts a connection for its lifetime.
-struct Place(Arc<Shared>);
+struct CountedConnection(Arc<Shared>);
 
-impl Drop for Place {
+impl Drop for CountedConnection {
     fn drop(&mut self) {
         self.0.connections.fetch_sub(1, Ordering::Relaxed);
     }
@@ -153,13 +153,13 @@ impl Shared {
     }
 
     fn take(self: &Arc<Self>, mut client: TcpStream) {
-        let place = Place(Arc::clone(self));
+        let counted = CountedConnection(Arc::clone(self));
         if self.connections.fetch_add(1, Ordering::Relaxed) >= MAX_CONNECTIONS {
             return refuse(&mut client, &Refusal::TooMany);
         }
         let started = thread::Builder::new().name("joulebus-client".to_owned()).spawn(move || {
-            let place = place;
-            place.0.serve(client);
+            let counted = counted;
+            counted.0.serve(client);
         });
         if let Err(error) = started {
             tracing::warn!(%error, "a connection was not taken");

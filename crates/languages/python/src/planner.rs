@@ -242,7 +242,7 @@ impl State {
             }
         };
         let frame = feed.latest().map_err(|error| read_failed(&error, kept))?;
-        Ok(frame.map(|frame| (frame.header().place().number, cast_slice(frame.robots()).to_vec())))
+        Ok(frame.map(|frame| (frame.header().order().number, cast_slice(frame.robots()).to_vec())))
     }
 }
 

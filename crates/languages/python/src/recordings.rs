@@ -147,7 +147,7 @@ impl Found {
     /// Adds the wanted rows of a frame. Returns its number, and that of the rows.
     fn add<C: Channel>(&mut self, message: &Message) -> Option<(u64, usize)> {
         let Frame { header, rows } = message.frame::<C>()?;
-        let number = header.place().number;
+        let number = header.order().number;
         let Some(wanted) = &self.robots else {
             self.bytes.extend_from_slice(cast_slice(rows));
             return Some((number, rows.len()));

@@ -31,9 +31,9 @@ impl Link {
     /// # Errors
     /// Those of the program.
     pub fn start(config: &Config, LinkFile(settings): &LinkFile) -> anyhow::Result<Self> {
-        let place = threads::Place::take(config, settings)?;
+        let claim = threads::HostClaim::take(config, settings)?;
         let network = Network::new(&settings.name);
-        Ok(Self(threads::Threads::start(config, settings, place, network)?))
+        Ok(Self(threads::Threads::start(config, settings, claim, network)?))
     }
 
     /// Whether a thread has ended by itself.

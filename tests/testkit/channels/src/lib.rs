@@ -53,4 +53,4 @@ impl Channel for Signals {
     type Row = Signal;
 }
 
-frame_header!(SignalHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; });
+frame_header!(SignalHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; });

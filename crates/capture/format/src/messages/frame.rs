@@ -4,7 +4,7 @@ use std::any::{Any, TypeId};
 use std::sync::{PoisonError, RwLock};
 
 use bytemuck::Pod;
-use joulebus_wire::{Channel, FrameHeader as _, FrameRows, Place, Row as _};
+use joulebus_wire::{Channel, FrameHeader as _, FrameOrder, FrameRows, Row as _};
 
 use super::codec::{Decoded, Encoder, MAX_DEPTH, inner};
 use super::descriptors;
@@ -147,8 +147,8 @@ impl<C: Channel> Content for Frame<C> {
         MessageKind::of::<C>()
     }
 
-    fn place(&self) -> Option<Place> {
-        Some(self.header.place())
+    fn order(&self) -> Option<FrameOrder> {
+        Some(self.header.order())
     }
 
     fn sent_ns(&self) -> Option<u64> {

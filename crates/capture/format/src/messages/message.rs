@@ -5,7 +5,7 @@ use std::fmt::{self, Debug};
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
-use joulebus_wire::{Flow, FrameRows, Place};
+use joulebus_wire::{Flow, FrameOrder, FrameRows};
 
 use super::codec::{Fault, OutOfRange};
 use super::wire_fields;
@@ -34,8 +34,8 @@ pub trait Content: Any + Debug + Send + Sync {
         None
     }
 
-    /// The place among those of their kind, where there is one.
-    fn place(&self) -> Option<Place> {
+    /// The order among those of their kind, where there is one.
+    fn order(&self) -> Option<FrameOrder> {
         None
     }
 
@@ -126,10 +126,10 @@ impl Message {
         self.known()?.robot()
     }
 
-    /// Its place among those of its kind, where there is one.
+    /// Its order among those of its kind, where there is one.
     #[must_use]
-    pub fn place(&self) -> Option<Place> {
-        self.known()?.place()
+    pub fn order(&self) -> Option<FrameOrder> {
+        self.known()?.order()
     }
 
     /// Send time, monotonic ns, if it has one. Diagnostics and single robots do not.

@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use joulebus_wire::{
-    AnswerHeader, AnswerRow, Place, QueryHeader, QueryRecord, ROW_WORDS, Record, Row, answer_parts,
+    AnswerHeader, AnswerRow, FrameOrder, QueryHeader, QueryRecord, ROW_WORDS, Record, Row, answer_parts,
 };
 use prost_types::DescriptorProto;
 
@@ -137,8 +137,8 @@ impl Content for Query {
         MessageKind::of::<joulebus_wire::Queries>()
     }
 
-    fn place(&self) -> Option<Place> {
-        Some(Place { run: self.record.begun_ns, number: self.record.number })
+    fn order(&self) -> Option<FrameOrder> {
+        Some(FrameOrder { run: self.record.begun_ns, number: self.record.number })
     }
 
     fn sent_ns(&self) -> Option<u64> {

@@ -24,7 +24,7 @@ impl Channel for Motors {
     type Row = MotorPair;
 }
 
-frame_header!(MotorHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; });
+frame_header!(MotorHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; });
 
 rows! {
     /// Header of a frame.

@@ -129,7 +129,7 @@ impl Rebase {
             };
         });
         header.runs(|run| *run = self.run(*run));
-        header.set_place(self.pid, header.place());
+        header.set_order(self.pid, header.order());
         header.set_sent(now.monotonic_ns, now.unix_ns);
         if let Some(period_ns) = header.period_ns() {
             *period_ns = (*period_ns as f64 * slower) as u64;

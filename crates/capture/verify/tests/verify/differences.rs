@@ -286,7 +286,7 @@ fn verify_by(mut verifier: Verifier, entries: impl IntoIterator<Item = Entry>) -
 fn tick_of(message: &Message) -> u64 {
     // Frames of samples are not of a tick, and keyframes are of one before.
     let is_of_tick = message.frame::<Samples>().is_none() && message.frame::<State>().is_none();
-    let frame = message.place().filter(|_| is_of_tick && message.get::<Query>().is_none());
+    let frame = message.order().filter(|_| is_of_tick && message.get::<Query>().is_none());
     frame.map_or(0, |place| place.number)
 }
 

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::config::check::Check;
 use crate::config::tls::TlsSettings;
-use crate::mapping::fields::{Fields, Flag, Number, Place};
+use crate::mapping::fields::{Fields, Flag, Number, ValuePath};
 use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
@@ -74,7 +74,7 @@ impl Check<'_> {
         let (mut routes, mut passed) = (Vec::new(), Vec::new());
         for read in section.list("read") {
             let mut fields = self.fields(&read.or_defaults("fields"));
-            fields.robot = read.text("robot_at").map(|at| Place::at(&at));
+            fields.robot = read.text("robot_at").map(|at| ValuePath::at(&at));
             routes.extend(self.route(read.text("topic"), fields));
         }
         for vda in section.list("vda5050") {
@@ -174,29 +174,29 @@ impl Check<'_> {
     }
 
     fn number(&mut self, section: &Section<'_>, quantity: Quantity) -> Option<Number> {
-        let place = self.place(section)?;
+        let path = self.value_path(section)?;
         let unit = match section.text("unit") {
             None => quantity.si(),
             Some(unit) => self.checked(&unit, quantity.unit(&unit))?,
         };
-        Some(Number { place, unit, negate: section.flag("negate")? })
+        Some(Number { path, unit, negate: section.flag("negate")? })
     }
 
     fn flag(&mut self, section: &Section<'_>) -> Option<Flag> {
-        let place = self.place(section)?;
+        let path = self.value_path(section)?;
         let is = section.scalars("is").map_or_else(|| vec![Value::Bool(true)], json);
-        Some(Flag { place, is })
+        Some(Flag { path, is })
     }
 
-    fn place(&mut self, section: &Section<'_>) -> Option<Place> {
+    fn value_path(&mut self, section: &Section<'_>) -> Option<ValuePath> {
         let at = section.text("at")?;
-        let place = Place::at(&at);
-        let escapes = place.pointer.split('~').skip(1);
+        let path = ValuePath::at(&at);
+        let escapes = path.pointer.split('~').skip(1);
         let is_pointer = escapes.into_iter().all(|rest| rest.starts_with(['0', '1']));
         let is_pointer =
             is_pointer.then_some(()).ok_or("is no JSON pointer: ~ is written ~0, / in a name ~1");
         self.checked(&at, is_pointer)?;
-        Some(Place { unknown: json(section.scalars("unknown").unwrap_or_default()), ..place })
+        Some(ValuePath { unknown: json(section.scalars("unknown").unwrap_or_default()), ..path })
     }
 
     fn write(
@@ -311,7 +311,7 @@ fn json(scalars: Vec<Scalar>) -> Vec<Value> {
 
 /// The members of a JSON pointer, or a single name.
 fn path(name: &str) -> Vec<String> {
-    let pointer = Place::at(name).pointer;
+    let pointer = ValuePath::at(name).pointer;
     let parts = pointer.split('/').skip(1);
     parts.map(|part| part.replace("~1", "/").replace("~0", "~")).collect()
 }

@@ -8,7 +8,7 @@ use crate::mapping::units::{Quantity, Unit};
 
 /// The position of a value in a document.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct ValuePath {
     /// JSON pointer (RFC 6901), empty for the whole document.
     pub(crate) pointer: String,
     /// A second one, for documents without the first.
@@ -17,7 +17,7 @@ pub(crate) struct Place {
     pub(crate) unknown: Vec<Value>,
 }
 
-impl Place {
+impl ValuePath {
     /// Parses a pointer (`/battery/power`) or the name of a member (`power`).
     pub(crate) fn at(text: &str) -> Self {
         let pointer = match text {
@@ -45,21 +45,21 @@ fn is_equal(one: &Value, other: &Value) -> bool {
 /// Position, unit and sign of a number.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Number {
-    pub(crate) place: Place,
+    pub(crate) path: ValuePath,
     pub(crate) unit: Unit,
     /// The other system counts the opposite direction as positive.
     pub(crate) negate: bool,
 }
 
 impl Number {
-    /// A number at `place` in the SI unit.
-    pub(crate) fn si(quantity: Quantity, place: &str) -> Self {
-        Self { place: Place::at(place), unit: quantity.si(), negate: false }
+    /// A number at `path` in the SI unit.
+    pub(crate) fn si(quantity: Quantity, path: &str) -> Self {
+        Self { path: ValuePath::at(path), unit: quantity.si(), negate: false }
     }
 
     /// Reads the value in SI.
     fn read(&self, document: &Value) -> Result<Option<f32>, Reason> {
-        let Some(found) = self.place.find(document) else {
+        let Some(found) = self.path.find(document) else {
             return Ok(None);
         };
         let number = found.as_f64().ok_or(Reason::WrongType)? * self.unit.size;
@@ -71,19 +71,19 @@ impl Number {
 /// The position of a truth value, and the values that mean yes.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flag {
-    pub(crate) place: Place,
+    pub(crate) path: ValuePath,
     /// If given, every other value of its type means no.
     pub(crate) is: Vec<Value>,
 }
 
 impl Flag {
-    /// A boolean at `place`.
-    pub(crate) fn at(place: &str) -> Self {
-        Self { place: Place::at(place), is: vec![Value::Bool(true)] }
+    /// A boolean at `path`.
+    pub(crate) fn at(path: &str) -> Self {
+        Self { path: ValuePath::at(path), is: vec![Value::Bool(true)] }
     }
 
     fn read(&self, document: &Value) -> Result<Option<bool>, Reason> {
-        let Some(found) = self.place.find(document) else {
+        let Some(found) = self.path.find(document) else {
             return Ok(None);
         };
         if self.is.iter().any(|value| is_equal(value, found)) {
@@ -95,7 +95,7 @@ impl Flag {
     }
 }
 
-/// The values of a document, and their places in it.
+/// The values of a document, with their paths in it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Fields {
     pub(crate) v: Option<Number>,
@@ -113,7 +113,7 @@ pub(crate) struct Fields {
     pub(crate) charging: Option<Flag>,
     pub(crate) full: Option<Flag>,
     /// Position of the robot's name, unless the topic has it.
-    pub(crate) robot: Option<Place>,
+    pub(crate) robot: Option<ValuePath>,
     /// The standard of the documents, if they have one.
     pub(crate) standard: Option<Standard>,
 }
@@ -239,14 +239,14 @@ impl Fields {
         let percent = Unit { name: "%", size: 0.01 };
         let either = |quantity: Quantity, pointer, or| {
             let mut number = Number::si(quantity, pointer);
-            number.place.or = Some(or);
+            number.path.or = Some(or);
             number
         };
         let soc =
             either(Quantity::Share, "/batteryState/batteryCharge", "/powerSupply/stateOfCharge");
         let voltage = "/batteryState/batteryVoltage";
         let mut charging = Flag::at("/batteryState/charging");
-        charging.place.or = Some("/powerSupply/charging");
+        charging.path.or = Some("/powerSupply/charging");
         Self {
             v: Some(Number::si(Quantity::Speed, "/velocity/vx")),
             vy: Some(Number::si(Quantity::Speed, "/velocity/vy")),
@@ -278,8 +278,8 @@ mod tests {
 
     use super::*;
 
-    fn number(place: &str, quantity: Quantity, unit: &str, negate: bool) -> Option<Number> {
-        Some(Number { place: Place::at(place), unit: quantity.unit(unit).unwrap(), negate })
+    fn number(path: &str, quantity: Quantity, unit: &str, negate: bool) -> Option<Number> {
+        Some(Number { path: ValuePath::at(path), unit: quantity.unit(unit).unwrap(), negate })
     }
 
     fn fields() -> Fields {
@@ -323,8 +323,8 @@ mod tests {
     #[test]
     fn what_is_missing_null_or_a_sentinel_is_unknown_and_no_error() {
         let mut fields = fields();
-        for place in [&mut fields.power, &mut fields.voltage].into_iter().flatten() {
-            place.place.unknown = vec![json!(-1)];
+        for number in [&mut fields.power, &mut fields.voltage].into_iter().flatten() {
+            number.path.unknown = vec![json!(-1)];
         }
         for document in [
             json!({}),
@@ -363,7 +363,7 @@ mod tests {
             "velocity": {"vx": 0.3, "vy": 0.4, "omega": -0.2},
             "batteryState": {"batteryCharge": 80.0, "batteryVoltage": 24.5, "charging": false, "reach": 1200},
         });
-        let fields = Fields { robot: Some(Place::at("/serialNumber")), ..Fields::vda5050(true) };
+        let fields = Fields { robot: Some(ValuePath::at("/serialNumber")), ..Fields::vda5050(true) };
         let (seen, refused) = read(&fields, &document);
         assert_eq!(refused, []);
         assert_eq!((seen.v_mps, seen.omega_radps), (Some(0.5), Some(-0.2)));

@@ -338,7 +338,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::mapping::fields::{Number, Place};
+    use crate::mapping::fields::{Number, ValuePath};
     use crate::mapping::units::Quantity;
 
     fn robots() -> Robots {
@@ -347,7 +347,7 @@ mod tests {
         robots
     }
 
-    fn route(name: &str, robot: Option<Place>) -> Route {
+    fn route(name: &str, robot: Option<ValuePath>) -> Route {
         Route {
             name: name.to_owned(),
             pattern: Pattern::parse(name).unwrap(),
@@ -361,7 +361,7 @@ mod tests {
     }
 
     fn reader() -> Reader {
-        let named = route("all", Some(Place::at("robot")));
+        let named = route("all", Some(ValuePath::at("robot")));
         Reader::new(vec![route("fleet/{robot}/power", None), named], robots(), 1_000)
     }
 

@@ -5,7 +5,7 @@
 use serde_json::{Value, json};
 
 use crate::mapping::account::Reason;
-use crate::mapping::fields::{Fields, Flag, Number, Place};
+use crate::mapping::fields::{Fields, Flag, Number, ValuePath};
 use crate::mapping::observation::Observation;
 use crate::mapping::units::{Quantity, Unit};
 
@@ -61,10 +61,10 @@ pub(crate) fn body(response: &Value) -> Result<Value, Reason> {
 /// The fields of a GTernal's status: battery in V, power monitor in mW and mA. −1 means no reading
 /// yet.
 pub(crate) fn status_fields() -> Fields {
-    let number = |quantity: Quantity, name, size, place| Number {
-        place: Place { unknown: vec![json!(-1)], ..Place::at(place) },
+    let number = |quantity: Quantity, name, size, path| Number {
+        path: ValuePath { unknown: vec![json!(-1)], ..ValuePath::at(path) },
         unit: Unit { name, size },
-        ..Number::si(quantity, place)
+        ..Number::si(quantity, path)
     };
     Fields {
         power: Some(number(Quantity::Power, "mW", 1e-3, "power")),

@@ -2,7 +2,7 @@
 
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_wire::{
-    Forecast, ForecastHeader, Forecasts, Place, SCHEMA_VERSION, Sample, SampleHeader,
+    Forecast, ForecastHeader, Forecasts, FrameOrder, SCHEMA_VERSION, Sample, SampleHeader,
 };
 
 use crate::protocol::carried::Carried;
@@ -120,7 +120,7 @@ impl Victim {
     fn merges(&mut self) {
         let live = [true, self.now_ns.is_multiple_of(2)];
         if self.merge.is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1)) {
-            let own = Origin { pid: 1, place: Place { run: 1, number: 1 } };
+            let own = Origin { pid: 1, order: FrameOrder { run: 1, number: 1 } };
             let (most, mut rows) = (self.merge.len(), 0);
             let header = self.merge.write(&live, own, self.now_ns, |_| rows += 1);
             assert!(rows == most || header.is_none());

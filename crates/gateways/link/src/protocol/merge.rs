@@ -3,8 +3,8 @@
 use bytemuck::Zeroable as _;
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
-    Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, OUTLOOK_HORIZONS,
-    Outlook, OutlookHeader, Outlooks, Place, PlanState, PlanStateHeader, PlanStates, Quality,
+    Forecast, ForecastHeader, Forecasts, FrameHeader as _, FrameOrder, InvalidReason, Level, OUTLOOK_HORIZONS,
+    Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader, PlanStates, Quality,
     SCHEMA_VERSION, combine_hashes, forecast_flag, outlook_flag, plan_state_flag,
 };
 
@@ -12,7 +12,7 @@ use joulebus_wire::{
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Origin {
     pub(crate) pid: u32,
-    pub(crate) place: Place,
+    pub(crate) order: FrameOrder,
 }
 
 /// A channel whose frames of several shards can be merged.
@@ -22,7 +22,7 @@ pub(crate) trait Merged: Channel {
 
     /// The header of a merged frame. `parts` has the header of each fresh shard, at least one. Its
     /// times are the oldest ones, so that nothing looks fresher than it is. Counts are sums over
-    /// `all` shards. [`Merge::write`] sets the place and the times of sending.
+    /// `all` shards. [`Merge::write`] sets the order and the times of sending.
     fn merged(parts: &[Self::Header], all: &[Self::Header]) -> Self::Header;
 
     /// Removes the parts of a robot's row that are unknown while its shard is stale.
@@ -74,7 +74,7 @@ impl<C: Merged> Merge<C> {
     ) {
         self.since_ns.get_or_insert(now_ns);
         let (before, mut kept) = match self.parts[shard].take() {
-            Some(last) if last.header.place().run == header.place().run => (last.before, last.rows),
+            Some(last) if last.header.order().run == header.order().run => (last.before, last.rows),
             Some(last) => (last.header, last.rows),
             None => (C::Header::zeroed(), Vec::new()),
         };
@@ -149,7 +149,7 @@ impl<C: Merged> Merge<C> {
         }
         (self.written_ns, self.since_ns) = (now_ns, None);
         let mut header = C::merged(&live, &all);
-        header.set_place(own.pid, own.place);
+        header.set_order(own.pid, own.order);
         // Over the headers that state it, on the monotonic clock and on the wall clock.
         let sent_ns = earliest(live.iter().filter_map(C::Header::sent_ns));
         let sent_unix_ns = earliest(live.iter().filter_map(C::Header::sent_unix_ns));
@@ -307,7 +307,7 @@ mod tests {
 
     use super::*;
 
-    const OWN: Origin = Origin { pid: 7, place: Place { run: 90, number: 4 } };
+    const OWN: Origin = Origin { pid: 7, order: FrameOrder { run: 90, number: 4 } };
 
     fn header(sent_ns: u64, accepted: u64) -> ForecastHeader {
         ForecastHeader {

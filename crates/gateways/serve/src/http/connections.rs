@@ -84,7 +84,7 @@ fn make_room(
 
 /// The slot of a connection, released when dropped.
 #[derive(Debug)]
-pub(super) struct Place {
+pub(super) struct Slot {
     connections: Arc<Connections>,
     number: u64,
     pub(super) connection: Arc<Connection>,
@@ -92,7 +92,7 @@ pub(super) struct Place {
 
 impl Connections {
     /// Takes a slot for a connection, from the reserve if requests in progress take all others.
-    pub(super) fn enter(self: &Arc<Self>) -> Place {
+    pub(super) fn enter(self: &Arc<Self>) -> Slot {
         let mut open = self.lock();
         let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
         let is_reserved = !make_room(&mut open.usual, MAX_CONNECTIONS, is_idle);
@@ -105,12 +105,12 @@ impl Connections {
         open.number += 1;
         let number = open.number;
         let connection = Arc::new(Connection { is_reserved, ..Connection::default() });
-        let places = match is_reserved {
+        let slots = match is_reserved {
             true => &mut open.reserved,
             false => &mut open.usual,
         };
-        places.insert(number, Arc::clone(&connection));
-        Place { connections: Arc::clone(self), number, connection }
+        slots.insert(number, Arc::clone(&connection));
+        Slot { connections: Arc::clone(self), number, connection }
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
@@ -119,7 +119,7 @@ impl Connections {
     }
 }
 
-impl Drop for Place {
+impl Drop for Slot {
     fn drop(&mut self) {
         let mut open = self.connections.lock();
         open.usual.remove(&self.number);
@@ -293,32 +293,32 @@ mod tests {
     fn the_longest_idle_connection_gives_way_and_busy_ones_leave_the_reserve() {
         let connections = Arc::new(Connections::default());
         let enter = || connections.enter();
-        let mut places: Vec<Place> = (0..MAX_CONNECTIONS).map(|_| enter()).collect();
-        let busy = places.iter().skip(2);
-        let mut busy: Vec<Busy> = busy.map(|place| Busy::new(&place.connection)).collect();
+        let mut slots: Vec<Slot> = (0..MAX_CONNECTIONS).map(|_| enter()).collect();
+        let busy = slots.iter().skip(2);
+        let mut busy: Vec<Busy> = busy.map(|slot| Busy::new(&slot.connection)).collect();
         let (first, second) = (enter(), enter());
-        let is_open = |place: &Place| connections.lock().usual.contains_key(&place.number);
-        assert!(!is_open(&places[0]) && !is_open(&places[1]));
+        let is_open = |slot: &Slot| connections.lock().usual.contains_key(&slot.number);
+        assert!(!is_open(&slots[0]) && !is_open(&slots[1]));
         assert!([&first, &second].map(is_open) == [true; 2]);
-        busy.extend([&first, &second].map(|place| Busy::new(&place.connection)));
+        busy.extend([&first, &second].map(|slot| Busy::new(&slot.connection)));
         // All are busy: what comes now is for the health alone, and never keeps the next out. Who
         // has not asked gives way first.
         let asked = enter();
         let asking = Busy::new(&asked.connection);
-        let last: Vec<Place> = (0..3 * RESERVED).map(|_| enter()).collect();
-        assert!(last.iter().all(|place| place.connection.is_reserved));
-        let reserved = |place: &Place| connections.lock().reserved.contains_key(&place.number);
+        let last: Vec<Slot> = (0..3 * RESERVED).map(|_| enter()).collect();
+        assert!(last.iter().all(|slot| slot.connection.is_reserved));
+        let reserved = |slot: &Slot| connections.lock().reserved.contains_key(&slot.number);
         assert!(reserved(&asked) && reserved(&last[last.len() - 1]) && !reserved(&last[0]));
         assert_eq!(connections.lock().reserved.len(), RESERVED);
         drop((asking, asked));
         // A body that drips keeps nobody out.
-        let dripping = Receiving::new(&places[7].connection);
+        let dripping = Receiving::new(&slots[7].connection);
         let usual = enter();
-        assert!(!usual.connection.is_reserved && !is_open(&places[7]));
+        assert!(!usual.connection.is_reserved && !is_open(&slots[7]));
         drop(dripping);
         drop((busy, last));
         // Dropping a closed connection releases no other connection's slot.
-        places.clear();
+        slots.clear();
         assert_eq!(connections.lock().usual.len(), 3);
     }
 

@@ -58,7 +58,7 @@ use tokio::sync::{Notify, watch};
 
 use access::{Access, Rates, Token, cookie_name, is_of_health};
 use api::App;
-use connections::{Busy, Connection, Connections, Marked, Place, Watched};
+use connections::{Busy, Connection, Connections, Marked, Slot, Watched};
 use error::ApiError;
 use fleet::Recorder;
 use listen::{Listeners, Peer, SocketFile};
@@ -287,8 +287,8 @@ where
     loop {
         match next().await {
             Ok((stream, peer)) => {
-                let place = shared.connections.enter();
-                drop(tokio::spawn(serve(stream, peer, place, Arc::clone(shared))));
+                let slot = shared.connections.enter();
+                drop(tokio::spawn(serve(stream, peer, slot, Arc::clone(shared))));
             }
             Err(error) => {
                 tracing::warn!(%error, "a connection was not accepted");
@@ -299,11 +299,11 @@ where
 }
 
 /// Serves a connection until it ends or has to close.
-async fn serve<S>(stream: S, peer: Peer, place: Place, shared: Arc<Shared>)
+async fn serve<S>(stream: S, peer: Peer, slot: Slot, shared: Arc<Shared>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let connection = Arc::clone(&place.connection);
+    let connection = Arc::clone(&slot.connection);
     let respond = service_fn(|request| {
         let (shared, connection) = (Arc::clone(&shared), Arc::clone(&connection));
         async move { Ok::<_, Infallible>(respond(request, peer, &shared, &connection).await) }
@@ -321,7 +321,7 @@ where
                 tracing::debug!(%error, "a connection ended");
             }
         }
-        () = place.connection.closed() => {}
+        () = slot.connection.closed() => {}
     }
 }
 

@@ -20,7 +20,7 @@ pub(super) struct Asked {
     /// Stand still for this time, s.
     idle_s: Option<f32>,
     /// Follow this path.
-    path: Option<Vec<Place>>,
+    path: Option<Vec<Waypoint>>,
     /// Return afterwards.
     #[serde(rename = "return")]
     back: Option<ReturnTo>,
@@ -32,7 +32,7 @@ pub(super) struct Asked {
 /// A point, and the maximum speed towards it. Without one the platform's maximum applies.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Place {
+struct Waypoint {
     x_m: f64,
     y_m: f64,
     speed_mps: Option<f64>,
@@ -43,7 +43,7 @@ struct Place {
 enum ReturnTo {
     /// "dock": where the path begins.
     Named(Dock),
-    Place(Place),
+    Waypoint(Waypoint),
 }
 
 #[derive(Debug, Deserialize)]
@@ -68,7 +68,7 @@ impl Asked {
             return Err(format!("{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"));
         }
         let plan = match (self.path, self.idle_s) {
-            (Some(places), None) => follow(robots, &places, self.back.as_ref())?,
+            (Some(waypoints), None) => follow(robots, &waypoints, self.back.as_ref())?,
             (None, Some(duration_s)) if self.back.is_none() => Plan::Idle { robots, duration_s },
             _ => return Err("give either path, and return if wanted, or idle_s".to_owned()),
         };
@@ -76,22 +76,22 @@ impl Asked {
     }
 }
 
-fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result<Plan, String> {
-    if !(2..=MAX_POINTS).contains(&places.len()) {
-        let found = places.len();
+fn follow(robots: Vec<u32>, waypoints: &[Waypoint], back: Option<&ReturnTo>) -> Result<Plan, String> {
+    if !(2..=MAX_POINTS).contains(&waypoints.len()) {
+        let found = waypoints.len();
         return Err(format!(
             "path has {found} points, allowed: 2 to {MAX_POINTS}. The first is where the robot is"
         ));
     }
-    let point = |place: &Place| Point::new(place.x_m, place.y_m);
+    let point = |waypoint: &Waypoint| Point::new(waypoint.x_m, waypoint.y_m);
     let path = Path {
-        points: places.iter().map(point).collect(),
-        speed_mps: places.iter().map(|place| place.speed_mps.unwrap_or(f64::INFINITY)).collect(),
+        points: waypoints.iter().map(point).collect(),
+        speed_mps: waypoints.iter().map(|waypoint| waypoint.speed_mps.unwrap_or(f64::INFINITY)).collect(),
         heading_rad: None,
     };
     let back_to = back.map(|back| match back {
         ReturnTo::Named(Dock::Dock) => path.points[0],
-        ReturnTo::Place(place) => point(place),
+        ReturnTo::Waypoint(waypoint) => point(waypoint),
     });
     Ok(Plan::Follow { robots, path, back_to })
 }

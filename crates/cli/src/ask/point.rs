@@ -6,16 +6,16 @@ use joulebus_plan::Point;
 
 /// A point: `X,Y` in m.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place(pub(super) Point);
+pub(super) struct PointArgument(pub(super) Point);
 
-/// Where to return to.
+/// The point to return to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum ReturnTo {
     Dock,
-    At(Place),
+    At(PointArgument),
 }
 
-impl FromStr for Place {
+impl FromStr for PointArgument {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -35,8 +35,8 @@ impl FromStr for ReturnTo {
         if text == "dock" {
             return Ok(Self::Dock);
         }
-        let place = text.parse().map(Self::At);
-        place.map_err(|error| format!("{error}, or dock"))
+        let point = text.parse().map(Self::At);
+        point.map_err(|error| format!("{error}, or dock"))
     }
 }
 
@@ -45,12 +45,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_are_two_finite_numbers() {
-        assert_eq!("1.5,-0.2".parse(), Ok(Place(Point::new(1.5, -0.2))));
-        assert_eq!(" 3 , 4 ".parse(), Ok(Place(Point::new(3.0, 4.0))));
+    fn points_are_two_finite_numbers() {
+        assert_eq!("1.5,-0.2".parse(), Ok(PointArgument(Point::new(1.5, -0.2))));
+        assert_eq!(" 3 , 4 ".parse(), Ok(PointArgument(Point::new(3.0, 4.0))));
         assert_eq!("dock".parse(), Ok(ReturnTo::Dock));
         for text in ["", "1", "1,", ",1", "1,2,3", "1;2", "nan,1", "1,inf", "home"] {
-            assert!(text.parse::<Place>().is_err(), "{text:?}");
+            assert!(text.parse::<PointArgument>().is_err(), "{text:?}");
             let error = text.parse::<ReturnTo>().expect_err(text);
             assert!(error.contains("dock"), "{error}");
         }

@@ -20,7 +20,7 @@ const UNFINISHED_AFTER: Duration = Duration::from_secs(60);
 
 /// The directory and the config of one demo. The config file is locked while it runs, so that
 /// directories of dead demos can be identified.
-pub(super) struct Place {
+pub(super) struct DemoDirectory {
     root: PathBuf,
     domain: Domain,
     config: Config,
@@ -43,7 +43,7 @@ impl LeftBehind {
     }
 }
 
-impl Place {
+impl DemoDirectory {
     /// Creates the directory and writes the config. First removes the remains of killed demos.
     pub(super) fn make(robots: u32) -> anyhow::Result<Self> {
         remove_dead();
@@ -87,7 +87,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for DemoDirectory {
     fn drop(&mut self) {
         clear(&self.domain, &self.root);
     }
