@@ -5,7 +5,7 @@ use std::time::Duration;
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 /// Timeout of looking for an event: with none at all crossterm does not look.
-pub(crate) const PATIENCE: Duration = Duration::from_millis(1);
+pub(crate) const EVENT_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// The key that was pressed, or is held down. `None` for other events.
 pub(crate) fn pressed(event: &Event) -> Option<KeyEvent> {

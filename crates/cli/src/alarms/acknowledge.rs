@@ -11,8 +11,8 @@ use serde::Serialize;
 
 use super::Args;
 
-/// Time within which the worker answers.
-const WITHIN: Duration = Duration::from_secs(5);
+/// Timeout of an answer of the worker.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The acknowledgement that the worker has taken.
 #[derive(Debug, Serialize)]
@@ -50,7 +50,7 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
     let config = args.config.load()?;
     let mut client = PlanClient::with_config(&config, "acknowledge")?;
     let new_normal = args.new_normal;
-    client.acknowledge(robot, alarm, &by, new_normal, WITHIN)?;
+    client.acknowledge(robot, alarm, &by, new_normal, ANSWER_TIMEOUT)?;
     let (fleet, alarm) = (config.fleet().to_owned(), alarm.name());
     output.report(&Taken { fleet, robot, alarm, by, new_normal })?;
     Ok(Outcome::Done)

@@ -19,7 +19,7 @@ use joulebus_wire::QueryRefusal;
 use point::{PointArgument, ReturnTo};
 
 /// Timeout for a frame of the worker, or its answer.
-const PATIENCE: Duration = Duration::from_secs(3);
+const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Ask what energy a plan of a robot costs, whether its battery suffices, and which robot needs
 /// least
@@ -139,7 +139,7 @@ impl Args {
     fn compute(&self, config: &Config, question: Question) -> anyhow::Result<AnswersReport> {
         let mut planner = Planner::with_config(config, "ask")?;
         let fleet = planner.fleet().clone();
-        let view = planner.wait(PATIENCE)?;
+        let view = planner.wait(WORKER_TIMEOUT)?;
         let (question, missing) = self.among(question, |robot| Ok(view.rows(robot).is_some()))?;
         let answered = question.answer(&fleet, |robot| view.rows(robot), MAX_STEPS);
         let reply = answered.map_err(|error| match error {
@@ -153,11 +153,11 @@ impl Args {
     fn send(&self, config: &Config, question: &Question) -> anyhow::Result<AnswersReport> {
         let mut client = PlanClient::with_config(config, "ask")?;
         let mut missing = Vec::new();
-        let mut answered = client.ask(question, PATIENCE);
+        let mut answered = client.ask(question, WORKER_TIMEOUT);
         if answered.as_ref().is_err_and(is_unknown_robot) {
             let (others, unknown) = self.among(question.clone(), |robot| {
                 let plan = Plan::Idle { robots: vec![robot], duration_s: 1.0 };
-                let asked = client.ask(&Question { plan, ..Question::default() }, PATIENCE);
+                let asked = client.ask(&Question { plan, ..Question::default() }, WORKER_TIMEOUT);
                 match asked {
                     Err(error) if !is_unknown_robot(&error) => Err(error.into()),
                     asked => Ok(asked.is_ok()),
@@ -165,7 +165,7 @@ impl Args {
             })?;
             missing = unknown;
             if !missing.is_empty() {
-                answered = client.ask(&others, PATIENCE);
+                answered = client.ask(&others, WORKER_TIMEOUT);
             }
         }
         let answered = answered.map_err(|error| match error {

@@ -20,7 +20,7 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// Magic number of tmpfs.
 const TMPFS: u64 = 0x0102_1994;
 /// Timeout for a frame from another host.
-const PATIENCE: Duration = Duration::from_secs(3);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(3);
 const FIX: &str = "run `joulebus doctor --fix`";
 
 /// Whether the models can be loaded.
@@ -171,7 +171,7 @@ fn linked(config: &Config, pid: u32) -> Check {
     let place = format!("on another host: link, pid {pid}");
     let heard = Subscriber::with_config(config, "doctor").map(|mut subscriber| {
         loop {
-            match subscriber.wait_next(PATIENCE) {
+            match subscriber.wait_next(FRAME_TIMEOUT) {
                 Ok(Event::Frame(frame)) => {
                     let (robots, tick) = (frame.robots().len(), frame.header().tick);
                     let age_ms = frame.age_ns() as f64 * 1e-6;

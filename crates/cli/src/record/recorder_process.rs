@@ -13,7 +13,7 @@ use joulebus_program::config_file::ConfigFile;
 use joulebus_program::output::say;
 
 /// Timeout for the recording to start.
-const START_LIMIT: Duration = Duration::from_secs(15);
+const START_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// The recorder process. Dropping it stops it and waits for it.
 pub(crate) struct RecorderProcess {
@@ -54,7 +54,7 @@ impl RecorderProcess {
         });
         let lines = process.stderr.take().map(pass_on);
         let mut recorder = Self { process, report };
-        let records = lines.is_some_and(|lines| lines.recv_timeout(START_LIMIT).is_ok());
+        let records = lines.is_some_and(|lines| lines.recv_timeout(START_TIMEOUT).is_ok());
         if !records {
             // It may wait for a disk that never answers. The worker does not.
             let _ = recorder.process.kill();

@@ -9,7 +9,7 @@ use crossterm::event::{self, Event, KeyCode};
 use joulebus_bus::clock;
 use joulebus_program::stop::Stop;
 
-use crate::keys::{PATIENCE, asks_for_the_end, pressed};
+use crate::keys::{EVENT_TIMEOUT, asks_for_the_end, pressed};
 use joulebus_source::rate::Rate;
 
 /// Interval at which keys are polled, ns.
@@ -60,7 +60,7 @@ impl Keys {
             Self::Unavailable => Ok(None),
             Self::Lines(lines, request) => Ok(lines.try_recv().is_ok().then_some(*request)),
             Self::Terminal => {
-                while event::poll(PATIENCE).context("cannot read keys")? {
+                while event::poll(EVENT_TIMEOUT).context("cannot read keys")? {
                     if let Some(request) = request(&event::read().context("cannot read keys")?) {
                         return Ok(Some(request));
                     }

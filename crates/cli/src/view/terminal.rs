@@ -11,7 +11,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::screen::Screen;
-use crate::keys::{PATIENCE, pressed};
+use crate::keys::{EVENT_TIMEOUT, pressed};
 
 /// Interval at which the processes and the end are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(30);
@@ -72,7 +72,7 @@ pub(crate) fn show(
             return Ok(());
         }
         // All waiting events: with one per redraw, a repeating key would outpace the drawing.
-        while event::poll(PATIENCE).context("cannot read keys")? {
+        while event::poll(EVENT_TIMEOUT).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
             if pressed(&event).is_some_and(|key| screen.press(key, &feed.board())) {
                 return Ok(());

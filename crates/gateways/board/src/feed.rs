@@ -16,7 +16,7 @@ use joulebus_consumer::{
 use crate::board::{Board, Link};
 
 /// Timeout of one wait.
-const PATIENCE: Duration = Duration::from_millis(100);
+const WAIT_TIMEOUT: Duration = Duration::from_millis(100);
 /// Timeout for the diagnostics and budgets of a tick, which follow its forecasts.
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
@@ -94,7 +94,7 @@ impl Reading {
     where
         B: DerefMut<Target = Board>,
     {
-        self.poll_within(PATIENCE, borrow)
+        self.poll_within(WAIT_TIMEOUT, borrow)
     }
 
     /// Same as [`Reading::poll`], with another maximum wait.

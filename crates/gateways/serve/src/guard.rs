@@ -19,13 +19,13 @@ use std::time::{Duration, Instant};
 use joulebus_program::output::say;
 
 /// Maximum duration of a handshake.
-const HANDSHAKE_LIMIT: Duration = Duration::from_secs(5);
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Maximum bytes of a request.
 const MAX_REQUEST_BYTES: usize = 8 << 10;
 /// Maximum number of connections, including those in their handshake.
 const MAX_CONNECTIONS: usize = 64;
 /// A client that has accepted no bytes for this time is disconnected.
-const WRITE_LIMIT: Duration = Duration::from_secs(10);
+const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Interval of checks for connections and for the stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -78,7 +78,7 @@ impl fmt::Display for Refusal {
             Self::Origin(origin) => {
                 write!(out, "a page of {origin} wants to connect: allow it with --allow-origin")
             }
-            Self::Late => write!(out, "no whole request within {} s", HANDSHAKE_LIMIT.as_secs()),
+            Self::Late => write!(out, "no whole request within {} s", HANDSHAKE_TIMEOUT.as_secs()),
             Self::TooLong => write!(out, "a request of more than {MAX_REQUEST_BYTES} bytes"),
             Self::TooMany => write!(out, "more than {MAX_CONNECTIONS} connections"),
         }
@@ -182,9 +182,9 @@ impl Shared {
     fn request(&self, client: &mut TcpStream) -> io::Result<Result<Vec<u8>, Refusal>> {
         client.set_nonblocking(false)?;
         client.set_nodelay(true)?;
-        client.set_write_timeout(Some(WRITE_LIMIT))?;
+        client.set_write_timeout(Some(WRITE_TIMEOUT))?;
         client.set_read_timeout(Some(POLL_INTERVAL))?;
-        let end = Instant::now() + HANDSHAKE_LIMIT;
+        let end = Instant::now() + HANDSHAKE_TIMEOUT;
         let mut request = Vec::new();
         let mut buffer = [0; 2048];
         loop {

@@ -28,7 +28,7 @@ use crate::reserved::take_shortage;
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
-const NODE_LIMIT: Duration = Duration::from_secs(2);
+const NODE_TIMEOUT: Duration = Duration::from_secs(2);
 const NODE_RETRY_AFTER: Duration = Duration::from_millis(10);
 
 /// Names of the members that have places of their own in every channel: the worker with its
@@ -155,7 +155,7 @@ fn create_node(domain: &Domain, config: &Config, name: &NodeName) -> Result<Node
             Err(reason) => reason,
         };
         let is_full = check_left(PORT_BYTES).is_err();
-        if is_full || begin.elapsed() > NODE_LIMIT {
+        if is_full || begin.elapsed() > NODE_TIMEOUT {
             return Err(JoinError::Node { root: domain.directory(), reason: reason.to_string() });
         }
         tracing::info!(%reason, "creating a node again");

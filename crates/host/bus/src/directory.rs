@@ -13,7 +13,7 @@ use crate::private::{check_own, check_private};
 use crate::{DomainWarning, RootError};
 
 /// Timeout of retries while other processes create or remove the directories.
-pub(crate) const RETRY_LIMIT: Duration = Duration::from_secs(5);
+pub(crate) const RETRY_TIMEOUT: Duration = Duration::from_secs(5);
 /// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";
 pub(crate) const SERVICES: &str = "services";

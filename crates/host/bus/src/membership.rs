@@ -10,7 +10,7 @@ use iceoryx2::config::Config;
 use crate::cleanup::objects::objects;
 use crate::cleanup::sweep::remove_all;
 use crate::cleanup::thread::CleanupThread;
-use crate::directory::RETRY_LIMIT;
+use crate::directory::RETRY_TIMEOUT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::liveness::presence::{Need, Presence};
@@ -78,10 +78,10 @@ impl Membership {
                 }
                 Err(error) => return Err(error),
             }
-            if begin.elapsed() > RETRY_LIMIT {
+            if begin.elapsed() > RETRY_TIMEOUT {
                 return Err(JoinError::Timeout {
                     path: domain.members_file(),
-                    waited_s: RETRY_LIMIT.as_secs(),
+                    waited_s: RETRY_TIMEOUT.as_secs(),
                 });
             }
             std::thread::sleep(RETRY_EVERY);

@@ -71,7 +71,7 @@ const OPEN_EVERY: Duration = Duration::from_millis(20);
 /// Robots whose new normal waits for the worker's next tick, at most.
 pub const MAX_NORMALS: usize = 64;
 /// Timeout of the first opening, for which a worker waits, and the interval of its checks.
-const OPEN_WITHIN: Duration = Duration::from_secs(2);
+const OPEN_TIMEOUT: Duration = Duration::from_secs(2);
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// Failed openings in a row after which one is logged.
 const LOG_AFTER: u32 = 50;
@@ -152,7 +152,7 @@ impl PlanServer {
         if self.thread.is_none() {
             return;
         }
-        let give_up = Instant::now() + OPEN_WITHIN;
+        let give_up = Instant::now() + OPEN_TIMEOUT;
         while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
             std::thread::sleep(POLL_INTERVAL);
         }

@@ -20,8 +20,8 @@ use crate::shared::Shared;
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of requests that wait.
 pub(crate) const MAX_REQUESTS: usize = 64;
-/// Time within which the worker answers.
-const WITHIN: Duration = Duration::from_secs(10);
+/// Timeout of an answer of the worker.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Polls without a request after which the bridge leaves the worker's clients. While there are any,
 /// each tick writes plan states.
 const IDLE_POLLS: u32 = 100;
@@ -101,11 +101,11 @@ impl Answering {
         };
         match request {
             Request::Ask(question) => {
-                let answer = client.ask(&question, WITHIN)?;
+                let answer = client.ask(&question, ANSWER_TIMEOUT)?;
                 Ok(answered(&answer.reply, (answer.tick, answer.age_ns), &self.robots))
             }
             Request::Acknowledge { robot, alarm, by } => {
-                client.acknowledge(robot, alarm, &by, false, WITHIN)?;
+                client.acknowledge(robot, alarm, &by, false, ANSWER_TIMEOUT)?;
                 Ok(acknowledged())
             }
         }

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::ApiError;
 
-/// Time within which the worker answers.
-const WITHIN: Duration = Duration::from_secs(5);
+/// Timeout of an answer of the worker.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// An acknowledgement as JSON, in both directions.
 #[derive(Debug, Deserialize, Serialize)]
@@ -42,7 +42,7 @@ impl Acknowledge {
         };
         let client = PlanClient::with_config(config, "page");
         let mut client = client.map_err(|error| ApiError::busy(error.to_string()))?;
-        let taken = client.acknowledge(self.robot, alarm, &self.by, self.new_normal, WITHIN);
+        let taken = client.acknowledge(self.robot, alarm, &self.by, self.new_normal, ANSWER_TIMEOUT);
         taken.map(|()| self).map_err(|error| match error {
             ClientError::Refused(refused) => match refused.reason {
                 // Of the latter kind is a new normal on a host without a worker: asking again does

@@ -40,9 +40,9 @@ use super::what_if::Asked;
 /// Largest body of a request, bytes.
 const MAX_BODY_BYTES: usize = 1 << 20;
 /// A request's body must have arrived within this time.
-const BODY_LIMIT: Duration = Duration::from_secs(5);
+const BODY_TIMEOUT: Duration = Duration::from_secs(5);
 /// The reading thread must have answered within this time.
-const ANSWER_LIMIT: Duration = Duration::from_secs(5);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Interval after which an idle stream sends a keep-alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
 /// Allowed message rate of a stream, Hz, and the default at its end.
@@ -252,7 +252,7 @@ async fn outlooks(app: &App, robot: Option<u32>) -> Result<Vec<Outlook>, ApiErro
 
 /// Waits for the answer of the reading thread.
 async fn within<T>(answer: oneshot::Receiver<T>) -> Result<T, ApiError> {
-    let answered = timeout(ANSWER_LIMIT, answer).await.ok().and_then(Result::ok);
+    let answered = timeout(ANSWER_TIMEOUT, answer).await.ok().and_then(Result::ok);
     answered
         .ok_or_else(|| ApiError::busy("the reading thread has not answered within 5 s: ask again"))
 }
@@ -367,7 +367,7 @@ async fn body<T: DeserializeOwned>(request: Request) -> Result<T, ApiError> {
     let connection = request.extensions().get::<Arc<Connection>>();
     let receiving = connection.map(Receiving::new);
     let body = axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES);
-    let body = timeout(BODY_LIMIT, body).await;
+    let body = timeout(BODY_TIMEOUT, body).await;
     drop(receiving);
     let late = || ApiError::new(StatusCode::REQUEST_TIMEOUT, "the body has not arrived within 5 s");
     let body = body.map_err(|_| late())?.map_err(|_| {

@@ -24,10 +24,10 @@ use tokio::time::{Instant, Sleep, sleep};
 pub(super) const MAX_CONNECTIONS: usize = 256;
 /// Connections beside these, for supervisors of processes.
 const RESERVED: usize = 16;
-/// Within `WRITE_LIMIT` a client must take this many bytes of the queued ones, or all of them.
+/// Within `WRITE_TIMEOUT` a client must take this many bytes of the queued ones, or all of them.
 /// Otherwise it is disconnected.
 const WRITE_BYTES: u64 = 64 << 10;
-const WRITE_LIMIT: Duration = Duration::from_secs(10);
+const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A connection.
 #[derive(Debug, Default)]
@@ -215,23 +215,23 @@ impl Due {
     /// Notes that the client takes nothing although `bytes` are queued. Returns the deadline.
     fn wait(&mut self, bytes: usize, now: Instant) -> Instant {
         let due = self.taken + WRITE_BYTES.min(bytes as u64);
-        let (_, until) = *self.by.get_or_insert((due, now + WRITE_LIMIT));
+        let (_, until) = *self.by.get_or_insert((due, now + WRITE_TIMEOUT));
         until
     }
 }
 
-/// A stream whose writes fail if the client takes too little within [`WRITE_LIMIT`].
+/// A stream whose writes fail if the client takes too little within [`WRITE_TIMEOUT`].
 #[derive(Debug)]
 pub(super) struct Watched<S> {
     stream: S,
     due: Due,
     /// Wakes a write that waits, at the time that is due.
-    limit: Pin<Box<Sleep>>,
+    deadline: Pin<Box<Sleep>>,
 }
 
 impl<S> Watched<S> {
     pub(super) fn new(stream: S) -> Self {
-        Self { stream, due: Due::default(), limit: Box::pin(sleep(WRITE_LIMIT)) }
+        Self { stream, due: Due::default(), deadline: Box::pin(sleep(WRITE_TIMEOUT)) }
     }
 
     /// The result of writing some of `bytes`, or an error if the client takes too little.
@@ -246,10 +246,10 @@ impl<S> Watched<S> {
             return Poll::Ready(result);
         }
         let until = self.due.wait(bytes, Instant::now());
-        if self.limit.deadline() != until {
-            self.limit.as_mut().reset(until);
+        if self.deadline.deadline() != until {
+            self.deadline.as_mut().reset(until);
         }
-        match self.limit.as_mut().poll(cx) {
+        match self.deadline.as_mut().poll(cx) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }

@@ -20,7 +20,7 @@ use super::what_if::MAX_PATH_STEPS;
 /// Questions that may be computed or wait.
 const MAX_QUESTIONS: usize = 4;
 /// Timeout of a computation. It ends after the robot that exceeds the time.
-const COMPUTE_LIMIT: Duration = Duration::from_secs(10);
+const COMPUTE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The queue of questions, and what they are computed with.
 #[derive(Debug)]
@@ -147,8 +147,8 @@ fn in_time(
         if is_gone() {
             return Err(ApiError::busy("nobody waits for the answer"));
         }
-        if elapsed() >= COMPUTE_LIMIT {
-            let limit_s = COMPUTE_LIMIT.as_secs();
+        if elapsed() >= COMPUTE_TIMEOUT {
+            let limit_s = COMPUTE_TIMEOUT.as_secs();
             let text = format!(
                 "{robots} robots took more than {limit_s} s, which is the time of one question: ask about fewer, or a \
                  shorter path"

@@ -35,14 +35,14 @@ use receiver::{Format, Receiver};
 const MAX_WAITING: usize = 10_000;
 /// Maximum number of changes in a request.
 const MAX_CHANGES: usize = 100;
-/// Time that a request may take.
-const REQUEST_LIMIT: Duration = Duration::from_secs(10);
+/// Timeout of a request.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Pause before a request is sent again: doubled each time, up to the second.
 const RETRY_DELAYS: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 /// Maximum pause that a receiver can ask for.
 const MAX_ASKED_PAUSE: Duration = Duration::from_secs(3_600);
-/// Time for what waits when the program ends.
-const END_LIMIT: Duration = Duration::from_secs(5);
+/// Timeout of the messages that wait when the program ends.
+const END_TIMEOUT: Duration = Duration::from_secs(5);
 /// Interval of checking whether to end.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -100,16 +100,16 @@ enum Outlet {
 
 impl Shared {
     /// Timeout of the next request. `None` if it is too late for one.
-    fn limit(&self, now: Instant) -> Option<Duration> {
+    fn timeout(&self, now: Instant) -> Option<Duration> {
         let Some(end_by) = self.end_by.get() else {
-            return Some(REQUEST_LIMIT);
+            return Some(REQUEST_TIMEOUT);
         };
         let left = end_by.saturating_duration_since(now);
-        (!left.is_zero()).then(|| left.min(REQUEST_LIMIT))
+        (!left.is_zero()).then(|| left.min(REQUEST_TIMEOUT))
     }
 
     fn is_late(&self) -> bool {
-        self.limit(Instant::now()).is_none()
+        self.timeout(Instant::now()).is_none()
     }
 }
 
@@ -182,7 +182,7 @@ impl Webhooks {
     pub(crate) fn finish(self) -> anyhow::Result<Vec<WebhookReport>> {
         let shared = &self.shared;
         // No other call sets it.
-        let _ = shared.end_by.set(Instant::now() + END_LIMIT);
+        let _ = shared.end_by.set(Instant::now() + END_TIMEOUT);
         let read = self.reading.join();
         shared.has_read.store(true, Ordering::Relaxed);
         let (changes, ticks_missed) =
@@ -339,8 +339,8 @@ impl Sending {
         let id = format!("msg_{:x}_{number}", self.start_ns);
         let host = &self.counts.host;
         let mut pause = RETRY_DELAYS.0;
-        while let Some(limit) = self.shared.limit(Instant::now()) {
-            let (why, asked) = match self.send(&id, body().to_string().as_bytes(), limit) {
+        while let Some(timeout) = self.shared.timeout(Instant::now()) {
+            let (why, asked) = match self.send(&id, body().to_string().as_bytes(), timeout) {
                 Answer::Taken => return true,
                 Answer::Refused(why) => {
                     self.counts.failed.fetch_add(1, Ordering::Relaxed);
@@ -370,9 +370,9 @@ impl Sending {
         false
     }
 
-    fn send(&self, id: &str, body: &[u8], limit: Duration) -> Answer {
+    fn send(&self, id: &str, body: &[u8], timeout: Duration) -> Answer {
         let request = self.receiver.agent.post(&self.receiver.address).config();
-        let mut request = request.timeout_global(Some(limit)).build();
+        let mut request = request.timeout_global(Some(timeout)).build();
         if let Some(signer) = &self.receiver.signer {
             let unix_s = clock::unix_ns() / 1_000_000_000;
             request = request.header("webhook-id", id);
@@ -435,13 +435,13 @@ mod tests {
     #[test]
     fn what_waits_has_five_seconds_whatever_the_receiver_does() {
         let (shared, now) = (Arc::<Shared>::default(), Instant::now());
-        assert_eq!(shared.limit(now), Some(REQUEST_LIMIT));
-        shared.end_by.set(now + END_LIMIT).unwrap();
-        assert_eq!(shared.limit(now), Some(END_LIMIT));
+        assert_eq!(shared.timeout(now), Some(REQUEST_TIMEOUT));
+        shared.end_by.set(now + END_TIMEOUT).unwrap();
+        assert_eq!(shared.timeout(now), Some(END_TIMEOUT));
         let seconds = Duration::from_secs;
-        assert_eq!(shared.limit(now + seconds(3)), Some(seconds(2)));
-        assert_eq!(shared.limit(now + END_LIMIT), None);
-        assert_eq!(shared.limit(now + seconds(60)), None);
+        assert_eq!(shared.timeout(now + seconds(3)), Some(seconds(2)));
+        assert_eq!(shared.timeout(now + END_TIMEOUT), None);
+        assert_eq!(shared.timeout(now + seconds(60)), None);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
 use super::objects::{is_of, is_of_node, list_own, objects};
 use super::report::SweepReport;
-use crate::directory::{NODES, RETRY_LIMIT, SERVICES};
+use crate::directory::{NODES, RETRY_TIMEOUT, SERVICES};
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
@@ -27,7 +27,7 @@ pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     loop {
         match try_sweep(domain) {
             // The last member has just removed the directory.
-            Err(error) if error.vanished() && begin.elapsed() < RETRY_LIMIT => {}
+            Err(error) if error.vanished() && begin.elapsed() < RETRY_TIMEOUT => {}
             result => return result,
         }
     }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 
-use crate::directory::RETRY_LIMIT;
+use crate::directory::RETRY_TIMEOUT;
 use crate::os::files::{effective_uid, is_same};
 use crate::os::process::lock_holders;
 use crate::preflight::check_start;
@@ -42,7 +42,7 @@ impl WorkerLock {
                 WorkerLockError::Root(error) => error.vanished(),
                 _ => false,
             };
-            if !vanished || begin.elapsed() > RETRY_LIMIT {
+            if !vanished || begin.elapsed() > RETRY_TIMEOUT {
                 if !matches!(error, WorkerLockError::AlreadyRunning { .. }) {
                     // Created before the failure.
                     Self::remove_stale(domain);
@@ -130,7 +130,7 @@ impl WorkerLock {
             // shared holder is not a worker.
             if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
                 flock(&file, FlockOperation::Unlock).map_err(|error| failed(error.into()))?;
-                if begin.elapsed() > RETRY_LIMIT {
+                if begin.elapsed() > RETRY_TIMEOUT {
                     return Err(WorkerLockError::Looked { path });
                 }
             } else if is_named || looks.are_enough(owner) {
@@ -365,7 +365,7 @@ pub enum WorkerLockError {
     #[error(
         "{path:?} is held for more than {} s by a process that looks whether there is a worker: it is stopped, or \
          in a debugger. `lslocks` names it. Let it go on, or end it",
-        RETRY_LIMIT.as_secs()
+        RETRY_TIMEOUT.as_secs()
     )]
     Looked {
         /// The lock file.
