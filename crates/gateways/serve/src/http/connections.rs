@@ -226,12 +226,12 @@ pub(super) struct Watched<S> {
     stream: S,
     due: Due,
     /// Wakes a write that waits, at the time that is due.
-    deadline: Pin<Box<Sleep>>,
+    timer: Pin<Box<Sleep>>,
 }
 
 impl<S> Watched<S> {
     pub(super) fn new(stream: S) -> Self {
-        Self { stream, due: Due::default(), deadline: Box::pin(sleep(WRITE_TIMEOUT)) }
+        Self { stream, due: Due::default(), timer: Box::pin(sleep(WRITE_TIMEOUT)) }
     }
 
     /// The result of writing some of `bytes`, or an error if the client takes too little.
@@ -246,10 +246,10 @@ impl<S> Watched<S> {
             return Poll::Ready(result);
         }
         let until = self.due.wait(bytes, Instant::now());
-        if self.deadline.deadline() != until {
-            self.deadline.as_mut().reset(until);
+        if self.timer.deadline() != until {
+            self.timer.as_mut().reset(until);
         }
-        match self.deadline.as_mut().poll(cx) {
+        match self.timer.as_mut().poll(cx) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }
