@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Fleets measured by default.
 const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
 
-/// How to start this program in a [`Role`].
+/// Command that starts this program in a [`Role`].
 #[derive(Debug, Clone)]
 pub struct Launcher {
     /// The program.

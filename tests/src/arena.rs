@@ -189,7 +189,7 @@ impl Arena {
         command
     }
 
-    /// Where its programs save their state by default.
+    /// Directory in which its programs save their state by default.
     pub fn state(&self) -> PathBuf {
         self.files.join("state")
     }

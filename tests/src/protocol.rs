@@ -52,12 +52,12 @@ impl FrameLine {
 /// A message from a source.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SourceLine {
-    /// It has joined.
+    /// The source has joined.
     Ready {
         /// When this run began, monotonic ns.
         source_epoch: u64,
     },
-    /// It has sent the frames asked for.
+    /// The source has sent the frames asked for.
     Sent {
         /// Number of readers of the last one.
         readers: usize,
@@ -71,9 +71,9 @@ pub enum SourceLine {
 /// A message from a planner or recorder.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub enum ReaderLine {
-    /// It has joined.
+    /// The planner has joined.
     Ready,
-    /// It holds a frame and does not release it.
+    /// The planner holds a frame and does not release it.
     Holds,
     /// A frame of forecasts.
     Forecasts(FrameRead<Forecasts>),
@@ -224,12 +224,12 @@ pub enum AskerLine {
     },
     /// A question that must be refused.
     Refused {
-        /// Why it must be.
+        /// Reason that is expected.
         expected: String,
-        /// Why it was.
+        /// Reason that was found.
         found: String,
     },
-    /// It ends.
+    /// The client ends.
     Done {
         /// Questions answered.
         answered: u64,

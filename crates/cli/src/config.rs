@@ -97,7 +97,8 @@ struct Checked {
     /// Maximum number of robots.
     capacity: Option<u32>,
     platforms: Vec<String>,
-    /// Why the file could not be read, or the worker would refuse it. None if it is valid.
+    /// Reason that the file cannot be read, or that the worker would refuse it. None if it is
+    /// valid.
     error: Option<String>,
     problems: Vec<Problem>,
     warnings: Vec<Problem>,

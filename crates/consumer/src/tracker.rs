@@ -30,7 +30,7 @@ pub enum WorkerState {
     Gone(End),
 }
 
-/// How the end of a worker was detected.
+/// Means by which the end of a worker was detected.
 ///
 /// [`WorkerState`] has an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

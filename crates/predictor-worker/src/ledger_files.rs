@@ -46,7 +46,7 @@ struct Version {
     schema: u32,
 }
 
-/// Why the ledger could not be read or written.
+/// Reason that the ledger could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LedgerFileError {
@@ -106,7 +106,7 @@ pub(crate) struct LedgerFiles {
     is_unfinished: bool,
 }
 
-/// Why a file is not valid.
+/// Reason that a file is not valid.
 enum Flaw {
     Damaged(String),
     Fatal(LedgerFileError),

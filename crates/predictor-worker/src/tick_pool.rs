@@ -14,7 +14,7 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Minimum number of robots per part.
 const MIN_ROBOTS: usize = 256;
-/// How many times as many robots as for forecasts the second pass is shared from. Until then the
+/// Robots from which the second pass is shared, in multiples of those for forecasts. Until then the
 /// other processors are left to the planners that the forecasts have woken.
 const ACCOUNTS_FROM: usize = 8;
 /// Parts per thread, so that a thread that wakes late still finds work.

@@ -39,7 +39,7 @@ struct Scene {
     stop: AtomicBool,
     /// Frames that the source has sent.
     sent: AtomicU64,
-    /// It sends no samples in this time.
+    /// The source sends no samples in this time.
     is_silent: AtomicBool,
     /// The newest forecasts and budgets, and when the newest forecasts were sent.
     read: Mutex<(Vec<Forecast>, Vec<Budget>)>,

@@ -60,7 +60,8 @@ pub struct Sent {
     pub samples: usize,
     /// Its number within this run of the source, from 0.
     pub frame_seq: u64,
-    /// Why the worker was not woken, if so. It takes the frame at its next tick all the same.
+    /// Error that left the worker asleep, if any. The worker takes the frame at its next tick all
+    /// the same.
     pub not_woken: Option<WaitError>,
     /// Samples of it that the worker refuses for their values, by the config's limits. They are
     /// sent all the same, so that the worker counts them and raises `OutOfRange`.

@@ -106,14 +106,14 @@ struct Account {
     history: VecDeque<(u64, u64)>,
 }
 
-/// How a worker has ended.
+/// End of a worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// It shut down.
+    /// The worker shut down.
     InOrder,
-    /// It was killed.
+    /// The worker was killed.
     Killed,
-    /// It was killed while it shut down.
+    /// The worker was killed while it shut down.
     Between,
 }
 

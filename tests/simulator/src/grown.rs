@@ -1,4 +1,4 @@
-//! How much memory processes allocate while they work, beyond what they had when they began.
+//! Memory that processes allocate while they work, beyond that at their start.
 
 use serde::Serialize;
 

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 
 thread_local! {
-    /// Where the last panic of this thread happened.
+    /// Location of the last panic of this thread.
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 

@@ -32,13 +32,13 @@ pub(crate) enum Program {
 
 /// Result of a program's step.
 pub(crate) enum Stepped {
-    /// It goes on, at the latest at this simulated time.
+    /// The program goes on, at the latest at this simulated time.
     On(u64),
     /// A planner that goes on: what it learned.
     Learned(u64, Learned),
     /// A client that goes on, and what it heard.
     Asked(u64, Heard),
-    /// It has ended by itself, because of what it says.
+    /// The program has ended by itself, for the reason given.
     Ended(String),
 }
 
@@ -56,12 +56,12 @@ pub(crate) type Place = (u32, u64, u64);
 /// Result of a planner's step.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Learned {
-    /// It polls; and the longest time between two looks.
+    /// The planner polls, and the longest time between two polls.
     pub polls: bool,
     pub every_ns: u64,
     /// Frames that it has read.
     pub frames: Vec<Place>,
-    /// How the worker has ended.
+    /// End of the worker.
     pub end: Option<End>,
     /// The worker has ended, or is silent.
     pub is_worse: bool,
@@ -314,7 +314,7 @@ pub(crate) struct ClientProgram {
     asked_ns: u64,
     /// When it was answered last, simulated ns.
     pub(crate) answered_ns: u64,
-    /// Why it was not answered the last time.
+    /// Reason that it was not answered the last time.
     pub(crate) last: String,
 }
 

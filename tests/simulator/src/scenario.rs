@@ -86,7 +86,7 @@ pub struct Setup {
     pub sources: usize,
     /// Planners.
     pub planners: usize,
-    /// How often the first planner looks for forecasts, ns; 0: each tick wakes it.
+    /// Interval at which the first planner polls forecasts, ns. 0: each tick wakes it.
     pub poll_every_ns: u64,
     /// Clients that ask the worker about plans.
     pub clients: usize,
@@ -367,7 +367,7 @@ fn standstills(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planne
     })
 }
 
-/// How often the first planner looks, in one seed of two; 0: it does not poll.
+/// Interval at which the first planner polls, in one seed of two. 0: it does not poll.
 fn polling(noise: &mut Noise, setup: &Setup, is_long: bool) -> u64 {
     if is_long || noise.below(2) == 0 {
         return 0;

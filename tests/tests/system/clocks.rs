@@ -6,7 +6,7 @@ use joulebus_tests::{Arena, Child, Planner, ReaderLine, Setup, figure, script};
 use joulebus_wire::{Forecast, Quality};
 use rustix::process::Signal;
 
-/// How far the clocks differ, s.
+/// Difference of the clocks, s.
 const AWAY_S: i64 = 1_000;
 const FAR_NS: u64 = 500_000_000_000;
 

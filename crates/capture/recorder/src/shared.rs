@@ -33,13 +33,14 @@ pub struct Summary {
     /// Files that other processes have removed, replaced or cut while they were recorded, and which
     /// of it: their messages are among the lost.
     pub taken: Vec<(PathBuf, &'static str)>,
-    /// Why the recorded ticks cannot be computed from the attachments: the worker runs with others.
+    /// Reason that recorded ticks cannot be computed from the attachments: the worker runs with
+    /// others.
     pub differs: Option<String>,
     /// Losses by topic. Topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
     /// Memory buffer of a snapshot that was not written. None for other recordings.
     pub kept: Option<Kept>,
-    /// Why it stopped before its end, if it did.
+    /// Reason that the recorder stopped before its end, if it did.
     pub failure: Option<String>,
 }
 

@@ -165,7 +165,7 @@ impl Assembler {
         self.frames.untaken + self.frames.held as u64
     }
 
-    /// Why a message of `kind` is missing: lost, or never sent because the run ended.
+    /// Cause that a message of `kind` is missing: lost, or never sent because the run ended.
     pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
         if self.is_over(run, tick) && tick > newest { Loss::End } else { lost }

@@ -102,7 +102,7 @@ pub struct Difference {
     pub computed: String,
 }
 
-/// Why a tick could not be recomputed, or not be compared.
+/// Reason that a tick could not be recomputed or compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum Loss {
     /// Its journal was not recorded.
@@ -114,21 +114,21 @@ pub enum Loss {
         /// Its number.
         frame_seq: u64,
     },
-    /// It took a frame of which the capture has several that differ, or one of another length: a
-    /// process sends in the source's name, and nothing tells which frame the worker took.
+    /// The tick took a frame of which the capture has several that differ, or one of another
+    /// length. A process sends in the source's name, and nothing shows which frame the worker took.
     Ambiguous {
         /// Its source.
         source_id: u64,
         /// Its number.
         frame_seq: u64,
     },
-    /// It took more frames than a journal lists.
+    /// The tick took more frames than a journal lists.
     Unlisted,
     /// One of its outputs was not recorded.
     Output,
     /// No keyframe was recorded between the last loss and it.
     NoKeyframe,
-    /// It took a frame that was sent before the recording began.
+    /// The tick took a frame that was sent before the recording began.
     Beginning,
     /// The recording, or the worker, ended with it.
     End,

@@ -42,7 +42,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(missed + untold > 0))
 }
 
-/// Where changes go.
+/// Destination of changes.
 struct Sink {
     fleet: String,
     clock: Clock,

@@ -43,12 +43,12 @@ pub(super) struct Captured {
     pub(super) path: PathBuf,
     pub(super) messages: u64,
     pub(super) bytes: u64,
-    /// How long it recorded, s.
+    /// Duration of the recording, s.
     pub(super) duration_s: f64,
     /// CPU time of the recorder over that time: 1 is one core.
     pub(super) cpu_share: f64,
     pub(super) messages_lost: u64,
-    /// Why it stopped before its end, if it did.
+    /// Reason that the recording stopped before its end, if it did.
     pub(super) failure: Option<String>,
 }
 

@@ -17,7 +17,7 @@ const MAX_ROBOT_STEPS: usize = 200_000;
 pub(super) enum RunAhead {
     /// By the energy that the simulated robots draw.
     Scores(AheadScores),
-    /// Why there are none.
+    /// Reason that there are none.
     NotScored(&'static str),
 }
 

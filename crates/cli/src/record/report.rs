@@ -21,7 +21,7 @@ pub(super) struct RecordReport {
     topics: BTreeMap<String, u64>,
     /// Files that other processes have taken away: "removed", "replaced" or "cut".
     taken: BTreeMap<String, &'static str>,
-    /// Why the ticks cannot be computed from what is attached, if so.
+    /// Reason that the ticks cannot be computed from the attachments, if so.
     differs: Option<String>,
     /// Messages lost by topic. Topics without losses are omitted.
     lost: BTreeMap<String, Lost>,

@@ -47,7 +47,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(report.has_lost()))
 }
 
-/// Where processes of fleets meet, as a rule: directories in memory.
+/// Usual roots of fleets: directories in memory.
 const ROOTS: [&str; 2] = ["/dev/shm", "/run"];
 
 /// Refuses other directories: a foreign capture must not decide where directories are made.

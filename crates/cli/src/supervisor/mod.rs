@@ -42,12 +42,12 @@ pub(crate) enum Event {
         name: &'static str,
         pid: u32,
     },
-    /// It wrote a line to stderr.
+    /// The process wrote a line to stderr.
     Output {
         name: &'static str,
         line: String,
     },
-    /// It exited unexpectedly or could not be started. It is restarted after a backoff.
+    /// The process exited unexpectedly or could not be started. It is restarted after a backoff.
     Exited {
         name: &'static str,
         /// Its pid. None if it could not be started.

@@ -10,15 +10,15 @@ const HEALTHY_RUN_NS: u64 = 10_000_000_000;
 /// State of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// It runs.
+    /// The process runs.
     Running { since_ns: u64 },
-    /// It exited unexpectedly and is due to restart.
+    /// The process exited unexpectedly and is due to restart.
     Waiting { until_ns: u64 },
-    /// It was asked to stop.
+    /// The process was asked to stop.
     Stopping { kill_at_ns: u64 },
-    /// It has been killed.
+    /// The process was killed.
     Killed,
-    /// It has exited and is not restarted.
+    /// The process has exited and is not restarted.
     Stopped,
 }
 

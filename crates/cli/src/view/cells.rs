@@ -103,7 +103,7 @@ pub(crate) fn cells(robot: u32, row: &Row, outlook: Option<&Outlook>) -> [String
     ]
 }
 
-/// Why the charge of the robot's battery is unknown, and what to do.
+/// Reason that the charge of the robot's battery is unknown, and the remedy.
 pub(crate) fn lacks_charge(row: &Row) -> Option<&'static str> {
     match row.budget?.flags & (budget_flag::BATTERY | budget_flag::CHARGE) {
         0 => Some(NO_BATTERY),

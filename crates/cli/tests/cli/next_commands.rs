@@ -10,7 +10,7 @@ use joulebus_testkit::{lab_beside, left_behind, says};
 
 use super::fleet::{Exits as _, Program, code, stderr, stdout};
 
-/// Where commands are proposed. Each has a walk in this file.
+/// Files that propose commands. Each has a walk in this file.
 const SITES: [&str; 2] = ["lab/program/src/config_init.rs", "lab/train/src/report.rs"];
 
 #[test]

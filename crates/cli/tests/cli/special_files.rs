@@ -73,8 +73,7 @@ fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) 
     (files, socket)
 }
 
-/// What a verb ends with, whose words in capitals are files: the one that is tried, a capture and a
-/// trial.
+/// Runs a verb, whose words in capitals are files: the one that is tried, a capture and a trial.
 fn called(fleet: &Fleet, verb: &str, [tried, capture, trial]: [&Path; 3]) -> Output {
     let word = |word: &str| match word {
         "X" => tried.to_owned(),

@@ -68,8 +68,8 @@ pub(crate) const PULL: f32 = 65536.0;
 pub struct ErrorCounts<T = i64> {
     /// Numbers of errors in each class.
     pub classes: [[T; CLASSES]; ERRORS],
-    /// How much larger the error of outlooks would be with a larger share of the last reading and
-    /// of the robot's own mean, and the larger square of the two, in 1/65536.
+    /// Growth of the error of outlooks with a larger share of the last reading and of the robot's
+    /// own mean, and the larger square of the two, in 1/65536.
     pub pulls: [[T; PARTS]; SHADOWS],
 }
 

@@ -127,7 +127,8 @@ pub struct Learned {
     pub shadow_mean_w: [f32; SHADOWS],
     /// Factor of the width of the platform's intervals at these horizons.
     pub error_factor: [f32; SHADOWS],
-    /// How far the commands explain this robot's power: 1 as far as the platform's, 0 not at all.
+    /// Share of this robot's power that the commands explain: 1 as much as the platform's, 0
+    /// nothing.
     pub command_trust: f32,
     /// Discounted products of the energy explained by the commands and the energy to be explained.
     pub trust_product: f32,
@@ -572,7 +573,7 @@ pub(crate) fn mixed(shares: &[f32; PARTS], parts_w: &[f32; PARTS]) -> f32 {
     shares[0] * parts_w[0] + shares[1] * parts_w[1] + shares[2] * parts_w[2]
 }
 
-/// How far the newest readings contradict each level, 0 or more: the floor, the load or the robot
+/// Contradiction of each level by the newest readings, 0 or more: the floor, the load or the robot
 /// has changed since. A level of 1 loses half of its weight. The shortest is never contradicted.
 ///
 /// A level is compared with each of the two shortest ones that is shorter. The difference of what

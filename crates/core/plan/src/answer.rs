@@ -88,7 +88,7 @@ pub enum Verdict {
     Unknown(Unknown),
 }
 
-/// Why an answer is unknown.
+/// Reason that an answer is unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]

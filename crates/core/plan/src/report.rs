@@ -32,7 +32,7 @@ pub struct AnswerReport {
     robot: u32,
     platform: String,
     verdict: &'static str,
-    /// Why it is unknown.
+    /// Reason that the verdict is unknown.
     reason: Option<String>,
     duration_s: f32,
     energy: Option<Range>,

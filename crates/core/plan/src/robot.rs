@@ -27,7 +27,7 @@ pub struct Robot<'a> {
     platform: &'a Platform,
     id: u32,
     energy: EnergyState,
-    /// Why its energy is unknown, if it is.
+    /// Reason that the robot's energy is unknown, if it is.
     unknown: Option<Unknown>,
     no_reading: bool,
     outside_training: bool,
@@ -74,7 +74,7 @@ impl<'a> Robot<'a> {
         self.platform
     }
 
-    /// Why its energy is unknown, if it is.
+    /// Reason that the robot's energy is unknown, if it is.
     #[must_use]
     pub const fn unknown(&self) -> Option<Unknown> {
         self.unknown
@@ -374,7 +374,7 @@ pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
     (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
 }
 
-/// Why a robot's energy is unknown, if it is.
+/// Reason that a robot's energy is unknown, if it is.
 fn unknown(
     header: &PlanStateHeader,
     state: &PlanState,

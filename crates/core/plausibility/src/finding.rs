@@ -95,7 +95,7 @@ pub enum Severity {
     Warning,
 }
 
-/// Where readings come from: each has its own remedies.
+/// Origin of readings: each has its own remedies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// A table, an archive or a capture, read by a verb of joulebus.

@@ -24,7 +24,7 @@ const COMMANDED_RADPS: f64 = 0.2;
 /// Measured speeds of a robot at rest.
 const AT_REST_MPS: f64 = 0.01;
 const AT_REST_RADPS: f64 = 0.02;
-/// How long an unchanged command may move nothing, s.
+/// Maximum time that an unchanged command may move nothing, s.
 const MAX_HOLD_S: f64 = 5.0;
 /// Rows of motion that show that the measured speed works.
 const MIN_MOTION: u64 = 20;

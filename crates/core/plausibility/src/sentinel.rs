@@ -6,7 +6,7 @@ use crate::column::Column;
 const MIN_COUNT: u64 = 3;
 /// Other readings that show what is usual.
 const MIN_OTHERS: u64 = 5;
-/// How many times as large as all others such a number is, and as far away from them.
+/// Size of such a number in multiples of all others, and its distance from them.
 const FAR: f64 = 5.0;
 /// The same of a number that is used for it.
 const NAMED_SIZE: f64 = 1.5;

@@ -111,7 +111,7 @@ pub(crate) struct Sign {
     resistance: Line,
     /// The same where current is positive, and where it is negative.
     resistances: [Line; 2],
-    /// How often the sign changes.
+    /// Number of changes of the sign.
     flips: u64,
     /// Voltage over time.
     trend: Line,
@@ -122,7 +122,7 @@ pub(crate) struct Sign {
     soc: Option<(f64, f64)>,
 }
 
-/// Why a sign is wrong.
+/// Evidence that a sign is wrong.
 pub(crate) struct WrongSign {
     pub(crate) severity: Severity,
     pub(crate) readings: u64,
@@ -236,7 +236,7 @@ impl Sign {
         is_turned.then_some((self.current_against_power, self.currents))
     }
 
-    /// How much the voltage changes for each ampere, Ω, if it clearly does and currents are known.
+    /// Change of the voltage for each ampere, Ω, if it is clear and currents are known.
     pub(crate) fn resistance_ohm(&self) -> Option<f64> {
         let correlation = self.resistance.correlation().abs();
         let is_clear = self.resistance.count >= MIN_PAIRS && correlation >= CLEAR_RESISTANCE;

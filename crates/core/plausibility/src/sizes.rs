@@ -6,7 +6,7 @@ const PER_DECADE: f64 = 2.0;
 const BELOW: f64 = 10.0;
 const BUCKETS: usize = 40;
 
-/// How often each order of magnitude occurred. Zeros are not counted.
+/// Histogram of orders of magnitude. Zeros are not counted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sizes {
     counts: [u32; BUCKETS],

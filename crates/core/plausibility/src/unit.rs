@@ -51,7 +51,7 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
-    /// How much the voltage falls for each ampere more, Ω, if it clearly does.
+    /// Fall of the voltage for each ampere more, Ω, if it is clear.
     pub(crate) resistance_ohm: Option<f64>,
     /// Quantities whose unit the source does not state.
     pub(crate) unstated: &'a [bool; 6],

@@ -64,7 +64,7 @@ pub struct TrainingRange {
     pub min: Features,
     /// Maximum of each feature.
     pub max: Features,
-    /// Where the readings lay. `None` in imported models and older files.
+    /// Region of the readings. `None` in imported models and older files.
     pub seen: Option<SeenPower>,
 }
 

@@ -4,8 +4,8 @@ use joulebus_energy::EnergyModelError;
 use safetensors::SafeTensorError;
 use thiserror::Error;
 
-/// Why bytes or parameters are not a model that this build can execute. The caller adds the file
-/// name.
+/// Reason that bytes or parameters are not a model that this build can execute. The caller adds the
+/// file name.
 ///
 /// ```
 /// use joulebus_predictor::{ModelError, Network};

@@ -1,4 +1,4 @@
-//! Where the training data had readings: a coarse map of level and spread of the lags.
+//! Region of the readings in the training data: a coarse map of level and spread of the lags.
 
 use crate::features::{FeatureSet, Features, LAGS};
 

@@ -109,7 +109,7 @@ impl Platform {
 }
 
 impl FleetSettings {
-    /// Why the worker refuses a sample by its values. `None` where they are admitted.
+    /// Reason that the worker refuses a sample by its values. `None` if they are admitted.
     #[must_use]
     pub fn refusal(&self, sample: &Sample) -> Option<RefusedSample> {
         let is_its = |ids: &RangeInclusive<u32>| ids.contains(&sample.robot);

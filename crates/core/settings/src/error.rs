@@ -1,6 +1,6 @@
 //! Errors of the settings check.
 
-/// Why settings were refused.
+/// Reason that settings were refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SettingsError {

@@ -73,7 +73,7 @@ pub struct AlarmSettings {
     pub raise_samples: u16,
     /// Samples in a row that must agree before an alarm is cleared.
     pub clear_samples: u16,
-    /// How far outside the training range a feature may lie, as a share of that range.
+    /// Maximum distance of a feature from the training range, as a share of that range.
     pub training_margin: f32,
 }
 

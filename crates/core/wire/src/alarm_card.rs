@@ -17,7 +17,7 @@ pub struct AlarmCard {
     /// Keys of the configuration that decide when it is raised. `joulebus config explain KEY`
     /// prints their units and ranges.
     pub keys: &'static [&'static str],
-    /// How soon it is raised after its cause, with the shipped settings.
+    /// Time from the cause to the alarm, with the shipped settings.
     pub found_within: &'static str,
 }
 

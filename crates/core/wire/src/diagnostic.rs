@@ -184,7 +184,7 @@ impl Level {
     }
 }
 
-/// Why a robot is not [`Level::Ok`], most important first.
+/// Reason that a robot is not [`Level::Ok`], most important first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Alarm {

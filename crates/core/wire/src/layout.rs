@@ -1,4 +1,4 @@
-//! How a struct of shared memory is declared: once, by [`crate::rows!`].
+//! Declaration of structs of shared memory, once each, by [`crate::rows!`].
 
 use std::fmt::Debug;
 

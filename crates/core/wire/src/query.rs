@@ -249,7 +249,7 @@ rows! {
 /// Words of an [`AnswerRow`].
 pub const ROW_WORDS: usize = size_of::<AnswerRow>() / 8;
 
-/// Why a question was not answered.
+/// Reason that a question was not answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum QueryRefusal {

@@ -1,10 +1,10 @@
-//! Why a sample was not accepted, and why a robot has no forecast.
+//! Reasons that a sample was not accepted, and that a robot has no forecast.
 
 use crate::declare::ZeroCopySend;
 use crate::layout::names;
 use crate::rows;
 
-/// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
+/// Reason that a sample was dropped. Sent = accepted + dropped, summed over all reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DropReason {
@@ -125,7 +125,7 @@ impl DropCounts {
     }
 }
 
-/// Why a robot has no forecast.
+/// Reason that a robot has no forecast.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum InvalidReason {

@@ -151,7 +151,7 @@ impl Sample {
         self.flags & flags == flags
     }
 
-    /// How new the reading is.
+    /// Freshness of the reading.
     #[must_use]
     pub const fn freshness(&self) -> Freshness {
         if !self.has(sample_flag::POWER) {
@@ -164,7 +164,7 @@ impl Sample {
     }
 }
 
-/// How new a reading is.
+/// Freshness of a reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Freshness {
     /// A new measurement.

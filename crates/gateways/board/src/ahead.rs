@@ -1,4 +1,4 @@
-//! How right the outlooks were: shadow forecasts that are compared with the metered energy.
+//! Accuracy of the outlooks: shadow forecasts that are compared with the metered energy.
 //!
 //! One shadow forecast is open at a time for each robot and horizon. It is made from the robot's
 //! outlook, from its last reading, and from its mean power over 5 s. As soon as the ledger has

@@ -59,7 +59,7 @@ pub struct CardRecord {
     pub check: &'static str,
     /// Keys of the configuration that decide when it is raised.
     pub keys: &'static [&'static str],
-    /// How soon it is raised after its cause, with the shipped settings.
+    /// Time from the cause to the alarm, with the shipped settings.
     pub found_within: &'static str,
 }
 

@@ -35,7 +35,7 @@ pub enum Link {
     Stale,
     /// The process is gone without a shutdown.
     Gone,
-    /// It has shut down.
+    /// The worker has shut down.
     Ended,
 }
 

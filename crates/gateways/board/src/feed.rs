@@ -21,7 +21,7 @@ const WAIT_TIMEOUT: Duration = Duration::from_millis(100);
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 
-/// Why the thread of a [`Feed`] does not read, or no longer.
+/// Reason that the thread of a [`Feed`] does not read, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
     /// The fleet cannot be joined.

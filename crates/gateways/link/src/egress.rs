@@ -201,7 +201,7 @@ impl Egress {
         }
     }
 
-    /// What this side adds to the report.
+    /// Contribution of this side to the report.
     pub(crate) fn finish(self) -> Done {
         Done { given: self.records(), refused: self.refused, ..Done::default() }
     }

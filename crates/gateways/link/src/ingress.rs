@@ -160,7 +160,7 @@ impl Ingress {
     }
 }
 
-/// What the streams of an inbox add to the report.
+/// Contribution of an inbox's streams to the report.
 pub(crate) fn finish<'a>(all: impl Iterator<Item = &'a Ingress>, inbox: &Inbox) -> Done {
     let mut taken: Vec<IngressRecord> = all.map(Ingress::record).collect();
     if let Some(first) = taken.first_mut() {

@@ -58,7 +58,7 @@ fn is_host(text: &str, most: usize) -> bool {
     is_whole && text.bytes().all(allowed)
 }
 
-/// What `init` has written, and what to do with it.
+/// Report of `init`: the written files, and the next commands.
 #[derive(Debug, Serialize)]
 struct InitReport {
     folder: PathBuf,

@@ -29,8 +29,8 @@ const MAX_QUEUED_LONGEST: usize = 4;
 /// Timeout of a silent peer, ms. It is shorter than the silence that a link reports, and longer
 /// than usual interruptions of a network.
 const PEER_TIMEOUT_MS: u64 = 1_000;
-/// How long a message waits for room in the transmit queue before it is dropped, µs. A message of
-/// many batches waits ten times as long.
+/// Timeout of a message that waits for room in the transmit queue before it is dropped, µs. A
+/// message of many batches waits ten times as long.
 const SEND_TIMEOUT_US: u64 = 50_000;
 /// Timeout of a client's attempt to reach a router, ms.
 const ROUTER_TIMEOUT_MS: i64 = 1_000;

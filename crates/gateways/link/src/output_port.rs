@@ -219,7 +219,7 @@ impl Runs {
     }
 }
 
-/// Why a frame was not passed on.
+/// Reason that a frame was not passed on.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum PassError {
     #[error("it was sent {ahead_ns} ns from now")]

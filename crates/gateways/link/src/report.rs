@@ -1,4 +1,4 @@
-//! What the threads of a link report at their end.
+//! Final report of a link's threads.
 
 use serde::Serialize;
 

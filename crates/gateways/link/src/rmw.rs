@@ -59,7 +59,7 @@ const SETTINGS: [(&str, &str); 8] = [
     ("timestamping/enabled", "true"),
 ];
 
-/// What the bridge asks for.
+/// Request of the bridge.
 #[derive(Debug, Deserialize)]
 struct Asked {
     node: Node,

@@ -1,4 +1,4 @@
-//! What the threads of a link share.
+//! State that the threads of a link share.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::config::Settings;
 use crate::leadership::Leadership;
 use crate::network::Network;
 
-/// What the threads share.
+/// State that the threads share.
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) config: Config,

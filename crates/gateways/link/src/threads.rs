@@ -18,7 +18,7 @@ use crate::report::Done;
 use crate::shared::Shared;
 use crate::standby::{Candidacy, Rivals};
 
-/// What a link takes on its host before it opens the network.
+/// Resources that a link claims on its host before it opens the network.
 pub(crate) struct HostClaim {
     /// Answers planners' questions on a host without a worker.
     questions: Option<PlanServer>,

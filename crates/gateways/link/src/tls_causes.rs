@@ -1,5 +1,5 @@
-//! Why connections with TLS fail, in words. zenoh tells it in its log alone: on the side that
-//! connects at the level `debug`, and on the side that listens with a hint at open files.
+//! Causes of failed connections with TLS, in words. zenoh logs them only: on the side that connects
+//! at the level `debug`, and on the side that listens with a hint at open files.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use joulebus_program::logging::Overheard;
 use tracing::level_filters::LevelFilter;
 
-/// What zenoh says of TLS and of its attempts to connect.
+/// Messages of zenoh about TLS and its attempts to connect.
 pub(crate) const OVERHEARD: Overheard = Overheard {
     targets: &[
         ("zenoh_link_tls", LevelFilter::WARN),
@@ -81,7 +81,7 @@ fn in_words(message: &str) -> Option<String> {
     Some(format!("{who}: {}", cause.unwrap_or_else(|| error.to_owned())))
 }
 
-/// What an error of rustls means for the files of links.
+/// Meaning of an error of rustls for the files of links.
 fn cause(error: &str) -> Option<String> {
     if let Some((_, found)) = error.split_once("invalid peer certificate: ") {
         let found = found.split(" at /").next().unwrap_or(found);

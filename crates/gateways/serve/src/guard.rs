@@ -46,7 +46,7 @@ struct Shared {
     stop: AtomicBool,
 }
 
-/// Why a connection is refused.
+/// Reason that a connection is refused.
 #[derive(Debug, PartialEq, Eq)]
 enum Refusal {
     /// The request is not HTTP.

@@ -242,7 +242,7 @@ impl NamedConcept for Unwritten {
 }
 
 impl StaticStorageLocked<Description> for Unwritten {
-    /// What could not be written is incomplete, and removed as such.
+    /// Writes the contents. A failed write leaves an incomplete file, which is removed as such.
     fn unlock(self, contents: &[u8]) -> Result<Description, StaticStorageUnlockError> {
         let file = self.file.unlock(contents)?;
         // Replaced meanwhile if this process was stopped before it claimed the file.

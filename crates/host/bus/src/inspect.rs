@@ -23,7 +23,7 @@ use crate::{CapacityReport, Domain, RootError, WorkerLock, WorkerOwner};
 pub struct Inspection {
     /// The root directory, if it exists.
     pub root: Option<RootInfo>,
-    /// Why the root, or the fleet's directory in it, cannot be used, if it cannot.
+    /// Reason that the root, or the fleet's directory in it, cannot be used, if it cannot.
     pub root_error: Option<RootError>,
     /// Nodes known to iceoryx2.
     pub nodes: Vec<NodeInfo>,
@@ -97,7 +97,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     })
 }
 
-/// Why an existing directory cannot be used.
+/// Reason that an existing directory cannot be used.
 fn directory_error(domain: &Domain) -> Option<RootError> {
     check_private(domain.root())
         .and_then(|()| crate::directory::check(domain).map(drop))

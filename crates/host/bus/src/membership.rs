@@ -157,7 +157,7 @@ impl JoinError {
     }
 }
 
-/// Why a process could not join.
+/// Reason that a process could not join.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JoinError {

@@ -96,7 +96,7 @@ pub enum RootError {
         /// Expected contents.
         wanted: String,
     },
-    /// It is a mount point.
+    /// The path is a mount point.
     #[error(
         "{path:?} is a mount point, which joulebus did not make. Unmount it, or set another \
             `domain.root`"

@@ -48,12 +48,12 @@ use crate::preflight::check_memory;
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 thread_local! {
-    /// What was lacking in this thread's last failed attempt.
+    /// Shortage of this thread's last failed attempt.
     static SHORTAGE: Cell<Option<CapacityError>> = const { Cell::new(None) };
 }
 
-/// Why this thread could not create an object since the last call, if memory was lacking: the
-/// errors of iceoryx2 do not state it.
+/// Takes the shortage of memory for which this thread could not create an object since the last
+/// call. The errors of iceoryx2 do not state it.
 pub(crate) fn take_shortage() -> Option<CapacityError> {
     SHORTAGE.take()
 }

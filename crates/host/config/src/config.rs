@@ -17,7 +17,7 @@ use crate::template::Assignment;
 use crate::values::Values;
 use crate::{cpus, files, show, table};
 
-/// Where the energy ledger and the batteries are saved.
+/// File in which the energy ledger and the batteries are saved.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Checkpoint {
     /// Nowhere.
@@ -56,7 +56,7 @@ impl Threads {
     }
 }
 
-/// How recordings of a platform are read, as text of the options.
+/// Options for reading recordings of a platform, as text.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RecordingOptions {
     /// Names of columns, as `--map` takes them.
@@ -230,8 +230,8 @@ impl Config {
         self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
     }
 
-    /// How recordings of a platform of [`Config::settings`] are read. No option is set if the
-    /// config does not say, or if there is no such platform.
+    /// Options for reading recordings of a platform of [`Config::settings`]. No option is set if
+    /// the config has none, or if there is no such platform.
     #[must_use]
     pub fn recordings(&self, platform: usize) -> RecordingOptions {
         self.recordings.get(platform).cloned().unwrap_or_default()
@@ -255,7 +255,7 @@ impl Config {
         self.worker_stale_after_ns
     }
 
-    /// Where the energy ledger and the batteries are saved.
+    /// File in which the energy ledger and the batteries are saved.
     #[must_use]
     pub const fn checkpoint(&self) -> &Checkpoint {
         &self.checkpoint

@@ -12,7 +12,7 @@ pub const HEAD_BYTES: u64 = 512;
 pub struct Foreign {
     /// The kind of file, as in "found …".
     pub what: &'static str,
-    /// How it becomes a file that is read.
+    /// Conversion to a file that is read.
     pub remedy: &'static str,
 }
 
@@ -32,7 +32,7 @@ impl fmt::Display for Foreign {
     }
 }
 
-/// Where a file has which bytes, what it is, and how it is converted. The first one applies.
+/// Offset and bytes that identify a file, its kind, and its conversion. The first one applies.
 type Kind = (usize, &'static [u8], &'static str, &'static str);
 
 /// A file that captures and bags may be.

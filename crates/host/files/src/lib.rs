@@ -52,13 +52,13 @@ pub use whole::{check_kind, create, replace};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refused {
-    /// It is not a regular file.
+    /// The path is not a regular file.
     #[error("is {found}, allowed are regular files")]
     Kind {
         /// Its kind.
         found: &'static str,
     },
-    /// It would replace a file that no program of joulebus has written.
+    /// The path has a file that no program of joulebus has written.
     #[error(
         "begins with {found:?}, which is not what would be written there, and is not overwritten. \
             Move it away, or name \
@@ -68,7 +68,7 @@ pub enum Refused {
         /// Its first bytes.
         found: String,
     },
-    /// It is longer than the limit.
+    /// The file is longer than the limit.
     #[error("has {found} bytes, allowed are {allowed}")]
     TooLong {
         /// Length of the file, at least, bytes.

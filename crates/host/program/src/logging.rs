@@ -18,7 +18,7 @@ const VARIABLE: &str = "JOULEBUS_LOG";
 /// Target of the robots' alarms, which are logged at any verbosity.
 pub const ALARMS: &str = "joulebus::alarms";
 
-/// How a line of the log is written.
+/// Form of a line of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
     /// Text

@@ -26,7 +26,7 @@ pub enum Fate {
     Sent,
     /// There was no reader.
     Unheard,
-    /// It could not be sent.
+    /// The frame could not be sent.
     Failed,
 }
 

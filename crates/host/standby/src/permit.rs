@@ -102,7 +102,7 @@ fn parse(text: &str) -> Option<(&str, Permit)> {
     Some((boot, permit))
 }
 
-/// Why a permit could not be read or written.
+/// Reason that a permit could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PermitError {

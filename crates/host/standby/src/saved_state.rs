@@ -116,7 +116,7 @@ fn boot_bytes() -> io::Result<[u8; MAX_BOOT_ID_BYTES]> {
     Ok(boot)
 }
 
-/// Why a state could not be read or written.
+/// Reason that a state could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SavedStateError {

@@ -16,7 +16,7 @@ const MAX_DIGITS: usize = 9;
 /// Bytes of magic and version.
 const VERSION_END: usize = 8;
 
-/// Why a header could not be read.
+/// Reason that a header could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HeaderError {

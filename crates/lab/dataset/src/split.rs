@@ -158,7 +158,7 @@ pub struct SplitSummary {
     pub name: String,
 }
 
-/// Why a split is not possible.
+/// Reason that a split is not possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SplitError {

@@ -208,7 +208,7 @@ impl Trial {
         self.is_part
     }
 
-    /// Where it begins, if there another recording was appended to its file.
+    /// Position of another recording that was appended to its file, if any.
     pub(crate) const fn appended(&self) -> Option<Appended> {
         self.appended
     }

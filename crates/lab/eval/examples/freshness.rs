@@ -86,7 +86,7 @@ fn options() -> std::result::Result<Options, Box<dyn Error>> {
     Ok(options)
 }
 
-/// How a real recording is presented.
+/// Presentation of a real recording.
 #[derive(Clone, Copy)]
 enum Shown {
     /// The recorded stamps. A reading equal to the last one counts as held.

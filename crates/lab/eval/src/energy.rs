@@ -172,7 +172,7 @@ fn observe(
     state.bounds = platform.platform().plans.scaled(&state.learned.error_factor);
 }
 
-/// How intervals fit the measured energies: means over the forecasts that have one, NaN without.
+/// Fit of intervals to the measured energies: means over the forecasts that have one, NaN without.
 struct Intervals {
     coverage: f64,
     /// Share below the upper end.

@@ -26,14 +26,14 @@ pub struct EvalPart {
     portions: Vec<Portion>,
 }
 
-/// Why parts cannot be read or merged.
+/// Reason that parts cannot be read or merged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PartError {
     /// No part was given.
     #[error("found no part to merge. Name the files that `joulebus eval --partition` wrote")]
     None,
-    /// It is another kind of file.
+    /// The file is of another kind.
     #[error(
         "{name}: is no part of an evaluation, allowed are files that `joulebus eval --partition` \
             wrote"

@@ -4,7 +4,7 @@ use joulebus_config::ConfigError;
 use joulebus_models::ModelsError;
 use joulebus_plan::{AskError, Differs, PathError};
 
-/// Why a mission could not be run.
+/// Reason that a mission could not be run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MissionError {

@@ -134,7 +134,7 @@ impl Checkpoint {
         }
     }
 
-    /// Why there is no network.
+    /// Reason that there is no network.
     fn no_network(&self) -> FindError {
         match any_widths(&self.entries) {
             Some(widths) if !fits(&widths) => {

@@ -69,7 +69,7 @@ impl ColumnArguments {
         options
     }
 
-    /// How a platform's recordings are read: what is not given is as in the config.
+    /// Rules for reading a platform's recordings. Options that are not given are as in the config.
     ///
     /// # Errors
     /// The config states what no option allows.
@@ -115,7 +115,7 @@ impl ColumnArguments {
         columns.join(",")
     }
 
-    /// How recordings are read: the names and the sign given.
+    /// Rules for reading recordings: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
         let turned = self.current == Some(Sign::DischargeNegative);
         let map = ColumnMap::from(self.map.clone());

@@ -40,7 +40,7 @@ pub(crate) enum BagError {
         /// The operating system's error.
         source: std::io::Error,
     },
-    /// It is no SQLite file.
+    /// The file is no SQLite database.
     #[error("{path:?} is no SQLite file: it begins with {found:02x?}")]
     Kind {
         /// The file.

@@ -25,7 +25,7 @@ struct Written {
     is_imported: bool,
 }
 
-/// Why a part of a bag is not in the result.
+/// Reason that a part of a bag is not in the result.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct LeftOut {
     /// `topics` or `messages`.

@@ -52,11 +52,11 @@ impl Default for Barrier {
 pub struct Allowed {
     /// The velocity of each robot.
     pub velocities: Vec<Vector>,
-    /// How they were found.
+    /// Method that found them.
     pub answer: Answer,
 }
 
-/// How the allowed velocities were found.
+/// Method that found the allowed velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// All desired velocities are allowed.

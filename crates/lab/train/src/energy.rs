@@ -91,7 +91,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
     model.check().is_ok().then_some(model)
 }
 
-/// How levels are turned into forecasts.
+/// Parameters that turn levels into forecasts.
 #[derive(Clone, Copy)]
 struct With {
     prior_s: [f64; LEVELS],

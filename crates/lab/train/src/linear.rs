@@ -143,7 +143,7 @@ pub enum LinearError {
     },
 }
 
-/// Why a feature has no coefficient.
+/// Reason that a feature has no coefficient.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]

@@ -16,7 +16,7 @@ pub struct Recipe {
     pub split: Split,
 }
 
-/// Why a recipe is refused, with its position.
+/// Reason that a recipe is refused, with its position.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct RecipeError(String);

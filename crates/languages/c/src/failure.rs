@@ -9,7 +9,7 @@ use std::ptr;
 
 use crate::abi::types::joulebus_error;
 
-/// Why a call failed.
+/// Reason that a call failed.
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(crate) code: joulebus_error,

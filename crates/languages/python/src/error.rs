@@ -46,7 +46,7 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     }
 }
 
-/// Why reading failed. For a frame of another version also what to install.
+/// Reason that reading failed. For a frame of another version also the version to install.
 pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(

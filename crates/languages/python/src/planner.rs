@@ -53,7 +53,7 @@ enum Told {
     Closed,
 }
 
-/// Where a frame lies that the thread keeps, and under which number.
+/// Address and number of a frame that the thread keeps.
 #[derive(Debug)]
 struct Memory {
     number: u64,

@@ -229,8 +229,8 @@ const fn name(column: Column) -> &'static str {
     }
 }
 
-/// How recordings are read: columns of CSV files as `quantity=column`, the sign of the current, and
-/// findings that are accepted.
+/// Options for reading recordings: columns of CSV files as `quantity=column`, the sign of the
+/// current, and findings that are accepted.
 pub(crate) type Given = (Vec<String>, Option<String>, Vec<String>);
 
 /// The same, understood.

@@ -97,7 +97,7 @@ impl Job {
         now_ns.saturating_sub(self.taken_ns) >= patience_ns
     }
 
-    /// Why it is not worth answering any more, if so.
+    /// Reason that the question is not worth answering any more, if so.
     pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
         let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
         if now_ns >= self.header.deadline_ns.min(limit_ns) {

@@ -10,7 +10,7 @@ use joulebus_statistics::noise::Noise;
 use crate::current::{current, set_current};
 use crate::{memory, time};
 
-/// Why the code of a process unwinds: it was killed.
+/// Panic payload that unwinds the code of a killed process.
 #[derive(Debug, Clone, Copy)]
 pub struct Killed;
 

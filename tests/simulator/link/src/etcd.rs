@@ -16,12 +16,12 @@ const MAX_DELAY_NS: usize = 3_000_000;
 #[derive(Debug, Clone, Default)]
 pub struct SharedStore(Arc<Mutex<Store>>);
 
-/// How this host reaches the store.
+/// Behaviour of the store towards this host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// It answers; a reply in so many is lost.
+    /// The store answers, but one reply in so many is lost.
     Lossy(usize),
-    /// It does not, although every other call arrives.
+    /// The store does not answer, although every other call arrives.
     Silent,
     /// No call arrives.
     Cut,

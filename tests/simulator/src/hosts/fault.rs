@@ -44,7 +44,7 @@ pub(super) enum Fault {
     PowerLoss(u64),
     /// This host and another do not reach each other, for a time.
     Cut(usize, u64),
-    /// It reaches the store so, for a time.
+    /// The store behaves so towards this host, for a time.
     Store(Access, u64),
     /// Messages of all hosts are lost and repeated (per mille), and take up to so long, for a time.
     Weather([usize; 2], u64, u64),

@@ -31,7 +31,7 @@ const LEAST_DELAY_NS: u64 = MS;
 /// Time without faults after which everything works again. A term is remembered for two minutes
 /// after the store has lost it, but the store loses nothing here.
 const SETTLE_NS: u64 = 60 * SECOND;
-/// How long that is watched.
+/// Time for which the settled hosts are watched.
 const WATCH_NS: u64 = 10 * SECOND;
 /// Time after which a link notices that a peer is out of reach.
 const PEER_TIMEOUT_NS: u64 = SECOND;
@@ -330,7 +330,7 @@ impl World {
         Ok(())
     }
 
-    /// What has happened on the host `at`.
+    /// Takes the report of the host `at`.
     fn takes(&mut self, at: usize, report: Report) -> Checked {
         self.hosts[at].due_ns = report.due_ns;
         self.taken[at] += report.samples;

@@ -26,6 +26,6 @@ pub struct Outcome {
     pub grown: Grown,
     /// The first invariant that did not hold.
     pub failure: Option<Failure>,
-    /// It was stopped before its end: it says nothing.
+    /// The run was stopped before its end, so it has no verdict.
     pub is_stopped: bool,
 }

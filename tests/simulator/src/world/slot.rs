@@ -43,7 +43,7 @@ pub(super) struct Slot {
     pub(super) looked_ns: u64,
     /// A planner: it was told not to rely on the newest frame.
     pub(super) is_warned: bool,
-    /// Why it did not start, or ended, the last time.
+    /// Reason that it did not start, or ended, the last time.
     pub(super) last: String,
 }
 

@@ -461,8 +461,8 @@ fn undisturbed(arena: &Arena, setup: &Setup, beside: &Beside, stop: &AtomicBool)
     frames
 }
 
-/// What a planner was told: runs and their ticks only grow, and each change of run is announced.
-/// Returns the number of runs.
+/// Checks the output of a planner: runs and their ticks only grow, and each change of run is
+/// announced. Returns the number of runs.
 fn assert_in_order(planner: &mut Planner) -> u64 {
     let (mut last, mut runs) = (None, 0);
     for line in planner.seen() {

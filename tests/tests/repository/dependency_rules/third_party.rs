@@ -1,4 +1,5 @@
-//! How many crates of others each program and each library of the SDK, in any language, compiles.
+//! Number of third-party crates that each program and each library of the SDK, in any language,
+//! compiles.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -6,7 +6,7 @@ use crate::scan::ScanError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// It is not an MCAP file, or cannot be read.
+    /// The file is not MCAP, or cannot be read.
     #[error(transparent)]
     Scan(#[from] ScanError),
     /// A topic of the mapping is missing, or unusable.

@@ -502,7 +502,7 @@ fn share(percentage: f64, is_percent: bool) -> f64 {
     if SOC.contains(&share) { share } else { f64::NAN }
 }
 
-/// How the clock of readings, and that of another topic, differ.
+/// Difference between the clock of readings and that of another topic, in words.
 fn apart((offset_s, drift_s): (f64, f64), name: &str, other: StampState) -> String {
     let (size_s, side) = match offset_s < 0.0 {
         true => (-offset_s, "ahead of"),

@@ -133,7 +133,7 @@ impl Default for Mapping {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MappingError {
-    /// It is not a valid mapping in TOML.
+    /// The text is not a valid mapping in TOML.
     #[error("{0}")]
     Toml(String),
     /// A number out of range.

@@ -48,7 +48,7 @@ fn is_same<T: Pod>(rows: &[T], others: &[T]) -> bool {
     bytemuck::cast_slice::<T, u8>(rows) == bytemuck::cast_slice::<T, u8>(others)
 }
 
-/// How the frames of a channel are encoded.
+/// Encoding of the frames of a channel.
 #[derive(Debug)]
 struct FrameTable {
     header: Table,

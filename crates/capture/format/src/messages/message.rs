@@ -192,7 +192,7 @@ pub(super) fn read<T: bytemuck::Pod>(bytes: &[u8]) -> T {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// It has more rows than a fleet may have robots.
+    /// The message has more rows than a fleet may have robots.
     #[error("{found} rows, allowed are {MAX_ROWS}, more than the robots of any fleet")]
     TooManyRows {
         /// Its rows.

@@ -24,7 +24,7 @@ pub struct Query {
     pub rows: Vec<AnswerRow>,
     /// Power of every step, W, if asked for.
     pub power_w: Vec<f32>,
-    /// Why it was refused.
+    /// Reason for a refusal.
     pub text: String,
 }
 
@@ -188,7 +188,7 @@ impl Content for Query {
     }
 }
 
-/// How questions and answers are encoded.
+/// Encodings of questions and answers.
 struct Tables {
     record: Table,
     question: Table,

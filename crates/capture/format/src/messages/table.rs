@@ -1,5 +1,4 @@
-//! How a struct of shared memory and a message of protobuf correspond: by the names of their
-//! fields.
+//! Correspondence of a struct of shared memory and a message of protobuf, by the names of fields.
 //!
 //! | in shared memory | in protobuf |
 //! |---|---|
@@ -16,7 +15,7 @@ use prost_types::{DescriptorProto, FieldDescriptorProto};
 
 /// Bytes of the longest varint.
 pub(super) const MAX_VARINT: usize = 10;
-/// How the contents of a field are encoded.
+/// Encoding of the contents of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Wire {
     Varint,
@@ -65,7 +64,7 @@ pub(super) struct Field {
     pub(super) form: Form,
 }
 
-/// How a field is encoded.
+/// Encoding of a field.
 #[derive(Debug)]
 pub(super) enum Form {
     /// A number, which is not written if it is 0.
@@ -292,7 +291,7 @@ impl Form {
     }
 }
 
-/// How a field of shared memory is encoded as a field of a message. None if it cannot be.
+/// Encoding of a field of shared memory as a field of a message. None if there is none.
 fn form(
     memory: &FieldLayout,
     field: &FieldDescriptorProto,

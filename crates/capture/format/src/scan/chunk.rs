@@ -205,8 +205,8 @@ impl<R: Read + Seek> Chunk<R> {
         ScanError::ChunkHeader { place, detail }
     }
 
-    /// Where to continue after an error. The records of an uncompressed chunk can be searched.
-    /// Compressed data is skipped, as far as its length is plausible.
+    /// Position to continue at after an error. The records of an uncompressed chunk can be
+    /// searched. Compressed data is skipped, as far as its length is plausible.
     pub(super) fn failure(&self) -> Failure {
         let end = self.frame.offset.saturating_add(self.frame.bytes);
         match &self.body {

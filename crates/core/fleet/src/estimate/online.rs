@@ -90,7 +90,7 @@ const LOSS_SCEPTIC_POWER_ONLY: f32 = 6.0;
 /// and without a new measurement due, in r². The last reading's is then 0.
 const LOSS_UNLIKE: f32 = 20.0;
 const LOSS_UNLIKE_HELD: f32 = 40.0;
-/// How far the mean power may lie outside the training range, in the model's own error, and its
+/// Maximum distance of the mean power from the training range, in the model's own error, and its
 /// least share of that error.
 const MAX_OUTSIDE: f32 = 0.5;
 const MIN_SHARE: f32 = 0.125;
@@ -117,7 +117,7 @@ pub(crate) struct Members {
     most_w: f32,
     /// Initial loss of the sceptical stack, in r².
     sceptic_loss: f32,
-    /// Where the readings of the training lay, if the model file says so.
+    /// Readings of the training, if the model file has them.
     seen: Option<SeenPower>,
 }
 

@@ -28,7 +28,7 @@ pub(crate) struct AdmissionState {
     pub taken: u16,
     /// Number of consecutive samples refused for their contents.
     pub refused_run: u16,
-    /// Why the last sample was refused, if it was.
+    /// Reason that the last sample was refused, if it was.
     #[serde(with = "invalid_reason")]
     pub invalid: Option<InvalidReason>,
     /// Whether the slot is in use.

@@ -22,7 +22,7 @@ const FALLS: f64 = 2.0;
 const AGREES: (f64, f64) = (2.0, 0.02);
 /// Steps, and standard deviations beyond them, that the charge may change under an unchanged value.
 const STUCK: (f64, f64) = (3.0, 1.0);
-/// How long contradicting values must agree: after an interruption, and otherwise, ns.
+/// Time for which contradicting values must agree: after an interruption, and otherwise, ns.
 const AFTER_GAP_NS: u64 = 10_000_000_000;
 const LASTS_NS: u64 = 60_000_000_000;
 

@@ -113,7 +113,7 @@ pub enum StateError {
         /// Hash of this fleet's.
         expected: u64,
     },
-    /// It is inconsistent.
+    /// The snapshot is inconsistent.
     #[error("the state contradicts itself: {what} is {found}, allowed is {allowed}")]
     Corrupt {
         /// The inconsistent quantity.

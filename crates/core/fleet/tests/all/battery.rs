@@ -132,7 +132,7 @@ impl Bench {
         self.budget()
     }
 
-    /// How far the best estimate is from the truth.
+    /// Distance of the best estimate from the truth.
     fn off(&self, shown: &Budget) -> f64 {
         (f64::from(shown.soc) - self.truth.soc).abs()
     }

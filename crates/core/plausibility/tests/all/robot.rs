@@ -37,7 +37,7 @@ pub(crate) struct Recording {
     pub(crate) gaps: f64,
     /// Share of the driving rows on which energy is fed back.
     pub(crate) regenerates: f64,
-    /// It stands on a charger.
+    /// The robot stands on a charger.
     pub(crate) charger: bool,
     pub(crate) velocities: bool,
     pub(crate) battery: bool,

@@ -22,7 +22,7 @@ pub(crate) struct TlsSettings {
     identity: Option<(PathBuf, PathBuf)>,
 }
 
-/// Why a file is refused.
+/// Reason that a file is refused.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TlsError {
     #[error("cannot be read: {0}")]

@@ -16,7 +16,7 @@ const MANY_MESSAGES: u32 = 20;
 /// Maximum length of a kept name, letters.
 const MAX_LETTERS: usize = 80;
 
-/// Why a message, or a value in it, was not mapped.
+/// Reason that a message, or a value in it, was not mapped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Reason {
     /// Longer than `max_payload_bytes`, or than 64 KiB in ROS 2.
@@ -121,7 +121,7 @@ pub(crate) struct UnmappedRecord {
     pub(crate) route: String,
     /// The reason's name.
     pub(crate) reason: &'static str,
-    /// How often.
+    /// Number of occurrences.
     pub(crate) count: u64,
     /// The first robots, topics or fields concerned.
     pub(crate) names: Vec<String>,

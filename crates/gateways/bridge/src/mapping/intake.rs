@@ -26,7 +26,7 @@ use joulebus_settings::ChargeReading;
 use crate::mapping::fields::SOC;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
 
-/// How long an observed value holds, ns.
+/// Times for which observed values hold, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Holds {
     pub(crate) command_ns: u64,

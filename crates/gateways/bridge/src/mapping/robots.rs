@@ -8,7 +8,7 @@ const MAX_BYTES: usize = 128;
 /// Maximum number of robots in a range.
 const MAX_RANGE: u32 = 100_000;
 
-/// Why a line of `[robots]` is refused.
+/// Reason that a line of `[robots]` is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum RobotsError {
     #[error("is no name: 1 to {MAX_BYTES} bytes without / + # and control characters")]

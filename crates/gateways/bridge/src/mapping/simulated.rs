@@ -19,8 +19,8 @@ const MISSED_NS: u64 = 5_000_000_000;
 const RATE_NS: u64 = 5_000_000_000;
 /// Factor by which the rate differs from the one that was told, before it is told again.
 const OTHER_RATE: f64 = 1.5;
-/// How far a message's stamp may lie from the clock. In a fast simulation, clock and message come
-/// far apart.
+/// Maximum distance of a message's stamp from the clock. In a fast simulation, clock and message
+/// come far apart.
 const NEAR_NS: u64 = 10_000_000_000;
 
 /// Limits of the fleet's settings on a simulated clock.
@@ -50,7 +50,7 @@ impl Allowed {
     }
 }
 
-/// How the clock runs.
+/// State of the clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ClockState {
     /// No message has come.

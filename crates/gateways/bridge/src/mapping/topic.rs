@@ -5,7 +5,7 @@ const MAX_BYTES: usize = 512;
 /// The placeholder of a robot's name.
 pub(crate) const ROBOT: &str = "{robot}";
 
-/// Why a pattern is refused.
+/// Reason that a pattern is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum TopicError {
     #[error("has {found} bytes, allowed are 1 to {MAX_BYTES}")]

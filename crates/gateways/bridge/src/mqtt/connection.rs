@@ -40,7 +40,7 @@ const DISCONNECT: [u8; 2] = [0xe0, 0];
 /// The first byte of an alert of TLS. No packet of a broker begins with it.
 const TLS_ALERT: u8 = 0x15;
 
-/// Why there is no connection.
+/// Reason that there is no connection.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Lost {
     #[error(transparent)]

@@ -43,7 +43,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Timeout of the disconnection.
 const DISCONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Why the connection was given up: what is wrong at the start stays wrong.
+/// Reason that the connection was given up: what is wrong at the start stays wrong.
 #[derive(Debug, thiserror::Error)]
 #[error("no connection to the broker {broker}: {why}")]
 pub(crate) struct MqttError {

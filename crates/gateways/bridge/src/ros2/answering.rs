@@ -112,7 +112,7 @@ impl Answering {
     }
 }
 
-/// Why a request has no answer.
+/// Reason that a request has no answer.
 struct Refusal {
     text: String,
     /// Whether the worker refused it, so that its client is as good as before.

@@ -18,7 +18,7 @@ pub(crate) const CLOCK_TOPIC: &str = "/clock";
 /// Delay until a stop is noticed.
 pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Why ROS 2 could not be joined, or was left.
+/// Reason that ROS 2 could not be joined, or was left.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Ros2Error {
     #[error(
@@ -44,7 +44,7 @@ pub(crate) struct Reading {
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) robots: Robots,
     pub(crate) shared: Arc<Shared>,
-    /// Where requests of services go.
+    /// Queue of requests of services.
     pub(crate) requests: SyncSender<Asked>,
 }
 

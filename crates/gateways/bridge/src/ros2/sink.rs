@@ -93,7 +93,7 @@ impl RosSink {
         !self.topics.is_empty()
     }
 
-    /// How the clock of samples runs, and the present on it.
+    /// State of the clock of samples, and the present on it.
     fn sample_times(&self, times: Times) -> (ClockState, Times) {
         let Some(clock) = self.shared.simulated() else { return (ClockState::Runs, times) };
         let (now_ns, now_unix_ns) = clock.now_ns().unwrap_or_default();

@@ -7,7 +7,7 @@ use joulebus_config::{Section, Text};
 use crate::config::check::Check;
 use crate::config::network::is_loopback;
 
-/// How to reach etcd.
+/// Settings of the connection to etcd.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct LeaseSettings {
     /// `http://host:port` or `https://host:port`.

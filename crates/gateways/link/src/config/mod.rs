@@ -48,7 +48,7 @@ pub(crate) struct Standby {
     pub(crate) lease: Option<LeaseSettings>,
 }
 
-/// What runs on this host.
+/// Role of the link on this host.
 #[derive(Debug, Clone)]
 pub(crate) enum Side {
     /// A worker, with the hosts whose samples it takes.

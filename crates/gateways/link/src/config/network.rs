@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::config::check::Check;
 
-/// How to reach other hosts.
+/// Settings of the network to other hosts.
 #[derive(Debug, Clone)]
 pub(crate) struct NetworkSettings {
     pub(crate) mode: Mode,

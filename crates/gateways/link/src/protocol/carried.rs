@@ -145,7 +145,7 @@ pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
     state.max(max_message_bytes(capacity))
 }
 
-/// What a stream carries. It is a part of the keys, so that access rules can distinguish the
+/// Contents of a stream. They are a part of the keys, so that access rules can distinguish the
 /// streams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
@@ -237,7 +237,7 @@ impl<'a> RawFrame<'a> {
     }
 }
 
-/// Why bytes are not a frame.
+/// Reason that bytes are not a frame.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub(crate) enum FrameError {
     #[error("a frame of {found} elements, allowed are {allowed} (`fleet.capacity`)")]

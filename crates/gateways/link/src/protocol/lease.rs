@@ -88,7 +88,7 @@ pub(crate) enum Reply {
     Failed,
 }
 
-/// What to do next.
+/// Next step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Next {
     Call(Call),
@@ -190,7 +190,7 @@ impl Candidate {
         self.view.holder.as_ref()
     }
 
-    /// What to do at `now_ns`.
+    /// Next step at `now_ns`.
     pub(crate) fn next(&mut self, now_ns: u64) -> Next {
         if self.is_over(now_ns) {
             self.ends();

@@ -95,11 +95,11 @@ pub(crate) enum Worker {
     /// The link has not seen the worker yet, or its host has none and sends samples.
     #[default]
     Unknown,
-    /// It sends.
+    /// The worker sends.
     Alive,
-    /// It has stopped sending.
+    /// The worker has stopped sending.
     Stale,
-    /// It has ended.
+    /// The worker has ended.
     Gone,
 }
 
@@ -365,7 +365,7 @@ fn split<T: Pod>(bytes: &[u8]) -> Result<(T, &[u8]), MessageError> {
     Ok((pod_read_unaligned(head), rest))
 }
 
-/// Why a message was refused.
+/// Reason that a message was refused.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub(crate) enum MessageError {
     #[error("it is not a message of a link")]

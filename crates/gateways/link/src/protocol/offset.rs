@@ -33,9 +33,9 @@ const MAX_TRIP_NS: u64 = STEADY_NS;
 /// reading error of the clocks.
 const REALTIME_MARGIN_NS: i128 = 2 * READ_NS as i128;
 const REALTIME_MAX_BELOW_NS: i128 = 3 * REALTIME_MARGIN_NS;
-/// How long bounds by realtime clocks count after their message.
+/// Time for which bounds by realtime clocks count after their message.
 const REALTIME_TIMEOUT_NS: u64 = 1_000_000_000;
-/// How long realtime clocks are not used after they contradicted round trips.
+/// Time for which realtime clocks are not used after they contradicted round trips.
 const DISTRUST_NS: u64 = 60_000_000_000;
 
 /// Upper bound of the drift between two clocks within a time, ns.

@@ -60,14 +60,14 @@ pub(crate) struct Accepted<'a> {
     pub(crate) term: u64,
 }
 
-/// Why a message was not used. Counted in [`Received`].
+/// Reason that a message was not used. Counted in [`Received`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unused {
-    /// It has only the status, no frame.
+    /// The message has only the status, no frame.
     Status,
-    /// It arrived before, or a later one did.
+    /// The message arrived before, or a later one did.
     Repeated,
-    /// It belongs to another run than the present one.
+    /// The message belongs to another run than the present one.
     OtherRun,
     /// Its time is in the future.
     Future,

@@ -28,7 +28,7 @@ pub(crate) struct Topic {
     pub(crate) kept: usize,
 }
 
-/// What an endpoint does.
+/// Role of an endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Endpoint {
     Publisher,
@@ -136,8 +136,8 @@ impl<T: Clone> History<T> {
     }
 }
 
-/// What each message carries: its number, the time at which it was sent, and the publisher's id,
-/// the hash of its token.
+/// Encodes the attachment of a message: its number, the time at which it was sent, and the
+/// publisher's id, the hash of its token.
 pub(crate) fn attachment(number: i64, unix_ns: i64, publisher: u128) -> [u8; ATTACHMENT_BYTES] {
     let mut bytes = [0; ATTACHMENT_BYTES];
     bytes[..8].copy_from_slice(&number.to_le_bytes());
@@ -147,8 +147,8 @@ pub(crate) fn attachment(number: i64, unix_ns: i64, publisher: u128) -> [u8; ATT
     bytes
 }
 
-/// What a response carries: the number and the id of its request, and the time at which it is sent.
-/// `None` if the request carries anything else.
+/// Encodes the attachment of a response: the number and the id of its request, and the time at
+/// which it is sent. `None` if the request has no such attachment.
 pub(crate) fn response(request: &[u8], unix_ns: i64) -> Option<[u8; ATTACHMENT_BYTES]> {
     let mut bytes: [u8; ATTACHMENT_BYTES] = request.try_into().ok()?;
     bytes[8..16].copy_from_slice(&unix_ns.to_le_bytes());

@@ -77,7 +77,7 @@ impl Way {
 #[derive(Default)]
 struct Clocks {
     within_ns: u64,
-    /// How far the sender's clock is ahead of the receiver's.
+    /// Advance of the sender's clock over the receiver's.
     apart_ns: i64,
     /// The kernels report the clocks as synchronised.
     is_synchronised: bool,

@@ -38,7 +38,7 @@ pub(crate) struct Frame {
     pub(crate) rows: Vec<Row>,
 }
 
-/// What a planner has read.
+/// Output of a planner.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) enum Seen {
     Frame(Frame),

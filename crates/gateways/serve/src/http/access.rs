@@ -24,7 +24,7 @@ pub(super) fn cookie_name(fleet: &str) -> String {
     format!("joulebus_token_{fleet}")
 }
 
-/// Why a token file is not used.
+/// Reason that a token file is not used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TokenError {
     #[error("token file {}: {error}", path.display())]

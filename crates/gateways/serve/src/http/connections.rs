@@ -194,7 +194,7 @@ impl HttpBody for Marked {
     }
 }
 
-/// How much a client must take, and by when.
+/// Bytes that a client must take, and the deadline.
 #[derive(Debug, Default)]
 struct Due {
     /// Bytes that it has taken.

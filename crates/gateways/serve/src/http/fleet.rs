@@ -41,7 +41,7 @@ pub(super) struct WorkerRecord {
     pub(super) state: &'static str,
     /// Time since the newest frame was sent, s.
     age_s: Option<f64>,
-    /// Why it is not alive.
+    /// Reason that the worker is not alive.
     pub(super) reason: Option<String>,
     pid: Option<u32>,
     epoch: Option<u64>,

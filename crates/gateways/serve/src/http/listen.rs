@@ -21,7 +21,7 @@ const SOCKET_MODE: u32 = 0o660;
 const WAITING: i32 = 128;
 /// Contents of the lock file. They distinguish it from other files of that name.
 const MARKER: &[u8] = b"the lock of a socket of joulebus\n";
-/// Why a path cannot be had.
+/// Reason that a path cannot be had.
 const ANOTHER: &str = "another server does. End it, or name another file";
 
 /// The client of a request, as far as it is known.

@@ -78,7 +78,7 @@ fn tag(bytes: &[u8]) -> String {
     format!("\"{digits}\"")
 }
 
-/// How to get in.
+/// The page that states how to get in.
 pub(super) fn closed() -> Response {
     let mut response = typed(HTML, Body::from(CLOSED));
     *response.status_mut() = StatusCode::UNAUTHORIZED;

@@ -11,7 +11,7 @@ const PATIENCE_NS: u64 = 3_000_000_000;
 /// less.
 const LEAVE_AFTER_NS: u64 = 10_000_000_000;
 
-/// Why there are no rows.
+/// Reason that there are no rows.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum RowsError {
     #[error("no frame of the worker within 3 s: see `joulebus doctor`")]

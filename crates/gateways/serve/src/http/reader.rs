@@ -51,7 +51,7 @@ pub(super) enum Ask {
     Outlooks(Option<u32>, outlooks::Reply),
 }
 
-/// Why the thread ended.
+/// Reason that the thread ended.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ReaderError {
     #[error(transparent)]

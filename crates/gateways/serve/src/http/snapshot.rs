@@ -75,7 +75,7 @@ impl Snapshot {
         }
     }
 
-    /// Why the worker may not serve at `now_ns` (monotonic). `None` if its frames arrive.
+    /// Reason that the worker may not serve at `now_ns` (monotonic). `None` if its frames arrive.
     pub(super) fn why_not_up(&self, now_ns: u64) -> Option<String> {
         let worker = &self.fleet.worker;
         let age_ns = now_ns.saturating_sub(self.at_ns);

@@ -90,7 +90,7 @@ struct Counts {
     failed: AtomicU64,
 }
 
-/// Where the reader puts changes for a receiver.
+/// Queue of changes for a receiver.
 enum Outlet {
     /// Every change, in order.
     Queue(SyncSender<AlarmRecord>),

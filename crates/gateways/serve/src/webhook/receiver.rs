@@ -30,7 +30,7 @@ pub(super) enum Format {
     Alertmanager(Duration),
 }
 
-/// Where alarms are sent, and how.
+/// Destination of alarms, and the form in which they are sent.
 #[derive(Debug)]
 pub(super) struct Receiver {
     pub(super) address: Uri,

@@ -127,7 +127,7 @@ fn remove_files(
     Ok(())
 }
 
-/// Why stale files could not be removed.
+/// Reason that stale files could not be removed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SweepError {

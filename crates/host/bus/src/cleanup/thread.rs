@@ -84,7 +84,7 @@ impl CleanupThread {
     }
 }
 
-/// What the thread repeats.
+/// Work that the thread repeats.
 #[derive(Debug)]
 struct Rounds {
     domain: Domain,

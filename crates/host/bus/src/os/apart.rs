@@ -15,7 +15,7 @@ const NOWHERE: usize = usize::MAX;
 pub struct ThreadsApart {
     /// Kernel's id of each, 0 until it has begun.
     ids: Box<[AtomicI32]>,
-    /// Of the process, when this was created.
+    /// CPUs of the process when this was created.
     allowed: CpuSet,
     /// The leader's CPU that they were kept off last.
     kept_off: AtomicUsize,

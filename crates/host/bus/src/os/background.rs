@@ -43,7 +43,7 @@ pub struct Background<T = ()> {
     pid: u32,
 }
 
-/// What the thread tells its starter, and hears from it.
+/// The thread's channel to its starter, and the starter's stop flag.
 #[derive(Debug)]
 pub struct Running<J = ()> {
     stop: Arc<AtomicBool>,

@@ -1,4 +1,4 @@
-//! How a member opens a service. The simulator compiles this file too.
+//! Opening of a service by a member. The simulator compiles this file too.
 
 use joulebus_wire::{Channel, Forecasts, Service};
 

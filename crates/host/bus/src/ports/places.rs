@@ -71,7 +71,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
         Err(full())
     }
 
-    /// Why there is no place: who has those that there are.
+    /// The error that no place is left, with the processes that have them.
     pub(super) fn refused(&self, reason: impl Display) -> OpenError {
         let Some(Open { places: allowed, own }) = self.limit() else {
             return OpenError::port(self.service, reason);

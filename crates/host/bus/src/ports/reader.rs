@@ -29,7 +29,7 @@ type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 /// A frame that was received.
 pub(super) type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
-/// What keeps the domain as long as a frame.
+/// Membership that keeps the domain as long as a frame.
 pub(super) type Member = Rc<Membership>;
 
 /// Number of sources that [`Noted`] remembers.

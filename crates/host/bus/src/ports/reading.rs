@@ -1,4 +1,4 @@
-//! What a reader does with the frames that it receives. The simulator compiles this file too.
+//! Handling of received frames by a reader. The simulator compiles this file too.
 
 use std::marker::PhantomData;
 

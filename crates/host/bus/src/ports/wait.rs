@@ -86,7 +86,7 @@ impl Waker {
     }
 }
 
-/// Why [`Waiter::wait_until`] returned. Nothing set: at the deadline, or after 100 ms.
+/// Reason that [`Waiter::wait_until`] returned. Nothing set: at the deadline, or after 100 ms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Woken {

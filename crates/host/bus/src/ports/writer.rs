@@ -212,7 +212,7 @@ impl<C: Channel> Loan<'_, C> {
 pub struct Sent {
     /// Number of readers reached.
     pub readers: usize,
-    /// Why nobody was woken: readers find the frame when they look next, within 100 ms.
+    /// Error that woke nobody, if any: readers find the frame at their next check, within 100 ms.
     pub not_woken: Option<WaitError>,
 }
 

@@ -37,7 +37,7 @@ pub struct Head {
     /// Lines of a CSV that were left out.
     #[serde(default, skip_serializing_if = "LeftOut::is_none")]
     pub left_out: LeftOut,
-    /// How the text of a CSV was understood, where that is not usual.
+    /// Interpretation of the text of a CSV, where it is not usual.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub understood: Vec<String>,
 }

@@ -48,14 +48,14 @@ pub struct ListedTrial {
     pub crc32: u32,
 }
 
-/// Why a listing could not be read.
+/// Reason that a listing could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ListingError {
     /// The operating system's error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It is no listing of this version.
+    /// The file is no listing of this version.
     #[error("{0}")]
     Refused(String),
 }

@@ -28,7 +28,7 @@ const MAX_BYTES: u64 = 1 << 30;
 /// Maximum length of a schema's line in messages, characters.
 const MAX_SHOWN: usize = 100;
 
-/// Why a file is refused, with the found and the allowed value.
+/// Reason that a file is refused, with the found and the allowed value.
 struct Refused(String);
 
 impl From<ParquetError> for Refused {

@@ -21,7 +21,7 @@ use crate::trial::Table;
 /// Rows of a row group: the unit that readers can skip by statistics.
 const GROUP_ROWS: usize = 1 << 16;
 
-/// Why a trial could not be written.
+/// Reason that a trial could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteArchiveError {

@@ -34,7 +34,7 @@ impl Found {
     }
 }
 
-/// Why recordings could not be found.
+/// Reason that recordings could not be found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FindError {

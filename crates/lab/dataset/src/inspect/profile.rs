@@ -143,7 +143,7 @@ impl Profiler {
     }
 }
 
-/// How long readings of a trial are held, s: the mean, and the longest.
+/// Times for which readings of a trial are held, s: the mean, and the longest.
 fn holds_s(trial: &Trial) -> [f64; 2] {
     let period_s = trial.period_ns() as f64 * 1e-9;
     let runs = runs(trial);

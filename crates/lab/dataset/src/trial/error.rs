@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 
-/// How to go on with the other lines, or without the file.
+/// Remedy for a file with bad lines: without them, or without the file.
 const LEAVE_OUT: &str = "--whole-rows leaves such lines out (`joulebus data convert --whole-rows` for other programs), or leave the \
                          file out: move it, or name the others";
 
-/// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
+/// Reason that a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrialError {

@@ -4,7 +4,7 @@ use joulebus_wire::{Sample, sample_flag};
 
 use super::Trial;
 
-/// How a [`TrialFleet`] is played.
+/// Options for playing a [`TrialFleet`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Playback {
     /// Monotonic time of every trial's first row, ns.

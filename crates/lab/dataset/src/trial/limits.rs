@@ -18,7 +18,7 @@ pub(super) const MAX_EXPANSION: u64 = 100;
 /// Maximum number of robots in a file.
 pub(super) const MAX_ROBOTS: usize = 10_000;
 
-/// How much of a file is in memory at a time.
+/// Part of a file that is in memory at a time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct InMemory {
     /// Rows after which a part is complete.

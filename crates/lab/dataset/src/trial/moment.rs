@@ -1,6 +1,6 @@
 //! Times that are written as text.
 
-/// How a time is written. All times of a file have the same form.
+/// Form of a time. All times of a file have the same form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TimeForm {
     /// A number.

@@ -286,7 +286,7 @@ pub struct MappedColumn {
     states_unit: bool,
 }
 
-/// Why a mapping is invalid.
+/// Reason that a mapping is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MapError {
@@ -386,8 +386,8 @@ impl fmt::Display for MappedColumn {
     }
 }
 
-/// How a recording is read: the columns that the caller names, and the sign of its current. The
-/// other columns are found by their spelling.
+/// Rules for reading a recording: the columns that the caller names, and the sign of its current.
+/// The other columns are found by their spelling.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,

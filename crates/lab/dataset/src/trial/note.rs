@@ -30,7 +30,7 @@ pub struct TrialNotes {
     pub no_final_line_break: bool,
     /// Lines of a CSV that are no whole rows and were left out.
     pub left_out: LeftOut,
-    /// How the text of a CSV was understood, where that is not usual.
+    /// Interpretation of the text of a CSV, where it is not usual.
     pub understood: Vec<String>,
 }
 

@@ -141,7 +141,7 @@ pub struct Table {
     pub(crate) sources: Vec<SourceColumn>,
     /// Lines of a CSV that were left out. Of several robots the first has them.
     pub(crate) left_out: LeftOut,
-    /// How the text of a CSV was understood, where that is not usual.
+    /// Interpretation of the text of a CSV, where it is not usual.
     pub(crate) understood: Vec<String>,
     /// Name of the column with the time as a number, in a CSV.
     pub(crate) time_name: Option<String>,
@@ -153,11 +153,11 @@ pub struct Table {
     pub(crate) is_part: bool,
     /// Rows of the file in which its header comes again.
     pub(crate) headers: Vec<u32>,
-    /// Where it begins, if there another recording was appended to its file.
+    /// Position of another recording that was appended to its file, if any.
     pub(crate) appended: Option<Appended>,
 }
 
-/// Where another recording was appended to a file.
+/// Position of a recording that was appended to a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Appended {
     /// Its first row in the file, from 1.
@@ -297,7 +297,7 @@ impl Table {
         &self.left_out
     }
 
-    /// How the text of a CSV was understood, where that is not usual.
+    /// Interpretation of the text of a CSV, where it is not usual.
     pub fn understood(&self) -> &[String] {
         &self.understood
     }

@@ -194,7 +194,7 @@ fn no_row(
     }
 }
 
-/// How a text begins: what separates its fields, and which they are.
+/// Beginning of a text: the separator of its fields, and their layout.
 struct Start {
     separator: u8,
     layout: Layout,
@@ -318,7 +318,7 @@ const SAMPLED_ROWS: usize = 200;
 /// Bytes in which they are looked for.
 const HEAD_BYTES: u64 = 64 << 10;
 
-/// How the numbers of a text are written.
+/// Form of the numbers of a text.
 struct Numbers {
     /// Whether a comma is in front of the fraction. Unknown until a number tells.
     decimal_comma: Option<bool>,
@@ -398,7 +398,7 @@ fn is_missing(field: &[u8]) -> bool {
     field.is_empty() || WORDS.iter().any(is_word)
 }
 
-/// How the times of a text are written.
+/// Form of the times of a text.
 #[derive(Default)]
 struct Times {
     form: Option<TimeForm>,
@@ -705,7 +705,7 @@ enum TimeColumns {
     Pair(usize, usize),
 }
 
-/// Where the value of a column is in a row.
+/// Position of a column's value in a row.
 enum Source {
     Position(usize),
     /// A value that every row has.

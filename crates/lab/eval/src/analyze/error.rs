@@ -4,7 +4,7 @@ use joulebus_dataset::split::SplitError;
 use joulebus_dataset::trial::{ResampleError, TrialError};
 use joulebus_train::linear::LinearError;
 
-/// Why a dataset could not be analysed.
+/// Reason that a dataset could not be analysed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AnalyzeError {

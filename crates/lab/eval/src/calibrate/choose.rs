@@ -26,7 +26,7 @@ pub(super) struct Chosen {
     pub basis: Basis,
 }
 
-/// How rare an excess over an extrapolated tail must be to refute it.
+/// Probability of an excess over an extrapolated tail below which the excess refutes the tail.
 const REFUTED: f64 = 0.01;
 
 /// The limits that the recordings prove. `None` if none of the possible ones is high enough.

@@ -1,4 +1,4 @@
-//! How soon faults are found, beside simpler alarms.
+//! Delays to find faults, beside those of simpler alarms.
 
 use joulebus_settings::SettingsError;
 use joulebus_statistics::metrics::{quantile, sorted};
@@ -14,7 +14,7 @@ const SPARE_ROWS: usize = 10;
 /// Minimum time that remains for finding a fault, s.
 const MIN_S: f64 = 5.0;
 
-/// How soon a fault is found.
+/// Delays to find a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Delays {
     /// The fault.
@@ -167,7 +167,7 @@ impl<'a> Faulty<'a> {
         quantile(&sorted(after_s), 0.5)
     }
 
-    /// How soon each fault is found.
+    /// Delays to find each fault.
     pub(super) fn delays(
         &self,
         calibrated: &Robot,

@@ -41,7 +41,7 @@ pub struct Calibration {
     pub faulty_recordings: usize,
     /// Median of the time from the fault to the end of the recording, s.
     pub after_s: f64,
-    /// How soon faults are found.
+    /// Delays to find faults.
     pub delays: Vec<Delays>,
 }
 

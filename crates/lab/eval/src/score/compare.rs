@@ -28,7 +28,7 @@ pub struct Comparison {
     pub old: ModelReport,
     /// The new model.
     pub new: ModelReport,
-    /// How the models know the compared rows.
+    /// Relation of the compared rows to the models' training.
     pub scored_rows: ScoredRows,
     /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,

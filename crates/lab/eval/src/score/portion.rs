@@ -32,7 +32,7 @@ struct OfRecording {
     energy: Vec<EnergyScores>,
 }
 
-/// Why portions cannot be merged.
+/// Reason that portions cannot be merged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Misfit {
     /// The portions belong to different evaluations.

@@ -46,7 +46,7 @@ pub struct Recording {
 /// Parts of a split.
 const PARTS: usize = 3;
 
-/// Where a recording's rows are.
+/// Location of a recording's rows.
 #[derive(Clone)]
 enum Held {
     Memory(Arc<Contents>),

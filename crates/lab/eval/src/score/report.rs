@@ -22,7 +22,7 @@ pub struct ScoreReport {
     pub platform: String,
     /// The models, in order.
     pub models: Vec<ModelReport>,
-    /// How the models know the rows of all tables but `trained_on`.
+    /// Relation of the rows of all tables but `trained_on` to the models' training.
     pub scored_rows: ScoredRows,
     /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,

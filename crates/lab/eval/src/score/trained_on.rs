@@ -25,7 +25,7 @@ pub struct TrainedOn {
     pub share: f64,
 }
 
-/// How the models know the rows of the tables.
+/// Relation of the tables' rows to the models' training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
@@ -174,7 +174,7 @@ impl Design {
         recognised.count(model, self.parts().chain(apart))
     }
 
-    /// How the models know the evaluated rows.
+    /// Relation of the evaluated rows to the models' training.
     pub(super) fn scored_rows(&self, recognised: &Recognised) -> ScoredRows {
         let counts = 0..recognised.of.len();
         let counts = counts.map(|model| recognised.count(model, self.parts()));

@@ -71,7 +71,7 @@ pub(crate) struct Section {
     pub(crate) place: usize,
     settings: FleetSettings,
     recordings: Vec<Recording>,
-    /// How further recordings of it are read.
+    /// Rules for reading further recordings of it.
     map: ColumnMap,
     accept: AcceptArguments,
 }

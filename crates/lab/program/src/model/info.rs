@@ -231,7 +231,7 @@ struct ForeignReport {
     file_sha256: String,
     entries: Vec<EntryReport>,
     network: Option<FoundReport>,
-    /// Why there is no network.
+    /// Reason that there is no network.
     problem: Option<String>,
 }
 

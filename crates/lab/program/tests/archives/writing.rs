@@ -246,7 +246,7 @@ fn parquet_files_that_no_listing_names_are_kept() {
     assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
 }
 
-/// What joulebus wrote has joulebus's sign: only the caller turns it.
+/// A capture has joulebus's sign: only the caller turns it.
 #[test]
 fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
     let place = tempfile::tempdir().unwrap();

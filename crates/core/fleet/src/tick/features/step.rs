@@ -188,7 +188,7 @@ pub(crate) fn quality(
     if usize::from(have) == LAGS { full } else { (WARMUP.0, have.into()) }
 }
 
-/// Why a full window yields no row.
+/// Reason that a full window yields no row.
 #[inline(always)]
 fn missing(required: RequiredInputs, pending: &Pending) -> (u16, u16) {
     const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();

@@ -34,7 +34,7 @@ pub(crate) struct RosRoute {
     pub(crate) battery: BatteryFields,
 }
 
-/// How a publisher fills in `sensor_msgs/BatteryState`.
+/// Convention by which a publisher fills in `sensor_msgs/BatteryState`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BatteryFields {
     /// The current is positive while discharging, contrary to the message's definition.

@@ -13,7 +13,7 @@ const TYPES: [(RosType, &str); 4] = [
     (RosType::Odometry, "nav_msgs/msg/Odometry"),
 ];
 
-/// Why a topic or a type is refused.
+/// Reason that a topic or a type is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NameError {
     #[error(

@@ -6,8 +6,8 @@ use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
 use joulebus_testkit::assert_page_says;
 use joulebus_testkit::trials::Files;
 
-/// Where we met it, what it is, its header, a row, `--map`, and what comes out: `read`, kinds of
-/// findings, or what a refusal says.
+/// Origin, kind, header, row, `--map`, and outcome of a file. The outcome is `read`, kinds of
+/// findings, or words of a refusal.
 const FORMS: [[&str; 6]; 26] = [
     [
         "vincedani/energy-measurement, INA219",
@@ -259,7 +259,8 @@ fn row(template: &str, number: u32) -> String {
     pairs.iter().fold(template.to_owned(), |text, (token, value)| text.replace(token, value))
 }
 
-/// What comes out: the first kinds of findings, or what a refusal has of what is expected.
+/// Reads a file of one row. Returns the first kinds of findings, or the expected words that a
+/// refusal has.
 fn outcome(files: &Files, header: &str, template: &str, columns: &str, expected: &str) -> String {
     let mut text = format!("{header}\n");
     for number in 0..ROWS {

@@ -283,7 +283,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     Trial::read(files.write("log", &npy_f8(&ROWS))).unwrap();
 }
 
-/// What a config says is for the files of the platform's own program: not for converted ones.
+/// Settings of a config are for the files of the platform's own program, not for converted ones.
 #[test]
 fn configured_columns_and_signs_are_for_files_that_have_them() {
     let files = Files::new();

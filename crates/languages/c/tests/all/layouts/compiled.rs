@@ -1,4 +1,4 @@
-//! Where compilers of C and C++ put the fields.
+//! Offsets of the fields by compilers of C and C++.
 
 use std::fmt::Write as _;
 use std::fs;
