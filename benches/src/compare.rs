@@ -61,7 +61,7 @@ pub struct Change {
     pub old_over_new: f64,
     /// Factor by which this run is worse: above 1 is worse, whichever direction is better.
     pub times_worse: f64,
-    /// Whether the change exceeds noise.
+    /// Verdict whether the change exceeds noise.
     pub verdict: Verdict,
 }
 

@@ -71,7 +71,7 @@ impl Distribution {
         Self::new(&[value])
     }
 
-    /// Whether the interquartile ranges are disjoint, so that the difference exceeds noise.
+    /// True if the interquartile ranges are disjoint, so that the difference exceeds noise.
     pub fn differs_from(&self, other: &Self) -> bool {
         self.p25 > other.p75 || other.p25 > self.p75
     }

@@ -21,9 +21,9 @@ pub struct Machine {
     pub kernel: String,
     /// Frequency governor, if known.
     pub governor: String,
-    /// Whether frequency boost is enabled, if known: `on`, `off`.
+    /// State of frequency boost, if known: `on`, `off`.
     pub turbo: String,
-    /// Whether it is a virtual machine, whose figures are noisy.
+    /// True if it is a virtual machine, whose figures are noisy.
     pub virtual_machine: bool,
 }
 

@@ -33,9 +33,9 @@ pub struct Setup {
     pub buffer_frames: u32,
     /// `readers.max_planners`.
     pub max_planners: u32,
-    /// Whether the ledger is saved to [`Arena::ledger`], at most every 50 ms.
+    /// True if the ledger is saved to [`Arena::ledger`], at most every 50 ms.
     pub ledger: bool,
-    /// Whether the config says nothing of the ledger.
+    /// True if the config says nothing of the ledger.
     pub default_ledger: bool,
     /// File of the only platform.
     pub platform: &'static str,

@@ -195,7 +195,7 @@ pub fn answer(forecast: &Forecast) -> Answer {
     ((forecast.quality, forecast.quality_detail), watts.map(f32::to_bits))
 }
 
-/// Whether the diagnostics name a refusal of a robot's samples by this process.
+/// True if the diagnostics name a refusal of a robot's samples by this process.
 pub fn names(
     diagnostics: &FrameRead<Diagnostics>,
     robot: u32,

@@ -13,7 +13,7 @@ pub(crate) fn pressed(event: &Event) -> Option<KeyEvent> {
     matches!(key.kind, KeyEventKind::Press | KeyEventKind::Repeat).then_some(key)
 }
 
-/// Whether a key requests the exit: `q`, Escape, and Ctrl-C, which raw mode does not convert to a
+/// True if a key requests the exit: `q`, Escape, and Ctrl-C, which raw mode does not convert to a
 /// signal.
 pub(crate) fn asks_for_the_end(key: KeyEvent) -> bool {
     match key.code {

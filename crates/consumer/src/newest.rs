@@ -5,7 +5,7 @@ use joulebus_wire::SCHEMA_VERSION;
 
 use crate::tracker::Place;
 
-/// Whether a frame is of our version and later than the one at `at`, which is then advanced.
+/// True if a frame is of our version and later than the one at `at`, which is then advanced.
 pub(crate) fn newer(
     schema: u32,
     place: Place,

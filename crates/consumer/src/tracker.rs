@@ -200,7 +200,7 @@ impl Tracker {
         changed.then_some(state)
     }
 
-    /// Whether the worker's end is known, and [`Tracker::change`] has not returned it.
+    /// True if the worker's end is known, and [`Tracker::change`] has not returned it.
     pub(crate) fn is_end_untold(&self) -> bool {
         self.over.is_some() && self.told != Told::Gone
     }
@@ -221,9 +221,9 @@ const fn stale_ns(last: &Last) -> u64 {
     last.sent_ns.saturating_add(last.period_ns.saturating_mul(2)).saturating_add(1)
 }
 
-/// Whether people hear that the worker is late: later than planners, who may not rely on an old
-/// forecast, and until frames have come for as long. A host that is busy for two ticks is nobody's
-/// alarm.
+/// Decides when people are warned that the worker is late: later than planners, who may not rely on
+/// an old forecast, and until frames have come for as long. A host that is busy for two ticks is
+/// nobody's alarm.
 #[derive(Debug)]
 pub(crate) struct Lateness {
     after_ns: u64,

@@ -97,7 +97,7 @@ pub(crate) struct Account {
 pub(crate) struct Restored {
     pub robot: u32,
     pub ledger: Ledger,
-    /// Whether it has been on its charger.
+    /// True if it has been on its charger.
     pub charged: bool,
     pub battery: Option<SavedBattery>,
 }

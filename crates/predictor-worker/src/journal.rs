@@ -36,7 +36,7 @@ impl Journal {
         });
     }
 
-    /// Whether the list takes another row.
+    /// True if the list takes another row.
     pub(crate) fn has_room(&self) -> bool {
         self.taken.len() < self.writer.max_len()
     }

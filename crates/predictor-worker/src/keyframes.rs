@@ -105,7 +105,7 @@ pub(crate) struct KeyframeSender {
     readers: usize,
     /// When the next one for readers is due.
     next_ns: u64,
-    /// Whether the requested one is for them.
+    /// True if the requested one is for them.
     is_for_readers: bool,
     file: PathBuf,
     /// When the next one for the file is due.
@@ -140,7 +140,7 @@ impl KeyframeSender {
         Ok(sender)
     }
 
-    /// Whether a state is in transfer, from the tick or to the readers.
+    /// True if a state is in transfer, from the tick or to the readers.
     pub(crate) fn is_busy(&self) -> bool {
         self.is_asked || self.sending.is_some()
     }

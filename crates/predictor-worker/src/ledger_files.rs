@@ -292,7 +292,7 @@ fn set_aside(path: &Path) -> io::Result<PathBuf> {
     Ok(aside)
 }
 
-/// Whether a file is the remains of a save that was cut off: the beginning of a ledger, or, after a
+/// True if a file is the remains of a save that was cut off: the beginning of a ledger, or, after a
 /// power failure, nothing or zeros.
 fn is_cut_off(path: &Path) -> io::Result<bool> {
     if !disk::is_file(path) {
@@ -330,7 +330,7 @@ fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::E
     serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
 }
 
-/// Whether the rest of a file, by its checksum, is of a supported version. Its version field is
+/// True if the rest of a file, by its checksum, is of a supported version. Its version field is
 /// then damaged.
 fn is_of_known_version(bytes: &[u8]) -> bool {
     let Ok(content) = serde_json::from_slice::<Content<Checkpoint>>(bytes) else {
@@ -343,7 +343,7 @@ fn is_of_known_version(bytes: &[u8]) -> bool {
 }
 
 impl Flaw {
-    /// Whether the error is in the file's contents, not in reading it.
+    /// True if the error is in the file's contents, not in reading it.
     fn is_of_content(&self) -> bool {
         match self {
             Self::Damaged(_) => true,

@@ -9,10 +9,10 @@ const LONG_TICKS: u32 = 3;
 /// overload again at once.
 const CALM_TICKS: u32 = 30;
 
-/// Whether diagnostics are left out, and how often they were.
+/// Shedding of diagnostics, and the count of those left out.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Shedding {
-    /// Whether the next tick computes no diagnostics.
+    /// True if the next tick computes no diagnostics.
     pub(crate) sheds: bool,
     /// Ticks so far without diagnostics.
     pub(crate) ticks: u64,

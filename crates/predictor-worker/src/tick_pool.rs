@@ -102,7 +102,7 @@ impl TickPool {
         Ok(Self { scratch: (0..threads).map(|_| Mutex::default()).collect(), apart, from })
     }
 
-    /// Whether a tick of that many robots is parallel.
+    /// True if a tick of that many robots is parallel.
     #[must_use]
     pub fn shares(&self, robots: usize) -> bool {
         self.shares_from(self.from, robots)

@@ -1,4 +1,4 @@
-//! Whether what robots report is plausible, judged while it comes.
+//! Judges whether what robots report is plausible, while it comes.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -54,7 +54,7 @@ pub struct Judgement {
     accepted: Vec<Kind>,
     robots: BTreeMap<u32, Robot>,
     max_robots: usize,
-    /// Whether robots were not judged because there are too many.
+    /// True if robots were not judged because there are too many.
     others_wait: bool,
     /// Robots that were found plausible and made room, until all were judged.
     plausible: BTreeSet<u32>,

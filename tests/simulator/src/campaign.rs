@@ -34,7 +34,7 @@ pub struct Campaign {
     pub linked: bool,
     /// Threads.
     pub threads: usize,
-    /// Whether a failing seed is made small.
+    /// True if a failing seed is made small.
     pub shrinks: bool,
 }
 

@@ -45,7 +45,7 @@ pub(crate) fn damage(bits: u64) {
     }
 }
 
-/// Whether the newest ledger is not the only one: about the only one an operator must be asked.
+/// True if the newest ledger is not the only one: about the only one an operator must be asked.
 /// There is an earlier one, unless it was damaged too.
 fn has_another_generation(newest: &[u8]) -> bool {
     let content = serde_json::from_slice::<serde_json::Value>(newest).unwrap_or_default();

@@ -127,7 +127,7 @@ pub(crate) fn power_w(robot: u32, seq: u64) -> f32 {
     base + ((seq * 7 + u64::from(robot)) % 32) as f32 * 0.0625
 }
 
-/// Whether the power of a robot is constant.
+/// True if the power of a robot is constant.
 pub(crate) const fn is_constant(robot: u32) -> bool {
     robot.is_multiple_of(2)
 }
@@ -400,7 +400,7 @@ impl ClientProgram {
     }
 }
 
-/// Whether what an answer says can be: its ranges are in order.
+/// True if what an answer says can be: its ranges are in order.
 pub(crate) fn is_possible(reply: &Reply) -> bool {
     let energies = reply.rows.iter().filter_map(|row| row.answer.energy);
     let mut ranges = energies.map(|energy| (energy.lo_j, energy.mean_j, energy.hi_j));
@@ -424,7 +424,7 @@ pub(crate) fn worker(config: &Config) -> Result<Program, String> {
     Ok(Program::Worker(Box::new(opened), Box::new(questions)))
 }
 
-/// Whether a process whose code has unwound was killed; otherwise the panic's message.
+/// Cause of the unwinding of a process's code: killed, or else the panic's message.
 pub(crate) fn cause(panic: Box<dyn std::any::Any + Send>) -> Result<host::Killed, String> {
     let panic = match panic.downcast::<host::Killed>() {
         Ok(killed) => return Ok(*killed),

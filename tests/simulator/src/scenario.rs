@@ -90,7 +90,7 @@ pub struct Setup {
     pub poll_every_ns: u64,
     /// Clients that ask the worker about plans.
     pub clients: usize,
-    /// Whether there is a recorder.
+    /// True if there is a recorder.
     pub records: bool,
     /// Period of the samples and of the tick, ns.
     pub period_ns: u64,

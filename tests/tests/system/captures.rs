@@ -51,7 +51,7 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
-/// Whether a recorder once got no processor for as long as its buffers last: waiting messages were
+/// True if a recorder once got no processor for as long as its buffers last: waiting messages were
 /// read that late, and earlier ones overwritten.
 fn was_overrun(found: &[Entry]) -> bool {
     // The shortest buffers of this fleet hold 16 frames (`Limits::forecast_frames` of 100 robots).

@@ -18,7 +18,7 @@ fn elsewhere(command: &Command, ahead_s: i64) -> Command {
     there
 }
 
-/// Whether this kernel gives a program that is started so another clock; says so if it does not.
+/// True if this kernel gives a program that is started so another clock; says so if it does not.
 fn can_differ() -> bool {
     let uptime_s = |mut command: Command| {
         let output = command.output().ok().filter(|output| output.status.success())?;

@@ -90,7 +90,7 @@ enum Left {
 }
 
 impl Left {
-    /// Whether the lack is told, with numbers.
+    /// True if the lack is told, with numbers.
     fn is_told(self, said: &str) -> bool {
         match self {
             Self::Bytes(_) => said.contains("bytes needed") && said.contains("free"),

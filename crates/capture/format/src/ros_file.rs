@@ -38,7 +38,7 @@ pub struct RosTopic<'a> {
 }
 
 impl RosTopic<'_> {
-    /// Whether messages of this type can be imported.
+    /// True if messages of this type can be imported.
     #[must_use]
     pub fn is_imported(&self) -> bool {
         let (encoding, definition) = (self.definition_encoding, self.definition);

@@ -88,7 +88,7 @@ pub(crate) struct Files {
     /// Lost messages by topic.
     lost: BTreeMap<String, u64>,
     parts: u32,
-    /// Whether the first file is open, or the memory buffer is filled.
+    /// True if the first file is open, or the memory buffer is filled.
     has_begun: bool,
 }
 

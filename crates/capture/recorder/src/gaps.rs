@@ -36,7 +36,7 @@ struct Run {
     unsent: VecDeque<u64>,
     /// Message count at its last frame.
     looked: u64,
-    /// Whether the next gap says nothing: what is sent only while somebody reads it may begin with
+    /// True if the next gap says nothing: what is sent only while somebody reads it may begin with
     /// a frame of a reader before, and the second frame is of a later tick.
     unknown_gap: bool,
 }

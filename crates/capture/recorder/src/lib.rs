@@ -156,7 +156,7 @@ impl Recorder {
         self.shared.write_down.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it has stopped because the file could not be written.
+    /// True if it has stopped because the file could not be written.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.shared.over.load(Ordering::Relaxed)

@@ -11,7 +11,7 @@ use crate::channel::RecordedChannel;
 /// Name, among the members of a fleet, of processes that record it.
 pub const RECORDER: &str = "recorder";
 
-/// Whether a worker runs with the settings and models that a capture has. Else, why not.
+/// Checks that a worker runs with the settings and models that a capture has. Otherwise the reason.
 pub type Suits = Arc<dyn Fn(&PlanStateHeader) -> Result<(), String> + Send + Sync>;
 
 /// Options of a recording.

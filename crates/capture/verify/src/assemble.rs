@@ -184,7 +184,7 @@ impl Assembler {
         }
     }
 
-    /// Whether the run has ended, and `tick` is among its last.
+    /// True if the run has ended, and `tick` is among its last.
     fn is_over(&self, run: u64, tick: u64) -> bool {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
@@ -192,7 +192,7 @@ impl Assembler {
         (self.ended || !is_newest) && tick + MAX_LEAD_TICKS > last
     }
 
-    /// Whether `tick` is among the first of the recording.
+    /// True if `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
         self.first
             .is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)

@@ -30,7 +30,7 @@ type Compare = dyn Fn(RecomputedTick<'_>, &Message, Differs<'_>) + Send + Sync;
 /// A channel whose frames are computed again, each of one row for each robot.
 pub struct Output {
     pub(super) kind: MessageKind,
-    /// Whether a tick with this journal sends a frame.
+    /// True if a tick with this journal sends a frame.
     pub(super) is_sent: fn(&TickHeader) -> bool,
     compare: Box<Compare>,
 }

@@ -36,7 +36,7 @@ pub(super) struct Queries {
     waiting_bytes: usize,
     kept: BTreeMap<TickId, Tick>,
     kept_bytes: usize,
-    /// Whether the answers were computed by the rules of another version.
+    /// True if the answers were computed by the rules of another version.
     pub(super) has_other_rules: bool,
     /// The first and the last tick that was computed.
     span: Option<(TickId, TickId)>,
@@ -225,7 +225,7 @@ enum Found<'a> {
     Lost,
 }
 
-/// Whether it was refused for a reason that does not follow from what is recorded.
+/// True if it was refused for a reason that does not follow from what is recorded.
 fn depends_on_time(answer: &AnswerHeader) -> bool {
     use QueryRefusal as Reason;
     let reason = QueryRefusal::decode(answer.refusal);

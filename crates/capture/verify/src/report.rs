@@ -77,7 +77,7 @@ pub struct Verification {
     times: Option<(u64, u64)>,
     #[serde(skip)]
     run: Option<u64>,
-    /// Whether the verification has begun.
+    /// True if the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
     /// A worker's outputs, and whether they are recorded.
@@ -135,7 +135,7 @@ pub enum Loss {
 }
 
 impl Verification {
-    /// Whether everything was verified without differences. Ticks before the first keyframe of a
+    /// True if everything was verified without differences. Ticks before the first keyframe of a
     /// recording, and an incomplete tick at its end, are not losses.
     #[must_use]
     pub fn is_clean(&self) -> bool {

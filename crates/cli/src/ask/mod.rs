@@ -255,7 +255,7 @@ fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     Ok(())
 }
 
-/// Whether it is the question that is wrong, whatever the fleet is doing.
+/// True if it is the question that is wrong, whatever the fleet is doing.
 fn is_wrong(reason: QueryRefusal) -> bool {
     matches!(
         reason,

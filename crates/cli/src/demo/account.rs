@@ -72,7 +72,7 @@ impl Account {
         }
     }
 
-    /// Whether every sample is accounted for.
+    /// True if every sample is accounted for.
     pub(crate) fn adds_up(&self) -> bool {
         self.difference.unsigned_abs() <= u128::from(self.uncertain)
     }

@@ -32,12 +32,12 @@ pub(super) struct DemoDirectory {
 pub(crate) struct LeftBehind {
     pub(crate) objects: u64,
     pub(crate) nodes: usize,
-    /// Whether the directory still exists.
+    /// True if the directory still exists.
     pub(crate) directory: bool,
 }
 
 impl LeftBehind {
-    /// Whether nothing is left.
+    /// True if nothing is left.
     pub(crate) const fn is_nothing(&self) -> bool {
         self.objects == 0 && self.nodes == 0 && !self.directory
     }
@@ -143,7 +143,7 @@ fn remove_dead() {
     }
 }
 
-/// Whether a directory is a demonstration's: no link, and with a config that says so.
+/// True if a directory is a demonstration's: no link, and with a config that says so.
 fn is_demo(root: &Path) -> bool {
     let file = root.join(CONFIG);
     let is_plain = fs::symlink_metadata(root).is_ok_and(|found| found.is_dir())

@@ -71,7 +71,7 @@ pub(super) struct Summary {
     workers: usize,
     ticks: Ticks,
     samples: Account,
-    /// Whether every sample is accounted for.
+    /// True if every sample is accounted for.
     adds_up: bool,
     /// The planner's report. `None` if it did not run at the end.
     planner: Option<PlannerReport>,
@@ -132,7 +132,7 @@ impl Summary {
         }
     }
 
-    /// Whether every sample is accounted for and nothing is left behind.
+    /// True if every sample is accounted for and nothing is left behind.
     pub(super) const fn is_whole(&self) -> bool {
         self.adds_up && self.left_behind.is_nothing()
     }

@@ -23,7 +23,7 @@ const TMPFS: u64 = 0x0102_1994;
 const FRAME_TIMEOUT: Duration = Duration::from_secs(3);
 const FIX: &str = "run `joulebus doctor --fix`";
 
-/// Whether the models can be loaded.
+/// Checks that the models can be loaded.
 pub(super) fn models(config: &Config) -> Check {
     match load_models(config) {
         Ok(models) => {
@@ -42,8 +42,8 @@ pub(super) fn models(config: &Config) -> Check {
     }
 }
 
-/// Whether memory and descriptors suffice for a worker, a source and a planner, or for the fleet's
-/// further processes if a worker already runs.
+/// Checks that memory and descriptors suffice for a worker, a source and a planner, or for the
+/// fleet's further processes if a worker already runs.
 pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     let limits = config.limits();
     let ports = |sources, planners| Ports {
@@ -90,7 +90,7 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     }
 }
 
-/// Whether shared memory can be created.
+/// Checks that shared memory can be created.
 pub(super) fn memory_rights() -> Check {
     match access(SHARED_MEMORY, Access::WRITE_OK | Access::EXEC_OK) {
         Ok(()) => Check::ok("rights", format!("{SHARED_MEMORY} can be written")),
@@ -134,7 +134,7 @@ pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
     }
 }
 
-/// Whether the parent directory allows its creation.
+/// Checks that the parent directory allows its creation.
 fn missing_root(root: &Path, slow: &str) -> Check {
     let name = "root";
     let above = root.parent().unwrap_or(Path::new("/"));
@@ -262,7 +262,7 @@ fn node_name(node: &NodeInfo) -> String {
     }
 }
 
-/// Whether the files that living processes use are still where others look for them.
+/// Checks that the files that living processes use are still where others look for them.
 pub(super) fn removed_files(removed: &[RemovedFiles]) -> Check {
     let name = "removed files";
     let processes = removed.iter().map(|removed| {

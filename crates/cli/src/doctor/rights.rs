@@ -4,7 +4,8 @@ use joulebus_bus::{Rights, Scheduling, try_scheduling};
 
 use super::{Check, Status};
 
-/// Whether the worker would be granted the CPUs, the priority and the locked memory of its config.
+/// Checks that the worker would be granted the CPUs, the priority and the locked memory of its
+/// config.
 pub(super) fn scheduling(asked: &Scheduling) -> Check {
     let name = "scheduling";
     let found = format!("{}; {}", request(asked), rights(&Rights::of_this_process()));

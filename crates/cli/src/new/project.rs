@@ -178,7 +178,7 @@ impl Kind {
     }
 }
 
-/// Whether Cargo would take a project in `folder` for a member of a workspace.
+/// True if Cargo would take a project in `folder` for a member of a workspace.
 fn lies_in_workspace(folder: &Path) -> bool {
     let Ok(whole) = std::path::absolute(folder) else {
         return false;

@@ -47,7 +47,7 @@ impl TopicChoice {
         Err(UsageError(format!("{what}, there are {there}: {remedy}")))
     }
 
-    /// Whether the topic is selected. A service name selects that service of any fleet.
+    /// True if the topic is selected. A service name selects that service of any fleet.
     pub(super) fn has(&self, topic: &str) -> bool {
         if self.topics.is_empty() && self.regex.is_none() {
             return true;

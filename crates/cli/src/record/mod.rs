@@ -156,8 +156,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(lost))
 }
 
-/// Whether a worker runs with this config and the models that it names now. Those on disk may be
-/// newer: they count from the worker's next start on.
+/// Checks that a worker runs with this config and the models that it names now. Those on disk may
+/// be newer: they count from the worker's next start on.
 fn suits(config: &Config) -> Suits {
     let fleet = load_models(config).map(|models| Fleet::new(config.settings(), &models));
     let fleet = fleet.map_err(|error| error.to_string());

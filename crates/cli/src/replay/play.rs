@@ -68,7 +68,7 @@ struct Player {
     flow: Option<Flow>,
     /// True if the sending rate is limited by the worker's answers.
     follows: bool,
-    /// Whether to wait until a worker runs.
+    /// True to wait until a worker runs.
     waits: bool,
     kinds: Vec<MessageKind>,
     slower: f64,

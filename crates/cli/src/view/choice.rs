@@ -136,7 +136,7 @@ impl Choice {
         self.search.pop();
     }
 
-    /// Whether robots may be left out.
+    /// True if robots may be left out.
     pub(crate) const fn is_filtered(&self) -> bool {
         self.only_alarms || !self.search.is_empty()
     }

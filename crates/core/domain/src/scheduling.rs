@@ -7,9 +7,9 @@ pub struct Scheduling {
     pub cpus: Vec<usize>,
     /// Real-time priority (`SCHED_FIFO`), 1 to 99. 0: normal scheduling.
     pub priority: u8,
-    /// Whether to lock all memory of the process (`mlockall`).
+    /// True to lock all memory of the process (`mlockall`).
     pub lock_memory: bool,
-    /// Whether a refused request prevents the start. Otherwise it is a warning.
+    /// True if a refused request prevents the start. Otherwise it is a warning.
     pub required: bool,
 }
 

@@ -157,7 +157,7 @@ impl ErrorBounds {
         scaled
     }
 
-    /// Whether every bound is finite, and lower bounds are below upper ones. They are not where
+    /// True if every bound is finite, and lower bounds are below upper ones. They are not where
     /// plan states of an older version have none.
     pub fn is_sound(&self) -> bool {
         let mut pairs = self.lower.iter().zip(&self.upper);

@@ -58,7 +58,7 @@ impl Motion {
         [self.v_mps, self.omega_radps, self.dv_mps2, self.domega_radps2]
     }
 
-    /// Whether the command is finite.
+    /// True if the command is finite.
     #[inline(always)]
     pub(crate) fn is_known(&self) -> bool {
         self.v_mps.is_finite() & self.omega_radps.is_finite()
@@ -73,7 +73,7 @@ impl CommandModel {
         Self { weights, half_v_mps: 1.0, half_omega_radps: 1.0, mean_w: power_w }
     }
 
-    /// Whether the command makes a difference.
+    /// True if the command makes a difference.
     pub fn reads_commands(&self) -> bool {
         self.weights[1..].iter().any(|weight| *weight != 0.0)
     }

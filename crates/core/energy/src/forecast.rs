@@ -52,7 +52,7 @@ pub struct CommandSum {
     period_s: f32,
     steps: usize,
     power_w: f64,
-    /// Whether every command that matters is finite.
+    /// True if every command that matters is finite.
     is_known: bool,
     steps_outside: usize,
     /// The last command.
@@ -232,7 +232,7 @@ impl EnergyModel {
         state.level(self, plan.duration_s()).0
     }
 
-    /// Whether the training data has no such motion: a velocity, or a change of one, beyond its
+    /// True if the training data has no such motion: a velocity, or a change of one, beyond its
     /// range. Their product is not compared. Both factors are within their ranges, and recordings
     /// that drive and turn alternately would otherwise exclude every robot that turns while it
     /// drives.

@@ -178,7 +178,7 @@ impl EnergyModel {
         }
     }
 
-    /// Whether the errors of a plan of this duration are known. A plan may be a hundredth longer
+    /// True if the errors of a plan of this duration are known. A plan may be a hundredth longer
     /// than
     /// [`EnergyModel::longest_s`]: its steps seldom add up to exactly that.
     pub fn covers(&self, duration_s: f32) -> bool {

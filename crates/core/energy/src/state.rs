@@ -184,7 +184,7 @@ impl Metered {
         (self.v_mps, self.omega_radps) = command;
     }
 
-    /// Whether a shadow forecast has ended, or the first is due.
+    /// True if a shadow forecast has ended, or the first is due.
     #[inline(always)]
     pub fn has_ended(&self) -> bool {
         let mut ended = false;

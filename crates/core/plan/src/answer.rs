@@ -72,7 +72,7 @@ impl Answer {
     };
 }
 
-/// Whether a robot makes a plan with its reserve untouched.
+/// Verdict whether a robot makes a plan with its reserve untouched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -147,12 +147,12 @@ pub struct Caveats {
 }
 
 impl Caveats {
-    /// Whether the robot's state is too weak for [`Verdict::Yes`].
+    /// True if the robot's state is too weak for [`Verdict::Yes`].
     pub(crate) const fn bar_yes(&self) -> bool {
         self.no_reading || self.state_outside_training
     }
 
-    /// Whether there is any.
+    /// True if there is any.
     #[must_use]
     pub const fn any(&self) -> bool {
         self.steps_outside_training > 0

@@ -16,7 +16,7 @@ pub struct Question {
     pub plan: Plan,
     /// Coverage of the intervals, 0.5 to 0.999.
     pub coverage: f32,
-    /// Whether the power of every step is wanted: of candidates, or of one robot that follows a
+    /// True if the power of every step is wanted: of candidates, or of one robot that follows a
     /// path.
     pub power: bool,
 }
@@ -177,7 +177,7 @@ impl Work {
         Ok(Self { routes, ..begun })
     }
 
-    /// Whether the state of a robot is stale at a time, monotonic ns: older than two ticks.
+    /// True if the state of a robot is stale at a time, monotonic ns: older than two ticks.
     #[must_use]
     pub fn is_stale(&self, now_ns: u64) -> bool {
         let mut robots = self.robots.iter();
@@ -246,7 +246,7 @@ impl Work {
         self.finish()
     }
 
-    /// Whether the robot is answered, or a way was followed first.
+    /// True if the robot is answered, or a way was followed first.
     fn one(&mut self, robot: &Robot<'_>, platform: u16) -> Result<bool, QuestionError> {
         let Question { plan, coverage, power } = &self.question;
         let row = |answer, turn_back_s| Row { robot: robot.id(), answer, turn_back_s };

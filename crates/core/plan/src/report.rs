@@ -45,7 +45,7 @@ pub struct AnswerReport {
     limiting_leg: Option<usize>,
     /// Latest time to turn back. Null if it was not requested, or is unknown.
     turn_back_s: Option<f32>,
-    /// Whether `turn_back_s` was asked for.
+    /// True if `turn_back_s` was asked for.
     #[serde(skip)]
     pub asked_to_return: bool,
     caveats: Caveats,

@@ -265,7 +265,7 @@ impl<'a> Robot<'a> {
         Rest::new(self.model(), way, begins)
     }
 
-    /// Whether the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].
+    /// True if the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].
     pub(crate) fn makes(&self, progress: &Progress, coverage: f32) -> bool {
         let (None, Ok(battery)) = (self.unknown, self.battery) else {
             return false;
@@ -367,8 +367,8 @@ fn energy_state(state: &PlanState) -> EnergyState {
     }
 }
 
-/// Whether a frame is stale, with its age. Of a frame from the future, by a clock that is not the
-/// worker's, nobody knows how old it is.
+/// The age of a stale frame. A frame from the future, by a clock that is not the worker's, has no
+/// known age.
 pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
     let age_ns = now_ns.abs_diff(header.sent_ns);
     (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
@@ -433,7 +433,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     }
 }
 
-/// Whether a budget is of the robot, and of the run of the worker that the state is of, and not of
+/// True if a budget is of the robot, and of the run of the worker that the state is of, and not of
 /// an earlier tick: one from before the robot left and came back is of its previous stay.
 fn is_current(
     header: &PlanStateHeader,

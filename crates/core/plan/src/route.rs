@@ -88,7 +88,7 @@ impl Route {
         &self.there
     }
 
-    /// Whether there is a way back.
+    /// True if there is a way back.
     pub(crate) const fn returns(&self) -> bool {
         self.back.is_some()
     }

@@ -40,7 +40,7 @@ pub struct Ranked {
 }
 
 impl Robot<'_> {
-    /// Whether the robot can follow a path and then return to a point, at the speed of the last
+    /// True if the robot can follow a path and then return to a point, at the speed of the last
     /// leg.
     ///
     /// # Errors

@@ -59,7 +59,7 @@ impl Times {
         self.steps.usual().map(|step_s| 1.0 / step_s)
     }
 
-    /// Whether so many rows are behind the latest time that too few are left.
+    /// True if so many rows are behind the latest time that too few are left.
     pub(crate) fn loses_many(&self) -> bool {
         let lost = (self.repeated + self.backward) as f64;
         self.rows >= MIN_ROWS && lost > MAX_LOST * self.rows as f64
@@ -157,7 +157,7 @@ impl Stamps {
         StampState::Good { offset_s, drift_s: median(&self.last) - offset_s }
     }
 
-    /// Whether its stamps can be joined with times of recording.
+    /// True if its stamps can be joined with times of recording.
     #[must_use]
     pub fn fits_log(&self) -> bool {
         match self.state() {

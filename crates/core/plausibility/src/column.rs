@@ -189,7 +189,7 @@ impl Column {
     }
 }
 
-/// Whether a value has no more digits after the point.
+/// True if a value has no more digits after the point.
 fn is_whole(value: f64, decimals: u8) -> bool {
     let scaled = value * 10f64.powi(decimals.into());
     (scaled - scaled.round()).abs() <= 1e-4 + 1e-9 * scaled.abs()

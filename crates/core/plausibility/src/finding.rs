@@ -85,7 +85,7 @@ impl FromStr for Kind {
     }
 }
 
-/// Whether a finding stops a verb.
+/// Effect of a finding on a verb.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
@@ -148,7 +148,7 @@ pub struct Finding {
     pub kind: Kind,
     /// The quantity. `None` for the clock.
     pub quantity: Option<Quantity>,
-    /// Whether it stops.
+    /// Effect of the finding on a verb.
     pub severity: Severity,
     /// Number of readings that show it.
     pub readings: u64,
@@ -312,7 +312,7 @@ impl Finding {
         format!("{}{end} {}. {}.", self.found, begun(&self.allowed), begun(remedy))
     }
 
-    /// Whether it stops a verb.
+    /// True if it stops a verb.
     #[must_use]
     pub fn is_error(&self) -> bool {
         self.severity == Severity::Error

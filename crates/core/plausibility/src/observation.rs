@@ -23,7 +23,7 @@ pub struct Observation {
     pub current_a: f64,
     /// State of charge, 0 to 1.
     pub soc: f64,
-    /// Whether it is on a charger, if that is known.
+    /// True if it is on a charger, if that is known.
     pub charging: Option<bool>,
 }
 

@@ -53,7 +53,7 @@ fn full(end: f64) -> Option<f64> {
     })
 }
 
-/// Whether the mantissa is that of a usual step.
+/// True if the mantissa is that of a usual step.
 fn is_round(step: f64, near: f64) -> bool {
     if !(step > 0.0 && step.is_finite()) {
         return false;
@@ -83,7 +83,7 @@ pub(crate) fn saturated(column: &Column) -> Option<(u64, f64, bool)> {
     })
 }
 
-/// Whether values stay at an end as they stay nowhere else: those of a coarse or a slow monitor
+/// True if values stay at an end as they stay nowhere else: those of a coarse or a slow monitor
 /// repeat everywhere.
 fn is_pile(column: &Column, end: End) -> bool {
     let others = column.count - end.count;

@@ -1,4 +1,4 @@
-//! Whether power and current are positive while the battery discharges.
+//! Judges the signs of power and current while the battery discharges.
 //!
 //! A robot that brakes or drives downhill feeds energy back, one on a charger takes it from there,
 //! and one that stands still still consumes. So readings are counted apart by motion, and where
@@ -130,7 +130,7 @@ pub(crate) struct WrongSign {
     pub(crate) why: &'static str,
 }
 
-/// Whether the robot moves, measured or else commanded. `None` if neither is known.
+/// True if the robot moves, measured or else commanded. `None` if neither is known.
 pub(crate) fn moves(seen: &Observation) -> Option<bool> {
     let of = |v_mps: f64, omega_radps: f64| {
         let known = !v_mps.is_nan() || !omega_radps.is_nan();
@@ -248,8 +248,8 @@ impl Sign {
         (self.before, self.soc, self.trend) = (None, None, Line::default());
     }
 
-    /// Whether the sign changes within the recording: delivering more lowers the voltage with one
-    /// sign, and raises it with the other. How many readings are negative.
+    /// Number of negative readings, if the sign changes within the recording. Delivering more then
+    /// lowers the voltage with one sign, and raises it with the other.
     pub(crate) fn changes(&self) -> Option<u64> {
         let clear = self.resistances.map(|line| {
             let correlation = line.correlation();
@@ -261,7 +261,7 @@ impl Sign {
         (is_rare && clear == [Some(true), Some(false)]).then_some(negative)
     }
 
-    /// Whether negative readings are of a battery that takes energy: by its charge, or by its
+    /// True if negative readings are of a battery that takes energy: by its charge, or by its
     /// resistance, which shows the sign of the current.
     fn charges(&self) -> Option<bool> {
         if let Some((first, last)) = self.soc
@@ -275,7 +275,7 @@ impl Sign {
         is_clear.then_some(correlation < 0.0)
     }
 
-    /// Whether negative readings are of a battery that discharges.
+    /// True if negative readings are of a battery that discharges.
     fn discharges(&self) -> Option<bool> {
         if let Some(charges) = self.charges() {
             return Some(!charges);

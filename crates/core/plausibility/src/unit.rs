@@ -1,4 +1,4 @@
-//! Whether magnitudes fit the units, by all values of a robot.
+//! Judges whether magnitudes fit the units, by all values of a robot.
 //!
 //! Wheeled robots have batteries of 1 to 900 V and draw 5 mA to 300 A and 0.02 W to 20 kW, so that
 //! a factor of a thousand is seen. Power beside voltage and current is compared with their product.
@@ -158,7 +158,7 @@ impl Magnitudes<'_> {
         found
     }
 
-    /// Whether voltage and current may be in these units, in thousands of those in which they are
+    /// True if voltage and current may be in these units, in thousands of those in which they are
     /// read. One file has one convention, and no millionths, unless another is what is usual.
     fn is_reading(&self, both: bool, voltage: i8, current: i8) -> bool {
         let is_usual = |thousands: i8| self.is_everyday(Quantity::Current, scale(thousands));
@@ -177,7 +177,7 @@ impl Magnitudes<'_> {
         is_likely && self.fits(scale(voltage), scale(current))
     }
 
-    /// Whether a quantity, in another scale, has a size that most robots have.
+    /// True if a quantity, in another scale, has a size that most robots have.
     fn is_everyday(&self, quantity: Quantity, scale: f64) -> bool {
         let place = MEASURED.iter().position(|measured| *measured == quantity);
         let range = place.map(|place| EVERYDAY[place]);
@@ -188,7 +188,7 @@ impl Magnitudes<'_> {
         range.is_none_or(is_within)
     }
 
-    /// Whether a robot can have voltage and current with these scales.
+    /// True if a robot can have voltage and current with these scales.
     fn fits(&self, voltage: f64, current: f64) -> bool {
         let within = |value: Option<f64>, (least, greatest): (f64, f64)| {
             value.is_none_or(|value| (least..=greatest).contains(&value))
@@ -264,7 +264,7 @@ impl Magnitudes<'_> {
         found
     }
 
-    /// Whether power was made of voltage and current.
+    /// True if power was made of voltage and current.
     fn is_product(&self) -> bool {
         self.ratios.usual().is_some_and(is_product)
     }
@@ -458,7 +458,7 @@ impl Magnitudes<'_> {
     }
 }
 
-/// Whether power was made of voltage and current.
+/// True if power was made of voltage and current.
 fn is_product(ratio: f64) -> bool {
     (ratio - 1.0).abs() < 1e-6
 }

@@ -137,12 +137,12 @@ impl FeatureSet {
         self.first()..self.end()
     }
 
-    /// Whether velocities are read.
+    /// True if velocities are read.
     pub const fn needs_command(self) -> bool {
         matches!(self, FeatureSet::Full | FeatureSet::Freshness)
     }
 
-    /// Whether the age of the newest reading is read.
+    /// True if the age of the newest reading is read.
     pub const fn needs_freshness(self) -> bool {
         matches!(self, FeatureSet::Freshness | FeatureSet::PowerFreshness)
     }

@@ -46,13 +46,13 @@ impl Model {
         }
     }
 
-    /// Whether forecasts need velocities. Without them, such a model forecasts NaN, never a number
+    /// True if forecasts need velocities. Without them, such a model forecasts NaN, never a number
     /// computed from zeros.
     pub fn needs_command(&self) -> bool {
         self.feature_set().needs_command()
     }
 
-    /// Whether forecasts need the age of the newest reading. Without it, such a model forecasts
+    /// True if forecasts need the age of the newest reading. Without it, such a model forecasts
     /// NaN.
     pub fn needs_freshness(&self) -> bool {
         self.feature_set().needs_freshness()

@@ -98,7 +98,7 @@ impl ReadingAge {
         self
     }
 
-    /// Whether two measurements have been seen. The features are NaN before.
+    /// True if two measurements have been seen. The features are NaN before.
     #[inline(always)]
     pub fn is_known(&self) -> bool {
         self.age_steps != NEVER && self.interval_steps > 0
@@ -114,7 +114,7 @@ impl ReadingAge {
         self.is_known().then_some(self.interval_steps)
     }
 
-    /// Whether a new measurement is due with the next sample, or overdue. `None` if unknown.
+    /// True if a new measurement is due with the next sample, or overdue. `None` if unknown.
     #[inline(always)]
     pub fn is_due(&self) -> Option<bool> {
         // A known age is below 255.

@@ -76,7 +76,7 @@ impl SeenPower {
         (level, bin((most_w - least_w) * per_w, 1, SPREADS))
     }
 
-    /// Whether the training data had readings like these, newest first, W.
+    /// True if the training data had readings like these, newest first, W.
     #[must_use]
     pub fn has(&self, lag_w: &[f32; LAGS]) -> bool {
         let (level, spread) = self.bins(lag_w);

@@ -62,7 +62,7 @@ impl Platform {
         Ok(())
     }
 
-    /// Whether every known value is inside its range: what [`Platform::outside`] says, without
+    /// True if every known value is inside its range: what [`Platform::outside`] says, without
     /// branches, since nearly every sample is.
     #[inline(always)]
     fn is_inside(&self, sample: &Sample) -> bool {

@@ -161,7 +161,7 @@ impl FleetSettings {
         fnv1a(postcard::to_allocvec(self).unwrap_or_default())
     }
 
-    /// Whether a platform has a battery.
+    /// True if a platform has a battery.
     #[must_use]
     pub fn has_batteries(&self) -> bool {
         self.platforms.iter().any(|platform| platform.battery.is_some())

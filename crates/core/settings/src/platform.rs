@@ -46,11 +46,11 @@ pub struct Platform {
     /// Limits of its residual alarms, in place of the fleet's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alarms: Option<AlarmLimits>,
-    /// Whether forecasts combine persistence, the model's autoregression and its network with
+    /// True if forecasts combine persistence, the model's autoregression and its network with
     /// weights learned from each robot's own readings. Otherwise they are the network's. Without a
     /// network nothing is learned.
     pub online: bool,
-    /// Whether the energy of plans adapts to the errors of each robot's own energy forecasts.
+    /// True if the energy of plans adapts to the errors of each robot's own energy forecasts.
     /// Otherwise it is as trained, from the robot's own level.
     pub energy_online: bool,
 }

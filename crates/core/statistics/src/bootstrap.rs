@@ -56,12 +56,12 @@ impl Estimate {
         Self { value, lo: f64::NAN, hi: f64::NAN }
     }
 
-    /// Whether the whole interval is above `bound`.
+    /// True if the whole interval is above `bound`.
     pub fn is_above(&self, bound: f64) -> bool {
         self.lo > bound
     }
 
-    /// Whether the whole interval is below `bound`.
+    /// True if the whole interval is below `bound`.
     pub fn is_below(&self, bound: f64) -> bool {
         self.hi < bound
     }

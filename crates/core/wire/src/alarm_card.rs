@@ -79,7 +79,7 @@ impl Alarm {
         }
     }
 
-    /// Whether it compares a robot with its own earlier level: it can be acknowledged as the new
+    /// True if it compares a robot with its own earlier level: it can be acknowledged as the new
     /// normal.
     #[must_use]
     pub const fn is_of_level(self) -> bool {

@@ -127,7 +127,7 @@ rows! {
     }
 }
 
-/// Whether the battery is filling.
+/// Charging state of the battery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChargeState {
     /// The robot runs on its battery.

@@ -45,7 +45,7 @@ pub enum Flow {
         kept: usize,
         /// Frames that a reader which comes later receives.
         history: usize,
-        /// Whether the worker computes and sends them only while somebody reads them.
+        /// True if the worker computes and sends them only while somebody reads them.
         on_demand: bool,
     },
     /// The worker sends. Recorders read.
@@ -58,7 +58,7 @@ pub enum Flow {
 }
 
 impl Flow {
-    /// Whether frames are sent only while somebody reads them.
+    /// True if frames are sent only while somebody reads them.
     #[must_use]
     pub const fn is_on_demand(self) -> bool {
         matches!(self, Self::Planners { on_demand: true, .. })

@@ -15,7 +15,7 @@ use crate::{
 pub struct Constants {
     /// Their prefix, in capitals: `SAMPLE`, `ALARM`.
     pub of: &'static str,
-    /// Whether they are bits: each has a comment.
+    /// True if they are bits: each has a comment.
     pub bits: bool,
     /// Each of them.
     pub values: Vec<Constant>,

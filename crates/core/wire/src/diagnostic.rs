@@ -282,7 +282,7 @@ impl AlarmSet {
         Self(self.0 & !Self::bit(alarm))
     }
 
-    /// Whether `alarm` is raised.
+    /// True if `alarm` is raised.
     #[must_use]
     pub const fn has(self, alarm: Alarm) -> bool {
         self.0 & Self::bit(alarm) != 0

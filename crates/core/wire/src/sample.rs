@@ -145,7 +145,7 @@ impl Sample {
         self
     }
 
-    /// Whether all of `flags` are set.
+    /// True if all of `flags` are set.
     #[must_use]
     pub const fn has(&self, flags: u32) -> bool {
         self.flags & flags == flags

@@ -143,7 +143,7 @@ pub struct Board {
     began_ns: u64,
     /// State of the worker, for people.
     pub link: Link,
-    /// Whether a planner may rely on the newest forecasts: none was missed.
+    /// True if a planner may rely on the newest forecasts: none was missed.
     pub is_reliable: bool,
     /// Robots by id.
     pub rows: BTreeMap<u32, Row>,

@@ -70,7 +70,7 @@ pub struct RobotRecord {
     soc: Option<f64>,
     soc_lo: Option<f64>,
     soc_hi: Option<f64>,
-    /// Whether measured states of charge are part of it.
+    /// True if measured states of charge are part of it.
     soc_measured: Option<bool>,
     /// Measured minus true state of charge, as far as it is known.
     sensor_bias: Option<f64>,

@@ -76,7 +76,7 @@ impl Search {
         }
     }
 
-    /// Whether the search finds a robot. `platform` is the index of its platform.
+    /// True if the search finds a robot. `platform` is the index of its platform.
     #[must_use]
     pub fn finds(&self, robot: u32, platform: Option<usize>, newest: &Newest) -> bool {
         if self.text.is_empty() {

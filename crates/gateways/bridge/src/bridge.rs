@@ -92,7 +92,7 @@ struct CheckReport {
 #[derive(Debug, Serialize)]
 struct RosCheckReport {
     domain_id: u16,
-    /// Whether messages go over zenoh, and not over DDS.
+    /// True if messages go over zenoh, and not over DDS.
     zenoh: bool,
     networks: Vec<String>,
     reads: Vec<String>,
@@ -360,7 +360,7 @@ impl Bridge {
         Ok(())
     }
 
-    /// Whether a thread has ended by itself.
+    /// True if a thread has ended by itself.
     fn is_over(&self) -> bool {
         let publishing = self.publishing.as_ref();
         let mut others = self.others.iter().chain(&self.connections);

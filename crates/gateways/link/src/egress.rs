@@ -162,13 +162,13 @@ impl Egress {
         }
     }
 
-    /// Whether any receiver selects the service.
+    /// True if any receiver selects the service.
     pub(crate) fn wants(&self, service: Carried) -> bool {
         let mut streams = self.streams.values();
         streams.any(|(stream, _)| stream.request_of().selection.wants(service))
     }
 
-    /// Whether a frame waits for the acknowledgement of an earlier one.
+    /// True if a frame waits for the acknowledgement of an earlier one.
     pub(crate) fn waits(&self) -> bool {
         self.streams.values().any(|(stream, _)| stream.waits())
     }

@@ -51,7 +51,7 @@ impl<'a> Host<'a> {
     }
 }
 
-/// Whether the text can be the name of a host, and of a file.
+/// True if the text can be the name of a host, and of a file.
 fn is_host(text: &str, most: usize) -> bool {
     let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
     let is_whole = (1..=most).contains(&text.len()) && !text.starts_with(['.', '-']);
@@ -62,7 +62,7 @@ fn is_host(text: &str, most: usize) -> bool {
 #[derive(Debug, Serialize)]
 struct InitReport {
     folder: PathBuf,
-    /// Whether the authority is new.
+    /// True if the authority is new.
     new_authority: bool,
     hosts: Vec<HostReport>,
     /// Lines that the worker's file lacks, because it was there before.

@@ -207,7 +207,7 @@ fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Opt
 }
 
 impl LinkReport {
-    /// Whether frames were lost or refused. Frames dropped on a slow link count, because planners
+    /// True if frames were lost or refused. Frames dropped on a slow link count, because planners
     /// did not get them.
     fn is_lossy(&self) -> bool {
         let given = self.given.iter();

@@ -25,7 +25,7 @@ pub(crate) struct OutputPort<C: Merged> {
 pub(crate) trait AnyOutputPort {
     fn service(&self) -> Carried;
 
-    /// Whether a worker would write no frame, because nobody reads them.
+    /// True if a worker would write no frame, because nobody reads them.
     fn is_unread(&self) -> bool;
 
     /// Writes a frame as the worker of this host would.
@@ -68,7 +68,7 @@ impl<C: Merged> OutputPort<C> {
         Ok(Self { service, writer, merge, differ: vec![false; shards] })
     }
 
-    /// Whether the shard's newest frame is fresh.
+    /// True if the shard's newest frame is fresh.
     pub(crate) fn is_fresh(&self, shard: usize, now_ns: u64) -> bool {
         self.merge.header(shard).is_some_and(|header| {
             let mut header = *header;

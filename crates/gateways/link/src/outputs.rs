@@ -232,7 +232,7 @@ impl Feeds {
         Self { merged: Carried::behind_forecasts(&NewFeed), ticks: Wanted::new(Carried::TICKS) }
     }
 
-    /// Whether a receiver requests any of them.
+    /// True if a receiver requests any of them.
     fn are_wanted(&self, egress: &Egress) -> bool {
         let mut merged = self.merged.iter();
         merged.any(|(service, _)| egress.wants(*service)) || egress.wants(Carried::TICKS)

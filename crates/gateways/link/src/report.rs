@@ -40,7 +40,7 @@ pub(crate) struct IngressRecord {
     pub(crate) clock_refits: u64,
     /// Number of clock steps.
     pub(crate) clock_steps: u64,
-    /// Whether realtime clocks narrow the uncertainty now.
+    /// True if realtime clocks narrow the uncertainty now.
     pub(crate) clock_realtime: bool,
     /// Number of times that round trips ruled out what realtime clocks showed.
     pub(crate) clock_contradictions: u64,

@@ -119,7 +119,7 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
     }
 }
 
-/// Whether the worker of this host can lead.
+/// Fitness of this host's worker to lead.
 struct LocalWorker {
     domain: Domain,
     hang_timeout_ns: u64,
@@ -134,7 +134,7 @@ impl LocalWorker {
         Self { domain, hang_timeout_ns, look_ns: 0, seen_ns: None, is_able: false }
     }
 
-    /// Whether the worker lives and, as leader, sends. A worker that restarts counts as able for a
+    /// True if the worker lives and, as leader, sends. A worker that restarts counts as able for a
     /// while.
     fn is_able(&mut self, leadership: &Leadership) -> bool {
         let now_ns = clock::monotonic_ns();

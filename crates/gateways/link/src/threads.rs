@@ -135,7 +135,7 @@ impl Threads {
         Ok(())
     }
 
-    /// Whether a thread has ended by itself.
+    /// True if a thread has ended by itself.
     pub(crate) fn have_ended(&self) -> bool {
         self.running.iter().any(Background::has_ended)
     }

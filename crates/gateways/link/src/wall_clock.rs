@@ -23,7 +23,7 @@ pub(crate) struct WallClock {
     is_synchronised: bool,
 }
 
-/// Whether the reason for not using the clock was logged. All streams have the same reason.
+/// True once the reason for not using the clock was logged. All streams have the same reason.
 static IS_LOGGED: AtomicBool = AtomicBool::new(false);
 
 impl WallClock {

@@ -103,7 +103,7 @@ impl Foxglove {
         &self.address
     }
 
-    /// Whether it has ended by itself.
+    /// True if it has ended by itself.
     pub(crate) fn is_over(&self) -> bool {
         self.recorder.is_over() || self.forward.is_finished()
     }

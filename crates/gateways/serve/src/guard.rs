@@ -257,7 +257,7 @@ fn end_of(request: &[u8]) -> Option<usize> {
     Some(at + END.len())
 }
 
-/// Whether the request is one of a program, or of a page that may connect.
+/// Accepts a request of a program, or of a page that may connect.
 fn check(request: &[u8], origins: &[String]) -> Result<(), Refusal> {
     let request = std::str::from_utf8(request).map_err(|_| Refusal::Malformed)?;
     let mut lines = request.split_terminator("\r\n");
@@ -283,7 +283,7 @@ fn may_connect(origin: &str, origins: &[String]) -> bool {
     is_of_this_host(origin) || origin == FOXGLOVE || origins.iter().any(|allowed| allowed == origin)
 }
 
-/// Whether a page comes from a server on this host.
+/// True if a page comes from a server on this host.
 fn is_of_this_host(origin: &str) -> bool {
     let host = ["http://", "https://"].iter().find_map(|scheme| origin.strip_prefix(scheme));
     let rest = host.and_then(|host| {

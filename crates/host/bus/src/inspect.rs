@@ -51,7 +51,7 @@ pub struct NodeInfo {
     pub pid: Option<u32>,
     /// Its program. Empty when its details are missing.
     pub executable: String,
-    /// Whether the process is alive. `None` when unknown.
+    /// True if the process is alive. `None` when unknown.
     pub alive: Option<bool>,
 }
 

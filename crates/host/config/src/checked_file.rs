@@ -169,7 +169,7 @@ impl<'a> Section<'a> {
         own.or_else(list).or_else(within).or_else(|| self.values.sections.values().next())
     }
 
-    /// Whether the file sets the key or has the section.
+    /// True if the file sets the key or has the section.
     #[must_use]
     pub fn has(&self, name: &str) -> bool {
         let path = self.path(name);

@@ -40,7 +40,7 @@ pub struct Threads {
 /// The thread that answers questions about plans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Queries {
-    /// Whether it runs.
+    /// True if it runs.
     pub answer: bool,
     /// Its nice value, 0 to 19.
     pub nice: u8,

@@ -18,7 +18,7 @@ pub struct Explanation {
     pub unit: &'static str,
     /// Allowed values, as text.
     pub range: String,
-    /// Whether it is required.
+    /// True if it is required.
     pub required: bool,
     /// The default, if there is one.
     pub default: Option<String>,

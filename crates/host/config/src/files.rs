@@ -18,7 +18,7 @@ pub(crate) fn read(path: &Path) -> io::Result<String> {
     joulebus_files::read_to_string(path, MAX_BYTES)
 }
 
-/// Whether `path` is below `folder`, and by its text alone: one with `..` is not.
+/// True if `path` is below `folder`, and by its text alone: one with `..` is not.
 #[must_use]
 pub fn is_below(path: &Path, folder: &Path) -> bool {
     path.starts_with(folder) && path.components().all(|part| part != Component::ParentDir)

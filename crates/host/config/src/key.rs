@@ -71,7 +71,7 @@ impl File {
         }
     }
 
-    /// Whether the file may set the key. A fleet's file may set those of platforms.
+    /// True if the file may set the key. A fleet's file may set those of platforms.
     #[must_use]
     pub fn allows(self, key: &Key) -> bool {
         self == key.file || (self, key.file) == (Self::Fleet, Self::Platform)
@@ -329,7 +329,7 @@ impl TextRule {
         }
     }
 
-    /// Whether `text` has this format.
+    /// True if `text` has this format.
     #[must_use]
     pub fn allows(self, text: &str) -> bool {
         let made_of = |allowed: fn(char) -> bool, most: usize| {

@@ -107,12 +107,12 @@ impl Values {
         self.entries.extend(stronger.entries);
     }
 
-    /// Whether a file sets the key, validly or not.
+    /// True if a file sets the key, validly or not.
     pub(crate) fn names(&self, path: &str) -> bool {
         self.entries.contains_key(path)
     }
 
-    /// Whether a file sets any key with this prefix.
+    /// True if a file sets any key with this prefix.
     pub(crate) fn names_any(&self, prefix: &str) -> bool {
         self.entries.keys().any(|path| path.starts_with(prefix))
     }

@@ -8,13 +8,13 @@ use std::path::Path;
 
 pub use std::fs::{File, create_dir_all, remove_file, rename};
 
-/// Whether there is something of that name, also a link that leads nowhere.
+/// True if there is something of that name, also a link that leads nowhere.
 #[must_use]
 pub fn exists(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }
 
-/// Whether there is a regular file of that name itself, not through a link.
+/// True if there is a regular file of that name itself, not through a link.
 #[must_use]
 pub fn is_file(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok_and(|found| found.is_file())

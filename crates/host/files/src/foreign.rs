@@ -173,8 +173,8 @@ pub fn recognise(head: &[u8]) -> Option<Foreign> {
     found.or_else(mat_4)
 }
 
-/// Whether a file begins with a variable of MATLAB 4, which has no magic bytes: its type, rows,
-/// columns, whether it is complex, and the length of its name, which ends with NUL.
+/// True if a file begins with a variable of MATLAB 4, which has no magic bytes. It has type, rows,
+/// columns, a flag for complex numbers, and the length of a name that ends with NUL.
 fn is_mat_4(head: &[u8]) -> bool {
     let number = |at: usize, big: bool| -> Option<u32> {
         let bytes: [u8; 4] = head.get(4 * at..4 * at + 4)?.try_into().ok()?;

@@ -53,7 +53,7 @@ impl ConfigFile {
         Config::parse(&shipped.toml(), Path::new("."))
     }
 
-    /// Whether it is the built-in one, because no file is named and the usual one does not exist.
+    /// True if it is the built-in one, because no file is named and the usual one does not exist.
     pub fn is_builtin(&self) -> bool {
         self.config.is_none() && !Path::new(USUAL).exists()
     }

@@ -1,4 +1,4 @@
-//! Whether a platform's model was trained in its range of power.
+//! Compares a platform's power with the range that its model was trained in.
 
 use joulebus_config::{Config, ModelSource, Problem};
 use joulebus_predictor::{FEATURES, LAGS, Model};

@@ -106,7 +106,7 @@ pub fn text(text: &str) -> anyhow::Result<()> {
 
 /// Target of a program's messages in a log whose lines are objects.
 pub(crate) const SAID: &str = "joulebus::program";
-/// Whether messages go to the log, whose lines are objects.
+/// True if messages go to the log, whose lines are objects.
 static TO_LOG: AtomicBool = AtomicBool::new(false);
 
 /// Lets [`say`] write to the log from now on.

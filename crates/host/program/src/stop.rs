@@ -34,7 +34,7 @@ impl Stop {
         Ok(Self { asked })
     }
 
-    /// Whether a stop was requested.
+    /// True if a stop was requested.
     pub fn is_asked(&self) -> bool {
         self.asked.load(Ordering::Relaxed)
     }

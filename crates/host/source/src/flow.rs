@@ -33,7 +33,7 @@ struct HeardWorker {
     process: Option<PeerWatch>,
 }
 
-/// Whether the fleet can take a frame.
+/// Readiness of the fleet for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SendWindow {
     /// The source may send.
@@ -104,7 +104,7 @@ impl Flow {
         }
     }
 
-    /// Whether a worker has been observed, so that it takes samples.
+    /// True if a worker has been observed, so that it takes samples.
     ///
     /// # Errors
     /// The worker writes another schema, or its state cannot be read.

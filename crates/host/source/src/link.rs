@@ -93,7 +93,7 @@ impl Link {
         }
     }
 
-    /// Whether a worker runs and reads, checked by a frame without samples.
+    /// True if a worker runs and reads, checked by a frame without samples.
     ///
     /// # Errors
     /// The lock or the service cannot be used.

@@ -55,7 +55,7 @@ pub enum Rate {
 }
 
 impl Rate {
-    /// Whether the source could be too fast for a worker.
+    /// True if the source could be too fast for a worker.
     #[must_use]
     pub const fn is_faster_than_recorded(self) -> bool {
         match self {

@@ -49,12 +49,12 @@ pub struct PlayedTrial {
     pub samples: u64,
     /// Notes on it.
     pub notes: String,
-    /// Whether there are no notes on faults.
+    /// True if there are no notes on faults.
     pub clean: bool,
 }
 
 impl PublishReport {
-    /// Whether samples did not reach a worker that should have.
+    /// True if samples did not reach a worker that should have.
     #[must_use]
     pub const fn has_lost(&self) -> bool {
         self.frames_failed > 0 || self.frames_unanswered > 0

@@ -48,7 +48,7 @@ impl Window {
         }
     }
 
-    /// Whether the frame can be sent without overflowing anything. Always true when nothing is
+    /// True if the frame can be sent without overflowing anything. Always true when nothing is
     /// outstanding, because waiting would not help.
     #[must_use]
     pub fn has_capacity(&self, frame: &[Sample]) -> bool {
@@ -90,7 +90,7 @@ impl Window {
         self.frames.len()
     }
 
-    /// Whether every frame is answered.
+    /// True if every frame is answered.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()

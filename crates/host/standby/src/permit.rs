@@ -25,7 +25,7 @@ pub struct Permit {
 }
 
 impl Permit {
-    /// Whether it allows to send at `now_ns`.
+    /// True if it allows to send at `now_ns`.
     #[must_use]
     pub fn holds(&self, now_ns: u64) -> bool {
         self.until_ns.is_none_or(|until_ns| now_ns < until_ns)

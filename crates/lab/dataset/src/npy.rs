@@ -73,7 +73,7 @@ pub struct Header {
     length: usize,
     /// Type of the elements in NumPy's notation, such as `<f4`.
     pub element: String,
-    /// Whether the first dimension varies fastest (Fortran order).
+    /// True if the first dimension varies fastest (Fortran order).
     pub fortran_order: bool,
     /// Elements in each dimension. Their product fits into 64 bits.
     pub shape: Vec<usize>,

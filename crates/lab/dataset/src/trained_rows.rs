@@ -132,7 +132,7 @@ fn stretches(rows: &[Row]) -> Vec<Vec<u64>> {
     stretches
 }
 
-/// Whether one row's window is the previous row's window and reading.
+/// True if one row's window is the previous row's window and reading.
 fn follows(before: &Row, after: &Row) -> bool {
     let lags = |row: &Row| -> [u32; LAGS] {
         std::array::from_fn(|lag| row.features[NEWEST + lag].to_bits())

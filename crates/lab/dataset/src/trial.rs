@@ -171,7 +171,7 @@ impl Trial {
         self.columns[column as usize].as_deref()
     }
 
-    /// Whether the reading of `row` (from 0) equals the previous row's: power, voltage and current,
+    /// True if the reading of `row` (from 0) equals the previous row's: power, voltage and current,
     /// to the bit.
     pub fn is_held(&self, row: usize) -> bool {
         table::is_held(&self.columns, row)
@@ -192,17 +192,17 @@ impl Trial {
         self.time_name.as_deref()
     }
 
-    /// Whether that name, or the caller, states its unit.
+    /// True if that name, or the caller, states its unit.
     pub(crate) const fn states_time_unit(&self) -> bool {
         self.states_time_unit
     }
 
-    /// Whether the sign of the current was turned when it was read.
+    /// True if the sign of the current was turned when it was read.
     pub(crate) const fn is_turned(&self) -> bool {
         self.is_turned
     }
 
-    /// Whether other trials of its file have further rows of the robot, because the file has too
+    /// True if other trials of its file have further rows of the robot, because the file has too
     /// many for one ([`Trial::each`]).
     pub const fn is_part(&self) -> bool {
         self.is_part

@@ -355,7 +355,7 @@ fn scores(case: &Case, result: &Result) -> String {
     )
 }
 
-/// Whether the target reading equals the newest one.
+/// True if the target reading equals the newest one.
 fn is_held(row: &Row) -> bool {
     row.target_w == row.features[NEWEST]
 }

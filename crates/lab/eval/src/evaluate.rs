@@ -135,7 +135,7 @@ pub struct Step {
     pub sample_seq: u64,
     /// The sample's stamp relative to the trial's first row, ns.
     pub stamp_ns: u64,
-    /// Whether the sample was accepted. Otherwise the other fields are empty.
+    /// True if the sample was accepted. Otherwise the other fields are empty.
     pub accepted: bool,
     /// The sample's reading, W.
     pub reading_w: Option<f32>,
@@ -144,7 +144,7 @@ pub struct Step {
     /// The reading minus the network's forecast of it, W, whatever was published. Same as in the
     /// diagnostics.
     pub network_residual_w: Option<f32>,
-    /// Whether the residual is scored: its forecast was one step ahead.
+    /// True if the residual is scored: its forecast was one step ahead.
     pub scored: bool,
     /// Forecast of the next reading, W.
     pub power_w: Option<f32>,

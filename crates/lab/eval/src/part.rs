@@ -214,7 +214,7 @@ fn merged(
     })
 }
 
-/// Whether each part, in ascending order, is there once.
+/// Checks that each part, in ascending order, is there once.
 fn check_numbers(parts: &[(String, EvalPart)]) -> Result<(), PartError> {
     let Some((first, EvalPart { of, .. })) = parts.first() else {
         return Err(PartError::None);

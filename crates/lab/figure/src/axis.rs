@@ -60,7 +60,7 @@ impl Axis {
         self
     }
 
-    /// Whether a number can be drawn on it.
+    /// True if a number can be drawn on it.
     pub(super) fn shows(&self, value: f64) -> bool {
         value.is_finite() && (self.scale != Scale::Log || value > 0.0)
     }

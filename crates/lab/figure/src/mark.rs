@@ -33,7 +33,7 @@ pub enum Mark {
     Line {
         /// The points.
         points: Vec<[f64; 2]>,
-        /// Whether it is dashed.
+        /// True if it is dashed.
         dashed: bool,
     },
     /// A band of points (x, low, high).

@@ -79,7 +79,7 @@ impl Mark {
         }
     }
 
-    /// Whether it has data, other than guide lines.
+    /// True if it has data, other than guide lines.
     pub(super) fn has_data(&self, panel: &Panel) -> bool {
         let shown = |axis: &Axis, value: f64| axis.shows(value);
         match self {

@@ -170,7 +170,7 @@ impl Broker<'_> {
         })
     }
 
-    /// Whether the robot's `CannotReturn` alarm is raised.
+    /// True if the robot's `CannotReturn` alarm is raised.
     pub(crate) fn cannot_return(&self, robot: usize) -> bool {
         self.places[robot].is_some_and(|place| {
             let diagnostic = self.fleet.diagnostic(place);

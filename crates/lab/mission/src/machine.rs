@@ -13,7 +13,7 @@ const REACH_M: f64 = 0.05;
 /// Maximum time for which a path is simulated ahead, ns.
 const MAX_AHEAD_NS: u64 = 600_000_000_000;
 
-/// Whether a robot has reached its goal.
+/// True if a robot has reached its goal.
 pub(crate) fn is_reached(at: Point, goal: Point) -> bool {
     (at.x_m - goal.x_m).hypot(at.y_m - goal.y_m) <= REACH_M
 }
@@ -67,7 +67,7 @@ impl Machine {
         now_ns >= self.on_ns && !self.is_empty
     }
 
-    /// Whether its battery ran empty.
+    /// True if its battery ran empty.
     pub(crate) fn is_empty(&self) -> bool {
         self.is_empty
     }

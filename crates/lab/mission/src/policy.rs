@@ -180,7 +180,7 @@ impl Policy {
         }
     }
 
-    /// Whether a robot must go to its charger now. `home_j` is [`Policy::needed_j`] of the path
+    /// True if a robot must go to its charger now. `home_j` is [`Policy::needed_j`] of the path
     /// home.
     pub(crate) fn must_go(&self, broker: &Broker<'_>, one: &Asked, home_j: f64) -> bool {
         match self {

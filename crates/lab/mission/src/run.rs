@@ -254,7 +254,7 @@ impl<'a> Mission<'a> {
         }
     }
 
-    /// Whether a robot that is on a charger since a step has made contact.
+    /// True if a robot that is on a charger since a step has made contact.
     fn is_docked(&self, since: u64) -> bool {
         ((self.step - since) * self.dt_ns) as f64 * 1e-9 >= self.scenario.docking_s
     }

@@ -29,7 +29,7 @@ pub enum Container {
 }
 
 impl Container {
-    /// Whether entries are in the order in which they were written, which is the order of the
+    /// True if entries are in the order in which they were written, which is the order of the
     /// layers.
     pub(crate) fn is_ordered(self) -> bool {
         !matches!(self, Container::StateDict | Container::Arrays)

@@ -17,9 +17,9 @@ pub struct Found {
     pub activation_from: ActivationFrom,
     /// The layers, first to last: one to three hidden ones and the output.
     pub layers: Vec<FoundLayer>,
-    /// Whether the file's matrices have one row per input instead of per output.
+    /// True if the file's matrices have one row per input instead of per output.
     pub transposed: bool,
-    /// Whether the biases were assigned by name. Otherwise they were assigned by order.
+    /// True if the biases were assigned by name. Otherwise they were assigned by order.
     pub paired_by_name: bool,
     /// The statistics of the normalisation.
     pub normalisation: FoundNormalisation,
@@ -147,7 +147,7 @@ impl Checkpoint {
     }
 }
 
-/// Whether an array is a vector of a layer of batch or layer normalisation, by its name and the
+/// True if an array is a vector of a layer of batch or layer normalisation, by its name and the
 /// width of a layer.
 fn is_of_normalisation_layer(entry: &Entry, widths: &[usize]) -> bool {
     let EntryValue::Tensor(tensor) = &entry.value else {
@@ -158,7 +158,7 @@ fn is_of_normalisation_layer(entry: &Entry, widths: &[usize]) -> bool {
     named && matches!(*tensor.shape(), [width] if width > 1 && widths.contains(&width))
 }
 
-/// Whether the worker has a network of these widths, inputs first.
+/// True if the worker has a network of these widths, inputs first.
 fn fits(widths: &[usize]) -> bool {
     let [inputs, hidden @ .., _] = widths else {
         return false;

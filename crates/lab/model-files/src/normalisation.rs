@@ -79,7 +79,7 @@ enum Statistic {
     Variance,
 }
 
-/// Whether a name denotes a statistic of any quantity.
+/// True if a name denotes a statistic of any quantity.
 pub(super) fn is_statistic(path: &str) -> bool {
     statistic(&tokens(last(path))).is_some()
 }

@@ -17,12 +17,12 @@ pub(super) const CHECK: &str = "check_";
 /// `layers.0.weight` has zeros instead.
 pub(super) const CONSTANT_WEIGHT: &str = "constant_feature_weight";
 
-/// Whether a file is safetensors: a length, then JSON.
+/// True if a file is safetensors: a length, then JSON.
 pub(super) fn is_safetensors(bytes: &[u8]) -> bool {
     bytes.get(8) == Some(&b'{')
 }
 
-/// Whether a safetensors file belongs to another program: a sound one without any of a model's
+/// True if a safetensors file belongs to another program: a sound one without any of a model's
 /// metadata. A damaged file is treated as a model, whose reader reports the damage.
 pub(super) fn is_foreign(bytes: &[u8]) -> bool {
     let Ok((_, header)) = SafeTensors::read_metadata(bytes) else {

@@ -36,7 +36,7 @@ pub(super) const MAX_VALUES: usize = 100_000;
 const MAX_NAME_BYTES: usize = 200;
 const NEWEST_PROTOCOL: u8 = 5;
 
-/// Whether tensors may be stored outside of the pickle, as PyTorch does.
+/// Places where tensors may be stored: in the pickle, or outside as PyTorch does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Storages {
     /// No.

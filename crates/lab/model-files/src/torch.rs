@@ -14,12 +14,12 @@ const PROGRAM: &str = "/data.pkl";
 const LEGACY_MAGIC: &[u8] = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.";
 const LEGACY_VERSION: i64 = 1001;
 
-/// Whether an archive is a PyTorch file.
+/// True if an archive is a PyTorch file.
 pub(super) fn is_torch(members: &[Member]) -> bool {
     members.iter().any(|member| member.name.ends_with(PROGRAM))
 }
 
-/// Whether a file is a PyTorch file of the legacy kind.
+/// True if a file is a PyTorch file of the legacy kind.
 pub(super) fn is_legacy(bytes: &[u8]) -> bool {
     bytes.starts_with(LEGACY_MAGIC)
 }

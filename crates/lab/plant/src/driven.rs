@@ -11,7 +11,7 @@ use joulebus_statistics::noise::Noise;
 pub struct Driven {
     body: Body,
     now_ns: u64,
-    /// Whether the last step brought a new measurement.
+    /// True if the last step brought a new measurement.
     fresh: bool,
     before_j: f64,
 }
@@ -64,7 +64,7 @@ impl Driven {
         self.body.measured_ns
     }
 
-    /// Whether the last step brought a new measurement.
+    /// True if the last step brought a new measurement.
     pub fn is_fresh(&self) -> bool {
         self.fresh
     }

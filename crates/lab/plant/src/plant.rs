@@ -41,7 +41,7 @@ pub struct SimReading {
     pub voltage_v: f32,
     /// Battery current of the latest measurement, A.
     pub current_a: f32,
-    /// Whether an earlier tick already returned this measurement.
+    /// True if an earlier tick already returned this measurement.
     pub held: bool,
     /// When it was measured, ns since the plant's start.
     pub measured_ns: u64,

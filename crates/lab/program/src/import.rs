@@ -83,7 +83,7 @@ pub(crate) struct Args {
 struct Recording {
     name: String,
     id: Option<u32>,
-    /// Whether it is of a bag, whose signs and units are those of ROS.
+    /// True if it is of a bag, whose signs and units are those of ROS.
     is_of_bag: bool,
     /// Time of its first row, Unix ns, if the recording has it.
     start_unix_ns: Option<u64>,

@@ -1,4 +1,4 @@
-//! Whether recordings are plausible, asked before they are used.
+//! Judges whether recordings are plausible before they are used.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -34,7 +34,7 @@ pub(crate) struct AcceptArguments {
 pub(crate) struct Judged {
     /// Recordings that show it.
     pub(crate) recordings: usize,
-    /// Whether the user lets it through.
+    /// True if the user lets it through.
     pub(crate) accepted: bool,
     /// The first.
     #[serde(flatten)]

@@ -54,7 +54,7 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Its rows. As many cells as columns.
     pub rows: Vec<Vec<Cell>>,
-    /// Whether it repeats a figure's data: it is then collapsed in HTML.
+    /// True if it repeats a figure's data: it is then collapsed in HTML.
     pub folded: bool,
 }
 
@@ -117,7 +117,7 @@ impl Cell {
         }
     }
 
-    /// Whether it is numeric, and so right-aligned.
+    /// True if it is numeric, and so right-aligned.
     pub(super) fn is_number(&self) -> bool {
         !matches!(self, Self::Words(_) | Self::Nothing)
     }

@@ -29,7 +29,7 @@ pub struct Recorded<'a> {
     pub design: &'a Design,
     /// Forecasters to compare with, beside persistence and the linear baselines.
     pub references: Vec<Reference>,
-    /// Whether these are the paper's published recordings, so that its numbers are shown.
+    /// True if these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,
 }
 

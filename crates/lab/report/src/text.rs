@@ -55,7 +55,7 @@ impl fmt::Display for Table {
 }
 
 impl Table {
-    /// Whether a column is numeric, and so right-aligned.
+    /// True if a column is numeric, and so right-aligned.
     pub(super) fn is_of_numbers(&self, column: usize) -> bool {
         let mut cells = self.rows.iter().filter_map(|row| row.get(column));
         cells.any(Cell::is_number)

@@ -174,7 +174,7 @@ impl Bag {
         Ok(bag)
     }
 
-    /// Whether it has a table, no view, with these columns.
+    /// True if it has a table, no view, with these columns.
     fn has_table(&self, table: &str, columns: &[&str]) -> Result<bool, BagError> {
         let look = || -> rusqlite::Result<bool> {
             // Asks SQLite itself, not the text in the file.
@@ -306,7 +306,7 @@ impl Bag {
     }
 }
 
-/// Whether it begins as an SQLite file does.
+/// Checks that the file begins as an SQLite file does.
 fn check_head(path: &Path) -> Result<(), BagError> {
     let io = |source| BagError::Io { path: path.to_owned(), source };
     let mut found = Vec::new();

@@ -67,7 +67,7 @@ impl Terms {
         Terms(known.fold(0, |bits, feature| bits | 1 << feature))
     }
 
-    /// Whether the feature at this position is in the subset.
+    /// True if the feature at this position is in the subset.
     pub const fn has(self, feature: usize) -> bool {
         feature < FEATURES && self.0 >> feature & 1 == 1
     }

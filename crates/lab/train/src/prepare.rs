@@ -17,7 +17,7 @@ pub struct Findings {
     pub constant_features: Vec<&'static str>,
     /// Number of training rows.
     pub training_rows: usize,
-    /// Whether there are fewer training rows than weights, with a risk of overfitting.
+    /// True if there are fewer training rows than weights, with a risk of overfitting.
     pub few_rows: bool,
 }
 

@@ -38,7 +38,7 @@ pub struct Epoch {
     pub training_loss: f64,
     /// Loss over the validation rows at the end of the epoch, without dropout.
     pub validation_loss: f64,
-    /// Whether no earlier epoch has a lower validation loss.
+    /// True if no earlier epoch has a lower validation loss.
     pub best: bool,
 }
 
@@ -153,7 +153,7 @@ impl Training {
         &self.epochs
     }
 
-    /// Whether the run has reached the maximum number of epochs or stopped early.
+    /// True if the run has reached the maximum number of epochs or stopped early.
     pub fn is_done(&self) -> bool {
         let made = self.epochs.len();
         let best = self.epochs.iter().rposition(|epoch| epoch.best);

@@ -1,4 +1,4 @@
-//! Whether a program's header is this library's.
+//! Compares the version of a program's header with this library's.
 
 use joulebus_wire::SCHEMA_VERSION;
 

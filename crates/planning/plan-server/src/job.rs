@@ -85,12 +85,12 @@ impl Job {
         }
     }
 
-    /// Whether it acknowledges an alarm as the new normal.
+    /// True if it acknowledges an alarm as the new normal.
     pub(crate) const fn is_new_normal(&self) -> bool {
         self.acknowledgement().is_some() && self.header.flags & query_flag::NEW_NORMAL != 0
     }
 
-    /// Whether it has waited long enough for a new frame. `has_frame`: there is an old one.
+    /// True if it has waited long enough for a new frame. `has_frame`: there is an old one.
     pub(crate) const fn is_impatient(&self, now_ns: u64, period_ns: u64, has_frame: bool) -> bool {
         let patience_ns =
             if has_frame { period_ns.saturating_mul(FRAME_TICKS) } else { FIRST_FRAME_NS };

@@ -87,7 +87,7 @@ pub struct PlanServer {
 #[derive(Debug, Default)]
 struct Shared {
     serves: AtomicBool,
-    /// Whether the ports have been opened, or could not be.
+    /// True once the ports have been opened, or could not be.
     tried: AtomicBool,
     counts: Mutex<QueryCounts>,
 }

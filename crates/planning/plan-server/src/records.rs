@@ -18,7 +18,7 @@ pub(crate) struct Records {
     /// When the oldest record was gathered.
     since_ns: u64,
     sent: Option<(QueryCounts, u64)>,
-    /// Whether the frame that later readers get has records: an empty one must follow.
+    /// True if the frame that later readers get has records: an empty one must follow.
     has_sent_records: bool,
 }
 

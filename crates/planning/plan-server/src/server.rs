@@ -92,7 +92,7 @@ impl Server {
         self.acknowledged.table()
     }
 
-    /// Whether files of this process were removed.
+    /// True if files of this process were removed.
     pub(crate) fn is_lost(&self) -> bool {
         self.bus.check().is_err()
     }
@@ -122,7 +122,7 @@ impl Server {
         Ok(())
     }
 
-    /// Whether connections of clients that have left may be kept.
+    /// True if connections of clients that have left may be kept.
     pub(crate) fn needs_reopen(&self) -> bool {
         self.server.needs_reopen(self.jobs.is_empty())
     }

@@ -242,7 +242,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Whether both frames are of one run of the worker, and neither is stale, nor from the future
+    /// True if both frames are of one run of the worker, and neither is stale, nor from the future
     /// by this process's clock.
     #[must_use]
     pub fn is_current(&self) -> bool {

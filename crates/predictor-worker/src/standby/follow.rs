@@ -134,7 +134,7 @@ impl Following {
     }
 }
 
-/// Whether a state that was taken at `taken_ns` contains a frame, or no later one of that worker
+/// True if a state that was taken at `taken_ns` contains a frame, or no later one of that worker
 /// will.
 const fn is_contained(held: &Held, taken_ns: u64) -> bool {
     held.taken_ns.saturating_add(CONTAINED_NS) <= taken_ns

@@ -1,4 +1,4 @@
-//! Whether this host's worker may send now: read by the tick, kept up to date by a thread.
+//! Permission of this host's worker to send: read by the tick, kept up to date by a thread.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -41,7 +41,7 @@ impl CurrentPermit {
         Self { until_ns: AtomicU64::new(0), term: AtomicU64::new(0) }
     }
 
-    /// Whether a frame may be sent at `now_ns`, since boot with suspend.
+    /// True if a frame may be sent at `now_ns`, since boot with suspend.
     pub(crate) fn holds(&self, now_ns: u64) -> bool {
         let until_ns = self.until_ns.load(Ordering::Acquire);
         now_ns < until_ns || until_ns == u64::MAX

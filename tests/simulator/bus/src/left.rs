@@ -4,7 +4,7 @@ use joulebus_simulated_host as host;
 
 use crate::CapacityError;
 
-/// Whether another object of shared memory can be made.
+/// Checks that another object of shared memory can be made.
 pub(crate) fn check_left() -> Result<(), CapacityError> {
     if host::memory_is_full() {
         return Err(CapacityError::Memory { needed: 1 << 16, free: 0 });

@@ -181,7 +181,7 @@ impl QueryServer {
         self.leak.look(now, clock::monotonic_ns())
     }
 
-    /// Whether the port is to be opened again.
+    /// True if the port is to be opened again.
     pub fn needs_reopen(&self, is_idle: bool) -> bool {
         self.leak.needs_reopen(is_idle, clock::monotonic_ns())
     }

@@ -285,13 +285,13 @@ pub fn create_dir_all(_path: impl AsRef<Path>) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether there is something of that name.
+/// True if there is something of that name.
 pub fn exists(path: &Path) -> bool {
     operation();
     with(|disk| disk.names.contains_key(path))
 }
 
-/// Whether there is a file of that name: there are no links.
+/// True if there is a file of that name: there are no links.
 pub fn is_file(path: &Path) -> bool {
     exists(path)
 }
@@ -411,7 +411,7 @@ pub fn take_away(path: &Path) {
     });
 }
 
-/// Whether a file would survive a power failure with all its bytes.
+/// True if a file would survive a power failure with all its bytes.
 pub fn is_durable(path: &Path) -> bool {
     with(|disk| {
         let number = disk.durable_names.get(path);

@@ -222,7 +222,7 @@ pub fn fill_memory(is_full: bool) {
     MEMORY_IS_FULL.set(is_full);
 }
 
-/// Whether shared memory is full.
+/// True if shared memory is full.
 pub fn memory_is_full() -> bool {
     MEMORY_IS_FULL.get()
 }
@@ -237,7 +237,7 @@ pub fn take_descriptors(pid: u32, are_gone: bool) {
     });
 }
 
-/// Whether process `pid` has file descriptors left.
+/// True if process `pid` has file descriptors left.
 pub fn has_descriptors(pid: u32) -> bool {
     WITHOUT_DESCRIPTORS.with_borrow(|pids| !pids.contains(&pid))
 }

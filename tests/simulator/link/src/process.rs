@@ -36,7 +36,7 @@ impl Link {
         Ok(Self(threads::Threads::start(config, settings, claim, network)?))
     }
 
-    /// Whether a thread has ended by itself.
+    /// True if a thread has ended by itself.
     pub fn has_ended(&self) -> bool {
         self.0.have_ended()
     }

@@ -87,7 +87,7 @@ struct Fleet<'a> {
     members: [Option<Child>; ROLES.len()],
     /// Captures, and whether their recorder was killed.
     captures: Vec<(PathBuf, bool)>,
-    /// Whether a process had no file descriptors or no disk left: it may end with an error.
+    /// True if a process had no file descriptors or no disk left: it may end with an error.
     starved: [bool; ROLES.len()],
     /// A disk of which little is left, where such can be mounted.
     small_disk: Option<SmallDisk>,
@@ -511,7 +511,7 @@ fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
     read
 }
 
-/// Whether packages of PyPI read along.
+/// True if packages of PyPI read along.
 fn is_witnessed() -> bool {
     std::env::var_os("JOULEBUS_WITNESS").is_some()
 }

@@ -12,7 +12,7 @@ pub(super) struct Channel {
 }
 
 impl Channel {
-    /// Whether both are of one topic of a recording.
+    /// True if both are of one topic of a recording.
     fn is_of(&self, other: &Self) -> bool {
         (&self.topic, &self.type_name, &self.encoding)
             == (&other.topic, &other.type_name, &other.encoding)

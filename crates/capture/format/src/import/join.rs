@@ -442,7 +442,7 @@ impl Track {
         TimeSource::Log
     }
 
-    /// Whether the percentage is one, 0 to 100, though the message defines it as a share: one unit
+    /// True if the percentage is one, 0 to 100, though the message defines it as a share: one unit
     /// for all readings.
     fn has_percentages(&self) -> bool {
         let all = self.battery.items.iter();
@@ -551,7 +551,7 @@ impl<'a, T: Copy> Follow<'a, T> {
         Self { items, next: 0 }
     }
 
-    /// Whether there was any item up to now.
+    /// True if there was any item up to now.
     const fn has_begun(&self) -> bool {
         self.next > 0
     }

@@ -50,7 +50,7 @@ pub struct RobotMapping {
     pub id: Option<u32>,
     /// Topic of its `BatteryState`.
     pub battery: String,
-    /// Whether its command and odometry are looked for, as those of robots that no mapping names.
+    /// True if its command and odometry are looked for, as those of robots that no mapping names.
     #[serde(skip)]
     pub is_searched: bool,
     /// Topic of its `Twist` or `TwistStamped`.
@@ -288,7 +288,7 @@ fn shared(one: &str, other: &str) -> usize {
     one.iter().zip(&other).take_while(|(a, b)| a == b).count()
 }
 
-/// Whether the namespaces of two topics differ first in a number: `/r1` and `/r2`.
+/// True if the namespaces of two topics differ first in a number: `/r1` and `/r2`.
 fn is_of_another_number(one: &str, other: &str) -> bool {
     let (one, other) = (folders(one), folders(other));
     let mut pairs = one.iter().zip(&other);

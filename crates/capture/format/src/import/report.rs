@@ -79,7 +79,7 @@ pub struct Imported {
 }
 
 impl Imported {
-    /// Whether everything in the mapping was used.
+    /// True if everything in the mapping was used.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         let is_used = |topic: &TopicReport| topic.refused.is_empty();

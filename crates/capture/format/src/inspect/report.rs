@@ -19,7 +19,7 @@ pub struct Inspection {
     pub profile: String,
     /// The library that wrote it, as stated.
     pub library: String,
-    /// Whether it could be read completely.
+    /// True if it could be read completely.
     pub complete: bool,
     /// Messages.
     pub messages: u64,
@@ -47,7 +47,7 @@ pub struct Inspection {
     pub metadata_count: u64,
     /// The first metadata records.
     pub metadata: Vec<MetadataReport>,
-    /// Whether the statistics in the file are right.
+    /// Result of checking the statistics in the file.
     pub statistics: StatisticsCheck,
     /// Number of errors.
     pub errors: u64,
@@ -58,7 +58,7 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// Whether there are no errors.
+    /// True if there are no errors.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.errors == 0

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::chunks::Chunks;
 use super::finding::Severity;
 
-/// Whether the statistics in a file equal the counts.
+/// Comparison of the statistics in a file with the counts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum StatisticsCheck {

@@ -26,7 +26,7 @@ impl<C: Channel> Default for Frame<C> {
     }
 }
 
-/// Whether all bits are the same.
+/// True if all bits are the same.
 impl<C: Channel> PartialEq for Frame<C> {
     fn eq(&self, other: &Self) -> bool {
         is_same(&[self.header], &[other.header]) && is_same(&self.rows, &other.rows)
@@ -37,7 +37,7 @@ impl<C: Channel> PartialEq for Frame<C> {
 #[derive(Debug, Clone)]
 pub struct RobotRow<C: Channel>(pub C::Row);
 
-/// Whether all bits are the same.
+/// True if all bits are the same.
 impl<C: Channel> PartialEq for RobotRow<C> {
     fn eq(&self, other: &Self) -> bool {
         is_same(&[self.0], &[other.0])

@@ -58,7 +58,7 @@ pub trait Content: Any + Debug + Send + Sync {
     /// A copy.
     fn cloned(&self) -> Box<dyn Content>;
 
-    /// Whether the others have the same bits.
+    /// True if the others have the same bits.
     fn is_same(&self, other: &dyn Content) -> bool;
 }
 
@@ -260,8 +260,8 @@ impl MessageKind {
         self.rows
     }
 
-    /// Whether captures may have its rows as messages of single robots: where they are sent whether
-    /// or not somebody reads them.
+    /// True if captures may have its rows as messages of single robots: the worker sends them, read
+    /// or not.
     #[must_use]
     pub const fn has_robots(self) -> bool {
         matches!(self.rows, FrameRows::Robots) && !self.flow.is_on_demand()
@@ -285,7 +285,7 @@ impl MessageKind {
         (self.descriptors)(self.message)
     }
 
-    /// Whether its schema has this name.
+    /// True if its schema has this name.
     #[must_use]
     pub fn is_schema(self, name: &str) -> bool {
         name.strip_prefix("joulebus.") == Some(self.message)

@@ -73,9 +73,9 @@ pub struct Recovery {
     pub others_lost: u64,
     /// Recovered messages by topic.
     pub topics: BTreeMap<String, u64>,
-    /// Whether more may have been lost than is counted: the file's own statistics are missing.
+    /// True if more may have been lost than is counted: the file's own statistics are missing.
     pub lost_unknown: bool,
-    /// Whether the checksum of the data section is wrong: records outside of chunks may be altered,
+    /// True if the checksum of the data section is wrong: records outside of chunks may be altered,
     /// or a lost record is the cause.
     pub doubt: bool,
     /// Bytes skipped as unreadable.
@@ -87,13 +87,13 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Whether the file was valid.
+    /// True if the file was valid.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.is_lossless() && self.trouble_count == 0
     }
 
-    /// Whether all records are in the result, without doubt. Indexes and checksums may have been
+    /// True if all records are in the result, without doubt. Indexes and checksums may have been
     /// lost, because they are recreated.
     #[must_use]
     pub fn is_lossless(&self) -> bool {
@@ -199,7 +199,7 @@ struct OpenChunk {
 }
 
 impl Ledger {
-    /// Whether nothing that a file is kept for was found.
+    /// True if nothing that a file is kept for was found.
     pub(super) fn is_empty(&self) -> bool {
         let kinds = [self.messages, self.attachments, self.metadata];
         kinds.iter().all(|counts| counts.recovered == 0)

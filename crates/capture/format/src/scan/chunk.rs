@@ -185,7 +185,7 @@ impl<R: Read + Seek> Chunk<R> {
         RecordLocation { offset: self.frame.offset, in_chunk: Some(self.read) }
     }
 
-    /// Whether the file ends within the chunk.
+    /// True if the file ends within the chunk.
     fn is_cut(&self) -> bool {
         let file_bytes = match &self.body {
             Body::Plain(body) => body.get_ref().file_bytes(),
@@ -266,7 +266,7 @@ impl<R: Read + Seek> Chunk<R> {
     }
 }
 
-/// Whether a record begins where only padding is allowed.
+/// True if a record begins where only padding is allowed.
 fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<bool, ScanError> {
     if rest == 0 {
         return Ok(false);

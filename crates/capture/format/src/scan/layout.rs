@@ -37,7 +37,7 @@ const fn fields(opcode: u8) -> &'static [Field] {
     }
 }
 
-/// Whether the body of a record contains all its fields.
+/// True if the body of a record contains all its fields.
 pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
     let mut rest = body;
     fields(opcode).iter().all(|field| pass(*field, &mut rest).is_some())

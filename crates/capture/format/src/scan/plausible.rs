@@ -38,7 +38,7 @@ const fn least_bytes(opcode: u8) -> Option<u64> {
     })
 }
 
-/// Whether there is a record at `offset`: by its head, its lengths, and the head of the next one.
+/// True if there is a record at `offset`: by its head, its lengths, and the head of the next one.
 pub(super) fn is_record<R: Read + Seek>(
     source: &mut Source<R>,
     offset: u64,

@@ -60,7 +60,7 @@ pub struct Crc {
 }
 
 impl Crc {
-    /// Whether the two differ.
+    /// True if the two differ.
     #[must_use]
     pub const fn is_wrong(&self) -> bool {
         self.saved != 0 && self.saved != self.found

@@ -194,7 +194,7 @@ impl Simulation {
         }
     }
 
-    /// Whether somebody reads what plans start from: for ten of every forty ticks nobody does.
+    /// True if somebody reads what plans start from: for ten of every forty ticks nobody does.
     fn plans(&self) -> bool {
         self.tick % 40 < 30
     }
@@ -290,7 +290,7 @@ fn tick_of(message: &Message) -> u64 {
     frame.map_or(0, |place| place.number)
 }
 
-/// Whether it is a certain frame of samples.
+/// True if it is a certain frame of samples.
 fn is_frame_50(message: &Message) -> bool {
     let frame = message.frame::<Samples>();
     frame.is_some_and(|frame| (frame.header.source_id, frame.header.frame_seq) == (2, 50))

@@ -157,7 +157,7 @@ impl Detector {
         (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0)
     }
 
-    /// Whether [`Detector::decide`] would change anything, which is rare.
+    /// True if [`Detector::decide`] would change anything, which is rare.
     #[inline(always)]
     pub(crate) fn is_moved_by(&self, conditions: Conditions) -> bool {
         self.change(conditions) | self.changing.0 != 0

@@ -21,14 +21,14 @@ pub(crate) struct SavedErrors {
 }
 
 impl SavedErrors {
-    /// Whether errors could have led to it.
+    /// True if errors could have led to it.
     pub(crate) fn is_sound(&self) -> bool {
         let mut counted = self.counts.classes.as_flattened().iter();
         are_sound(&self.seen) && counted.all(|count| (0..1_000_000_000).contains(count))
     }
 }
 
-/// Whether errors could have led to these remembered ones.
+/// True if errors could have led to these remembered ones.
 fn are_sound(seen: &ErrorCounts<f32>) -> bool {
     const MAX: f32 = 1e9;
     let mut classes = seen.classes.as_flattened().iter();

@@ -136,7 +136,7 @@ impl EnergyLanes {
         ((self.metered.0[energy_j][lane], self.metered.0[time_s][lane]), factors)
     }
 
-    /// Whether the levels of the robot in a lane are known well enough to stay while it is on its
+    /// True if the levels of the robot in a lane are known well enough to stay while it is on its
     /// charger, where it draws what it does not draw at work.
     #[inline(always)]
     pub(crate) fn is_settled(&self, lane: usize) -> bool {

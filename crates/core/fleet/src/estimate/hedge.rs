@@ -50,7 +50,7 @@ pub(crate) struct Hedge {
     pub above: [f32; MEMBERS - 1],
     /// Δ. 0 before the first error.
     pub cost: f32,
-    /// Whether all members take part, or the last reading and one stack.
+    /// True if all members take part, or the last reading and one stack.
     pub of_all: bool,
 }
 

@@ -167,7 +167,7 @@ impl Members {
         Start::new([self.least_w, self.most_w], self.sceptic_loss, mean_w)
     }
 
-    /// Whether the training had no readings like the robot's first ones, newest first, W.
+    /// True if the training had no readings like the robot's first ones, newest first, W.
     fn is_unseen(&self, lag_w: &[f32; LAGS]) -> bool {
         let is_known = lag_w.iter().all(|watts| watts.is_finite());
         is_known && self.seen.is_some_and(|seen| !seen.has(lag_w))
@@ -184,7 +184,7 @@ impl Members {
 /// Inputs of initial losses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Start {
-    /// Whether the model was trained on nothing like a robot of this mean power.
+    /// True if the model was trained on nothing like a robot of this mean power.
     unlike: bool,
     /// Loss of the sceptical stack, in r².
     sceptic_loss: f32,
@@ -332,7 +332,7 @@ pub(crate) struct Online {
     held_cost: f32,
     /// Readings so far, up to 255.
     seen: u8,
-    /// Whether its first readings are [unlike](Members::is_unseen) the training's.
+    /// True if its first readings are [unlike](Members::is_unseen) the training's.
     unseen: bool,
 }
 
@@ -667,7 +667,7 @@ impl OnlineLanes {
         put(&mut self.seen[lane], mask, robot.seen);
     }
 
-    /// Whether [`Online::judge_first`] is due.
+    /// True if [`Online::judge_first`] is due.
     #[inline(always)]
     pub(crate) fn is_first_full(&self, lane: usize) -> bool {
         usize::from(self.seen[lane]) == LAGS

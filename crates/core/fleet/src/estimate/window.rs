@@ -89,7 +89,7 @@ impl Window {
         if self.unread_steps == 0 { self.closed.lag_w[0] } else { f32::NAN }
     }
 
-    /// Whether the next sample's reading is scored if no gap precedes it. Only forecasts one step
+    /// True if the next sample's reading is scored if no gap precedes it. Only forecasts one step
     /// ahead are.
     #[inline(always)]
     pub(crate) fn is_scored(&self) -> bool {
@@ -172,7 +172,7 @@ impl Window {
         Some(row)
     }
 
-    /// Whether [`Window::close`] needs no further steps open loop.
+    /// True if [`Window::close`] needs no further steps open loop.
     #[inline(always)]
     pub(crate) fn can_close(&self, gap: Gap) -> bool {
         match gap {
@@ -212,7 +212,7 @@ impl Window {
         self.reading_age.pass(missing_steps);
     }
 
-    /// Whether a new measurement is due at the next sample. Also true if unknown.
+    /// True if a new measurement is due at the next sample. Also true if unknown.
     #[inline(always)]
     pub(crate) fn due(&self) -> bool {
         self.reading_age.is_due().unwrap_or(true)

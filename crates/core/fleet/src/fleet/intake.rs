@@ -20,7 +20,7 @@ impl Fleet {
         self.take_part(&frame, samples);
     }
 
-    /// Whether the account of the frame's source contains the frame, which came at `now_ns`: it was
+    /// True if the account of the frame's source contains the frame, which came at `now_ns`: it was
     /// taken, refused or counted as lost. Who continues from a [state](crate::FleetState) takes no
     /// frame twice.
     pub fn has_accounted(&self, header: &SampleHeader, now_ns: u64) -> bool {

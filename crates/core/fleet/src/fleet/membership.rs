@@ -61,7 +61,7 @@ impl Fleet {
         context.is_some_and(|context| context.errors.remember(seen))
     }
 
-    /// Whether a platform of the config has this robot.
+    /// True if a platform of the config has this robot.
     #[must_use]
     pub fn is_configured(&self, robot: u32) -> bool {
         self.platform_of(robot).is_some()

@@ -107,7 +107,7 @@ impl Fleet {
         })
     }
 
-    /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
+    /// True if every robot whose next sample is due at `now_ns` has reported since the last tick.
     pub fn complete(&self, now_ns: u64) -> bool {
         self.reported == self.len()
             || self.slots.iter().all(|slot| {
@@ -174,7 +174,7 @@ impl Fleet {
         self.slots.used()
     }
 
-    /// Whether no robot is in the fleet.
+    /// True if no robot is in the fleet.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -23,7 +23,7 @@ const MAGIC: [u8; 8] = *b"jbonlin\x01";
 pub struct OnlineSettings {
     /// The intervals' coverage and rate.
     pub interval: IntervalSettings,
-    /// Whether robots learn online. Otherwise the member's forecasts are taken as they are, and
+    /// True if robots learn online. Otherwise the member's forecasts are taken as they are, and
     /// only the intervals adapt.
     pub online: bool,
     /// Resolution of the readings, W, above 0.
@@ -116,7 +116,7 @@ impl OnlineForecasts {
         self.columns.robots
     }
 
-    /// Whether there is no robot.
+    /// True if there is no robot.
     pub fn is_empty(&self) -> bool {
         self.columns.robots == 0
     }

@@ -31,21 +31,21 @@ pub(crate) struct AdmissionState {
     /// Reason that the last sample was refused, if it was.
     #[serde(with = "invalid_reason")]
     pub invalid: Option<InvalidReason>,
-    /// Whether the slot is in use.
+    /// True if the slot is in use.
     pub present: bool,
-    /// Whether a sample of the epoch has been seen.
+    /// True if a sample of the epoch has been seen.
     pub ordered: bool,
-    /// Whether a new run of the source has taken over and none of its samples has been accepted
+    /// True if a new run of the source has taken over and none of its samples has been accepted
     /// yet.
     pub renewed: bool,
-    /// Whether a sample has arrived in this tick, taken or refused.
+    /// True if a sample has arrived in this tick, taken or refused.
     pub reported: bool,
-    /// Whether a sample has ever been accepted.
+    /// True if a sample has ever been accepted.
     pub accepted: bool,
     pub charging: bool,
-    /// Whether the robot has ever been seen charging: its state of charge is then unknown.
+    /// True if the robot has ever been seen charging: its state of charge is then unknown.
     pub charged: bool,
-    /// Whether the last row was outside the training range.
+    /// True if the last row was outside the training range.
     pub outside_training: bool,
 }
 

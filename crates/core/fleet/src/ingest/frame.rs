@@ -31,6 +31,6 @@ impl TickIntake {
 pub struct FrameIntake {
     pub(crate) header: SampleHeader,
     pub(crate) now_ns: u64,
-    /// Whether its samples may be checked.
+    /// Result of the frame's checks: its samples may be checked, or the reason why not.
     pub(crate) admitted: Result<(), DropReason>,
 }

@@ -16,7 +16,7 @@ pub(crate) struct Pending {
     pub omega_radps: f32,
     pub power_w: f32,
     flags: u8,
-    /// Whether it breaks the sequence, so that earlier samples are irrelevant.
+    /// True if it breaks the sequence, so that earlier samples are irrelevant.
     pub broken: bool,
 }
 
@@ -44,7 +44,7 @@ impl Pending {
         u32::from(self.flags) & flags == flags
     }
 
-    /// Whether there is a reading.
+    /// True if there is a reading.
     #[inline(always)]
     pub(crate) fn read(&self) -> bool {
         self.has(sample_flag::POWER)

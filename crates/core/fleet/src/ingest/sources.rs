@@ -157,7 +157,7 @@ impl Sources {
         Ok(())
     }
 
-    /// Whether a frame that came at `now_ns`, or a later one of its source, has been taken,
+    /// True if a frame that came at `now_ns`, or a later one of its source, has been taken,
     /// refused, or counted as lost.
     ///
     /// A frame of a replaced run counts as refused, unless the later run is silent, as in
@@ -176,7 +176,7 @@ impl Sources {
         })
     }
 
-    /// Whether the accepted run gives way to any other.
+    /// True if the accepted run gives way to any other.
     const fn is_silent(&self, source: &Source, now_ns: u64) -> bool {
         now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns
     }

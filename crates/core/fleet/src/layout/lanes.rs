@@ -96,7 +96,7 @@ pub(crate) fn set<B: Block>(blocks: &mut [B], slot: usize, robot: B::Robot) {
     blocks[slot / LANES].set(slot % LANES, true, robot);
 }
 
-/// Whether any lane is set.
+/// True if any lane is set.
 #[inline(always)]
 pub(crate) fn any(mask: &Lanes<bool>) -> bool {
     let mut any = 0;

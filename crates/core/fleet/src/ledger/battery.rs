@@ -74,7 +74,7 @@ impl At {
     }
 }
 
-/// Whether a robot was on its charger while something was counted.
+/// Charging of a robot while something was counted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Charging {
     /// In metered time.
@@ -142,9 +142,9 @@ pub(crate) struct BatteryState {
     pub changes: u32,
     /// Alarms of the battery that are raised: [`joulebus_wire::AlarmSet`] bits.
     pub raised: u32,
-    /// Whether the last sample was on the charger.
+    /// True if the last sample was on the charger.
     pub charging: bool,
-    /// Whether measured values are part of the estimate.
+    /// True if measured values are part of the estimate.
     pub fused: bool,
     /// Inputs of the newest sample: measured state of charge and energy to return, J (NaN if
     /// unknown), whether the first is derived from a voltage, and events.
@@ -357,7 +357,7 @@ impl BatteryState {
         self.anchor(at);
     }
 
-    /// Whether a sample of this stamp has to be taken robot by robot.
+    /// True if a sample of this stamp has to be taken robot by robot.
     #[inline(always)]
     pub(crate) fn needs(&self, stamp_ns: u64, charging: bool, broken: bool) -> bool {
         let measured = !self.input.is_nan() & self.is_due(stamp_ns);

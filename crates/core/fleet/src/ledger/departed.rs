@@ -11,7 +11,7 @@ use crate::ledger::energy::Ledger;
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(crate) struct Account {
     pub robot: u32,
-    /// Whether it has ever been seen charging.
+    /// True if it has ever been seen charging.
     pub charged: bool,
     pub ledger: Ledger,
     pub battery: Known,
@@ -142,7 +142,7 @@ impl Departed {
         self.lost[usize::from(ids / 64)] |= 1 << (ids % 64);
     }
 
-    /// Whether a robot without an account may have had one.
+    /// True if a robot without an account may have had one.
     pub(crate) fn is_lost(&self, robot: u32) -> bool {
         let ids = robot as u16;
         self.lost[usize::from(ids / 64)] & (1 << (ids % 64)) != 0

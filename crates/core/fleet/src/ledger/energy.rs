@@ -30,7 +30,7 @@ pub struct Ledger {
     forecast_remainder: u32,
     /// Bits of the last reading in W, NaN's if there is none.
     last_power: u32,
-    /// Whether `stamp_ns` belongs to a sample.
+    /// True if `stamp_ns` belongs to a sample.
     begun: bool,
 }
 

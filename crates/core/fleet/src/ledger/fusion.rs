@@ -27,7 +27,7 @@ const AFTER_GAP_NS: u64 = 10_000_000_000;
 const LASTS_NS: u64 = 60_000_000_000;
 
 impl BatteryState {
-    /// Whether a measured value of this stamp is used.
+    /// True if a measured value of this stamp is used.
     #[inline(always)]
     pub(crate) fn is_due(&self, stamp_ns: u64) -> bool {
         let since_ns = stamp_ns.wrapping_sub(self.measured_ns);
@@ -47,7 +47,7 @@ impl BatteryState {
         };
     }
 
-    /// Whether the last measured value is below the counted one, and is not believed.
+    /// True if the last measured value is below the counted one, and is not believed.
     pub(crate) fn is_contradicted(&self) -> bool {
         AlarmSet(self.raised).has(Alarm::SocImplausible) && self.jump < 0.0
     }
@@ -68,7 +68,7 @@ impl BatteryState {
         self.measured_ns = stamp_ns;
     }
 
-    /// Whether the value is the same although the charge has changed.
+    /// True if the value is the same although the charge has changed.
     fn is_stuck(&mut self, measured: Measured) -> bool {
         if measured.soc.to_bits() != self.measured.to_bits() {
             (self.measured, self.equal_counted) = (measured.soc, self.counted);

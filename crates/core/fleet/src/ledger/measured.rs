@@ -37,6 +37,6 @@ impl Measured {
 pub(crate) struct Seen {
     pub stamp_ns: u64,
     pub charging: bool,
-    /// Whether it does not continue the samples before.
+    /// True if it does not continue the samples before.
     pub broken: bool,
 }

@@ -9,7 +9,7 @@ use crate::ledger::battery::Estimate;
 /// Energy left of a robot. NaN if unknown.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Remaining {
-    /// Whether its battery is configured.
+    /// True if its battery is configured.
     pub battery: bool,
     pub left_j: f32,
     pub usable_j: f32,

@@ -190,7 +190,7 @@ impl FleetState {
         self.present().count()
     }
 
-    /// Whether no robot is in the fleet.
+    /// True if no robot is in the fleet.
     pub fn is_empty(&self) -> bool {
         self.present().next().is_none()
     }

@@ -16,7 +16,7 @@ pub struct Batch {
     pub(crate) words: usize,
     slots: Vec<u32>,
     columns: [Vec<f32>; INPUTS],
-    /// Whether the reading-age columns are filled too.
+    /// True if the reading-age columns are filled too.
     freshness: bool,
     forecasts_w: Vec<f32>,
     outside: Vec<bool>,
@@ -167,7 +167,7 @@ pub(crate) struct Inferred {
     /// Lanes with a row.
     pub rows: Lanes<bool>,
     pub forecast_w: Lanes<f32>,
-    /// Whether the row is outside the training range.
+    /// True if the row is outside the training range.
     pub outside: Lanes<bool>,
 }
 
@@ -177,7 +177,7 @@ impl Inferred {
     }
 }
 
-/// Whether the first slots are a whole block's, in their order.
+/// True if the first slots are a whole block's, in their order.
 #[inline(always)]
 fn is_block(slots: &[u32]) -> bool {
     let Some(slots) = slots.first_chunk::<LANES>() else {

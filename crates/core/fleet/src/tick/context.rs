@@ -61,7 +61,7 @@ impl TickContext {
         self.now_ns.saturating_sub(admission.taken_ns)
     }
 
-    /// Whether a robot has been silent for longer than its platform allows.
+    /// True if a robot has been silent for longer than its platform allows.
     #[inline(always)]
     pub(crate) fn is_stale(&self, admission: &AdmissionState) -> bool {
         self.silent_ns(admission)

@@ -112,7 +112,7 @@ pub(crate) struct PossiblePower {
 }
 
 impl PossiblePower {
-    /// Whether it can be a forecast at all: no further outside the limits than they are apart. NaN
+    /// True if it can be a forecast at all: no further outside the limits than they are apart. NaN
     /// is not.
     #[inline(always)]
     pub(crate) fn is_near(self, forecast_w: f32) -> bool {

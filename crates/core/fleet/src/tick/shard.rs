@@ -122,7 +122,7 @@ impl<'a> Shard<'a> {
         self.columns.robots()
     }
 
-    /// Whether it has no robot.
+    /// True if it has no robot.
     pub fn is_empty(&self) -> bool {
         self.columns.words.iter().all(|word| *word == 0)
     }

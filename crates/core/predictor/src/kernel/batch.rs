@@ -35,7 +35,7 @@ pub enum Tiling {
 
 /// Input rows.
 pub(crate) trait Source: Copy {
-    /// Whether batch-major loads are faster than output-major ones.
+    /// True if batch-major loads are faster than output-major ones.
     const IS_COLUMNS: bool;
 
     /// `N` rows from `start`, assembled in `space` if necessary. Features that are not read are

@@ -40,7 +40,7 @@ impl Kernel {
     /// All kernels, slowest first.
     pub const ALL: [Kernel; 4] = [Kernel::Scalar, Kernel::Neon, Kernel::Avx2, Kernel::Avx512];
 
-    /// Whether this CPU supports it.
+    /// True if this CPU supports it.
     pub fn is_available(self) -> bool {
         Engine::new(self).is_some()
     }

@@ -56,7 +56,7 @@ impl Read {
         Read { first: 0, end: inputs }
     }
 
-    /// Whether the reading-age features are among them.
+    /// True if the reading-age features are among them.
     pub(crate) const fn has_reading_age(self) -> bool {
         self.end > FEATURES
     }

@@ -48,7 +48,7 @@ impl Settings {
         }
     }
 
-    /// Whether any topic is read.
+    /// True if any topic is read.
     pub(crate) fn is_source(&self) -> bool {
         let mqtt = self.mqtt.as_ref();
         let ros2 = self.ros2.as_ref();
@@ -56,7 +56,7 @@ impl Settings {
             || ros2.is_some_and(|ros2| !ros2.routes.is_empty())
     }
 
-    /// Whether energies left are written.
+    /// True if energies left are written.
     pub(crate) fn writes_budgets(&self) -> bool {
         let mut mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
         let mut ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
@@ -64,7 +64,7 @@ impl Settings {
             || ros2.any(|write| write.what == RosWhat::Budget)
     }
 
-    /// Whether values of outlooks are written: only then the worker computes them.
+    /// True if values of outlooks are written: only then the worker computes them.
     pub(crate) fn writes_outlooks(&self) -> bool {
         let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes).flat_map(|write| &write.fields);
         let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
@@ -74,7 +74,7 @@ impl Settings {
             || ros2.into_iter().any(|write| write.what == RosWhat::Outlook)
     }
 
-    /// Whether states of vehicles are passed on.
+    /// True if states of vehicles are passed on.
     pub(crate) fn passes_on(&self) -> bool {
         let mut routes = self.mqtt.iter().flat_map(|mqtt| &mqtt.routes);
         routes.any(|route| route.pass_on.is_some())
@@ -103,7 +103,7 @@ impl Settings {
         Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
     }
 
-    /// Whether MQTT messages report that a robot charges. ROS 2 messages with a battery's power
+    /// True if MQTT messages report that a robot charges. ROS 2 messages with a battery's power
     /// always report it, or that it is unknown.
     fn reports_charging(&self) -> bool {
         self.mqtt.as_ref().is_some_and(|mqtt| {

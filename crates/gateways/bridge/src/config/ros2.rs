@@ -31,7 +31,7 @@ pub(crate) struct Ros2Settings {
     pub(crate) networks: Vec<Ipv4Addr>,
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) writes: Vec<RosWrite>,
-    /// Whether samples have the time of a simulation.
+    /// True if samples have the time of a simulation.
     pub(crate) use_sim_time: bool,
     /// Services and their names.
     pub(crate) services: Vec<(Service, String)>,

@@ -82,7 +82,7 @@ impl Reason {
         }
     }
 
-    /// Whether a value was lost. Retained messages are skipped on purpose, robots that are switched
+    /// True if a value was lost. Retained messages are skipped on purpose, robots that are switched
     /// off do not answer, and a field that never came, or that is unknown, is not lost.
     const fn is_loss(self) -> bool {
         !matches!(self, Self::Unknown | Self::Retained | Self::NoAnswer | Self::NeverCame)

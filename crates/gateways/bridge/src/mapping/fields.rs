@@ -37,7 +37,7 @@ impl ValuePath {
     }
 }
 
-/// Whether two values are equal. Numbers are compared by value: −1 equals −1.0.
+/// True if two values are equal. Numbers are compared by value: −1 equals −1.0.
 fn is_equal(one: &Value, other: &Value) -> bool {
     one == other || one.as_f64().is_some_and(|one| other.as_f64() == Some(one))
 }
@@ -138,7 +138,7 @@ impl Standard {
         (!known).then(|| version.to_string())
     }
 
-    /// Whether the documents must have the field of this name.
+    /// True if the documents must have the field of this name.
     fn demands(self, name: &str) -> bool {
         let Self::Vda5050 = self;
         matches!(name, "soc" | "charging")

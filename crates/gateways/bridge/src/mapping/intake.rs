@@ -65,7 +65,7 @@ struct Robot {
     percent: bool,
     /// `None` if messages report it and none has come yet.
     charging: Option<bool>,
-    /// Whether a message has come that reports it, and when the first of any kind came.
+    /// True if a message has come that reports it, and when the first of any kind came.
     is_told: bool,
     first_ns: u64,
     full: bool,

@@ -38,7 +38,7 @@ pub(crate) struct Observation {
     pub(crate) soc: Option<f32>,
     /// Whether the robot is on its charger.
     pub(crate) charging: Option<bool>,
-    /// Whether the charger reports a full battery.
+    /// True if the charger reports a full battery.
     pub(crate) full: Option<bool>,
     /// Messages of its kind report whether the robot charges.
     pub(crate) reports_charging: bool,
@@ -47,7 +47,7 @@ pub(crate) struct Observation {
 }
 
 impl Observation {
-    /// Whether it has no value.
+    /// True if it has no value.
     pub(crate) fn is_empty(&self) -> bool {
         let Self {
             v_mps,

@@ -28,12 +28,12 @@ pub(crate) enum What {
 }
 
 impl What {
-    /// Whether each robot has a topic of its own.
+    /// True if each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
         matches!(self, Self::Forecast | Self::Budget | Self::Outlook | Self::Alarms)
     }
 
-    /// Whether the broker retains the newest document for later subscribers by default.
+    /// True if the broker retains the newest document for later subscribers by default.
     pub(crate) const fn is_kept(self) -> bool {
         matches!(self, Self::Budget | Self::Alarms | Self::Status)
     }
@@ -143,7 +143,7 @@ const VALUES: &[(&str, Quantity)] = &[
     ("energy_300s_hi_j", Quantity::Energy),
 ];
 
-/// Whether the value `name` is of an outlook, which the worker computes only for readers.
+/// True if the value `name` is of an outlook, which the worker computes only for readers.
 pub(crate) fn is_of_outlook(name: &str) -> bool {
     name.starts_with("energy_")
 }

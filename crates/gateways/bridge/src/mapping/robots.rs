@@ -77,7 +77,7 @@ impl Robots {
     }
 }
 
-/// Whether the text can be a name. Names are levels of topics, so they contain neither wildcards
+/// True if the text can be a name. Names are levels of topics, so they contain neither wildcards
 /// nor separators.
 fn is_name(name: &str) -> bool {
     let is_bad =

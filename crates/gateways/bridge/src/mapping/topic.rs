@@ -45,7 +45,7 @@ impl Pattern {
         Ok(Self { levels })
     }
 
-    /// Whether the pattern has the robot's name.
+    /// True if the pattern has the robot's name.
     pub(crate) fn has_robot(&self) -> bool {
         self.levels.iter().any(|level| level.contains(ROBOT))
     }

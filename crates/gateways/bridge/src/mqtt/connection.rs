@@ -78,7 +78,7 @@ pub(crate) enum Lost {
 }
 
 impl Lost {
-    /// Whether another attempt with the same file would fail as well.
+    /// True if another attempt with the same file would fail as well.
     pub(super) const fn is_permanent(&self) -> bool {
         match self {
             Self::Refused { code, .. } => !matches!(
@@ -97,7 +97,7 @@ impl Lost {
         }
     }
 
-    /// Whether the broker may know another version of MQTT alone. Some end the connection without
+    /// True if the broker may know another version of MQTT alone. Some end the connection without
     /// a word, which says nothing once a broker has answered by this version (`is_known`).
     pub(super) const fn is_of_version(&self, is_known: bool) -> bool {
         match self {
@@ -198,7 +198,7 @@ pub(super) struct Connection {
     chunk: Vec<u8>,
     /// Encoded packets that are not sent yet.
     out: Vec<u8>,
-    /// Whether the broker has accepted the connection.
+    /// True if the broker has accepted the connection.
     is_up: bool,
     /// Topics of messages that the broker has not acknowledged.
     unacknowledged: BTreeMap<u16, String>,
@@ -319,7 +319,7 @@ impl Connection {
         Ok(packet.encode(&mut self.out)?)
     }
 
-    /// Whether a message can be sent now.
+    /// True if a message can be sent now.
     pub(super) fn has_room(&self) -> bool {
         self.is_up
             && self.out.len() < CHUNK_BYTES
@@ -361,7 +361,7 @@ impl Connection {
         self.out.extend(DISCONNECT);
     }
 
-    /// Whether everything was handed to the network.
+    /// True if everything was handed to the network.
     pub(super) fn is_sent(&self) -> bool {
         self.out.is_empty() && !self.transport.wants_write()
     }

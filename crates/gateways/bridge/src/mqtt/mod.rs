@@ -56,7 +56,7 @@ pub(crate) struct Mqtt {
     broker: String,
     settings: MqttSettings,
     version: u8,
-    /// Whether the broker has answered by the newer version.
+    /// True if the broker has answered by the newer version.
     knows_newer: bool,
     outlet: Arc<Outlet>,
     reader: Reader,

@@ -58,7 +58,7 @@ impl Transport {
         self.tls.is_some()
     }
 
-    /// Whether TLS has bytes to send.
+    /// True if TLS has bytes to send.
     pub(super) fn wants_write(&self) -> bool {
         self.tls.as_ref().is_some_and(|tls| tls.wants_write())
     }

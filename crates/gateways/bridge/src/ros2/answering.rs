@@ -115,7 +115,7 @@ impl Answering {
 /// Reason that a request has no answer.
 struct Refusal {
     text: String,
-    /// Whether the worker refused it, so that its client is as good as before.
+    /// True if the worker refused it, so that its client is as good as before.
     is_of_request: bool,
 }
 

@@ -33,7 +33,7 @@ const MAX_FRAME_BYTES: usize = 8 + MAX_BYTES + 1;
 /// The variable by which every ROS 2 program chooses its middleware.
 const VARIABLE: &str = "RMW_IMPLEMENTATION";
 
-/// Whether ROS 2 is reached over zenoh, and not over DDS.
+/// True if ROS 2 is reached over zenoh, and not over DDS.
 pub(crate) fn is_zenoh() -> bool {
     std::env::var(VARIABLE).is_ok_and(|name| name == "rmw_zenoh_cpp")
 }
@@ -50,7 +50,7 @@ pub(crate) struct Zenoh {
     incoming: Vec<(usize, u32)>,
     /// Names of services. Their indices are the last.
     services: Vec<String>,
-    /// Whether the simulated clock is read. Its index follows those of the read topics.
+    /// True if the simulated clock is read. Its index follows those of the read topics.
     has_clock: bool,
     reading: Reading,
 }

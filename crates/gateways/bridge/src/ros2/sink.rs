@@ -88,7 +88,7 @@ impl Sink for RosSink {
 }
 
 impl RosSink {
-    /// Whether there is any topic to publish to.
+    /// True if there is any topic to publish to.
     pub(crate) fn has_topics(&self) -> bool {
         !self.topics.is_empty()
     }

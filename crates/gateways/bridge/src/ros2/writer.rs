@@ -28,7 +28,7 @@ pub(crate) enum Client {
 }
 
 impl Writer {
-    /// Whether the message is on its way.
+    /// True if the message is on its way.
     pub(super) fn write(&self, message: Vec<u8>) -> bool {
         match self {
             Self::Dds(writer) => writer.write(message, None).is_ok(),

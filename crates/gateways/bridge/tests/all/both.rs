@@ -42,7 +42,7 @@ fn file(broker: &Broker, domain: &RosDomain) -> String {
     )
 }
 
-/// Whether the document has a forecast for a command, and the reading before it.
+/// True if the document has a forecast for a command, and the reading before it.
 fn is_forecast(document: &Value) -> bool {
     let reading_w = document["reading_w"].as_f64();
     document["power_w"].is_number() && reading_w.is_some_and(|watts| (watts - 4.4).abs() < 1e-3)

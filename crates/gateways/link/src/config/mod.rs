@@ -100,7 +100,7 @@ impl Settings {
         }
     }
 
-    /// Whether the robot belongs to the worker of this link.
+    /// True if the robot belongs to the worker of this link.
     pub(crate) fn has_robot(&self, robot: u32) -> bool {
         let shards = self.shards.as_deref();
         shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))

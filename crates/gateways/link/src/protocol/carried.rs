@@ -88,12 +88,12 @@ impl Carried {
         self.sizes
     }
 
-    /// Whether only the newest frame counts.
+    /// True if only the newest frame counts.
     pub(crate) const fn is_replaced(self) -> bool {
         matches!(self.flow, Flow::Planners { .. })
     }
 
-    /// Whether each element belongs to one robot and begins with its id.
+    /// True if each element belongs to one robot and begins with its id.
     pub(crate) const fn is_by_robot(self) -> bool {
         matches!(self.rows, FrameRows::Robots)
     }

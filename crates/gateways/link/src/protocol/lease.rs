@@ -76,7 +76,7 @@ pub(crate) enum Reply {
         ttl_ns: u64,
     },
     StoreView(StoreView),
-    /// Whether this candidate has become the holder.
+    /// True if this candidate has become the holder.
     Acquired(bool),
     /// A time to live of 0 means that the lease is gone.
     Renewed {
@@ -217,7 +217,7 @@ impl Candidate {
         Next::Call(Call::Look)
     }
 
-    /// Whether the lease has run out or another candidate leads in a later term. This candidate
+    /// True if the lease has run out or another candidate leads in a later term. This candidate
     /// then starts again, whatever the store holds.
     fn is_over(&self, now_ns: u64) -> bool {
         self.term.is_some() && self.leader_lease(now_ns).is_none()
@@ -236,7 +236,7 @@ impl Candidate {
         Next::Wait(renews.unwrap_or(u64::MAX).min(self.look_ns))
     }
 
-    /// Whether the shard is free and this candidate may take it now.
+    /// True if the shard is free and this candidate may take it now.
     fn is_turn(&self, now_ns: u64) -> bool {
         let Some(since_ns) = self.free_since_ns.filter(|_| self.is_able) else {
             return false;

@@ -32,7 +32,7 @@ pub(crate) trait Merged: Channel {
     fn add_counters(_to: &mut Self::Header, _from: &Self::Header) {}
 }
 
-/// Whether a part agrees with the first of a frame.
+/// True if a part agrees with the first of a frame.
 pub(crate) type Agree<C> = fn(&<C as Channel>::Header, &<C as Channel>::Header) -> bool;
 
 /// Pause after which a service starts again, and the time that all shards then have for their first
@@ -88,7 +88,7 @@ impl<C: Merged> Merge<C> {
         self.parts[shard].as_ref().map(|part| &part.header)
     }
 
-    /// Whether a frame has to be written: each fresh shard has a new one, or one has waited for a
+    /// True if a frame has to be written: each fresh shard has a new one, or one has waited for a
     /// tick's period. A frame comes every n-th tick.
     ///
     /// The first frame waits, for some periods, for all shards whose worker is alive, because

@@ -131,7 +131,7 @@ impl Offset {
         self.realtime = None;
     }
 
-    /// Whether there is a measurement since then.
+    /// True if there is a measurement since then.
     pub(crate) fn is_measured(&self) -> bool {
         !self.bounds.is_empty()
     }
@@ -216,7 +216,7 @@ impl Offset {
         self.realtime.filter(is_new)
     }
 
-    /// Whether realtime clocks narrow the bounds now.
+    /// True if realtime clocks narrow the bounds now.
     pub(crate) fn uses_realtime(&self, now_ns: u64) -> bool {
         self.realtime(now_ns).is_some()
     }

@@ -300,7 +300,7 @@ impl Receiver {
         now_ns.saturating_sub(self.received_ns) > SILENCE_TIMEOUT_NS
     }
 
-    /// Whether the sender has just become silent. True once for each silence.
+    /// True if the sender has just become silent. True once for each silence.
     pub(crate) fn becomes_silent(&mut self, now_ns: u64) -> bool {
         let falls = !self.is_silent && self.is_overdue(now_ns);
         if falls {
@@ -323,7 +323,7 @@ impl Receiver {
         self.received.silences += 1;
     }
 
-    /// Whether the sender sends.
+    /// True if the sender sends.
     pub(crate) const fn is_sending(&self) -> bool {
         !self.is_silent
     }

@@ -54,7 +54,7 @@ impl Topic {
         format!("{}/@adv/pub/{session}/uhlc/_", self.key(domain_id))
     }
 
-    /// Whether a message with this key has the type.
+    /// True if a message with this key has the type.
     pub(crate) fn is_type_of(&self, key: &str) -> bool {
         key.rsplit('/').nth(1) == Some(&self.kind)
     }

@@ -40,13 +40,13 @@ impl Selection {
         self.services & service.bit() != 0
     }
 
-    /// Whether the frames of `tick` are selected. All services use the same ticks, so that their
+    /// True if the frames of `tick` are selected. All services use the same ticks, so that their
     /// frames match.
     pub(crate) const fn wants_tick(&self, tick: u64) -> bool {
         tick.is_multiple_of(self.every as u64)
     }
 
-    /// Whether the robot is selected.
+    /// True if the robot is selected.
     pub(crate) fn has_robot(&self, robot: u32) -> bool {
         self.ranges.is_empty() || self.is_listed(robot)
     }

@@ -142,7 +142,7 @@ impl Stream {
         };
     }
 
-    /// Whether the receiver has been silent for too long.
+    /// True if the receiver has been silent for too long.
     pub(crate) const fn is_over(&self, now_ns: u64) -> bool {
         now_ns.saturating_sub(self.received_ns) > SILENCE_TIMEOUT_NS
     }
@@ -156,7 +156,7 @@ impl Stream {
         self.sent
     }
 
-    /// Whether a frame waits to be sent.
+    /// True if a frame waits to be sent.
     pub(crate) fn waits(&self) -> bool {
         self.lanes.values().any(|lane| lane.waiting.is_some())
     }
@@ -229,7 +229,7 @@ impl Stream {
         self.sent.bytes += out.len() as u64;
     }
 
-    /// Whether a further frame of the lane may be in flight. A lost frame stops counting after a
+    /// True if a further frame of the lane may be in flight. A lost frame stops counting after a
     /// while.
     fn is_free(&mut self, key: LaneKey, now_ns: u64) -> bool {
         let Some(lane) = self.lanes.get_mut(&key) else {

@@ -99,7 +99,7 @@ impl Clocks {
         }
     }
 
-    /// Whether no stamp may look fresher than it is.
+    /// True if no stamp may look fresher than it is.
     fn are_harmless(&self, now_ns: u64) -> bool {
         let was_right = |wrong_ns: u64| now_ns - wrong_ns > 10 * SECOND;
         self.is_shown || self.wrong_ns.is_none_or(was_right)

@@ -134,7 +134,7 @@ fn both_links_say_why_a_certificate_is_refused() {
     }
 }
 
-/// Whether a stranger can connect, with this certificate and key or with none.
+/// True if a stranger can connect, with this certificate and key or with none.
 fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool {
     let mut config = zenoh::Config::default();
     let mut set = |key: &str, value: String| config.insert_json5(key, &value).unwrap();

@@ -161,7 +161,7 @@ pub(crate) fn is_asked_by(link: &Child, name: &str) {
     eventually(&expected, || link.errors().contains(&expected));
 }
 
-/// Whether the link has logged that the robots' host is gone or silent.
+/// True if the link has logged that the robots' host is gone or silent.
 pub(crate) fn has_lost_edge(link: &Child) -> bool {
     let errors = link.errors();
     errors.contains("the link of edge is gone") || errors.contains("no samples come from edge")

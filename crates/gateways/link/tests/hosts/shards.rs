@@ -78,7 +78,7 @@ fn number(report: &Value, key: &str) -> u64 {
     report[key].as_u64().unwrap()
 }
 
-/// Whether a question about four robots is answered with yes for each.
+/// True if a question about four robots is answered with yes for each.
 fn is_answered(host: &Host, words: &[&str]) -> bool {
     let words = [words, &["--format", "json"]].concat();
     let ended = Child::spawn("ask", host.joulebus(&words)).wait();

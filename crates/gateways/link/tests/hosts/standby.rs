@@ -175,7 +175,7 @@ fn copy(command: &std::process::Command) -> std::process::Command {
     copied
 }
 
-/// Whether all robots have a forecast of a sample that was taken after `after_ns`.
+/// True if all robots have a forecast of a sample that was taken after `after_ns`.
 fn is_fresh(frame: &Frame, after_ns: u64) -> bool {
     let fresh = frame.rows.iter().filter(|row| row.has_power && row.stamp_ns > after_ns);
     let robots: BTreeSet<u32> = fresh.map(|row| row.robot).collect();

@@ -57,7 +57,7 @@ impl Token {
         self.0.ct_eq(found).into()
     }
 
-    /// Whether a request carries it, as bearer or as the cookie `cookie`.
+    /// True if a request carries it, as bearer or as the cookie `cookie`.
     fn is_in(&self, headers: &HeaderMap, cookie: &str) -> bool {
         let bearer = headers.get(header::AUTHORIZATION).map(|value| value.as_bytes());
         let bearer = bearer.and_then(|value| value.strip_prefix(b"Bearer "));
@@ -81,14 +81,14 @@ pub(super) struct Access {
     pub(super) proxies: Vec<IpAddr>,
 }
 
-/// Whether a path tells supervisors of processes whether server and worker run: they have no token,
+/// True if a path states for supervisors whether server and worker run. Supervisors have no token,
 /// learn nothing else, and are answered whatever other clients do.
 pub(super) fn is_of_health(uri: &Uri) -> bool {
     matches!(uri.path(), "/healthz" | "/readyz")
 }
 
 impl Access {
-    /// Whether a request may be answered.
+    /// Checks that a request may be answered.
     ///
     /// # Errors
     /// The refusal.
@@ -105,7 +105,7 @@ impl Access {
         }
     }
 
-    /// Whether a request is for this server and not sent by a page of another site.
+    /// Checks that a request is for this server and not sent by a page of another site.
     ///
     /// # Errors
     /// The refusal.

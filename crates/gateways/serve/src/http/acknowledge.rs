@@ -22,7 +22,7 @@ pub(super) struct Acknowledge {
     alarm: String,
     /// Name of the person.
     by: String,
-    /// Whether the alarm ends, and the robot's power is its own level from now on.
+    /// True if the alarm ends, and the robot's power is its own level from now on.
     #[serde(default)]
     new_normal: bool,
 }

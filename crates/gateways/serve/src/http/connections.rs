@@ -35,7 +35,7 @@ pub(super) struct Connection {
     /// Requests being answered, streams included.
     busy: AtomicUsize,
     close: Notify,
-    /// Whether all slots were busy: only requests for the health are answered.
+    /// True if all slots were busy: only requests for the health are answered.
     pub(super) is_reserved: bool,
 }
 

@@ -209,7 +209,7 @@ impl HttpServer {
         address.into_iter().chain(socket).collect()
     }
 
-    /// Whether it has ended by itself. [`HttpServer::finish`] returns the reason.
+    /// True if it has ended by itself. [`HttpServer::finish`] returns the reason.
     pub(crate) fn is_over(&self) -> bool {
         self.reader.is_over() || self.web.as_ref().is_none_or(JoinHandle::is_finished)
     }

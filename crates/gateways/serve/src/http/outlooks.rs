@@ -27,7 +27,7 @@ impl OutlookRequests {
         self.waiting.push((robot, reply, now_ns + PATIENCE_NS));
     }
 
-    /// Whether a client waits for an answer.
+    /// True if a client waits for an answer.
     pub(super) const fn are_asked(&self) -> bool {
         !self.waiting.is_empty()
     }

@@ -51,7 +51,7 @@ impl PlanRows {
         self.waiting.push(Waiting { robots, reply, until_ns: now_ns + PATIENCE_NS });
     }
 
-    /// Whether a client waits for an answer.
+    /// True if a client waits for an answer.
     pub(super) const fn are_asked(&self) -> bool {
         !self.waiting.is_empty()
     }

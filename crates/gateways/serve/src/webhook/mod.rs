@@ -74,7 +74,7 @@ pub(crate) struct Webhooks {
 struct Shared {
     /// Deadline of what waits, set when the program ends.
     end_by: OnceLock<Instant>,
-    /// Whether the reader has ended.
+    /// True once the reader has ended.
     has_read: AtomicBool,
     /// Number of changes seen. Those that are not delivered are lost.
     changes: AtomicU64,
@@ -170,7 +170,7 @@ impl Webhooks {
         hosts.join(", ")
     }
 
-    /// Whether it has ended by itself. [`Webhooks::finish`] returns the reason.
+    /// True if it has ended by itself. [`Webhooks::finish`] returns the reason.
     pub(crate) fn is_over(&self) -> bool {
         self.reading.has_ended()
     }

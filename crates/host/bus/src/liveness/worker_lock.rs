@@ -397,7 +397,7 @@ pub enum WorkerLockError {
 }
 
 impl WorkerOwner {
-    /// Whether the holder is a link, which has the worker's place on a host without one.
+    /// True if the holder is a link, which has the worker's place on a host without one.
     #[must_use]
     pub fn is_link(self) -> bool {
         let program = self.pid.and_then(|pid| fs::read_link(format!("/proc/{pid}/exe")).ok());

@@ -50,7 +50,7 @@ pub struct Synchronisation {
     pub most_error_ns: u64,
 }
 
-/// Whether a program adjusts the realtime clock (`man 2 adjtimex`).
+/// State of the realtime clock, and of its adjustment by a program (`man 2 adjtimex`).
 ///
 /// # Errors
 /// The system call is refused, in some containers.

@@ -78,11 +78,11 @@ pub struct Rights {
     pub cpus: Vec<usize>,
     /// Maximum real-time priority of its limit (`RLIMIT_RTPRIO`). `None`: unlimited.
     pub priority_limit: Option<u64>,
-    /// Whether it may request any priority (`CAP_SYS_NICE`).
+    /// True if it may request any priority (`CAP_SYS_NICE`).
     pub may_take_any_priority: bool,
     /// Memory it may lock (`RLIMIT_MEMLOCK`), bytes. `None`: unlimited.
     pub memory_limit: Option<u64>,
-    /// Whether it may lock any memory (`CAP_IPC_LOCK`).
+    /// True if it may lock any memory (`CAP_IPC_LOCK`).
     pub may_lock_any_memory: bool,
 }
 

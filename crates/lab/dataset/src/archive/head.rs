@@ -31,7 +31,7 @@ pub struct Head {
     /// Name of the CSV's column with the time as a number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_name: Option<String>,
-    /// Whether that name, or the size of the numbers, states the unit of the time.
+    /// True if that name, or the size of the numbers, states the unit of the time.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub states_time_unit: bool,
     /// Lines of a CSV that were left out.

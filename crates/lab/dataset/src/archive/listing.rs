@@ -60,12 +60,12 @@ pub enum ListingError {
     Refused(String),
 }
 
-/// Whether a folder is an archive.
+/// True if a folder is an archive.
 pub fn is_archive(folder: &Path) -> bool {
     folder.join(LISTINGS).join(MARK).is_file()
 }
 
-/// Whether a file is named as a listing of an archive.
+/// True if a file is named as a listing of an archive.
 pub fn is_listing(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str());
     let folder = path.parent().and_then(Path::file_name);

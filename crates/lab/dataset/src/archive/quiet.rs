@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind, set_hook, take_h
 use std::sync::Once;
 
 thread_local! {
-    /// Whether this thread is in [`caught`].
+    /// True if this thread is in [`caught`].
     static IS_CAUGHT: Cell<bool> = const { Cell::new(false) };
 }
 

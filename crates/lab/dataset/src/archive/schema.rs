@@ -64,7 +64,7 @@ pub struct Field {
     pub kind: Kind,
     /// Its unit. `1` without one.
     pub unit: &'static str,
-    /// Whether a row may have no value.
+    /// True if a row may have no value.
     pub is_nullable: bool,
     /// The column of a trial whose values it has.
     pub(super) column: Option<Column>,

@@ -34,7 +34,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// Whether there is no fault.
+    /// True if there is no fault.
     pub const fn is_sound(&self) -> bool {
         self.faults == 0
     }

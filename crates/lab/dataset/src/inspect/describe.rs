@@ -57,7 +57,7 @@ pub struct TrialReport {
     pub constant_columns: Vec<&'static str>,
     /// Unknown columns of the file.
     pub ignored_columns: Vec<String>,
-    /// Whether a CSV does not end with a newline: it may be truncated.
+    /// True if a CSV does not end with a newline: it may be truncated.
     pub no_final_line_break: bool,
     /// Rows without a robot name, while others have one.
     pub unnamed_rows: usize,

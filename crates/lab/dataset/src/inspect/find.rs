@@ -73,7 +73,7 @@ pub enum FindError {
 }
 
 impl FindError {
-    /// Whether the arguments are at fault.
+    /// True if the arguments are at fault.
     pub const fn is_usage(&self) -> bool {
         !matches!(self, Self::Io { .. })
     }
@@ -149,7 +149,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
-/// Whether a file of a directory is a recording. Its name decides (`.parquet` belongs to an
+/// True if a file of a directory is a recording. Its name decides (`.parquet` belongs to an
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted. A regular file that is gone by now, or cannot be read, is one: its reader
 /// reports it.
@@ -161,7 +161,7 @@ fn is_recording(path: &Path, metadata: &Metadata) -> bool {
     (has_ending(path) && path.is_file()) || is_capture(path)
 }
 
-/// Whether a file is named as a recording that is no capture.
+/// True if a file is named as a recording that is no capture.
 fn has_ending(path: &Path) -> bool {
     let endings = ["parquet", "mat"];
     let is_other = || path.extension().is_some_and(|found| endings.iter().any(|one| found == *one));

@@ -82,7 +82,7 @@ impl FindingKind {
         }
     }
 
-    /// Whether `--accept` with this kind lets it through.
+    /// True if `--accept` with this kind lets it through.
     pub(super) fn is_of(self, kind: Kind) -> bool {
         let has_places = matches!(
             (kind, self),
@@ -91,7 +91,7 @@ impl FindingKind {
         has_places || Self::judged(kind) == Some(self)
     }
 
-    /// Whether it is a fault, to be resolved before the recording is used. Other findings are
+    /// True if it is a fault, to be resolved before the recording is used. Other findings are
     /// informative.
     pub const fn is_fault(self) -> bool {
         !matches!(
@@ -170,9 +170,9 @@ impl fmt::Display for Occurrence {
 pub struct Finding {
     /// The kind.
     pub kind: FindingKind,
-    /// Whether it is a fault.
+    /// True if it is a fault.
     pub fault: bool,
-    /// Whether the user lets it through, so that it is no fault.
+    /// True if the user lets it through, so that it is no fault.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub accepted: bool,
     /// Number of occurrences.

@@ -1,4 +1,4 @@
-//! Whether a trial's readings are plausible.
+//! Judges whether a trial's readings are plausible.
 
 use std::collections::BTreeMap;
 
@@ -49,7 +49,7 @@ pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implaus
 /// Rows of a trial that has too few to be judged by itself.
 const SHORT_ROWS: usize = 100;
 
-/// Whether a trial has so few rows that it is judged with the others of its folder as well.
+/// True if a trial has so few rows that it is judged with the others of its folder as well.
 pub fn is_short(trial: &Trial) -> bool {
     trial.rows() < SHORT_ROWS
 }
@@ -151,7 +151,7 @@ fn known(trial: &Trial, limits: &Limits) -> Known {
     known
 }
 
-/// Whether its file is an array, whose columns have no names.
+/// True if its file is an array, whose columns have no names.
 fn is_array(trial: &Trial) -> bool {
     trial.sources().is_empty() && trial.path().extension().is_some_and(|end| end == "npy")
 }

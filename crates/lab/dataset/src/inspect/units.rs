@@ -1,4 +1,4 @@
-//! Whether recorded magnitudes fit the columns' units.
+//! Judges whether recorded magnitudes fit the columns' units.
 
 use serde::Serialize;
 

@@ -24,7 +24,7 @@ use crate::archive::RowStamp;
 /// Bytes within which the first record of a capture names its writer.
 const HEAD_BYTES: u64 = 64;
 
-/// Whether a file is named `.mcap` and written by joulebus, by its first record.
+/// True if a file is named `.mcap` and written by joulebus, by its first record.
 pub fn is_capture(path: &Path) -> bool {
     try_is_capture(path).unwrap_or(false)
 }
@@ -218,7 +218,7 @@ struct Run {
     rows: usize,
     /// Stamp of the last sample, also of the run before that this one goes on with.
     stamp_ns: u64,
-    /// Whether it goes on with the run before, which was full.
+    /// True if it goes on with the run before, which was full.
     goes_on: bool,
 }
 

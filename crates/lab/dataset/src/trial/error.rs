@@ -332,7 +332,7 @@ impl TrialError {
         move |source| Self::Io { path: path.to_owned(), source }
     }
 
-    /// Whether it concerns lines of a CSV, which can be left out.
+    /// True if it concerns lines of a CSV, which can be left out.
     pub(crate) const fn is_of_lines(&self) -> bool {
         matches!(
             self,

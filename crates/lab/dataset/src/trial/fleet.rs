@@ -11,7 +11,7 @@ pub struct Playback {
     pub base_ns: u64,
     /// Time from one frame to the next, ns, in the time of the trials. At least 1.
     pub frame_period_ns: u64,
-    /// Whether a trial restarts when it has ended, each after its own length.
+    /// True if a trial restarts when it has ended, each after its own length.
     pub repeat: bool,
 }
 

@@ -184,7 +184,7 @@ impl Variables {
         Some(())
     }
 
-    /// Whether so many numbers more fit into memory, where each takes 8 bytes.
+    /// True if so many numbers more fit into memory, where each takes 8 bytes.
     fn has_room(&mut self, length: usize, width: usize) -> bool {
         let numbers = self.numbers.saturating_add(length.saturating_mul(width));
         let fits = numbers <= MAX_NUMBERS;

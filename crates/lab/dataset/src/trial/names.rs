@@ -282,7 +282,7 @@ pub struct MappedColumn {
     is_constant: bool,
     /// Factor to the unit of the layout, negative for a column with the other sign.
     factor: f64,
-    /// Whether the caller, or the name, states the unit.
+    /// True if the caller, or the name, states the unit.
     states_unit: bool,
 }
 
@@ -391,7 +391,7 @@ impl fmt::Display for MappedColumn {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,
-    /// Whether the columns are those of a config.
+    /// True if the columns are those of a config.
     is_configured: bool,
     turned: bool,
     turned_as_configured: bool,
@@ -412,7 +412,7 @@ pub(super) struct Found {
     pub(super) position: usize,
     /// Factor to the unit of the layout.
     pub(super) factor: f64,
-    /// Whether the name or the caller states the unit.
+    /// True if the name or the caller states the unit.
     pub(super) states_unit: bool,
 }
 
@@ -454,7 +454,7 @@ impl ColumnMap {
         InMemory::parts(self.part_rows.unwrap_or(MAX_ROWS))
     }
 
-    /// Whether lines that are no whole rows are left out.
+    /// True if lines that are no whole rows are left out.
     pub(super) const fn leaves_out(&self) -> bool {
         self.whole_rows
     }
@@ -467,7 +467,7 @@ impl ColumnMap {
         }
     }
 
-    /// Whether the current is negative while the battery discharges.
+    /// True if the current is negative while the battery discharges.
     pub(super) const fn turns(&self) -> bool {
         self.turned
     }
@@ -495,7 +495,7 @@ impl ColumnMap {
         own
     }
 
-    /// Whether the caller names the column of a quantity.
+    /// True if the caller names the column of a quantity.
     pub(super) fn maps(&self, quantity: Quantity) -> bool {
         self.columns.iter().any(|column| column.quantity == quantity)
     }
@@ -593,7 +593,7 @@ impl ColumnMap {
 /// Ends of the name of a column with the nanoseconds of a time.
 const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
 
-/// Whether a header is that of a table which joulebus writes.
+/// True if a header is that of a table which joulebus writes.
 fn is_converted(names: &[String]) -> bool {
     let first = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter();
     let mut own = first.chain(Column::ALL.map(Column::name));
@@ -601,7 +601,7 @@ fn is_converted(names: &[String]) -> bool {
         && names.iter().all(|name| own.any(|one| one == name))
 }
 
-/// Whether a number may have this unit behind it, because it is that of its column.
+/// True if a number may have this unit behind it, because it is that of its column.
 pub(super) fn is_unit(column: Column, unit: &str, factor: f64) -> bool {
     let mut units = spelling(of(column)).units.iter();
     let unit = unit.to_lowercase();

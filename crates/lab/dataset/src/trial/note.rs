@@ -44,7 +44,7 @@ pub struct Gap {
 }
 
 impl TrialNotes {
-    /// Whether there are no faults: every row advances, no gap, no missing reading, no unknown
+    /// True if there are no faults: every row advances, no gap, no missing reading, no unknown
     /// column, the file complete. Held readings and missing columns are not faults.
     pub fn is_clean(&self) -> bool {
         self.not_advancing.is_empty()

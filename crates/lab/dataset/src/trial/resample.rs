@@ -146,7 +146,7 @@ impl Spans {
         self.from_s.last().copied().unwrap_or_default()
     }
 
-    /// Whether the next row follows without a gap.
+    /// True if the next row follows without a gap.
     fn is_followed(&self, at: usize) -> bool {
         self.from_s.get(at + 1) == Some(&self.until_s[at])
     }

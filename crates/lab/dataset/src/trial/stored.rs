@@ -89,7 +89,7 @@ impl Stored {
         }
     }
 
-    /// Whether the recording has other trials.
+    /// True if the recording has other trials.
     pub fn is_one_of_several(&self) -> bool {
         match &self.place {
             Place::File(..) => false,

@@ -113,9 +113,9 @@ pub struct SourceColumn {
     pub column: Column,
     /// Its name in the file.
     pub name: String,
-    /// Whether its name, or the caller, states the unit. The layout's is assumed otherwise.
+    /// True if its name, or the caller, states the unit. The layout's is assumed otherwise.
     pub states_unit: bool,
-    /// Whether the caller named it.
+    /// True if the caller named it.
     pub is_mapped: bool,
 }
 
@@ -145,11 +145,11 @@ pub struct Table {
     pub(crate) understood: Vec<String>,
     /// Name of the column with the time as a number, in a CSV.
     pub(crate) time_name: Option<String>,
-    /// Whether that name, or the caller, states its unit.
+    /// True if that name, or the caller, states its unit.
     pub(crate) states_time_unit: bool,
-    /// Whether the sign of its current was turned.
+    /// True if the sign of its current was turned.
     pub(crate) is_turned: bool,
-    /// Whether its file has more rows of the robot, which are in other tables.
+    /// True if its file has more rows of the robot, which are in other tables.
     pub(crate) is_part: bool,
     /// Rows of the file in which its header comes again.
     pub(crate) headers: Vec<u32>,
@@ -191,7 +191,7 @@ impl LeftOut {
     /// Lines that are kept with a description.
     const DESCRIBED: usize = 16;
 
-    /// Whether there are none.
+    /// True if there are none.
     pub const fn is_none(&self) -> bool {
         self.lines == 0
     }
@@ -223,7 +223,7 @@ pub(super) fn value(columns: &Columns, column: Column, row: usize) -> Option<f64
     (!value.is_nan()).then_some(value)
 }
 
-/// Whether the reading of `row` equals the previous row's: power, voltage and current, to the bit.
+/// True if the reading of `row` equals the previous row's: power, voltage and current, to the bit.
 pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
     let Some(before) = row.checked_sub(1) else {
         return false;
@@ -287,7 +287,7 @@ impl Table {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
-    /// Whether the file, a CSV, does not end with a newline.
+    /// True if the file, a CSV, does not end with a newline.
     pub fn no_final_line_break(&self) -> bool {
         self.no_final_line_break
     }
@@ -347,7 +347,7 @@ impl Table {
         self.time_name.as_deref()
     }
 
-    /// Whether the recording states the unit of that time, by its name or by its size.
+    /// True if the recording states the unit of that time, by its name or by its size.
     #[must_use]
     pub const fn states_time_unit(&self) -> bool {
         self.states_time_unit
@@ -689,7 +689,7 @@ impl Tables {
     }
 }
 
-/// Whether sums of two such times, and repetitions, fit into i64 nanoseconds.
+/// True if sums of two such times, and repetitions, fit into i64 nanoseconds.
 pub(super) fn is_time(timestamp_s: f64) -> bool {
     (-MAX_TIMESTAMP_S..=MAX_TIMESTAMP_S).contains(&timestamp_s)
 }

@@ -320,9 +320,9 @@ const HEAD_BYTES: u64 = 64 << 10;
 
 /// Form of the numbers of a text.
 struct Numbers {
-    /// Whether a comma is in front of the fraction. Unknown until a number tells.
+    /// True if a comma is in front of the fraction. Unknown until a number tells.
     decimal_comma: Option<bool>,
-    /// Whether a number had a point.
+    /// True if a number had a point.
     has_point: bool,
 }
 
@@ -356,7 +356,7 @@ impl Numbers {
     }
 }
 
-/// Whether a point in a number could separate thousands: one to three digits in front, three
+/// True if a point in a number could separate thousands: one to three digits in front, three
 /// behind.
 fn is_thousands(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);
@@ -374,7 +374,7 @@ fn without_unit(field: &[u8], column: Column, factor: f64) -> Option<&[u8]> {
     is_unit(column, unit, factor).then(|| number.trim_ascii())
 }
 
-/// Whether a field says that there is no value.
+/// True if a field says that there is no value.
 fn is_missing(field: &[u8]) -> bool {
     const WORDS: [&str; 16] = [
         "nan",
@@ -402,11 +402,11 @@ fn is_missing(field: &[u8]) -> bool {
 #[derive(Default)]
 struct Times {
     form: Option<TimeForm>,
-    /// Whether they are numbers of a unit that their size tells, when all are known.
+    /// True if they are numbers of a unit that their size tells, when all are known.
     is_epoch: bool,
     /// This unit, and how many make a second.
     unit: Option<(&'static str, f64)>,
-    /// Whether they are whole numbers, and nothing states their unit.
+    /// True if they are whole numbers, and nothing states their unit.
     is_unstated: bool,
     /// State of the times of day, over all robots.
     midnights: Midnights,
@@ -716,14 +716,14 @@ enum Source {
 /// layout.
 struct Layout {
     fields: usize,
-    /// Whether the header ends with a separator.
+    /// True if the header ends with a separator.
     ends_empty: bool,
     robot: Option<usize>,
     robot_name: Option<String>,
     time: TimeColumns,
     time_name: String,
     columns: Vec<(Column, Source, f64, String)>,
-    /// Whether power is voltage times current.
+    /// True if power is voltage times current.
     by_product: bool,
     /// Numbers that stand for no value.
     missing: Vec<f64>,

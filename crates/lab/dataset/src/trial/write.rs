@@ -220,7 +220,8 @@ impl Table {
         zipped.into_inner()?.finish()?.flush()
     }
 
-    /// Whether the array layout can represent the table. Returns the robot as the number stored.
+    /// Checks that the array layout can represent the table. Returns the robot as the number
+    /// stored.
     fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
         if self.rows() < 2 {
             return Err(WriteError::TooFewRows { path: path.to_owned(), rows: self.rows() });

@@ -128,7 +128,7 @@ pub(super) fn ablation(
     Ok((Some(found), skipped))
 }
 
-/// Whether all velocities of a row are known.
+/// True if all velocities of a row are known.
 pub(super) fn velocities_known(features: &Features) -> bool {
     Terms::VELOCITIES.features().all(|feature| features[feature].is_finite())
 }
@@ -275,7 +275,7 @@ impl Part {
     }
 }
 
-/// Whether the target reading of a sample's forecast equals the one before it.
+/// True if the target reading of a sample's forecast equals the one before it.
 fn target_is_held(trial: &Trial, sample_seq: u64) -> bool {
     usize::try_from(sample_seq).is_ok_and(|sample| trial.is_held(sample + 1))
 }

@@ -97,7 +97,7 @@ pub(super) fn extrapolated(
     Ok(chosen)
 }
 
-/// Whether the second half has no more recordings beyond any step than the tail of the first
+/// Checks that the second half has no more recordings beyond any step than the tail of the first
 /// allows.
 fn check(tail: &Tail, second: &Curves, kind: usize) -> Result<(), CalibrateError> {
     for step in tail.from..STEPS {

@@ -19,7 +19,7 @@ pub struct Calibration {
     pub confidence: f64,
     /// False alarms at these limits, a robot and hour, are at most this with that confidence.
     pub at_most_per_robot_h: f64,
-    /// Whether the limits are extrapolated beyond what the recordings prove.
+    /// True if the limits are extrapolated beyond what the recordings prove.
     pub extrapolated: bool,
     /// Robot-hours without an alarm, of both halves, that would prove the requested rate.
     pub needed_h: f64,

@@ -11,7 +11,7 @@ pub struct Request {
     pub robots: u32,
     /// Level of the bounds, above 0 and below 1.
     pub confidence: f64,
-    /// Whether limits may be extrapolated beyond the recordings.
+    /// True if limits may be extrapolated beyond the recordings.
     pub extrapolate: bool,
 }
 

@@ -42,7 +42,7 @@ impl Series {
         self.time_s.len()
     }
 
-    /// Whether there are no readings.
+    /// True if there are no readings.
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }

@@ -39,7 +39,7 @@ pub struct Blocks {
     /// Number of blocks. Below [`joulebus_statistics::bootstrap::MIN_BLOCKS`], there is no
     /// interval.
     pub count: usize,
-    /// Whether each block is a whole trial. Otherwise a number of consecutive rows.
+    /// True if each block is a whole trial. Otherwise a number of consecutive rows.
     pub whole_trials: bool,
 }
 

@@ -24,7 +24,7 @@ struct Column {
     hi_w: Vec<f32>,
 }
 
-/// Whether a reference has intervals, and its forecast and their ends for each row, W.
+/// True if a reference has intervals, and its forecast and their ends for each row, W.
 type ReferenceColumn = (bool, Vec<[f64; 3]>);
 
 /// Results of one recording. Empty without rows to evaluate.

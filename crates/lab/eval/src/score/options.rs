@@ -18,7 +18,7 @@ pub struct Options {
     /// Rows from one origin of the open loop to the next, counted through all recordings, at
     /// least 1. A horizon of fewer ticks has its origins that far apart.
     pub origins_every: usize,
-    /// Whether the energy of the next 1 to 300 s is scored too: rollouts of that length take a
+    /// True if the energy of the next 1 to 300 s is scored too: rollouts of that length take a
     /// while.
     pub energy: bool,
     /// Linear models as baselines in addition to persistence.

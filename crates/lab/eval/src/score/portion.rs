@@ -130,7 +130,7 @@ fn is_same(one: &Common, other: &Common) -> bool {
 }
 
 impl OfRecording {
-    /// Whether its tables have the sizes that the evaluation's names and horizons ask for.
+    /// True if its tables have the sizes that the evaluation's names and horizons ask for.
     fn fits(&self, common: &Common) -> bool {
         let (models, names) = (common.models.len(), &common.names);
         let is_none_or = |found: usize, wanted: usize| found == 0 || found == wanted;

@@ -31,7 +31,7 @@ pub struct Recording {
     short: Option<Arc<Trial>>,
     /// Lines of its file that were left out.
     left_out: LeftOut,
-    /// Whether its file has no newline at the end.
+    /// True if its file has no newline at the end.
     may_be_cut: bool,
     /// Rows of the trial.
     trial_rows: usize,
@@ -123,7 +123,7 @@ impl Recording {
         &self.left_out
     }
 
-    /// Whether its file, a CSV, has no newline at the end, so that its last number may be cut.
+    /// True if its file, a CSV, has no newline at the end, so that its last number may be cut.
     pub const fn may_be_cut(&self) -> bool {
         self.may_be_cut
     }

@@ -180,13 +180,13 @@ pub(super) fn forecasts_w(
 }
 
 impl Reference {
-    /// Whether it has intervals.
+    /// True if it has intervals.
     pub(super) fn has_interval(&self) -> bool {
         matches!(self, Self::Foreign(foreign) if foreign.has_interval)
     }
 }
 
-/// Whether no gap lies between two rows.
+/// True if no gap lies between two rows.
 fn follows(rows: &TrialRows, earlier: usize, later: usize) -> bool {
     let [before, after] = [earlier, later].map(|at| rows.sample_seq[at]);
     after - before == (later - earlier) as u64

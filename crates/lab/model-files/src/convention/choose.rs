@@ -39,7 +39,7 @@ pub struct Ranked {
 pub struct Choice {
     /// The chosen convention.
     pub convention: Convention,
-    /// Whether it was requested instead of found.
+    /// True if it was requested instead of found.
     pub forced: bool,
     /// All conventions that differ on these data and fit the statistics, best first.
     pub ranking: Vec<Ranked>,

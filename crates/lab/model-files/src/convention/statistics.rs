@@ -70,7 +70,7 @@ pub(super) fn distances(
     distances
 }
 
-/// Whether `other` is so much nearer to the recordings that `own` is ruled out.
+/// True if `other` is so much nearer to the recordings that `own` is ruled out.
 pub(super) fn is_ruled_out(own: &[f64], other: &[f64]) -> bool {
     let differences: Vec<f64> = own
         .iter()

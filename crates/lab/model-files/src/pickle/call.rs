@@ -359,7 +359,7 @@ pub(crate) fn product(shape: &[usize]) -> Option<usize> {
     shape.iter().try_fold(1_usize, |product, &size| product.checked_mul(size))
 }
 
-/// Whether a view lies within a storage of `count` elements and has no more elements than that.
+/// True if a view lies within a storage of `count` elements and has no more elements than that.
 fn fits(offset: usize, shape: &[usize], strides: &[usize], count: usize) -> bool {
     let Some(elements) = product(shape) else {
         return false;

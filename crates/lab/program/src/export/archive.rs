@@ -45,7 +45,7 @@ pub(crate) struct Archive {
     next: u32,
     /// Levels that its folders name. Unknown before the first trial.
     levels: Option<Levels>,
-    /// Whether a trial may lack some of it.
+    /// True if a trial may lack some of it.
     is_mixed: bool,
     /// The folder was made for it.
     made_folder: bool,
@@ -235,7 +235,7 @@ impl Archive {
         self.recordings.len()
     }
 
-    /// Whether a recording of that name is in it.
+    /// True if a recording of that name is in it.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.recordings.contains_key(name)
     }
@@ -433,7 +433,7 @@ fn rename_new(from: &Path, to: &Path) -> std::io::Result<()> {
     }
 }
 
-/// Whether a file is named as the draft of an export: .000017-0003.parquet.part.
+/// True if a file is named as the draft of an export: .000017-0003.parquet.part.
 fn is_draft(name: &str) -> bool {
     let name = name.strip_prefix('.');
     let name = name.and_then(|name| name.strip_suffix(DRAFT_ENDING));

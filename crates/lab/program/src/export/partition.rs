@@ -36,7 +36,7 @@ impl Levels {
     }
 }
 
-/// Whether a file is in a partition of something unknown.
+/// True if a file is in a partition of something unknown.
 pub(crate) fn is_of_nothing(file: &Path) -> bool {
     file.to_string_lossy().contains(NOTHING)
 }

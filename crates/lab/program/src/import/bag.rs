@@ -29,7 +29,7 @@ pub(super) struct BagRead {
     pub(super) left_out: Vec<String>,
 }
 
-/// Whether it is read as a bag.
+/// True if it is read as a bag.
 pub(super) fn is_bag(path: &Path) -> bool {
     path.is_dir() || ends_in(path, "db3") || (ends_in(path, "mcap") && !is_capture(path))
 }

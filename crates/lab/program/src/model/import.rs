@@ -153,7 +153,7 @@ struct ImportReport {
     model_hash: String,
     found: FoundReport,
     convention: String,
-    /// Whether it was requested.
+    /// True if it was requested.
     forced: bool,
     margin_r2: f64,
     /// Share by which the second's squared error is larger.

@@ -248,7 +248,7 @@ pub(super) struct FoundReport {
     layers: Vec<FoundLayerReport>,
     activation: &'static str,
     activation_from: &'static str,
-    /// Whether the matrices have one row per input.
+    /// True if the matrices have one row per input.
     transposed: bool,
     biases_paired_by: &'static str,
     normalisation: Vec<String>,

@@ -122,7 +122,7 @@ impl WindowLanes {
         self.open.forecast_w[lane] = forecast_w;
     }
 
-    /// Whether a window has open-loop steps.
+    /// True if a window has open-loop steps.
     #[inline(always)]
     pub(crate) fn is_open(&self, lane: usize) -> bool {
         self.closed.open_steps[lane] > 0

@@ -243,7 +243,7 @@ fn adapt_intervals(
 /// [`Step`]s of a block.
 struct StepLanes {
     expected_w: Lanes<f32>,
-    /// Whether there was such a forecast.
+    /// True if there was such a forecast.
     scored: Lanes<bool>,
     due: Lanes<bool>,
     ready: Lanes<bool>,

@@ -139,7 +139,7 @@ fn quality_unread(
 pub(crate) struct Step {
     /// The one-step-ahead forecast of its reading, W. NaN if there was none.
     pub expected_w: f32,
-    /// Whether a new measurement was due with it.
+    /// True if a new measurement was due with it.
     pub due: bool,
     /// Row of the next forecast, if it is `ready`.
     pub row: Features,

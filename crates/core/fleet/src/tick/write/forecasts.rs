@@ -16,7 +16,7 @@ pub(crate) struct Forecasts<'a> {
     open_steps: Lanes<u16>,
     lo_w: Lanes<f32>,
     hi_w: Lanes<f32>,
-    /// Whether it is a forecast from a reading, as far as the time does not matter.
+    /// True if it is a forecast from a reading, as far as the time does not matter.
     plain: Lanes<bool>,
 }
 
@@ -104,7 +104,7 @@ impl<'a> Forecasts<'a> {
 const FRESH: u16 = Quality::Fresh.encode().0;
 const HELD: u16 = Quality::Held.encode().0;
 
-/// Whether the code belongs to a forecast from a reading.
+/// True if the code belongs to a forecast from a reading.
 #[inline(always)]
 const fn is_read(code: u16) -> bool {
     (code == FRESH) | (code == HELD)

@@ -10,7 +10,7 @@ use crate::tick::context::TickContext;
 
 /// Learned state of the robots of a block.
 pub(crate) struct LearnedLanes {
-    /// Whether the robot's platform learns online.
+    /// True if the robot's platform learns online.
     learns: Lanes<bool>,
     learned: LearnedColumns,
 }
@@ -39,7 +39,7 @@ impl LearnedLanes {
         all
     }
 
-    /// Whether the robot in a lane learns, and what it has learned: all NaN if it does not.
+    /// True if the robot in a lane learns, and what it has learned: all NaN if it does not.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> (bool, Learned) {
         (self.learns[lane], self.learned.get(lane))

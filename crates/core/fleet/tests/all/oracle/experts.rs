@@ -23,7 +23,7 @@ pub(crate) struct Experts {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Forecasts {
     pub forecast_w: f32,
-    /// Whether the robot learns which forecaster to trust.
+    /// True if the robot learns which forecaster to trust.
     pub learns: bool,
     /// A network says what no robot of the platform can draw.
     pub is_absurd: bool,

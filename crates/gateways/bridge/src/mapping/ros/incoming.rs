@@ -168,7 +168,7 @@ impl BatteryFields {
     }
 }
 
-/// Whether a percentage is not measured. Drivers write −1 as well as NaN, and mavros −1 %.
+/// True if a percentage is not measured. Drivers write −1 as well as NaN, and mavros −1 %.
 fn is_unknown(percentage: f32) -> bool {
     percentage.is_nan() || percentage == -1.0 || percentage == -0.01
 }

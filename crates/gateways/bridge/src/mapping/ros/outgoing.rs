@@ -55,12 +55,12 @@ pub(crate) enum RosWhat {
 }
 
 impl RosWhat {
-    /// Whether each robot has a topic of its own.
+    /// True if each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
         !matches!(self, Self::Diagnostics)
     }
 
-    /// Whether a late subscriber gets the last message. Others would be old.
+    /// True if a late subscriber gets the last message. Others would be old.
     pub(crate) const fn is_latched(self) -> bool {
         matches!(self, Self::Budget | Self::Diagnostics)
     }

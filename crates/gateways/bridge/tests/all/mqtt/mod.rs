@@ -373,7 +373,7 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
     worker.stop();
 }
 
-/// Whether a message of the robot was not mapped for a reason.
+/// True if a message of the robot was not mapped for a reason.
 fn has(report: &Value, reason: &str, robot: &str) -> bool {
     let lines = report["unmapped"].as_array().map_or(&[][..], Vec::as_slice);
     let mut lines = lines.iter().filter(|line| line["reason"] == reason);

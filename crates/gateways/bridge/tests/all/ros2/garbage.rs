@@ -175,7 +175,7 @@ fn damaged(dice: &mut Dice, seeds: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Whether it announces numbers of messages. rustdds 0.15 makes a list of all that are announced
+/// True if it announces numbers of messages. rustdds 0.15 makes a list of all that are announced
 /// and missing (`missing_seqnums`), whatever their number: one false heartbeat of a writer that it
 /// knows takes gigabytes. RELIABILITY.md states it.
 fn announces_numbers(bytes: &[u8]) -> bool {

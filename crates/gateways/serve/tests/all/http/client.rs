@@ -68,7 +68,7 @@ pub(crate) fn get_json(address: &str, path: &str) -> Value {
     response.json()
 }
 
-/// Whether an alarm of a robot is raised.
+/// True if an alarm of a robot is raised.
 pub(crate) fn has_alarm(address: &str, robot: u32, alarm: &str) -> bool {
     let response = get(address, &format!("/api/v1/robots/{robot}"));
     response.status == 200

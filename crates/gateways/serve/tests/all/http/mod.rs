@@ -79,7 +79,7 @@ fn the_next_page_works_when_the_kernel_has_killed_one_for_memory() {
     source.end().exits(0);
 }
 
-/// Whether fleet and robots equal a frame that `watch` shows.
+/// True if fleet and robots equal a frame that `watch` shows.
 fn is_same(address: &str, shown: &Value) -> bool {
     let fleet = get_json(address, "/api/v1/fleet");
     let mut robots = get_json(address, "/api/v1/robots?sort=robot")["robots"].clone();

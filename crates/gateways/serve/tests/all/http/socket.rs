@@ -52,7 +52,7 @@ fn as_user<T: Send>(user: u32, group: u32, work: impl FnOnce() -> T + Send) -> T
     })
 }
 
-/// Whether this process can become another user. If not, that is logged.
+/// True if this process can become another user. If not, that is logged.
 fn can_become_another() -> bool {
     if geteuid().is_root() {
         return true;
