@@ -63,7 +63,7 @@ impl Launcher {
     /// Starts the program in a role and waits until it reports that it is ready.
     ///
     /// # Errors
-    /// It cannot be started, or exits before it is ready.
+    /// The program cannot be started, or exits before it is ready.
     pub fn start(&self, role: &[String]) -> anyhow::Result<Child> {
         let mut child = Command::new(&self.program)
             .args(&self.arguments)
@@ -265,7 +265,7 @@ fn ready(child: &mut Child) -> anyhow::Result<()> {
 /// Reads a child's last line, JSON.
 ///
 /// # Errors
-/// It failed, or printed something else.
+/// The child failed, or printed something else.
 pub fn finish<T: serde::de::DeserializeOwned>(child: Child) -> anyhow::Result<T> {
     let output = child.wait_with_output()?;
     if !output.status.success() {

@@ -157,7 +157,7 @@ fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
 /// The worker's process.
 ///
 /// # Errors
-/// It fails to start or to run.
+/// The worker fails to start or to run.
 pub fn worker(path: &Path) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let mut worker = Worker::open(&config)?;
@@ -185,7 +185,7 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
 /// The planner's process: prints its figures.
 ///
 /// # Errors
-/// It fails to join or to run.
+/// The planner fails to join or to run.
 pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let limits = config.limits();

@@ -126,7 +126,7 @@ impl Ended {
     /// Exit code of a process that was not killed by a signal.
     ///
     /// # Panics
-    /// It was killed by a signal.
+    /// The process was killed by a signal.
     pub fn exit_code(&self) -> i32 {
         self.code().unwrap_or_else(|| panic!("killed: {self:?}"))
     }
@@ -134,7 +134,7 @@ impl Ended {
     /// Checks the exit code.
     ///
     /// # Panics
-    /// It is another one.
+    /// The exit code is another one.
     #[track_caller]
     pub fn exits(self, code: i32) -> Self {
         assert_eq!(self.exit_code(), code, "{}", self.errors());

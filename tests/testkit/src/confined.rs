@@ -88,7 +88,7 @@ impl MemoryGroup {
     /// Takes memory until the kernel has killed everything in this group.
     ///
     /// # Panics
-    /// It has not.
+    /// The kernel has killed nothing.
     pub fn exhaust(&self) {
         let mut endless = Command::new("tail");
         endless.arg("/dev/zero");

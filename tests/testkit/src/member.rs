@@ -52,7 +52,7 @@ impl Member {
     /// Its next line.
     ///
     /// # Panics
-    /// It has exited, or prints nothing for [`PATIENCE`].
+    /// The process has exited, or prints nothing for [`PATIENCE`].
     pub fn next_line(&mut self) -> String {
         self.try_next_line(PATIENCE).unwrap_or_else(|| panic!("no line: {}", self.child.tail()))
     }
@@ -83,7 +83,7 @@ impl Member {
     /// Sends SIGSTOP; the process is stopped when this returns.
     ///
     /// # Panics
-    /// It has exited.
+    /// The process has exited.
     pub fn stop(&mut self) {
         self.child.signal(Signal::STOP);
         let pid = Pid::from_raw(self.pid().cast_signed());

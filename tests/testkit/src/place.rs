@@ -22,7 +22,7 @@ impl Place {
     /// A fleet of at most 64 rovers that nobody has joined.
     ///
     /// # Panics
-    /// Its config cannot be written.
+    /// The fleet's config cannot be written.
     pub fn new() -> Self {
         let number = PLACES.fetch_add(1, Ordering::Relaxed);
         let (name, prefix) = names(std::process::id(), number);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 /// The file or folder of this name below `../shared`; `None`, and a line on stdout, if absent.
 ///
 /// # Panics
-/// It is absent, and the variable `CI` is "true": there, no test may be skipped.
+/// The file is absent, and the variable `CI` is "true": there, no test may be skipped.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR"))
         .ancestors()

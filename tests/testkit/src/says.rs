@@ -5,7 +5,7 @@ use std::fmt::Display;
 /// Checks that a text has all of these parts.
 ///
 /// # Panics
-/// It lacks one.
+/// The text lacks a part.
 #[track_caller]
 pub fn says(text: &(impl Display + ?Sized), parts: impl IntoIterator<Item: AsRef<str>>) {
     let text = text.to_string();

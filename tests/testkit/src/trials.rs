@@ -15,7 +15,7 @@ impl Files {
     /// An empty one.
     ///
     /// # Panics
-    /// It cannot be made.
+    /// The folder cannot be made.
     pub fn new() -> Self {
         Self(tempfile::tempdir().expect("a directory for temporary use"))
     }
@@ -23,7 +23,7 @@ impl Files {
     /// Writes a file, and returns its path.
     ///
     /// # Panics
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.path().join(name);
         std::fs::write(&path, bytes).expect("a file for temporary use");

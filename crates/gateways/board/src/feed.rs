@@ -257,7 +257,7 @@ impl Feed {
     /// frames of the sources, with `outlooks` those.
     ///
     /// # Errors
-    /// It cannot join.
+    /// The thread cannot join.
     pub fn start(
         config: &Config,
         name: &'static str,

@@ -111,7 +111,7 @@ impl Foxglove {
     /// Lets the clients go, and leaves the fleet.
     ///
     /// # Errors
-    /// What ended it.
+    /// The error that ended the recorder or the forwarding.
     pub(crate) fn finish(mut self) -> anyhow::Result<FoxgloveReport> {
         let summary = self.recorder.finish();
         // The recorder has closed the pipe, and the forwarding thread has ended.

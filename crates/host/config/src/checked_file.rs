@@ -65,7 +65,7 @@ impl CheckedFile {
     /// Reads a file and checks its keys.
     ///
     /// # Errors
-    /// It cannot be read, or is not TOML.
+    /// The file cannot be read, or is not TOML.
     pub fn load(path: &Path, file: File) -> Result<Self, ConfigError> {
         let text = files::read(path)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
@@ -75,7 +75,7 @@ impl CheckedFile {
     /// Checks the keys of a text. `path` is its name in messages.
     ///
     /// # Errors
-    /// It is not TOML.
+    /// The text is not TOML.
     pub fn parse(text: &str, path: &Path, file: File) -> Result<Self, ConfigError> {
         let mut problems = Vec::new();
         let source = Source::new(text, &path.display().to_string(), path.parent());

@@ -395,7 +395,7 @@ impl Walk<'_> {
 /// Checks a word or a text.
 ///
 /// # Errors
-/// What was found, and advice.
+/// The found text, and advice.
 fn text(key: &Key, text: &str) -> Result<(), (String, Option<String>)> {
     match key.kind {
         ValueKind::Text(rule) | ValueKind::Texts { rule, .. } if rule.allows(text) => Ok(()),

@@ -10,7 +10,7 @@ use crate::numbers::integer;
 /// Parses one entry of the list in `source`: an id, or an inclusive range `"a-b"`.
 ///
 /// # Errors
-/// What is wrong with the entry.
+/// The fault of the entry.
 pub(crate) fn parse(
     entry: &Spanned<DeValue<'_>>,
     source: &str,

@@ -24,7 +24,7 @@ impl ConfigFile {
     /// Reads it. Prints its warnings to stderr.
     ///
     /// # Errors
-    /// It cannot be read, or is refused.
+    /// The file cannot be read, or is refused.
     pub fn load(&self) -> anyhow::Result<Config> {
         let config = self.read()?;
         for warning in config.warnings() {
@@ -36,7 +36,7 @@ impl ConfigFile {
     /// Reads it. The caller prints its warnings.
     ///
     /// # Errors
-    /// It cannot be read, or is refused.
+    /// The file cannot be read, or is refused.
     pub fn read(&self) -> Result<Config, ConfigError> {
         if let Some(path) = &self.config {
             return Config::load(path);

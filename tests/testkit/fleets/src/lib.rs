@@ -255,7 +255,7 @@ pub fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
 /// Forecast of a robot that is there.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
     fleet.forecast(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -263,7 +263,7 @@ pub fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
 /// Diagnostic of a robot that is there.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
     fleet.diagnostic(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -271,7 +271,7 @@ pub fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
 /// Budget of a robot that is there.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
     fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -279,7 +279,7 @@ pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
 /// The state from which plans of a present robot start.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
     fleet.plan_state(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -287,7 +287,7 @@ pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
 /// Outlook of a robot that is there.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn outlook(fleet: &Fleet, robot: u32) -> Outlook {
     fleet.outlook(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -295,7 +295,7 @@ pub fn outlook(fleet: &Fleet, robot: u32) -> Outlook {
 /// Quality of the forecast of a robot that is there.
 ///
 /// # Panics
-/// It is not.
+/// The robot is not there.
 pub fn quality(fleet: &Fleet, robot: u32) -> Quality {
     forecast(fleet, robot).quality()
 }

@@ -46,7 +46,7 @@ pub fn forged(
 /// Contents of a file of ours, without its digest.
 ///
 /// # Panics
-/// It is none.
+/// The bytes are no file of ours.
 pub fn contents(bytes: &[u8]) -> Contents {
     let (_, header) = SafeTensors::read_metadata(bytes).expect("own files are safetensors");
     let metadata = header.metadata().clone().expect("own files have metadata").into_iter();

@@ -217,7 +217,7 @@ impl HttpServer {
     /// Closes all connections and leaves the fleet.
     ///
     /// # Errors
-    /// What ended it.
+    /// The error that ended the server.
     pub(crate) fn finish(mut self) -> anyhow::Result<HttpReport> {
         // While it still listens: afterwards the next server may have its own there.
         let socket = self.socket.take().map(|socket| socket.path.clone());

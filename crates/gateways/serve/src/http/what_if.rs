@@ -60,7 +60,7 @@ impl Asked {
     /// The question.
     ///
     /// # Errors
-    /// What is wrong with it, in words.
+    /// The fault of the question, in words.
     pub(super) fn question(self) -> Result<Question, String> {
         let robots: Vec<u32> = self.robot.into_iter().chain(self.rank).collect();
         if !(1..=MAX_ROBOTS).contains(&robots.len()) {

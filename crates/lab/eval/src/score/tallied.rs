@@ -90,7 +90,7 @@ impl Tallied {
     /// Adds the sums of the next recording, if it has any.
     ///
     /// # Errors
-    /// Its residuals cannot be kept in a temporary file.
+    /// The recording's residuals cannot be kept in a temporary file.
     pub(crate) fn push(&mut self, listed: &Listed, sums: Sums) -> io::Result<()> {
         let Sums { mut blocks, residuals_w, horizons } = sums;
         if blocks.is_empty() {

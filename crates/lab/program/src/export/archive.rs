@@ -277,7 +277,7 @@ impl Adding<'_> {
     /// Writes the next trial of the recording. Returns its rows and bytes.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The trial cannot be written.
     pub(crate) fn trial(
         &mut self,
         fleet: Option<&str>,
@@ -328,7 +328,7 @@ impl Adding<'_> {
     /// Makes the recording a part of the archive. Returns its number of trials.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The recording cannot be written.
     pub(crate) fn finish(self) -> anyhow::Result<usize> {
         let Self { archive, name, trials } = self;
         let root = &archive.folder;

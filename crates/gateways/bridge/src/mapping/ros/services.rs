@@ -57,7 +57,7 @@ impl Service {
     /// Decodes a request: untrusted bytes with their encapsulation header.
     ///
     /// # Errors
-    /// What is wrong with it, in words.
+    /// The fault of the request, in words.
     pub(crate) fn read(self, bytes: &[u8], robots: &Robots) -> Result<Request, String> {
         let wrong =
             |error: RosError| format!("the request does not fit {}: {error}", self.type_name());
