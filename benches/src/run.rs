@@ -9,7 +9,7 @@ use crate::arguments::{BenchArguments, BenchOptions, Benchmark};
 use anyhow::Context as _;
 use clap::Parser;
 use joulebus_program::exit::{self, Outcome};
-use joulebus_program::output::{Output, say, text};
+use joulebus_program::output::{Output, log_line, text};
 use joulebus_program::verb;
 use serde::Serialize;
 
@@ -55,7 +55,7 @@ struct RoleArguments {
 
 fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     if cfg!(debug_assertions) {
-        say("warning: this is a dev build. Build with --release");
+        log_line("warning: this is a dev build. Build with --release");
     }
     // Read first, so that an error does not cost minutes of measuring.
     let old = arguments.compare.as_deref().map(read).transpose()?;

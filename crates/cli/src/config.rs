@@ -12,7 +12,7 @@ use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::model_range;
-use joulebus_program::output::{self, Format, Output, say};
+use joulebus_program::output::{self, Format, Output, log_line};
 use serde::Serialize;
 
 use crate::{external, schema};
@@ -183,13 +183,13 @@ fn check(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
     };
     for checked in &checked {
         for problem in &checked.problems {
-            say(&format!("error: {problem}"));
+            log_line(&format!("error: {problem}"));
         }
         if let Some(error) = &checked.error {
-            say(&format!("error: {error}"));
+            log_line(&format!("error: {error}"));
         }
         for warning in &checked.warnings {
-            say(&format!("warning: {warning}"));
+            log_line(&format!("warning: {warning}"));
         }
     }
     let refused = checked.iter().filter(|checked| !checked.accepted).count();

@@ -14,7 +14,7 @@ use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_range;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Robots are forecast whatever becomes of the recording.
     let recorder = args.record.as_ref().map(|file| {
         let started = RecorderProcess::start(&args.config, file);
-        started.inspect_err(|error| say(&format!("nothing is recorded: {error:#}")))
+        started.inspect_err(|error| log_line(&format!("nothing is recorded: {error:#}")))
     });
     let (asked, normals) = sync_channel(MAX_NORMALS);
     let questions = PlanServer::start(&config, Some(asked))?;
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             described(&config)
         );
         service.ready(&waits);
-        say(&waits);
+        log_line(&waits);
     }
     let ran = worker.stand_by(stop.flag()).and_then(|serves| {
         if !serves {
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         questions.wait_until_open();
         let ready = format!("ready: {}", described(&config));
         service.ready(&ready);
-        say(&ready);
+        log_line(&ready);
         worker.run(stop.flag())
     });
     service.stopping();
@@ -102,7 +102,7 @@ fn warn_of_models(config: &Config) {
     // The worker refuses a model that cannot be loaded.
     let models = load_models(config).unwrap_or_default();
     for warning in model_range::warnings(config, &models) {
-        say(&format!("warning: {warning}"));
+        log_line(&format!("warning: {warning}"));
     }
 }
 

@@ -101,7 +101,7 @@ fn work(arguments: &Arguments) -> anyhow::Result<Outcome> {
         let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
         if said.elapsed() >= SAY_EVERY {
             *said = Instant::now();
-            output::say(&format!("{done} of {} seeds", campaign.seeds));
+            output::log_line(&format!("{done} of {} seeds", campaign.seeds));
         }
     });
     Output::new(arguments.format).report(&totals)?;

@@ -11,7 +11,7 @@ use joulebus_capture_format::{Entry, Frame, ReadError, Reader};
 use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
 use joulebus_plan::report::Lasting;
 use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_wire::{Acknowledgement, Acknowledgements, Diagnostics};
 use serde::Serialize;
 
@@ -59,7 +59,7 @@ pub(super) fn run(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> 
     }
     let report = found.report();
     for damage in &report.damage {
-        say(damage);
+        log_line(damage);
     }
     output.report(&report)?;
     let is_whole = report.damage.is_empty() && report.ticks_missed == 0;

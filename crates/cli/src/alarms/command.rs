@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::Line;
@@ -50,7 +50,7 @@ impl OnAlarm {
             self.untold += 1;
             if self.untold.is_power_of_two() {
                 let untold = self.untold;
-                say(&format!("--on-alarm is too slow: it did not run for {untold} changes so far"));
+                log_line(&format!("--on-alarm is too slow: it did not run for {untold} changes so far"));
             }
         }
     }
@@ -83,7 +83,7 @@ fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 
                 failed += 1;
                 // A command that cannot be run would say so for every change.
                 if last_failure.as_ref() != Some(&why) {
-                    say(&format!("--on-alarm: {why}"));
+                    log_line(&format!("--on-alarm: {why}"));
                 }
                 last_failure = Some(why);
             }

@@ -6,7 +6,7 @@ use joulebus_capture_format::Clock;
 use joulebus_capture_recorder::host_clock;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
 use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 
 use super::command::OnAlarm;
@@ -23,7 +23,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         output,
     };
     let until = args.duration.map_or("until Ctrl-C".to_owned(), |s| format!("for {s} s"));
-    say(&format!("alarms of fleet {}, {until}", config.fleet()));
+    log_line(&format!("alarms of fleet {}, {until}", config.fleet()));
     let length_ns = args.duration.map_or(u64::MAX, |s| (s * 1e9) as u64);
     let until_ns = clock::monotonic_ns().saturating_add(length_ns);
     let mut watched = Ok(());
@@ -34,10 +34,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let untold = sink.command.map_or(0, OnAlarm::finish);
     watched?;
     if missed > 0 {
-        say(&format!("{missed} ticks without diagnostics"));
+        log_line(&format!("{missed} ticks without diagnostics"));
     }
     if untold > 0 {
-        say(&format!("{untold} changes were not taken by --on-alarm"));
+        log_line(&format!("{untold} changes were not taken by --on-alarm"));
     }
     Ok(Outcome::unless_lost(missed + untold > 0))
 }

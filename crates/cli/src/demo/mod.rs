@@ -15,7 +15,7 @@ use joulebus_board::{Board, Feed};
 use joulebus_bus::clock;
 use joulebus_program::exit::Outcome;
 use joulebus_program::installed::find_program;
-use joulebus_program::output::{Format, Output, say};
+use joulebus_program::output::{Format, Output, log_line};
 use joulebus_program::stop::Stop;
 
 use crate::publish::plant;
@@ -98,12 +98,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         lines_to_stdout: output.format() == Format::Text,
         events: Vec::new(),
     };
-    say(&demo.purpose());
+    log_line(&demo.purpose());
     let played = demo.play(&directory, &stop);
     let events = demo.supervisor.end_all();
     if played.is_err() {
         for event in demo.events.iter().chain(&events) {
-            say(&event.to_string());
+            log_line(&event.to_string());
         }
     }
     drop(demo);
@@ -178,7 +178,7 @@ impl Demo<'_> {
             let verb = ["serve", "--http", "127.0.0.1:0"];
             self.supervisor.add(task(PAGE, directory, &verb));
             if let Some(line) = self.wait_for_line(&feed, stop, PAGE, "serving fleet ") {
-                say(&line);
+                log_line(&line);
                 feed.board().note(line, clock::monotonic_ns());
             }
         }
@@ -262,7 +262,7 @@ impl Demo<'_> {
         let recorder = self.supervisor.end(RECORDER, GRACE, &mut self.events);
         let captured = Captured::read(&recorder.stdout, &path);
         if captured.is_none() {
-            say("the recorder left no report");
+            log_line("the recorder left no report");
         }
         captured
     }
@@ -291,7 +291,7 @@ impl Demo<'_> {
         // One that was stopped before it was ready has no report.
         let report: Option<PlannerReport> = serde_json::from_str(&planner.stdout).ok();
         if let (None, Some(status)) = (&report, planner.status) {
-            say(&format!("the planner left no report: {status}"));
+            log_line(&format!("the planner left no report: {status}"));
         }
         let mut summary = Summary::new(
             &board,

@@ -5,7 +5,7 @@ use std::io::IsTerminal as _;
 use joulebus_board::{Feed, Platforms};
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_program::output::{say, text};
+use joulebus_program::output::{log_line, text};
 use joulebus_program::stop::Stop;
 
 use super::{Demo, POLL_INTERVAL};
@@ -56,7 +56,7 @@ impl Demo<'_> {
             self.look_after(feed);
             for event in self.events.iter().skip(said) {
                 if matches!(event, Event::Started { .. } | Event::Exited { .. }) {
-                    say(&event.to_string());
+                    log_line(&event.to_string());
                 }
             }
             said = self.events.len();
@@ -70,7 +70,7 @@ impl Demo<'_> {
                 if self.lines_to_stdout {
                     text(&line)?;
                 } else {
-                    say(&line);
+                    log_line(&line);
                 }
             }
             std::thread::sleep(POLL_INTERVAL);

@@ -21,7 +21,7 @@ use joulebus_models::load_models;
 use joulebus_plan::Fleet;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Format, Output, say};
+use joulebus_program::output::{Format, Output, log_line};
 use joulebus_program::stop::Stop;
 use signal_hook::consts::SIGUSR1;
 
@@ -135,7 +135,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         &options,
     )?;
     let file = args.out.display();
-    say(&format!("recording {} into {file}", names.join(", ")));
+    log_line(&format!("recording {} into {file}", names.join(", ")));
     let end_ns = args.duration.map(|seconds| began_ns.saturating_add(ns(seconds)));
     wait(&recorder, &stop, &write_down, end_ns);
     // Requested together with the end.
@@ -181,7 +181,7 @@ fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Optio
         }
         if now_ns >= tell_ns {
             tell_ns = now_ns.saturating_add(PROGRESS_EVERY_NS);
-            say(&progress(&recorder.summary(), now_ns - begin_ns));
+            log_line(&progress(&recorder.summary(), now_ns - begin_ns));
         }
         if !stop.sleep_until(now_ns + POLL_INTERVAL.as_nanos() as u64) {
             return;
@@ -253,8 +253,8 @@ impl Args {
             return output.report(report);
         }
         match output.format() {
-            Format::Text => say(report.to_string().trim_end()),
-            Format::Json => say(&serde_json::to_string(report)?),
+            Format::Text => log_line(report.to_string().trim_end()),
+            Format::Json => log_line(&serde_json::to_string(report)?),
         }
         Ok(())
     }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_program::config_file::ConfigFile;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 
 /// Timeout for the recording to start.
 const START_TIMEOUT: Duration = Duration::from_secs(15);
@@ -73,7 +73,7 @@ impl RecorderProcess {
         drop(self.process.stdin.take());
         let status = self.process.wait();
         if let Some(report) = self.report.take().and_then(|report| report.join().ok()) {
-            say(report.trim_end());
+            log_line(report.trim_end());
         }
         status.is_ok_and(|status| status.success())
     }
@@ -96,7 +96,7 @@ fn pass_on(pipe: impl std::io::Read + Send + 'static) -> Receiver<()> {
                 // Fails only if the receiver has timed out.
                 let _ = tell.send(());
             }
-            say(&line);
+            log_line(&line);
         }
     });
     told

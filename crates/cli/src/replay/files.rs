@@ -8,7 +8,7 @@ use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::{Attachments, Entry, ReadError, Reader};
 use joulebus_config::{Config, ModelSource, is_below};
 use joulebus_program::exit::UsageError;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_wire::TICK_RULES;
 
 /// Messages per batch from the reader thread.
@@ -36,7 +36,7 @@ impl Files {
         let attachments = reader.attachments().clone();
         let altered = attachments.altered();
         if !altered.is_empty() {
-            say(&format!(
+            log_line(&format!(
                 "warning: {}: changed since it was written: {}",
                 first.display(),
                 altered.join(", ")

@@ -8,7 +8,7 @@ use joulebus_capture_format::{Clock, Entry, MessageKind};
 use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
 use joulebus_config::{Config, is_below};
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use joulebus_wire::{Flow as WireFlow, Forecasts, Sample, Samples};
 
@@ -328,7 +328,7 @@ fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let patience_ns = clock::monotonic_ns() + 10 * POLL_INTERVAL_NS;
     while !flow.has_seen_worker()? {
         if !said && clock::monotonic_ns() > patience_ns {
-            say("no worker runs, waiting for one (`joulebus run` starts it)");
+            log_line("no worker runs, waiting for one (`joulebus run` starts it)");
             said = true;
         }
         if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {

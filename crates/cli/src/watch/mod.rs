@@ -11,7 +11,7 @@ use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Format, Output, say, text};
+use joulebus_program::output::{Format, Output, log_line, text};
 use joulebus_program::stop::Stop;
 
 use crate::other_users;
@@ -108,19 +108,19 @@ impl Args {
         }
         let board = board.borrow();
         let Some(record) = FrameRecord::newest(&board, self.robot) else {
-            say(&format!(
+            log_line(&format!(
                 "no worker serves fleet {} of {}: start one with `joulebus run`, or give the \
                  fleet's config with --config. `joulebus doctor` finds the cause",
                 config.fleet(),
                 self.config.name()
             ));
             for other in other_users::other_roots(config.root()) {
-                say(&format!("{other}: {}", other_users::REMEDY));
+                log_line(&format!("{other}: {}", other_users::REMEDY));
             }
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
-            say(&format!("the worker has received no samples of robot {robot}"));
+            log_line(&format!("the worker has received no samples of robot {robot}"));
             return Ok(Outcome::Failed);
         }
         match output.format() {
@@ -198,11 +198,11 @@ struct LinkReporter {
 impl LinkReporter {
     fn report_changes(&mut self, board: &Board) {
         if self.link != Some(board.link) && board.link == Link::Waiting {
-            say("waiting for a worker: `joulebus run` starts one");
+            log_line("waiting for a worker: `joulebus run` starts one");
         }
         self.link = Some(board.link);
         for (at_s, note) in board.notes.iter().filter(|(at_s, _)| *at_s > self.noted_s) {
-            say(&format!("{at_s:>6.1} s  {note}"));
+            log_line(&format!("{at_s:>6.1} s  {note}"));
         }
         self.noted_s = board.notes.back().map_or(self.noted_s, |(at_s, _)| *at_s);
     }

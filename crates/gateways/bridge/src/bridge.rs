@@ -11,7 +11,7 @@ use crate::arguments::BridgeArguments;
 use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
 use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use joulebus_publisher::Implausible;
 use joulebus_ros_messages::Clock;
@@ -209,10 +209,10 @@ impl Bridge {
             let mut ids = settings.robots.iter().map(|(id, _)| id);
             let bridged = ids.any(|id| platform.robots.iter().any(|range| range.contains(&id)));
             if bridged && platform.battery.is_none() && settings.writes_budgets() {
-                say(&format!("platform {}: {NO_BATTERY}", platform.name));
+                log_line(&format!("platform {}: {NO_BATTERY}", platform.name));
             }
         }
-        say(&format!("bridging {robots} robots of fleet {fleet}"));
+        log_line(&format!("bridging {robots} robots of fleet {fleet}"));
         Ok(bridge)
     }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
 use joulebus_connect::findings::FindingsFile;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_publisher::{Grid, PublishError, Publisher};
 use serde::Serialize;
 
@@ -154,7 +154,7 @@ fn count(
             if let Some(first) = sent.first_refused
                 && refused.insert((first.robot, first.reason.name()))
             {
-                say(&format!("refused: {first}"));
+                log_line(&format!("refused: {first}"));
             }
             if let Some(error) = sent.not_woken {
                 tracing::warn!(%error, "the worker was not woken");

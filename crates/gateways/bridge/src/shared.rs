@@ -6,7 +6,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 
 use crate::mapping::account::Account;
 use crate::mapping::intake::Intake;
@@ -88,7 +88,7 @@ impl Shared {
     pub(crate) fn log_clock(&self) {
         let news = self.simulated().and_then(|mut simulated| simulated.news(clock::monotonic_ns()));
         if let Some(line) = news {
-            say(&line);
+            log_line(&line);
         }
     }
 
@@ -96,11 +96,11 @@ impl Shared {
     pub(crate) fn log_news(&self) {
         let news = self.account().take_news();
         for line in news {
-            say(&format!("not mapped: {line}"));
+            log_line(&format!("not mapped: {line}"));
         }
         let news = self.intake().judgement().take_news();
         for line in news {
-            say(&format!("implausible: {line}"));
+            log_line(&format!("implausible: {line}"));
         }
     }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::anyhow;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
-use joulebus_program::output::{self, say};
+use joulebus_program::output::{self, log_line};
 use joulebus_program::shell::word;
 use toml::Value;
 
@@ -66,9 +66,9 @@ fn quoted(text: &str) -> String {
 
 /// Prints a mapping to stderr, without its comments.
 pub(crate) fn print(mapping: &str) {
-    say("the usual mapping, which --write FILE writes, to be changed:");
+    log_line("the usual mapping, which --write FILE writes, to be changed:");
     for line in mapping.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
-        say(&format!("  {line}"));
+        log_line(&format!("  {line}"));
     }
 }
 

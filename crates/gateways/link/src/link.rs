@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use joulebus_bus::{clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     };
     let threads = Threads::start(&config, &settings, claim, network)?;
-    say(&format!("link {} of fleet {} is open", settings.name, config.fleet()));
+    log_line(&format!("link {} of fleet {} is open", settings.name, config.fleet()));
     while !stop.is_asked() && !threads.have_ended() {
         thread::sleep(POLL_INTERVAL);
         tls_causes::take().iter().for_each(|cause| tracing::warn!("{cause}"));

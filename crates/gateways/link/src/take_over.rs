@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use joulebus_bus::{WorkerLock, clock};
 use joulebus_config::Config;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::stop::Stop;
 use joulebus_standby::{Permit, Places};
 
@@ -54,7 +54,7 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
     let until_ns = clock::monotonic_ns() + within_ns;
     loop {
         if let Some(permit) = serves()? {
-            say(&format!("this host serves shard {shard}, term {}", permit.term));
+            log_line(&format!("this host serves shard {shard}, term {}", permit.term));
             return Ok(());
         }
         if stop.is_asked() || clock::monotonic_ns() >= until_ns {

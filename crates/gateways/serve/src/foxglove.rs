@@ -23,7 +23,7 @@ use anyhow::Context as _;
 use joulebus_capture_format::{CaptureSettings, Entry, Preset, ReadError, Reader};
 use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
 use joulebus_config::Config;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};
@@ -56,7 +56,7 @@ impl Foxglove {
     /// Joins the fleet as a recorder and serves what it records.
     pub(crate) fn start(args: &ServeArguments, config: &Config) -> anyhow::Result<Self> {
         if !args.host.is_loopback() {
-            say(&format!(
+            log_line(&format!(
                 "warning: {} can be reached from other hosts, and there is no password",
                 args.host
             ));

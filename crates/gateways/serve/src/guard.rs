@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 
 /// Maximum duration of a handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -232,7 +232,7 @@ fn pass_on(mut from: &TcpStream, mut to: &TcpStream) {
 
 fn refuse(client: &mut TcpStream, refusal: &Refusal) {
     if let Refusal::Origin(_) = refusal {
-        say(&refusal.to_string());
+        log_line(&refusal.to_string());
     } else {
         tracing::info!("refused: {refusal}");
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::arguments::ServeArguments;
 use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
@@ -51,13 +51,13 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let webhooks = webhooks.transpose()?;
     let fleet = config.fleet();
     for place in http.iter().flat_map(HttpServer::places) {
-        say(&format!("serving fleet {fleet} at {place}"));
+        log_line(&format!("serving fleet {fleet} at {place}"));
     }
     if let Some(foxglove) = &foxglove {
-        say(&format!("serving fleet {fleet} at {}", foxglove.address()));
+        log_line(&format!("serving fleet {fleet} at {}", foxglove.address()));
     }
     if let Some(webhooks) = &webhooks {
-        say(&format!("telling {} of alarms of fleet {fleet}", webhooks.hosts()));
+        log_line(&format!("telling {} of alarms of fleet {fleet}", webhooks.hosts()));
     }
     let is_over = || {
         webhooks.as_ref().is_some_and(Webhooks::is_over)

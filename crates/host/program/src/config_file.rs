@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_config::{Config, ConfigError, Demo, Domain};
 
-use crate::output::say;
+use crate::output::log_line;
 
 /// The default path of the config.
 const USUAL: &str = "configs/fleet.toml";
@@ -28,7 +28,7 @@ impl ConfigFile {
     pub fn load(&self) -> anyhow::Result<Config> {
         let config = self.read()?;
         for warning in config.warnings() {
-            say(&format!("warning: {warning}"));
+            log_line(&format!("warning: {warning}"));
         }
         Ok(config)
     }

@@ -58,7 +58,7 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
         Ok(Outcome::Incomplete) => INCOMPLETE.into(),
         Err(error) if error.is::<StdoutClosed>() => ExitCode::SUCCESS,
         Err(error) => {
-            output::say(&format!("error: {}", in_words(&error)));
+            output::log_line(&format!("error: {}", in_words(&error)));
             let is_usage = error.chain().any(|cause| {
                 cause.is::<UsageError>() || cause.is::<ConfigError>() || cause.is::<UnknownKey>()
             });
@@ -72,11 +72,11 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
 pub fn refused(arguments: &clap::Error) -> ExitCode {
     if arguments.use_stderr() {
         // The message quotes the arguments, which may contain escape sequences.
-        output::say(arguments.render().to_string().trim_end());
+        output::log_line(arguments.render().to_string().trim_end());
     } else if let Err(error) = arguments.print().and_then(|()| io::stdout().flush())
         && error.kind() != io::ErrorKind::BrokenPipe
     {
-        output::say(&format!("error: cannot write to stdout: {error}"));
+        output::log_line(&format!("error: cannot write to stdout: {error}"));
         return FAILED.into();
     }
     u8::try_from(arguments.exit_code()).unwrap_or(USAGE).into()

@@ -12,7 +12,7 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-use crate::output::{SAID, say, say_in_log};
+use crate::output::{PROGRAM_TARGET, log_line, log_to_objects};
 
 const VARIABLE: &str = "JOULEBUS_LOG";
 /// Target of the robots' alarms, which are logged at any verbosity.
@@ -51,12 +51,12 @@ pub fn start(verbose: u8, format: LogFormat) {
     let asked = told.and_then(|told| match told.parse() {
         Ok(targets) => Some(targets),
         Err(error) => {
-            say(&format!("{VARIABLE} is ignored: {error}"));
+            log_line(&format!("{VARIABLE} is ignored: {error}"));
             None
         }
     });
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
-    let levels = levels.with_target(SAID, LevelFilter::INFO);
+    let levels = levels.with_target(PROGRAM_TARGET, LevelFilter::INFO);
     let levels = Levels { levels, overheard: OVERHEARD.get().copied() };
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
@@ -66,7 +66,7 @@ pub fn start(verbose: u8, format: LogFormat) {
         LogFormat::Json => {
             let started = registry.with(layer.json().flatten_event(true)).try_init();
             if started.is_ok() {
-                say_in_log();
+                log_to_objects();
             }
             started
         }

@@ -105,21 +105,21 @@ pub fn text(text: &str) -> anyhow::Result<()> {
 }
 
 /// Target of a program's messages in a log whose lines are objects.
-pub(crate) const SAID: &str = "joulebus::program";
+pub(crate) const PROGRAM_TARGET: &str = "joulebus::program";
 /// True if messages go to the log, whose lines are objects.
 static TO_LOG: AtomicBool = AtomicBool::new(false);
 
-/// Lets [`say`] write to the log from now on.
-pub(crate) fn say_in_log() {
+/// Lets [`log_line`] write to the log from now on.
+pub(crate) fn log_to_objects() {
     TO_LOG.store(true, Ordering::Relaxed);
 }
 
 /// Writes a line to stderr, or to the log if its lines are objects. Errors are ignored, because it
 /// is not a result.
-pub fn say(line: &str) {
+pub fn log_line(line: &str) {
     let line = printable(line);
     if TO_LOG.load(Ordering::Relaxed) {
-        tracing::info!(target: SAID, "{line}");
+        tracing::info!(target: PROGRAM_TARGET, "{line}");
     } else {
         let _ = writeln!(io::stderr(), "{line}");
     }

@@ -1,7 +1,7 @@
 //! Flow control: follows the worker, so that it does not get more than it can take.
 
 use joulebus_bus::{Bus, Domain, Limits, PeerWatch, Reader, Waiter, WorkerLock, clock};
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::stop::Stop;
 use joulebus_wire::{Forecasts, SCHEMA_VERSION, Sample, forecast_flag};
 
@@ -140,7 +140,7 @@ impl Flow {
                 return Ok(SendWindow::Free);
             }
             if now_ns >= mention_ns {
-                say("the worker runs, but has not answered for 2 s, waiting for it");
+                log_line("the worker runs, but has not answered for 2 s, waiting for it");
                 mention_ns = u64::MAX;
             }
             let process = self.worker.as_ref().and_then(|worker| worker.process.as_ref());

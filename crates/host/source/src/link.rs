@@ -2,7 +2,7 @@
 
 use joulebus_bus::{Domain, WorkerLock, clock};
 use joulebus_config::Config;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::stop::Stop;
 use joulebus_publisher::{PublishError, Publisher};
 use joulebus_wire::Sample;
@@ -116,7 +116,7 @@ impl Link {
         if self.has_worker()? {
             return Ok(true);
         }
-        say("no worker runs, waiting for one (`joulebus run` starts it)");
+        log_line("no worker runs, waiting for one (`joulebus run` starts it)");
         while !self.has_worker()? {
             if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
                 return Ok(false);
@@ -128,5 +128,5 @@ impl Link {
 
 /// Warns that frames have no reader.
 pub fn warn_without_worker() {
-    say("no worker runs: samples sent before one starts are lost (`joulebus run` starts it)");
+    log_line("no worker runs: samples sent before one starts are lost (`joulebus run` starts it)");
 }

@@ -13,7 +13,7 @@ use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::platform::{names, platform};
 use joulebus_settings::Platform;
 use serde::Serialize;
@@ -99,7 +99,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let (trials, recorded) = trials(&files, own, &map)?;
     let implausible = args.accept.or_configured(&config, [place])?.judge(&trials)?;
     let robots = args.robots.unwrap_or(recorded);
-    say(&format!(
+    log_line(&format!(
         "platform {}, model {}: {} recordings, a fleet of {robots} robots",
         own.name,
         model.name(),
@@ -245,7 +245,7 @@ pub(crate) fn trials(
 
 fn left_out(file: &Path, robots: usize) {
     if robots > 0 {
-        say(&format!(
+        log_line(&format!(
             "{}: {robots} recordings of robots that are not of the platform are left out",
             file.display()
         ));

@@ -10,7 +10,7 @@ use joulebus_capture_format::scan::ScanError;
 use joulebus_capture_format::values::{Line, values};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::StdoutClosed;
-use joulebus_program::output::{Output, OutputFormat, printable, say};
+use joulebus_program::output::{Output, OutputFormat, printable, log_line};
 use regex::Regex;
 use serde_json::Value;
 
@@ -56,13 +56,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     })?;
     out.out.flush().map_err(closed)?;
     for damage in &passed.damage {
-        say(&format!("{}: {damage}", named()));
+        log_line(&format!("{}: {damage}", named()));
     }
     for (topic, count) in &passed.undecoded {
-        say(&format!("{topic}: the values of {count} messages cannot be decoded"));
+        log_line(&format!("{topic}: the values of {count} messages cannot be decoded"));
     }
     if out.unlisted > 0 {
-        say(&format!("{} values had no column", out.unlisted));
+        log_line(&format!("{} values had no column", out.unlisted));
     }
     if passed.damage.is_empty() {
         refuse_strangers(args, regex.as_ref(), &topics.into_inner()).with_context(named)?;

@@ -15,7 +15,7 @@ use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::shell::word;
 use joulebus_settings::bounds;
 use joulebus_statistics::bootstrap::Estimate;
@@ -117,7 +117,7 @@ impl HeldOut {
         let report = match score_reported(subject, &options) {
             Ok(scored) => scored.report,
             Err(error @ ScoreError::NoRows { .. }) => {
-                say(&format!("warning: no score of the model: {error}"));
+                log_line(&format!("warning: no score of the model: {error}"));
                 return Ok(None);
             }
             Err(error) => return Err(error.into()),
@@ -175,7 +175,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut several = Several::default();
     for stuck in &recorded.stuck {
         let held = "its readings are held far longer than those of the others";
-        say(&format!("warning: {stuck}: {held}. They set no hold_max_s"));
+        log_line(&format!("warning: {stuck}: {held}. They set no hold_max_s"));
     }
     let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
@@ -209,7 +209,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
     warnings.extend(model_range::warnings(&config, &models).iter().map(ToString::to_string));
     for warning in &warnings {
-        say(&format!("warning: {warning}"));
+        log_line(&format!("warning: {warning}"));
     }
     let (file, from) = (word(&places.fleet), recordings(&args.from));
     let reading = args.columns.options() + &args.accept.option();

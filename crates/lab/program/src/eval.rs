@@ -11,7 +11,7 @@ use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 
 use crate::judgement::report;
 use crate::references::ReferenceArguments;
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             }
             // A platform without rows must not hide the others.
             Err(error) if sections.len() > 1 && is_without_rows(&error) => {
-                say(&format!("warning: platform {}: {error:#}", section.name()));
+                log_line(&format!("warning: platform {}: {error:#}", section.name()));
                 refused = Some(error);
             }
             Err(error) => return Err(error),
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// Prints warnings on stderr.
 pub(crate) fn warn(warnings: &[String]) {
     for warning in warnings {
-        say(&format!("warning: {warning}"));
+        log_line(&format!("warning: {warning}"));
     }
 }
 

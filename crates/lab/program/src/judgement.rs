@@ -11,7 +11,7 @@ use joulebus_eval::score::Recording;
 pub(crate) use joulebus_plausibility::Source;
 use joulebus_plausibility::{Kind, Quantity, Severity};
 use joulebus_program::exit::UsageError;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_settings::Platform;
 use serde::Serialize;
 
@@ -184,10 +184,10 @@ impl AcceptArguments {
     fn say_of_lines(&self, file: &dyn fmt::Display, left_out: &LeftOut, may_be_cut: bool) {
         if may_be_cut && !self.settled {
             let what = "its last line has no newline, so that its last number may be cut";
-            say(&format!("warning: {file}: {what}; --whole-rows leaves such a line out"));
+            log_line(&format!("warning: {file}: {what}; --whole-rows leaves such a line out"));
         }
         if left_out.lines > 0 && !self.settled {
-            say(&format!("warning: {file}: {left_out}"));
+            log_line(&format!("warning: {file}: {left_out}"));
         }
     }
 
@@ -209,7 +209,7 @@ impl AcceptArguments {
         let (errors, others): (Vec<_>, Vec<_>) = judged.into_iter().partition(Judged::is_error);
         for finding in &others {
             let word = if finding.accepted { "accepted" } else { "warning" };
-            say(&format!("{word}: {}", finding.line()));
+            log_line(&format!("{word}: {}", finding.line()));
         }
         if errors.is_empty() {
             return Ok(others);
@@ -252,7 +252,7 @@ pub(crate) fn warned<'a>(
     found.push(together(&found, trials));
     let judged = AcceptArguments::default().gather(found.into_iter());
     for finding in &judged {
-        say(&format!("warning: {}", finding.line()));
+        log_line(&format!("warning: {}", finding.line()));
     }
     judged
 }

@@ -8,7 +8,7 @@ use joulebus_dataset::inspect::find;
 use joulebus_dataset::trial::{ColumnMap, MapError, MappedColumn, Method, TrialError};
 use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::shell::quoted;
 
 /// Recordings on the command line.
@@ -153,7 +153,7 @@ pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
         true => UsageError(error.to_string()).into(),
         false => anyhow::Error::from(error),
     })?;
-    found.remarks().for_each(|remark| say(&remark));
+    found.remarks().for_each(|remark| log_line(&remark));
     Ok(found.files)
 }
 

@@ -8,7 +8,7 @@ use joulebus_config::Config;
 use joulebus_dataset::archive::{is_archive, listings};
 use joulebus_dataset::trial::{ColumnMap, Table, Trial};
 use joulebus_program::exit::UsageError;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::platform::{names, platform};
 use joulebus_settings::FleetSettings;
 
@@ -192,7 +192,7 @@ fn apart(
         };
         let Some(id) = id else {
             let (name, taken) = (file.display(), assigned.len());
-            say(&format!(
+            log_line(&format!(
                 "{name}: {taken} of {found} robots are played: no more robot ids are left"
             ));
             break;
@@ -233,7 +233,7 @@ fn assign(
     }
     if assigned.len() < found {
         let (name, taken) = (path.display(), assigned.len());
-        say(&format!(
+        log_line(&format!(
             "{name}: {taken} of {found} recordings are played: no more robot ids are left"
         ));
     }

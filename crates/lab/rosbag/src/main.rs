@@ -17,7 +17,7 @@ use clap::Parser as _;
 use joulebus_capture_format::RosFile;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::exit_with_parent;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 
 use bag::Bag;
 use convert::LeftOut;
@@ -43,7 +43,7 @@ fn run(args: &RosbagArguments) -> anyhow::Result<Outcome> {
         written.with_context(|| args.out.display().to_string())?
     };
     for (LeftOut { what, why }, count) in &left_out {
-        say(&format!("{count} {what} left out: {why}"));
+        log_line(&format!("{count} {what} left out: {why}"));
     }
     Ok(Outcome::unless_lost(!left_out.is_empty()))
 }

@@ -18,7 +18,7 @@ use std::thread;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use mqtt5_protocol::{Packet, QoS, ReasonCode};
 use rustix::event::Timespec;
 
@@ -147,7 +147,7 @@ impl Mqtt {
                 let falls_back = self.version == newer && why.is_of_version(self.knows_newer);
                 self.version = if falls_back { older } else { newer };
                 if falls_back {
-                    say(&format!("not connected to {broker} by MQTT 5: {why}, trying MQTT 3.1.1"));
+                    log_line(&format!("not connected to {broker} by MQTT 5: {why}, trying MQTT 3.1.1"));
                     continue;
                 }
             }
@@ -155,7 +155,7 @@ impl Mqtt {
                 let broker = broker.clone();
                 return Err(MqttError { broker, why });
             }
-            say(&format!("not connected to {broker}: {why}, trying again"));
+            log_line(&format!("not connected to {broker}: {why}, trying again"));
             if clock::monotonic_ns() - began_ns > RETRY_DELAYS.1.as_nanos() as u64 {
                 pause = RETRY_DELAYS.0;
             }
@@ -235,7 +235,7 @@ impl Mqtt {
                 let is_unknown = answer.reason_code == ReasonCode::UnsupportedProtocolVersion;
                 self.knows_newer |= self.version == VERSIONS[1] && !is_unknown;
                 connection.accepted(&answer)?;
-                say(&format!("connected to {}", self.broker));
+                log_line(&format!("connected to {}", self.broker));
                 if !self.filters.is_empty() {
                     connection.subscribe(&self.filters)?;
                 }

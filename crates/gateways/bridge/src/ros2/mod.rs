@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use futures_util::StreamExt as _;
 use futures_util::stream::SelectAll;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_ros_messages::{Clock, encode};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataReader, DataSample};
@@ -134,7 +134,7 @@ impl Ros2 {
         let services = services.map(|service| ros.open_service(service, &subscriber, &publisher));
         let repliers = services.collect::<Result<Vec<Writer>, Ros2Error>>()?;
         let written: usize = topics.iter().map(|topic| topic.writers.len()).sum();
-        say(&format!(
+        log_line(&format!(
             "in ROS domain {} as participant {}: {} topics read, {written} written, {} services",
             settings.domain_id,
             ros.participant.participant_id(),

@@ -10,7 +10,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::{Arc, Mutex};
 
 use joulebus_program::installed::find_program;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_ros_messages::{Clock, type_hash};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
@@ -123,7 +123,7 @@ impl Zenoh {
         while zenoh.frame().is_none() {
             zenoh.receive()?;
         }
-        say(&format!(
+        log_line(&format!(
             "in ROS domain {} over zenoh as node /{name}: {} topics read, {} written, {} services",
             settings.domain_id,
             read.len(),

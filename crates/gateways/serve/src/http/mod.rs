@@ -51,7 +51,7 @@ use joulebus_bus::{inspect, yield_to_the_worker};
 use joulebus_capture_recorder::RECORDER;
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Notify, watch};
@@ -237,7 +237,7 @@ impl HttpServer {
 
 /// Accepts connections for ever, at one place or two.
 async fn accept_all(listeners: Listeners, shared: &Arc<Shared>) {
-    let cannot = |error: io::Error| say(&format!("error: the server cannot listen: {error}"));
+    let cannot = |error: io::Error| log_line(&format!("error: the server cannot listen: {error}"));
     let tcp = listeners.tcp.map(tokio::net::TcpListener::from_std);
     let unix = listeners.unix.map(tokio::net::UnixListener::from_std);
     let (tcp, unix) = match (tcp.transpose(), unix.transpose()) {

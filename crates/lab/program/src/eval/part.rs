@@ -10,7 +10,7 @@ use joulebus_eval::{EvalPart, PartError};
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use serde::Serialize;
 
 use super::subject::Section;
@@ -165,7 +165,7 @@ pub(super) fn merge<'a>(
         warn(&evaluation.warnings);
     }
     for (platform, error) in &merged.refused {
-        say(&format!("warning: platform {platform}: {error}"));
+        log_line(&format!("warning: platform {platform}: {error}"));
     }
     output.report(&merged.report)?;
     Ok(Outcome::Done)

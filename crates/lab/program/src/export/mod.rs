@@ -12,7 +12,7 @@ use joulebus_dataset::archive::is_listing;
 use joulebus_dataset::inspect::{Implausible, Limits, is_short, judge};
 use joulebus_dataset::trial::{ColumnMap, Table, Trial, TrialError, each_run, is_capture};
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use serde::Serialize;
 
 use crate::judgement;
@@ -85,7 +85,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut found = Found::default();
     if report.recordings_before > 0 {
         let (before, folder) = (report.recordings_before, &report.folder);
-        say(&format!("adding to the {before} recordings in {folder}"));
+        log_line(&format!("adding to the {before} recordings in {folder}"));
     }
     for (file, name) in files.iter().zip(names) {
         let mut adding = archive.add(name);
@@ -159,7 +159,7 @@ fn one(
     Table::each(file, map, |table| -> anyhow::Result<()> {
         let left_out = table.left_out();
         if !left_out.is_none() {
-            say(&format!("warning: {}: {left_out}", file.display()));
+            log_line(&format!("warning: {}: {left_out}", file.display()));
             left_out_lines += left_out.lines;
         }
         add(adding.trial(None, &table, None)?);

@@ -9,7 +9,7 @@ use joulebus_mission::{
 };
 use joulebus_program::exit::Outcome as Exit;
 use joulebus_program::file::write;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use rayon::prelude::*;
 
 pub(crate) use arguments::Args;
@@ -34,7 +34,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Exit> {
     if let (Some(file), Some(joulebus)) = (&args.picture, policies.last()) {
         let drawn = picture(&scenario, *joulebus, first_seed)?;
         write(file, drawn.as_bytes())?;
-        say(&format!("written: {}", file.display()));
+        log_line(&format!("written: {}", file.display()));
     }
     let runs = all(&scenario, &policies, first_seed, args.seeds)?;
     let summary = Summary::new(scenario, first_seed, &runs);
@@ -60,7 +60,7 @@ fn all(
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             // A line for each tenth.
             if done * 10 / total != (done - 1) * 10 / total {
-                say(&format!("{done} of {total} missions"));
+                log_line(&format!("{done} of {total} missions"));
             }
             outcome
         })

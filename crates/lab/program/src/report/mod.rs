@@ -15,7 +15,7 @@ use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::model_source;
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::platform::platform;
 use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
 use joulebus_settings::Platform;
@@ -37,7 +37,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
     let (document, implausible) =
         if args.simulated { (simulate(args)?, Vec::new()) } else { evaluate(args)? };
-    say("rendering the report");
+    log_line("rendering the report");
     for file in files(&document)? {
         let path = args.out.join(&file.path);
         let is_new = !path.exists();
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         }
     }
     several.keep();
-    say(&format!("written: {}", args.out.join("report.html").display()));
+    log_line(&format!("written: {}", args.out.join("report.html").display()));
     judgement::report(output, &document, implausible)?;
     Ok(Outcome::Done)
 }
@@ -58,7 +58,7 @@ fn simulate(args: &Args) -> anyhow::Result<Document> {
     experiment.draws = args.draws;
     experiment.recipe.max_epochs = args.max_epochs;
     let config = args.config.load()?;
-    say(&format!(
+    log_line(&format!(
         "{} draws of six trials and seven robots of {} samples, training on trials 1 to 4",
         args.draws, args.samples
     ));
@@ -67,7 +67,7 @@ fn simulate(args: &Args) -> anyhow::Result<Document> {
         ControlFlow::Continue(())
     });
     if std::io::stderr().is_terminal() {
-        say("");
+        log_line("");
     }
     let SimulatedReport { document, network, .. } = report?;
     write(&args.out.join("network.safetensors"), &network.to_safetensors()?)?;
@@ -98,7 +98,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         accept.recordings(&training)?;
         Ok(training)
     })?;
-    say(&format!("evaluating {} of {} recordings", design.report().trials, recordings.len()));
+    log_line(&format!("evaluating {} of {} recordings", design.report().trials, recordings.len()));
     let document = recorded(&Recorded {
         settings,
         platform: kind,
@@ -109,7 +109,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         published: args.published,
     })?;
     if let Some(warning) = &document.warning {
-        say(&format!("warning: {warning}"));
+        log_line(&format!("warning: {warning}"));
     }
     Ok((document, implausible))
 }
@@ -169,6 +169,6 @@ fn progress(seed: u64, epoch: Epoch, max_epochs: u32) {
     if stderr.is_terminal() {
         let _ = write!(stderr, "\r\x1b[K{line}");
     } else if number % 10 == 0 {
-        say(&line);
+        log_line(&line);
     }
 }

@@ -9,7 +9,7 @@ use joulebus_dataset::rows::Dataset;
 use joulebus_files::{check_kind, disk};
 use joulebus_program::exit::UsageError;
 use joulebus_program::file::write;
-use joulebus_program::output::say;
+use joulebus_program::output::log_line;
 use joulebus_program::stop::Stop;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
@@ -83,7 +83,7 @@ impl RunArguments {
             if stop.is_asked() {
                 write(&saved_at, &training.saved())?;
                 let (at, made) = (saved_at.display(), epoch.number);
-                say(&format!(
+                log_line(&format!(
                     "interrupted after {made} epochs, checkpoint saved in {at}. Continue with \
                         --resume"
                 ));
@@ -95,7 +95,7 @@ impl RunArguments {
             }
         }
         if std::io::stderr().is_terminal() {
-            say("");
+            log_line("");
         }
         let trained = training.finish()?;
         write(&self.out, &trained.network.to_safetensors()?)?;
@@ -124,7 +124,7 @@ impl RunArguments {
         };
         let training = Training::resume(dataset, settings, self.threads, &saved)
             .with_context(|| format!("cannot continue from {at}"))?;
-        say(&format!("continuing after epoch {}", training.epochs().len()));
+        log_line(&format!("continuing after epoch {}", training.epochs().len()));
         Ok(training)
     }
 }
@@ -144,6 +144,6 @@ fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
     if stderr.is_terminal() {
         let _ = write!(stderr, "\r\x1b[K{line}");
     } else {
-        say(&line);
+        log_line(&line);
     }
 }

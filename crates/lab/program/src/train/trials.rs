@@ -11,7 +11,7 @@ use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
 use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Output, say};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::shell::word;
 use joulebus_train::{Recipe, TrainReport, TrainSettings};
 
@@ -221,7 +221,7 @@ fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
     }
     let recordings = open(find_recordings(paths)?, map)?;
     for recording in &recordings {
-        say(&format!("{}: {}", recording.file(), recording.notes()));
+        log_line(&format!("{}: {}", recording.file(), recording.notes()));
     }
     Ok(recordings)
 }
