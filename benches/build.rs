@@ -8,12 +8,12 @@ fn main() {
     let version = Command::new(rustc).arg("--version").output();
     let version = version.map_or_else(
         |_| "unknown".to_owned(),
-        |said| String::from_utf8_lossy(&said.stdout).trim().to_owned(),
+        |output| String::from_utf8_lossy(&output.stdout).trim().to_owned(),
     );
-    let told = |name: &str| env::var(name).unwrap_or_else(|_| "unknown".to_owned());
+    let variable = |name: &str| env::var(name).unwrap_or_else(|_| "unknown".to_owned());
     println!("cargo::rustc-env=BENCH_RUSTC={version}");
-    println!("cargo::rustc-env=BENCH_TARGET={}", told("TARGET"));
-    println!("cargo::rustc-env=BENCH_OPT_LEVEL={}", told("OPT_LEVEL"));
-    println!("cargo::rustc-env=BENCH_TARGET_FEATURES={}", told("CARGO_CFG_TARGET_FEATURE"));
+    println!("cargo::rustc-env=BENCH_TARGET={}", variable("TARGET"));
+    println!("cargo::rustc-env=BENCH_OPT_LEVEL={}", variable("OPT_LEVEL"));
+    println!("cargo::rustc-env=BENCH_TARGET_FEATURES={}", variable("CARGO_CFG_TARGET_FEATURE"));
     println!("cargo::rerun-if-changed=build.rs");
 }

@@ -57,11 +57,11 @@ impl Machine {
         Self {
             processor: field("model name").unwrap_or_else(|| UNKNOWN.to_owned()),
             processors: std::thread::available_parallelism().map_or(1, usize::from),
-            kernel: told("/proc/sys/kernel/osrelease"),
-            governor: told(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
+            kernel: setting("/proc/sys/kernel/osrelease"),
+            governor: setting(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
             turbo: turbo(
-                &told(&format!("{cpu}/cpufreq/boost")),
-                &told(&format!("{cpu}/intel_pstate/no_turbo")),
+                &setting(&format!("{cpu}/cpufreq/boost")),
+                &setting(&format!("{cpu}/intel_pstate/no_turbo")),
             ),
             virtual_machine: flags.split_whitespace().any(|flag| flag == "hypervisor"),
         }
@@ -83,7 +83,7 @@ impl Build {
     }
 }
 
-fn told(path: &str) -> String {
+fn setting(path: &str) -> String {
     fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
 }
 

@@ -163,14 +163,14 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     let mut worker = Worker::open(&config)?;
     println!("ready");
     let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
+    let stopped = Arc::clone(&stop);
     // The benchmark closes our stdin at the end. The worker's memory is measured before it is
     // freed.
     let measuring = std::thread::spawn(move || {
         let mut line = String::new();
         let _ = BufReader::new(std::io::stdin()).read_line(&mut line);
         let own_bytes = anonymous_bytes();
-        told.store(true, Ordering::Relaxed);
+        stopped.store(true, Ordering::Relaxed);
         own_bytes
     });
     worker.run(&stop)?;

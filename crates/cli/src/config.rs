@@ -134,7 +134,7 @@ impl Checked {
         self.error = self.problems.is_empty().then(|| error.to_string());
     }
 
-    /// Checks a file of the kind that its keys tell. Of a fleet's also what it names.
+    /// Checks a file of the kind that its keys show. Of a fleet's also what it names.
     fn load(path: &Path) -> Self {
         let name = path.display().to_string();
         let kind = File::new(path);

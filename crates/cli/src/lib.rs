@@ -16,8 +16,8 @@
 //!
 //! **Units** stand beside the numbers in reports, and in the names of keys in JSON.
 //!
-//! **Errors** go to stderr, with what was found, what is allowed and the remedy. The exit code says
-//! which kind of error it was.
+//! **Errors** go to stderr, with what was found, what is allowed and the remedy. The exit code
+//! states which kind of error it was.
 //!
 //! **In the book**: [programs and verbs][1], [every option][2], [the demo][3],
 //! [troubleshooting][4].

@@ -37,7 +37,7 @@ impl ServiceManager {
 
     /// The service is ready. `status` is one line for operators.
     pub(crate) fn ready(&self, status: &str) {
-        tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+        notify(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
 
     /// The service ends.
@@ -45,7 +45,7 @@ impl ServiceManager {
         if let Some(Err(error)) = self.watchdog.as_mut().map(Background::finish) {
             tracing::error!("{error}");
         }
-        tell(&[NotifyState::Stopping]);
+        notify(&[NotifyState::Stopping]);
     }
 }
 
@@ -62,13 +62,13 @@ impl Steps for Watchdog {
         let turns = self.turns.load(Ordering::Relaxed);
         if turns != self.seen {
             self.seen = turns;
-            tell(&[NotifyState::Watchdog]);
+            notify(&[NotifyState::Watchdog]);
         }
         (!last).then_some(self.every)
     }
 }
 
-fn tell(what: &[NotifyState]) {
+fn notify(what: &[NotifyState]) {
     if let Err(error) = sd_notify::notify(what) {
         tracing::warn!(%error, "the service manager cannot be notified");
     }

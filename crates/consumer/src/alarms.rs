@@ -174,7 +174,7 @@ impl AlarmHistory {
                 Change::Cleared
             };
             let raised_ns = *since_ns;
-            tell(
+            report(
                 &mut self.listed,
                 each,
                 AlarmChange { robot, alarm, change, at_ns, raised_ns, acknowledged: None },
@@ -247,7 +247,7 @@ impl AlarmHistory {
             });
             let ended: Vec<AlarmChange> = ended.collect();
             for change in ended {
-                tell(&mut self.listed, each, change);
+                report(&mut self.listed, each, change);
             }
             self.robots.remove(&robot);
         }
@@ -284,8 +284,8 @@ impl AlarmHistory {
     }
 }
 
-/// Tells a raise or an end, with who had acknowledged it.
-fn tell(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: AlarmChange) {
+/// Reports a raise or an end, with who had acknowledged it.
+fn report(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: AlarmChange) {
     let of_it = |listed: &&mut Listed| {
         (listed.row.robot, listed.row.alarm()) == (change.robot, change.alarm)
     };
@@ -434,7 +434,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_change_is_told_once_with_its_times(
+        fn every_change_is_reported_once_with_its_times(
             frames in prop::collection::vec(
                 prop::collection::btree_map(0u32..6, prop_oneof![Just(0), any::<u32>()], 0..6),
                 1..20,
@@ -458,13 +458,13 @@ mod tests {
                     }
                     prop_assert_eq!(change.at_ns, at_ns);
                 }
-                let told: Vec<_> = found
+                let reported: Vec<_> = found
                     .iter()
                     .map(|change| (change.robot, change.alarm.code(), change.change as u8))
                     .collect();
                 let expected = expected(&before, &frame);
-                prop_assert_eq!(told.len(), expected.len());
-                prop_assert_eq!(told.into_iter().collect::<BTreeSet<_>>(), expected);
+                prop_assert_eq!(reported.len(), expected.len());
+                prop_assert_eq!(reported.into_iter().collect::<BTreeSet<_>>(), expected);
                 let now: BTreeMap<_, _> =
                     history.raised().map(|(robot, alarm, since)| ((robot, alarm), since)).collect();
                 prop_assert_eq!(&now, &raised);
@@ -476,7 +476,7 @@ mod tests {
 
     #[test]
     fn an_acknowledgement_is_of_one_raise_and_ends_with_it() {
-        let (mut history, mut told) = (AlarmHistory::default(), Vec::new());
+        let (mut history, mut reported) = (AlarmHistory::default(), Vec::new());
         let ann = Acknowledgement::new(7, Alarm::NoData, 3, "ann").unwrap();
         let bob = Acknowledgement::new(7, Alarm::NoData, 9, "bob").unwrap();
         let other = Acknowledgement::new(8, Alarm::NoData, 3, "ann").unwrap();
@@ -495,10 +495,10 @@ mod tests {
         ];
         for (tick, (robots, listed, expected)) in (1..).zip(steps) {
             let header = header(1, tick);
-            history.take(&header, robots, tick, |change| told.push(change));
+            history.take(&header, robots, tick, |change| reported.push(change));
             let header = AcknowledgementHeader { number: tick, ..AcknowledgementHeader::default() };
-            history.acknowledge(&header, listed, tick, |change| told.push(change));
-            let shown = told.drain(..).map(|change: AlarmChange| {
+            history.acknowledge(&header, listed, tick, |change| reported.push(change));
+            let shown = reported.drain(..).map(|change: AlarmChange| {
                 let by = change.acknowledged.map(|row| row.by().to_owned());
                 format!("{} {}", change.change.name(), by.as_deref().unwrap_or("-"))
             });

@@ -129,7 +129,7 @@ impl FleetAlarms {
     /// # Errors
     /// [`ReadError`]. The next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
-        // What it was does not matter: the state says it.
+        // The event does not matter: the state shows it.
         let _ = self.subscriber.wait_next(self.feed.look_every())?;
         let now = match self.subscriber.worker_for_people() {
             WorkerState::Alive => Some(None),

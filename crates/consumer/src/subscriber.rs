@@ -260,7 +260,7 @@ impl Subscriber {
     }
 
     /// The newest frame, without waiting, whether or not it was returned before: its header has the
-    /// tick, and [`Subscriber::worker`] tells whether to rely on it. `None` until the first has
+    /// tick, and [`Subscriber::worker`] shows whether to rely on it. `None` until the first has
     /// arrived. Allocates nothing.
     ///
     /// # Errors
@@ -423,7 +423,7 @@ impl Subscriber {
             // At once, without sleeping: the event of a waiting frame may have been consumed.
             Waiting::Listening(_) => 0,
             // A known and unreported end does not wait for the next look.
-            Waiting::Polling(_) if self.tracker.is_end_untold() => 0,
+            Waiting::Polling(_) if self.tracker.is_end_unreported() => 0,
             Waiting::Polling(_) => self.next_look_ns(),
         }
     }

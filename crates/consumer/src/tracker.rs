@@ -105,7 +105,7 @@ struct Last {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Told {
+enum Reported {
     Nothing,
     Stale,
     Gone,
@@ -116,7 +116,7 @@ pub(crate) struct Tracker {
     last: Option<Last>,
     // How and when the end of the run of `last` was detected.
     over: Option<(End, u64)>,
-    told: Told,
+    reported: Reported,
     counts: Counts,
 }
 
@@ -125,7 +125,7 @@ impl Tracker {
         Self {
             last: None,
             over: None,
-            told: Told::Nothing,
+            reported: Reported::Nothing,
             counts: Counts { frames: 0, gaps: 0, ticks_missed: 0, workers: 0 },
         }
     }
@@ -159,7 +159,7 @@ impl Tracker {
         let lives = |(_, over_ns): (End, u64)| arrival.restarted || header.sent_ns > over_ns;
         if self.over.is_none_or(lives) {
             self.over = None;
-            self.told = Told::Nothing;
+            self.reported = Reported::Nothing;
         }
         self.last = Some(Last {
             place: (run, epoch, tick),
@@ -190,25 +190,25 @@ impl Tracker {
     /// The state, if it has become worse since it was last returned.
     pub(crate) fn change(&mut self, now_ns: u64) -> Option<WorkerState> {
         let state = self.state(now_ns);
-        let telling = match state {
+        let worse = match state {
             WorkerState::Waiting | WorkerState::Alive => return None,
-            WorkerState::Stale { .. } => Told::Stale,
-            WorkerState::Gone(_) => Told::Gone,
+            WorkerState::Stale { .. } => Reported::Stale,
+            WorkerState::Gone(_) => Reported::Gone,
         };
-        let changed = telling != self.told;
-        self.told = telling;
+        let changed = worse != self.reported;
+        self.reported = worse;
         changed.then_some(state)
     }
 
     /// True if the worker's end is known, and [`Tracker::change`] has not returned it.
-    pub(crate) fn is_end_untold(&self) -> bool {
-        self.over.is_some() && self.told != Told::Gone
+    pub(crate) fn is_end_unreported(&self) -> bool {
+        self.over.is_some() && self.reported != Reported::Gone
     }
 
     /// When the state will change without frames, monotonic ns.
     pub(crate) fn change_due_ns(&self) -> Option<u64> {
         let last = self.last.as_ref()?;
-        (self.over.is_none() && self.told == Told::Nothing).then_some(stale_ns(last))
+        (self.over.is_none() && self.reported == Reported::Nothing).then_some(stale_ns(last))
     }
 
     pub(crate) const fn counts(&self) -> Counts {
@@ -323,10 +323,10 @@ mod tests {
             assert_eq!(tracker.state(now_ns), state, "{now_ns}");
             assert_eq!(tracker.change(now_ns), change.then_some(state), "{now_ns}");
         }
-        assert_eq!(tracker.change_due_ns(), None, "told already");
+        assert_eq!(tracker.change_due_ns(), None, "reported already");
         tracker.frame(1, &header(1, 2, 9_100), u64::MAX);
         assert_eq!(tracker.state(9_100), WorkerState::Alive);
-        assert_eq!(tracker.change(9_301), Some(stale(201)), "told again");
+        assert_eq!(tracker.change(9_301), Some(stale(201)), "reported again");
     }
 
     #[test]
@@ -375,7 +375,7 @@ mod tests {
             let alive = tracker.state(1_100) == WorkerState::Alive;
             assert_eq!(alive, back, "{epoch}:{tick} {sent_ns}");
             tracker.over(End::Exited, 1_110);
-            assert_eq!(tracker.change(1_120).is_some(), back, "told again");
+            assert_eq!(tracker.change(1_120).is_some(), back, "reported again");
         }
     }
 
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn people_hear_of_a_late_worker_once_until_it_has_been_on_time_for_as_long() {
+    fn people_are_warned_of_a_late_worker_once_until_it_has_been_on_time_for_as_long() {
         let (stale, alive) = (|age_ns| WorkerState::Stale { age_ns }, WorkerState::Alive);
         let mut lateness = Lateness::new(100);
         for (now_ns, state, shown) in [

@@ -91,14 +91,14 @@ impl Attachments {
     }
 
     /// Number of the rules by which recorded answers about plans were computed
-    /// ([`ANSWER_RULES`]). 1 where the file does not say.
+    /// ([`ANSWER_RULES`]). 1 where the file does not state it.
     #[must_use]
     pub fn answer_rules(&self) -> u32 {
         self.rules("answer_rules")
     }
 
     /// Number of the rules by which the recorded ticks were computed ([`TICK_RULES`]). 1 where the
-    /// file does not say.
+    /// file does not state it.
     #[must_use]
     pub fn tick_rules(&self) -> u32 {
         self.rules("tick_rules")

@@ -15,7 +15,7 @@ use joulebus_capture_format::{Clock, Message, MessageKind, Times};
 /// Maximum interval between two drains.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 /// Minimum interval between two log lines of receive failures, ns.
-const SAY_EVERY_NS: u64 = 1_000_000_000;
+const LOG_INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Errors of opening the services.
 #[derive(Debug, thiserror::Error)]
@@ -42,7 +42,7 @@ pub(crate) struct Drain {
     clock: Clock,
     look_every: Duration,
     log_ns: u64,
-    say_from_ns: u64,
+    log_from_ns: u64,
     batch: Vec<Message>,
 }
 
@@ -71,7 +71,7 @@ impl Drain {
             // What was sent before is logged now: a false time long ago would begin the file there,
             // and end it.
             log_ns: clock.unix_ns(clock::monotonic_ns()),
-            say_from_ns: 0,
+            log_from_ns: 0,
             batch: Vec::new(),
         })
     }
@@ -105,8 +105,8 @@ impl Drain {
 
     fn complain(&mut self, error: &ReceiveError) {
         let now_ns = clock::monotonic_ns();
-        if now_ns >= self.say_from_ns {
-            self.say_from_ns = now_ns.saturating_add(SAY_EVERY_NS);
+        if now_ns >= self.log_from_ns {
+            self.log_from_ns = now_ns.saturating_add(LOG_INTERVAL_NS);
             tracing::warn!(%error, "the recorder cannot receive");
         }
     }
@@ -134,7 +134,7 @@ fn sort_key(message: &Message) -> (u8, u64, u64, usize) {
     match (kind.flow(), kind.rows()) {
         (Flow::Sources, _) => (0, message.sent_ns().unwrap_or_default(), 0, 0),
         (_, FrameRows::UpTo(_)) => (2, 0, 0, 0),
-        // The journal says what a tick took.
+        // The journal lists what a tick took.
         (_, FrameRows::Taken) => (1, order.run, order.number, 0),
         _ => {
             let after = MessageKind::of_fleet().take_while(|known| *known != kind).count();

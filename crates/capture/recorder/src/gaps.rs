@@ -36,8 +36,8 @@ struct Run {
     unsent: VecDeque<u64>,
     /// Message count at its last frame.
     looked: u64,
-    /// True if the next gap says nothing: what is sent only while somebody reads it may begin with
-    /// a frame of a reader before, and the second frame is of a later tick.
+    /// True if the next gap proves nothing: what is sent only while somebody reads it may begin
+    /// with a frame of a reader before, and the second frame is of a later tick.
     unknown_gap: bool,
 }
 
@@ -101,8 +101,8 @@ impl Gaps {
         if !self.runs.contains_key(&key) {
             self.forget_silent();
             let is_on_demand = kind.flow().is_on_demand();
-            let heard_from_the_start = epoch > self.known_since_ns && !is_on_demand;
-            let next = if heard_from_the_start { first } else { number };
+            let read_from_the_start = epoch > self.known_since_ns && !is_on_demand;
+            let next = if read_from_the_start { first } else { number };
             let run = Run { next, last: next, unknown_gap: is_on_demand, ..Run::default() };
             self.runs.insert(key.clone(), run);
         }

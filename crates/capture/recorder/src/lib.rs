@@ -19,7 +19,7 @@
 //!
 //! The program `joulebus` has this crate as `joulebus record`, and [`replay`] as `joulebus replay`.
 //!
-//! **Three types to know.** A [`Recorder`] is a running recording. [`Options`] says what is
+//! **Three types to know.** A [`Recorder`] is a running recording. [`Options`] states what is
 //! recorded, and into how large files. A [`Summary`] has the files, and what was lost.
 //!
 //! **Slow and full disks.** A slow disk fills the queue. When it is full, messages are dropped and

@@ -37,7 +37,7 @@ pub struct Options {
     pub snapshot: Option<Snapshot>,
     /// Size of the queue in front of the disk, bytes. Messages beyond it are dropped.
     pub queue_bytes: usize,
-    /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that
+    /// Name of the process among the members of the fleet. [`RECORDER`] is listed as one that
     /// records.
     pub member: &'static str,
     /// Compares the joined fleet's worker with the attachments. Without it, a worker that began

@@ -282,7 +282,7 @@ impl Assembler {
                 self.events.push_back(Event::Tick { worker_epoch: *worker_epoch, tick, parts });
             }
         }
-        // The newest run stays, even without ticks: it tells which runs have ended.
+        // The newest run stays, even without ticks: it shows which runs have ended.
         self.runs.retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
     }
 }
@@ -373,7 +373,7 @@ impl FrameStore {
     }
 
     /// The first of a tick's `frames` with the source, run and number of another frame that
-    /// differs: one of them is false, and nothing tells which of them the worker took. The others
+    /// differs: one of them is false, and nothing shows which of them the worker took. The others
     /// are not taken any more.
     fn ambiguous(&mut self, frames: &[Option<SampleFrame>]) -> Option<FrameKey> {
         let mut first = None;

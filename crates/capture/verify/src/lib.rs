@@ -27,14 +27,14 @@
 //!
 //! The program `joulebus` has this crate as `joulebus replay --verify`.
 //!
-//! **Three types to know.** A [`Verifier`] takes the messages of a capture. A [`Verification`] says
-//! how many ticks were recomputed, what differs, and what could not be compared. [`WhatIf`]
+//! **Three types to know.** A [`Verifier`] takes the messages of a capture. A [`Verification`]
+//! states how many ticks were recomputed, what differs, and what could not be compared. [`WhatIf`]
 //! compares two models on the samples of a capture, and returns a [`Comparison`].
 //!
 //! **Units** are those of `joulebus-wire`: SI, and ns for times.
 //!
 //! **Errors.** Only the start can fail, for settings that are inconsistent. A loss, a refused
-//! keyframe and a difference are results: [`Verification::is_clean`] says whether there is none.
+//! keyframe and a difference are results: [`Verification::is_clean`] states whether there is none.
 //!
 //! **In the book**: [record everything, and replay it][1], [a journal of ticks and keyframes][2],
 //! [the same bits, live and offline][3].

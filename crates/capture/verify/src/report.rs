@@ -10,7 +10,7 @@ use crate::compare::FieldDifference;
 use joulebus_capture_format::MessageKind;
 
 /// Maximum number of losses and refused keyframes listed.
-const MAX_TOLD: usize = 20;
+const MAX_REPORTED: usize = 20;
 
 /// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -228,13 +228,13 @@ impl Verification {
 
     pub(super) fn refuse_keyframe(&mut self, tick: u64, error: &StateError) {
         self.refused_keyframes += 1;
-        if self.refusals.len() < MAX_TOLD {
+        if self.refusals.len() < MAX_REPORTED {
             self.refusals.push((tick, error.to_string()));
         }
     }
 
     fn note_loss(&mut self, tick: u64, why: Loss) {
-        if self.losses.len() < MAX_TOLD {
+        if self.losses.len() < MAX_REPORTED {
             self.losses.push((tick, why));
         }
     }

@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_of_several_fleets_can_be_told_apart() {
+    fn robots_of_several_fleets_are_distinguished() {
         let words =
             |line: &str| -> Vec<String> { line.split_whitespace().map(str::to_owned).collect() };
         let both = text(&["hall", "warehouse"]);

@@ -26,7 +26,7 @@ pub(super) struct OnAlarm {
     lines: Option<SyncSender<Line>>,
     thread: Option<JoinHandle<u64>>,
     ending: Arc<AtomicBool>,
-    untold: u64,
+    missed: u64,
 }
 
 impl OnAlarm {
@@ -38,19 +38,19 @@ impl OnAlarm {
             .name("joulebus-on-alarm".to_owned())
             .spawn(move || run_all(&command, &waiting, &ends))
             .context("cannot start a thread for --on-alarm")?;
-        Ok(Self { lines: Some(lines), thread: Some(thread), ending, untold: 0 })
+        Ok(Self { lines: Some(lines), thread: Some(thread), ending, missed: 0 })
     }
 
     /// Hands a change to the command, unless too many are waiting.
-    pub(super) fn tell(&mut self, line: &Line) {
+    pub(super) fn run(&mut self, line: &Line) {
         let Some(lines) = &self.lines else { return };
         if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
             lines.try_send(line.clone())
         {
-            self.untold += 1;
-            if self.untold.is_power_of_two() {
-                let untold = self.untold;
-                log_line(&format!("--on-alarm is too slow: it did not run for {untold} changes so far"));
+            self.missed += 1;
+            if self.missed.is_power_of_two() {
+                let missed = self.missed;
+                log_line(&format!("--on-alarm is too slow: it did not run for {missed} changes so far"));
             }
         }
     }
@@ -61,7 +61,7 @@ impl OnAlarm {
         self.ending.store(true, Ordering::Relaxed);
         drop(self.lines.take());
         let failed = self.thread.take().map_or(Ok(0), JoinHandle::join);
-        self.untold + failed.unwrap_or(1)
+        self.missed + failed.unwrap_or(1)
     }
 }
 
@@ -81,7 +81,7 @@ fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 
             Ok(()) => last_failure = None,
             Err(why) => {
                 failed += 1;
-                // A command that cannot be run would say so for every change.
+                // A command that cannot be run would report that for every change.
                 if last_failure.as_ref() != Some(&why) {
                     log_line(&format!("--on-alarm: {why}"));
                 }
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_has_the_change_in_its_environment_and_its_failure_is_told() {
+    fn a_command_has_the_change_in_its_environment_and_its_failure_is_reported() {
         let long = Duration::from_secs(60);
         let all = "$JOULEBUS_FLEET $JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_LEVEL $JOULEBUS_CHANGE \
                    $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S $JOULEBUS_BY";
@@ -198,9 +198,9 @@ mod tests {
         let mut command = OnAlarm::start("sleep 11".to_owned()).unwrap();
         // One is taken by the command at some time, the others wait.
         for _ in 0..MAX_WAITING + 11 {
-            command.tell(&line());
+            command.run(&line());
         }
-        assert!((10..=11).contains(&command.untold), "{}", command.untold);
+        assert!((10..=11).contains(&command.missed), "{}", command.missed);
         command.lines = None;
         command.ending.store(true, Ordering::Relaxed);
     }

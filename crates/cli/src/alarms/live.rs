@@ -31,15 +31,15 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         watched = sink.turn(&mut alarms);
     }
     let missed = alarms.history().ticks_missed();
-    let untold = sink.command.map_or(0, OnAlarm::finish);
+    let not_run = sink.command.map_or(0, OnAlarm::finish);
     watched?;
     if missed > 0 {
         log_line(&format!("{missed} ticks without diagnostics"));
     }
-    if untold > 0 {
-        log_line(&format!("{untold} changes were not taken by --on-alarm"));
+    if not_run > 0 {
+        log_line(&format!("{not_run} changes were not taken by --on-alarm"));
     }
-    Ok(Outcome::unless_lost(missed + untold > 0))
+    Ok(Outcome::unless_lost(missed + not_run > 0))
 }
 
 /// Destination of changes.
@@ -53,21 +53,21 @@ struct Sink {
 impl Sink {
     /// Waits for changes, and passes them on.
     fn turn(&mut self, alarms: &mut FleetAlarms) -> anyhow::Result<()> {
-        let mut told = Ok(());
+        let mut result = Ok(());
         alarms.wait(|change| {
-            if told.is_ok() {
-                told = self.tell(&change);
+            if result.is_ok() {
+                result = self.print(&change);
             }
         })?;
-        told
+        result
     }
 
     /// The command first: a full disk of stdout does not keep it from being run.
-    fn tell(&mut self, change: &FleetAlarm) -> anyhow::Result<()> {
+    fn print(&mut self, change: &FleetAlarm) -> anyhow::Result<()> {
         let stamp_ns = self.clock.unix_ns(change.at_ns);
         let line = Line(AlarmRecord::new(&self.fleet, change, stamp_ns));
         if let Some(command) = &mut self.command {
-            command.tell(&line);
+            command.run(&line);
         }
         self.output.line(&line)
     }

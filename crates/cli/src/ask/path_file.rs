@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn wrong_files_are_refused_with_the_line() {
-        for (text, told) in [
+        for (text, expected) in [
             ("", "empty"),
             ("0,0\n1,1\n", "x_m,y_m"),
             ("x_m,y_m,z_m\n0,0,0\n", "x_m,y_m"),
@@ -104,7 +104,7 @@ mod tests {
             ("x_m,y_m,speed_mps\n0,0,fast\n", "line 2: speed_mps"),
         ] {
             let error = parse(text).expect_err(text);
-            assert!(error.contains(told), "{text:?}: {error}");
+            assert!(error.contains(expected), "{text:?}: {error}");
         }
     }
 }

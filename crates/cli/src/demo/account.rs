@@ -58,9 +58,9 @@ impl Account {
                 *dropped.entry(reason.name()).or_default() += count;
             }
         }
-        let told = accepted + dropped.values().sum::<u64>();
-        let lost_between_workers = if workers.len() > 1 { sent.saturating_sub(told) } else { 0 };
-        let overall = i128::from(sent) - i128::from(told) - i128::from(lost_between_workers);
+        let counted = accepted + dropped.values().sum::<u64>();
+        let lost_between_workers = if workers.len() > 1 { sent.saturating_sub(counted) } else { 0 };
+        let overall = i128::from(sent) - i128::from(counted) - i128::from(lost_between_workers);
         let last = workers.last().map_or(overall, |last| difference(sources, last));
         Self {
             sent,

@@ -143,7 +143,7 @@ fn remove_dead() {
     }
 }
 
-/// True if a directory is a demonstration's: no link, and with a config that says so.
+/// True if a directory is a demonstration's: no link, and with a config that states so.
 fn is_demo(root: &Path) -> bool {
     let file = root.join(CONFIG);
     let is_plain = fs::symlink_metadata(root).is_ok_and(|found| found.is_dir())

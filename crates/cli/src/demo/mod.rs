@@ -234,11 +234,11 @@ impl Demo<'_> {
         Ok(())
     }
 
-    /// Waits until a process says that it is ready, and returns the line: so the capture begins
+    /// Waits until a process reports that it is ready, and returns the line: so the capture begins
     /// before the first sample, and the page's address is known.
     fn wait_for_line(&mut self, feed: &Feed, stop: &Stop, of: &str, begin: &str) -> Option<String> {
         let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
-        let said = |event: &Event| match event {
+        let printed = |event: &Event| match event {
             Event::Output { name, line } if *name == of && line.starts_with(begin) => {
                 Some(line.clone())
             }
@@ -247,7 +247,7 @@ impl Demo<'_> {
         let died = |event: &Event| matches!(event, Event::Exited { name, .. } if *name == of);
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
             self.look_after(feed);
-            let line = self.events.iter().find_map(said);
+            let line = self.events.iter().find_map(printed);
             if line.is_some() || self.events.iter().any(died) {
                 return line;
             }
@@ -271,11 +271,11 @@ impl Demo<'_> {
     fn finish(&mut self, feed: Feed, period_ns: u64) -> anyhow::Result<Summary> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
-        let told = samples_sent(&source.stdout);
+        let sent = samples_sent(&source.stdout);
         let give_up_ns = clock::monotonic_ns() + DRAIN_LIMIT_NS;
         loop {
             self.look_after(&feed);
-            let account = self.account(&feed.board(), told);
+            let account = self.account(&feed.board(), sent);
             // Samples in transit when a worker dies wait for the next one.
             let drained = account.difference == 0 && self.supervisor.is_running(WORKER);
             if drained || clock::monotonic_ns() >= give_up_ns {
@@ -295,7 +295,7 @@ impl Demo<'_> {
         }
         let mut summary = Summary::new(
             &board,
-            self.account(&board, told),
+            self.account(&board, sent),
             report,
             &self.planted,
             (self.args.seed, duration_s),
@@ -317,19 +317,19 @@ impl Demo<'_> {
         Ok(run_ahead::run_ahead(board, plant, period_ns))
     }
 
-    /// `told`: number of samples sent, reported by the last run of the source.
-    fn account(&self, board: &Board, told: Option<u64>) -> Account {
+    /// `sent`: number of samples sent, reported by the last run of the source.
+    fn account(&self, board: &Board, sent: Option<u64>) -> Account {
         let frame = u64::from(self.args.robots);
         let mut sources: Vec<SourceRun> = board
             .sent
             .iter()
             .map(|(epoch, sent)| SourceRun { epoch: *epoch, sent: *sent, unsure: frame })
             .collect();
-        match (sources.last_mut(), told) {
-            (Some(last), Some(told)) => (last.sent, last.unsure) = (told, 0),
+        match (sources.last_mut(), sent) {
+            (Some(last), Some(sent)) => (last.sent, last.unsure) = (sent, 0),
             // The reporting run was not observed by any worker.
-            (None, Some(told)) if told > 0 => {
-                sources.push(SourceRun { epoch: 0, sent: told, unsure: 0 });
+            (None, Some(sent)) if sent > 0 => {
+                sources.push(SourceRun { epoch: 0, sent, unsure: 0 });
             }
             _ => {}
         }

@@ -51,15 +51,15 @@ impl Demo<'_> {
     fn show_lines(&mut self, feed: &Feed, stop: &Stop, began_ns: u64) -> anyhow::Result<()> {
         let end_ns = began_ns + (self.args.duration * 1e9) as u64;
         let mut next_ns = began_ns + LINE_EVERY_NS;
-        let mut said = 0;
+        let mut printed = 0;
         while !stop.is_asked() && feed.is_reading() {
             self.look_after(feed);
-            for event in self.events.iter().skip(said) {
+            for event in self.events.iter().skip(printed) {
                 if matches!(event, Event::Started { .. } | Event::Exited { .. }) {
                     log_line(&event.to_string());
                 }
             }
-            said = self.events.len();
+            printed = self.events.len();
             let now_ns = clock::monotonic_ns();
             if now_ns >= end_ns {
                 break;

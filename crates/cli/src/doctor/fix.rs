@@ -3,7 +3,7 @@
 use anyhow::Context as _;
 use joulebus_bus::{Domain, restrict_domain, sweep};
 
-/// Mends, and says what was done. Directories that joulebus did not make are left as they are.
+/// Mends, and reports what was done. Directories that joulebus did not make are left as they are.
 pub(super) fn fix(domain: &Domain) -> anyhow::Result<Vec<String>> {
     let closed = restrict_domain(domain).context("cannot take other users' rights away")?;
     let closed = closed.into_iter();

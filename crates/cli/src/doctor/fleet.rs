@@ -169,7 +169,7 @@ pub(super) fn worker(config: &Config, inspection: &Inspection) -> Check {
 fn linked(config: &Config, pid: u32) -> Check {
     let name = "worker";
     let place = format!("on another host: link, pid {pid}");
-    let heard = Subscriber::with_config(config, "doctor").map(|mut subscriber| {
+    let received = Subscriber::with_config(config, "doctor").map(|mut subscriber| {
         loop {
             match subscriber.wait_next(FRAME_TIMEOUT) {
                 Ok(Event::Frame(frame)) => {
@@ -185,7 +185,7 @@ fn linked(config: &Config, pid: u32) -> Check {
             }
         }
     });
-    match heard {
+    match received {
         Ok(Ok(found)) => Check::ok(name, found),
         Ok(Err(found)) => {
             let remedy = "before a robot's first sample no forecasts come. Otherwise see the link's \

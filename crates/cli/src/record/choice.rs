@@ -103,9 +103,9 @@ mod tests {
         ] {
             let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
             let checked = TopicChoice::new(&topics, regex).unwrap().check(&["lab", "yard"]);
-            let told = checked.map_err(|error| error.to_string());
-            assert_eq!(told.is_err(), refused, "{topics:?} {regex:?} {told:?}");
-            assert!(told.is_ok() || told.unwrap_err().contains("joulebus/yard/queries"));
+            let result = checked.map_err(|error| error.to_string());
+            assert_eq!(result.is_err(), refused, "{topics:?} {regex:?} {result:?}");
+            assert!(result.is_ok() || result.unwrap_err().contains("joulebus/yard/queries"));
         }
     }
 

@@ -170,7 +170,7 @@ fn suits(config: &Config) -> Suits {
 /// Waits for a signal, the end of the duration, or a failure.
 fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Option<u64>) {
     let begin_ns = clock::monotonic_ns();
-    let mut tell_ns = begin_ns.saturating_add(PROGRESS_EVERY_NS);
+    let mut progress_ns = begin_ns.saturating_add(PROGRESS_EVERY_NS);
     loop {
         let now_ns = clock::monotonic_ns();
         if recorder.is_over() || end_ns.is_some_and(|end_ns| now_ns >= end_ns) {
@@ -179,8 +179,8 @@ fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Optio
         if write_down.swap(false, Ordering::Relaxed) {
             recorder.write_down();
         }
-        if now_ns >= tell_ns {
-            tell_ns = now_ns.saturating_add(PROGRESS_EVERY_NS);
+        if now_ns >= progress_ns {
+            progress_ns = now_ns.saturating_add(PROGRESS_EVERY_NS);
             log_line(&progress(&recorder.summary(), now_ns - begin_ns));
         }
         if !stop.sleep_until(now_ns + POLL_INTERVAL.as_nanos() as u64) {

@@ -89,15 +89,15 @@ impl Drop for RecorderProcess {
 
 /// Forwards the recorder's output. Sends one message when it records.
 fn pass_on(pipe: impl std::io::Read + Send + 'static) -> Receiver<()> {
-    let (tell, told) = channel();
+    let (ready, is_ready) = channel();
     std::thread::spawn(move || {
         for line in BufReader::new(pipe).lines().map_while(Result::ok) {
             if line.starts_with("recording ") {
                 // Fails only if the receiver has timed out.
-                let _ = tell.send(());
+                let _ = ready.send(());
             }
             log_line(&line);
         }
     });
-    told
+    is_ready
 }

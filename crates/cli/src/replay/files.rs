@@ -222,11 +222,11 @@ mod tests {
         };
         assert_eq!(choose(&fleets(&["lab"]), None).unwrap(), "lab");
         assert_eq!(choose(&fleets(&["lab", "yard"]), Some("yard")).unwrap(), "yard");
-        for (there, wanted, said) in
+        for (there, wanted, expected) in
             [(fleets(&["lab", "yard"]), None, "lab, yard"), (fleets(&["lab"]), Some("yard"), "lab")]
         {
             let error = choose(&there, wanted).unwrap_err();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

@@ -324,12 +324,12 @@ impl Player {
 
 /// Waits until a worker answers. False at a signal.
 fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
-    let mut said = false;
+    let mut is_logged = false;
     let patience_ns = clock::monotonic_ns() + 10 * POLL_INTERVAL_NS;
     while !flow.has_seen_worker()? {
-        if !said && clock::monotonic_ns() > patience_ns {
+        if !is_logged && clock::monotonic_ns() > patience_ns {
             log_line("no worker runs, waiting for one (`joulebus run` starts it)");
-            said = true;
+            is_logged = true;
         }
         if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
             return Ok(false);

@@ -18,11 +18,11 @@ pub(super) struct Child {
 }
 
 impl Child {
-    /// Starts `program`. Each line of its stderr is sent to `say`.
+    /// Starts `program`. Each line of its stderr is sent to `lines`.
     pub(super) fn start(
         program: &Path,
         task: &Task,
-        say: Sender<(&'static str, String)>,
+        lines: Sender<(&'static str, String)>,
     ) -> io::Result<Self> {
         let mut process = Command::new(program)
             .args(&task.arguments)
@@ -46,7 +46,7 @@ impl Child {
                 for line in BufReader::new(pipe).split(b'\n').map_while(Result::ok) {
                     let line = String::from_utf8_lossy(&line).into_owned();
                     // The pipe must be drained even if nobody receives the lines.
-                    let _ = say.send((name, line));
+                    let _ = lines.send((name, line));
                 }
             })
         });

@@ -93,7 +93,7 @@ pub(crate) struct Supervisor {
     program: PathBuf,
     jobs: Vec<Job>,
     lines: Receiver<(&'static str, String)>,
-    say: Sender<(&'static str, String)>,
+    line_sender: Sender<(&'static str, String)>,
 }
 
 impl Supervisor {
@@ -104,8 +104,8 @@ impl Supervisor {
     pub(crate) fn new() -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
-        let (say, lines) = channel();
-        Ok(Self { program, jobs: Vec::new(), lines, say })
+        let (line_sender, lines) = channel();
+        Ok(Self { program, jobs: Vec::new(), lines, line_sender })
     }
 
     /// Adds a task. [`Supervisor::poll`] starts it.
@@ -127,7 +127,7 @@ impl Supervisor {
             job.reap(now_ns, &mut events);
             match job.policy.step(now_ns) {
                 Step::Nothing => {}
-                Step::Start => job.start(&self.program, &self.say, now_ns, &mut events),
+                Step::Start => job.start(&self.program, &self.line_sender, now_ns, &mut events),
                 Step::Kill => {
                     if let Some(child) = &mut job.child {
                         child.kill();
@@ -199,12 +199,12 @@ impl Job {
     fn start(
         &mut self,
         program: &std::path::Path,
-        say: &Sender<(&'static str, String)>,
+        lines: &Sender<(&'static str, String)>,
         now_ns: u64,
         events: &mut Vec<Event>,
     ) {
         let name = self.task.name;
-        match Child::start(program, &self.task, say.clone()) {
+        match Child::start(program, &self.task, lines.clone()) {
             Ok(child) => {
                 let pid = child.pid();
                 self.child = Some(child);
@@ -253,9 +253,9 @@ mod tests {
     use super::*;
 
     fn shell(script: &str) -> Supervisor {
-        let (say, lines) = channel();
+        let (line_sender, lines) = channel();
         let mut supervisor =
-            Supervisor { program: PathBuf::from("/bin/sh"), jobs: Vec::new(), lines, say };
+            Supervisor { program: PathBuf::from("/bin/sh"), jobs: Vec::new(), lines, line_sender };
         // The flag appended to the arguments is the script's $0.
         let arguments = vec![OsString::from("-c"), OsString::from(script)];
         supervisor.add(Task { name: "shell", arguments });
@@ -274,7 +274,7 @@ mod tests {
         panic!("not within 10 s: {events:?}");
     }
 
-    fn said(events: &[Event], text: &str) -> usize {
+    fn printed(events: &[Event], text: &str) -> usize {
         let is = |event: &&Event| matches!(event, Event::Output { line, .. } if line == text);
         events.iter().filter(is).count()
     }
@@ -282,7 +282,7 @@ mod tests {
     #[test]
     fn a_crashed_process_is_reaped_and_restarted() {
         let mut supervisor = shell("echo up >&2; exit 7");
-        let events = poll_until(&mut supervisor, |events| said(events, "up") >= 2);
+        let events = poll_until(&mut supervisor, |events| printed(events, "up") >= 2);
         let died = events
             .iter()
             .find_map(|event| match event {
@@ -299,7 +299,7 @@ mod tests {
     fn output_of_a_stopped_process_is_kept() {
         let mut supervisor =
             shell("trap 'echo bye; exit 0' TERM; echo up >&2; while :; do sleep 0.01; done");
-        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let mut events = poll_until(&mut supervisor, |events| printed(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_secs(10), &mut events);
         assert!(ended.status.unwrap().success());
         assert_eq!(ended.stdout, "bye\n");
@@ -309,7 +309,7 @@ mod tests {
     #[test]
     fn a_process_that_ignores_sigterm_is_killed() {
         let mut supervisor = shell("trap '' TERM; echo up >&2; while :; do sleep 0.01; done");
-        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let mut events = poll_until(&mut supervisor, |events| printed(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_millis(20), &mut events);
         let status = ended.status.unwrap();
         assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9));
@@ -319,7 +319,7 @@ mod tests {
     fn stdin_closes_with_the_supervisor() {
         // SIGTERM is ignored, but `cat` exits at the end of its input, long before the kill.
         let mut supervisor = shell("trap '' TERM; echo up >&2; cat; exit 3");
-        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let mut events = poll_until(&mut supervisor, |events| printed(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_secs(60), &mut events);
         assert_eq!(ended.status.unwrap().code(), Some(3));
     }

@@ -152,22 +152,22 @@ impl Choice {
     }
 
     /// Order and filter in a few words. `listed` of `robots` are left.
-    pub(crate) fn told(&self, listed: usize, robots: usize) -> String {
+    pub(crate) fn title(&self, listed: usize, robots: usize) -> String {
         let (_, order) = ORDERS[self.order];
         let arrow = if self.descending { "↓" } else { "↑" };
-        let mut told = format!(" by {order} {arrow} ");
+        let mut title = format!(" by {order} {arrow} ");
         if self.is_filtered() {
-            told.push_str(&format!("  {listed} of {robots}:"));
+            title.push_str(&format!("  {listed} of {robots}:"));
         }
         if self.only_alarms {
-            told.push_str(" alarms");
+            title.push_str(" alarms");
         }
         if !self.search.is_empty() {
-            told.push_str(&format!(" \"{}\"", self.search));
+            title.push_str(&format!(" \"{}\"", self.search));
         }
         if self.is_filtered() {
-            told.push(' ');
+            title.push(' ');
         }
-        told
+        title
     }
 }

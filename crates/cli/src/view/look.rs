@@ -281,7 +281,7 @@ fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
 #[test]
 fn robots_are_filtered_by_alarm_battery_and_name() {
     let (board, mut screen) = (board(), screen(None));
-    for (keys, found, told) in [
+    for (keys, found, expected) in [
         ("f", vec!["5", "9"], "2 of 3: alarms"),
         ("/stuck", vec!["9"], "1 of 3: \"stuck\""),
         ("/<50", vec!["2"], "1 of 3: \"<50\""),
@@ -291,7 +291,7 @@ fn robots_are_filtered_by_alarm_battery_and_name() {
         press(&mut screen, &board, typed(keys));
         press(&mut screen, &board, [KeyCode::Enter]);
         assert_eq!(listed(&board, &mut screen), found, "{keys}");
-        line_of(&draw(&board, &mut screen, 80, 24), told);
+        line_of(&draw(&board, &mut screen, 80, 24), expected);
         assert!(!press(&mut screen, &board, [KeyCode::Esc]), "{keys}");
         assert_eq!(listed(&board, &mut screen), ["2", "5", "9"], "{keys}");
     }

@@ -225,8 +225,8 @@ impl Screen {
     fn draw_table(&mut self, frame: &mut Frame, area: Rect, board: &Board, listed: &Listed) {
         let has_border = area.height >= BORDER_FROM_LINES;
         let block = has_border.then(|| {
-            let told = self.choice.told(listed.robots.len(), board.rows.len());
-            boxed(levels(board)).title_bottom(Line::styled(told, QUIET))
+            let title = self.choice.title(listed.robots.len(), board.rows.len());
+            boxed(levels(board)).title_bottom(Line::styled(title, QUIET))
         });
         if listed.robots.is_empty() {
             let text = match board.link {

@@ -19,10 +19,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! **Three types to know.** A [`Domain`] says where the shared memory of a fleet lies. Two domains
-//! never touch each other's objects. [`Limits`] says how many robots, sources and planners the
-//! fleet can have, from which the size of each service follows ([`Shape`]). A [`Scheduling`] is
-//! what the worker requests for its threads.
+//! **Three types to know.** A [`Domain`] states where the shared memory of a fleet lies. Two
+//! domains never touch each other's objects. [`Limits`] states how many robots, sources and
+//! planners the fleet can have, from which the size of each service follows ([`Shape`]). A
+//! [`Scheduling`] is what the worker requests for its threads.
 //!
 //! **Units.** Limits are counts: of robots, processes and frames. Sizes are in bytes.
 //!

@@ -10,7 +10,7 @@
 //! interval at once, on the side where they are. It takes many errors inside to narrow it.
 //!
 //! The errors of outlooks, which do not know the commands, are counted apart. Their trained
-//! distribution is that of plans, stretched by [`WIDER`]. The same shadow forecasts tell how far an
+//! distribution is that of plans, stretched by [`WIDER`]. The same shadow forecasts show how far an
 //! outlook should lean on the last reading and on the robot's own mean: exponentiated gradients of
 //! the absolute error (Kivinen and Warmuth, Information and Computation 132, 1997).
 //!

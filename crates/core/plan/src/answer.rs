@@ -132,7 +132,7 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
 /// What is not known of a *plan* widens its interval: steps outside the training data, and those
 /// beyond the longest horizon, count with the platform's minimum and maximum power. The answer is
 /// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, no interval
-/// says by how much, and the answer is [`Verdict::Tight`] at best.
+/// shows by how much, and the answer is [`Verdict::Tight`] at best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Caveats {

@@ -55,7 +55,7 @@
 //! **Units**: W, J, s, m, rad.
 //!
 //! **Errors** name the value that is not allowed, and the allowed ones: [`AskError`] for a question
-//! to a robot, [`PathError`] for a path, [`QuestionError`] for a [`Question`]. [`Differs`] says
+//! to a robot, [`PathError`] for a path, [`QuestionError`] for a [`Question`]. [`Differs`] states
 //! that a worker runs with other settings or models.
 //!
 //! A process that cannot compute asks a thread of the worker instead. A [`Question`] is the same

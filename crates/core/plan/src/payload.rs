@@ -82,7 +82,7 @@ impl Question {
 /// fleet whose name has this hash.
 ///
 /// # Errors
-/// [`Acknowledgement::new`] says which names are allowed, and [`Alarm::is_of_level`] which alarms
+/// [`Acknowledgement::new`] states which names are allowed, and [`Alarm::is_of_level`] which alarms
 /// can be the new normal.
 pub fn encode_acknowledgement(
     robot: u32,

@@ -28,7 +28,7 @@ pub enum Kind {
     Saturation,
     /// A value that never changes.
     Constant,
-    /// A number that says that there is no reading.
+    /// A number that means that there is no reading.
     Sentinel,
     /// Power differs from voltage times current.
     Mismatch,
@@ -133,7 +133,7 @@ pub(crate) enum Remedy {
     Sensor,
     /// Correct the values, or their limits.
     Limits,
-    /// Say which number stands for no reading, as its file has it.
+    /// State which number stands for no reading, as its file has it.
     Missing(f64),
     /// Divide the recording.
     Split,

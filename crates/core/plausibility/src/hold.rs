@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::observation::Observation;
 
-/// Time for which a command applies if no other one comes, unless a file says otherwise, s.
+/// Time for which a command applies if no other one comes, unless a file states otherwise, s.
 pub const COMMAND_HOLDS_S: f64 = 0.5;
 
 /// Behaviour of a robot whose command has expired.

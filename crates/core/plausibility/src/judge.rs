@@ -481,7 +481,7 @@ fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
     Some(Finding { severity: Severity::Error, ..finding(dips, what) })
 }
 
-/// Numbers that say that there is no reading.
+/// Numbers that mean that there is no reading.
 fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
     let finding = |severity, readings, found, written| Finding {
         kind: Kind::Sentinel,

@@ -56,7 +56,7 @@ fn grid(values: &[f64], step: f64) -> Option<f64> {
     if !values.iter().all(is_on) {
         return None;
     }
-    // A step as large as the distance between a few groups says nothing of the values in them.
+    // A step as large as the distance between a few groups shows nothing of the values in them.
     let mut steps: Vec<i64> =
         values.iter().map(|value| ((value - start) / exact).round() as i64).collect();
     steps.dedup();

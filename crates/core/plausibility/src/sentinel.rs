@@ -1,4 +1,4 @@
-//! Numbers that say that there is no reading.
+//! Numbers that mean that there is no reading.
 
 use crate::column::Column;
 

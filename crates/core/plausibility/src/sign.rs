@@ -11,7 +11,7 @@ use crate::observation::Observation;
 
 /// Readings of a state of motion before they count.
 const MIN_READINGS: u64 = 20;
-/// Readings of driving that tell it from standing on a charger.
+/// Readings of driving that distinguish it from standing on a charger.
 const FEW_READINGS: u64 = 3;
 /// Time that shows more than braking, s.
 const MIN_DRIVE_S: f64 = 3.0;
@@ -209,7 +209,7 @@ impl Sign {
             }
             return None;
         }
-        // Even little motion tells a charger from the other sign.
+        // Even little motion distinguishes a charger from the other sign.
         let drives = self.moving.count() >= FEW_READINGS && self.moving.positive == 0;
         let (signs, severity) = match self.still.is_negative() {
             true if drives => (self.still, Severity::Error),

@@ -62,7 +62,7 @@ impl Platform {
         Ok(())
     }
 
-    /// True if every known value is inside its range: what [`Platform::outside`] says, without
+    /// True if every known value is inside its range: what [`Platform::outside`] finds, without
     /// branches, since nearly every sample is.
     #[inline(always)]
     fn is_inside(&self, sample: &Sample) -> bool {
@@ -186,10 +186,10 @@ mod tests {
             (|sample| sample.flags |= sample_flag::FULL, DropReason::BadFlags, "flags"),
             (|sample| sample.robot = 10_000, DropReason::UnknownRobot, "platform.robots"),
         ];
-        for (set, reason, said) in cases {
+        for (set, reason, expected) in cases {
             let (found, text) = refusal(set).unwrap();
             assert_eq!(found, reason, "{text}");
-            assert!(text.contains(said), "{text}");
+            assert!(text.contains(expected), "{text}");
         }
         // What is no number comes before what is out of range. What is unknown is not looked at.
         let both = refusal(|sample| (sample.power_w, sample.soc) = (3500.0, f32::NAN)).unwrap();

@@ -28,8 +28,8 @@
 //! ```
 //!
 //! **Three types to know.** [`FleetSettings`] is everything but the models. A [`Platform`] is a
-//! robot platform: its timing, its limits and its [`Battery`]. A [`RefusedSample`] says which value
-//! of a sample those limits do not admit: the worker and the publishers use the same code.
+//! robot platform: its timing, its limits and its [`Battery`]. A [`RefusedSample`] states which
+//! value of a sample those limits do not admit: the worker and the publishers use the same code.
 //!
 //! **Units** are those of the fields' names: `_ns`, `_w`, `_j`, `_mps`, `_radps`. Shares are 0 to
 //! 1.

@@ -24,7 +24,7 @@
 //! Beside them, [`order`] finds quantiles of numbers that are too many for memory, and [`poisson`]
 //! bounds a rate from a count.
 //!
-//! **Units** are W, s and J where the name says so. All else has the unit of its input.
+//! **Units** are W, s and J where the name states it. All else has the unit of its input.
 //!
 //! **Errors.** A score that is undefined is NaN. A pair that is not finite is counted as unscored.
 //! Only [`order::residual_quantiles`] can fail, with the error of its caller.

@@ -10,8 +10,9 @@
 //! without implicit padding, and without Rust enums or bools, of which another process could write
 //! an invalid one. This is checked at compile time: each is a [`Payload`].
 //!
-//! **Three types to know.** A [`Sample`] is what a source says of a robot. A [`Forecast`] is what
-//! the worker says of it. A [`Channel`] is a service of shared memory: its header and its rows.
+//! **Three types to know.** A [`Sample`] is the report of a source on a robot. A [`Forecast`] is
+//! what the worker says of it. A [`Channel`] is a service of shared memory: its header and its
+//! rows.
 //!
 //! **Units** are SI. Times are `u64` nanoseconds. An unknown value is NaN *and* has its flag
 //! cleared. It is never 0 or −1.

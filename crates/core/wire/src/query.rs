@@ -261,7 +261,7 @@ pub enum QueryRefusal {
     Kind,
     /// More robots, candidates, steps or values than allowed.
     TooLarge,
-    /// Not as many values as the counts say.
+    /// Not as many values as the counts state.
     Length,
     /// The robot is not in the fleet.
     UnknownRobot,

@@ -266,14 +266,14 @@ impl Board {
             self.rows.retain(|_, row| row.frame == self.frames);
             self.ahead.keep(|robot| self.rows.contains_key(&robot));
         }
-        let heard = forecasts
+        let sampled = forecasts
             .iter()
             .filter(|forecast| forecast.flags & forecast_flag::SAMPLE != 0)
             .map(|forecast| forecast.source_epoch);
         if let Some(run) = self.runs.last_mut()
             && run.first_source_epoch.is_none()
         {
-            run.first_source_epoch = heard.min();
+            run.first_source_epoch = sampled.min();
         }
     }
 

@@ -11,7 +11,7 @@
 //! **Units** are SI. Times are s since the board began, or ns of the monotonic clock. Latencies are
 //! in µs. Unknown values are `None`, and null in JSON.
 //!
-//! **Errors** of the start state the remedy. A [`FeedError`] says why the thread does not read.
+//! **Errors** of the start state the remedy. A [`FeedError`] states why the thread does not read.
 //!
 //! **In the book**: [watch a fleet][1], [HTTP interface][2], [alarms][3], [programs that show
 //! something poll][4].

@@ -187,7 +187,7 @@ impl RobotRecord {
     pub fn new(robot: u32, newest: &Newest) -> Self {
         let forecast = &newest.forecast;
         let quality = forecast.quality();
-        let heard = forecast.flags & forecast_flag::SAMPLE != 0;
+        let sampled = forecast.flags & forecast_flag::SAMPLE != 0;
         let read = forecast.flags & forecast_flag::READING != 0;
         let interval_w = forecast.interval_w();
         let diagnostic = newest.diagnostic.as_ref();
@@ -204,9 +204,9 @@ impl RobotRecord {
             robot,
             quality: quality_name(quality),
             quality_detail: quality_detail(quality),
-            sample_seq: heard.then_some(forecast.sample_seq),
-            stamp_ns: heard.then_some(forecast.stamp_ns),
-            target_ns: heard.then_some(forecast.target_ns),
+            sample_seq: sampled.then_some(forecast.sample_seq),
+            stamp_ns: sampled.then_some(forecast.stamp_ns),
+            target_ns: sampled.then_some(forecast.target_ns),
             reading_w: read.then(|| forecast.reading_w.into()),
             reading_age_ns: read.then_some(forecast.reading_age_ns),
             power_w: forecast.expected_w().map(f64::from),

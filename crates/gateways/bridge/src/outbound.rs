@@ -46,7 +46,7 @@ fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, Connect
 }
 
 /// Reads the fleet and publishes it until the bridge stops. The most frequent topic is due every
-/// `every`. `outlooks`: whether these are among the values. Says when the fleet is joined.
+/// `every`. `outlooks`: whether these are among the values. Signals when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or reading fails permanently.

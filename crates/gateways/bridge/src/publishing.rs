@@ -45,7 +45,7 @@ struct Group {
     robots: Vec<u32>,
 }
 
-/// Publishes until the bridge stops. Says when the fleet is joined.
+/// Publishes until the bridge stops. Signals when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or its files were removed.
@@ -112,12 +112,12 @@ pub(crate) fn run(
 /// Names the robots that nothing has come from: a topic is probably misspelt, or they are off.
 fn never_came(robots: &Robots, shared: &Shared) {
     let silent: Vec<u32> = shared.intake().silent().collect();
-    let untold: Vec<u32> = shared.intake().untold().collect();
+    let unreported: Vec<u32> = shared.intake().unreported().collect();
     let mut account = shared.account();
     for name in silent.iter().filter_map(|robot| robots.name(*robot)) {
         account.count("[robots]", Reason::NeverCame, &format!("anything of {name}"));
     }
-    for name in untold.iter().filter_map(|robot| robots.name(*robot)) {
+    for name in unreported.iter().filter_map(|robot| robots.name(*robot)) {
         let what = format!("charging of {name}, which is taken for off its charger");
         account.count("[robots]", Reason::NeverCame, &what);
     }

@@ -128,7 +128,7 @@ impl Shared {
         self.messages.load(Ordering::Relaxed)
     }
 
-    /// Tells the threads that use shared memory to end.
+    /// Requests the threads that use shared memory to end.
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -137,7 +137,7 @@ impl Shared {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Tells the connections to end after they have sent their queues.
+    /// Requests the connections to end after they have sent their queues.
     pub(crate) fn close(&self) {
         self.close.store(true, Ordering::Relaxed);
     }

@@ -410,7 +410,7 @@ impl Track {
             return self.wanted_time;
         }
         let why = match readings.state() {
-            // Said in another note.
+            // Another note states it.
             StampState::Missing => return TimeSource::Log,
             StampState::Still => "the stamps of readings stand still".to_owned(),
             StampState::WholeSeconds => "the stamps of readings have whole seconds".to_owned(),

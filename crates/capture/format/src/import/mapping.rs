@@ -241,7 +241,7 @@ pub(super) fn choose(
 const PARTS: [&str; 6] = ["batter", "bms", "power", "base", "platform", "driver"];
 
 /// Names a robot by the namespace that all its topics have: of `/fleet/r1` it is `r1`. A number
-/// tells robots apart, and no part of a robot is one.
+/// distinguishes robots, and no part of a robot is one.
 fn robot_name<'a>(battery: &'a str, channels: &[Channel]) -> Option<&'a str> {
     let all = folders(battery);
     let is_ours = |topic: &&str| {

@@ -70,12 +70,12 @@ impl Open {
     /// Error of the time range in the chunk's head.
     pub(super) fn wrong_span(&self, frame: &ChunkFrame) -> Option<String> {
         let header = &frame.header;
-        let said = (header.message_start_time, header.message_end_time);
+        let stated = (header.message_start_time, header.message_end_time);
         let found = self.span_ns.unwrap_or_default();
-        (said != found).then(|| {
+        (stated != found).then(|| {
             format!(
                 "chunk: its messages are of {} to {} ns, its head says {} to {} ns",
-                found.0, found.1, said.0, said.1
+                found.0, found.1, stated.0, stated.1
             )
         })
     }
@@ -160,15 +160,15 @@ impl Chunks {
             known.indexes.insert(channel, place.offset);
             known.indexes_end = place.offset + bytes;
         }
-        let mut said = Listed::default();
+        let mut stated = Listed::default();
         for entry in &index.records {
-            said.add(entry.log_time, entry.offset);
+            stated.add(entry.log_time, entry.offset);
         }
         let found = open.listed.remove(&channel).unwrap_or_default();
-        (said != found).then(|| {
+        (stated != found).then(|| {
             format!(
                 "message index of channel {channel}: {} entries do not agree with its {} messages in the chunk at byte {}",
-                said.count, found.count, open.offset
+                stated.count, found.count, open.offset
             )
         })
     }

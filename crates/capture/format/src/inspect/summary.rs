@@ -170,21 +170,21 @@ impl Summary {
             ));
         }
         if footer.summary_offset_start != offsets {
-            let said = footer.summary_offset_start;
-            wrong.push(format!("footer: the summary offsets begin at byte {offsets}, not {said}"));
+            let stated = footer.summary_offset_start;
+            wrong.push(format!("footer: the summary offsets begin at byte {offsets}, not {stated}"));
         }
-        for said in &self.summary_offsets {
-            let found = self.groups.get(&said.group_opcode).copied().unwrap_or_default();
+        for stated in &self.summary_offsets {
+            let found = self.groups.get(&stated.group_opcode).copied().unwrap_or_default();
             // Python's writer lists groups without records, too, at any byte.
-            let is_empty = found.1 == 0 && said.group_length == 0;
-            if !is_empty && found != (said.group_start, said.group_length) {
+            let is_empty = found.1 == 0 && stated.group_length == 0;
+            if !is_empty && found != (stated.group_start, stated.group_length) {
                 wrong.push(format!(
                     "summary offset: {} records are {} bytes from byte {}, not {} from {}",
-                    crate::scan::kind_name(said.group_opcode),
+                    crate::scan::kind_name(stated.group_opcode),
                     found.1,
                     found.0,
-                    said.group_length,
-                    said.group_start
+                    stated.group_length,
+                    stated.group_start
                 ));
             }
         }
@@ -202,16 +202,16 @@ impl Summary {
         let mut wrong = Vec::new();
         let check = match &self.statistics {
             None => StatisticsCheck::Missing,
-            Some(said) => {
+            Some(stated) => {
                 let mut counted = counted.clone();
                 // libmcap omits schemas and channels without messages.
-                if (said.schema_count, said.channel_count) == used && used.1 < counted.channel_count
+                if (stated.schema_count, stated.channel_count) == used && used.1 < counted.channel_count
                 {
                     let what = "the statistics omit schemas and channels without messages";
                     wrong.push((Severity::Note, what.to_owned()));
                     (counted.schema_count, counted.channel_count) = used;
                 }
-                let differences = differences(said, &counted);
+                let differences = differences(stated, &counted);
                 if differences.is_empty() {
                     StatisticsCheck::Agree
                 } else {
@@ -249,7 +249,7 @@ impl Summary {
 }
 
 /// The counts that differ, as text.
-fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
+fn differences(stated: &Statistics, counted: &Statistics) -> Vec<String> {
     let counts = |of: &Statistics| -> [(&str, u64); 8] {
         // Without messages the times are meaningless.
         let (first, last) = match of.message_count {
@@ -267,12 +267,12 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
             ("last log time", last),
         ]
     };
-    let both = counts(said).into_iter().zip(counts(counted));
+    let both = counts(stated).into_iter().zip(counts(counted));
     let mut differences: Vec<String> = both
-        .filter(|(said, counted)| said != counted)
-        .map(|((what, said), (_, counted))| format!("{what}: {said} stated, {counted} found"))
+        .filter(|(stated, counted)| stated != counted)
+        .map(|((what, stated), (_, counted))| format!("{what}: {stated} stated, {counted} found"))
         .collect();
-    let channels = said.channel_message_counts.keys().chain(counted.channel_message_counts.keys());
+    let channels = stated.channel_message_counts.keys().chain(counted.channel_message_counts.keys());
     let mut channels: Vec<u16> = channels.copied().collect();
     channels.sort_unstable();
     channels.dedup();
@@ -281,9 +281,9 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
             let count = statistics.channel_message_counts.get(&channel);
             count.copied().unwrap_or(0)
         };
-        let (said, counted) = (of(said), of(counted));
-        if said != counted {
-            differences.push(format!("channel {channel}: {said} messages stated, {counted} found"));
+        let (stated, counted) = (of(stated), of(counted));
+        if stated != counted {
+            differences.push(format!("channel {channel}: {stated} messages stated, {counted} found"));
         }
     }
     differences

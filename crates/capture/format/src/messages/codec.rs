@@ -232,7 +232,7 @@ impl Number {
     }
 }
 
-/// The first bytes, of which the layout says that they are there.
+/// The first bytes, which are there by the layout.
 #[inline]
 fn first<const N: usize>(from: &[u8]) -> [u8; N] {
     from.first_chunk().copied().unwrap_or([0; N])

@@ -381,24 +381,24 @@ impl Ledger {
     /// Completes the counts. The file's own statistics are better than the counts of the scan.
     pub(super) fn settle(mut self, statistics: Option<&Statistics>) -> Recovery {
         self.settle_chunk();
-        if let Some(said) = statistics {
-            if let Some(more) = self.messages.recovered.checked_sub(said.message_count + 1) {
+        if let Some(stated) = statistics {
+            if let Some(more) = self.messages.recovered.checked_sub(stated.message_count + 1) {
                 let what = format!("{} messages more than the statistics state", more + 1);
                 let place = RecordLocation { offset: 0, in_chunk: None };
                 self.troubles.add(place, what);
             }
-            let exact = |counts: &mut Counts, said: u64| {
-                counts.lost = said.saturating_sub(counts.recovered);
+            let exact = |counts: &mut Counts, stated: u64| {
+                counts.lost = stated.saturating_sub(counts.recovered);
             };
-            exact(&mut self.messages, said.message_count);
-            exact(&mut self.attachments, said.attachment_count.into());
-            exact(&mut self.metadata, said.metadata_count.into());
-            exact(&mut self.chunks, said.chunk_count.into());
-            let missing = |counts: &mut Counts, said: u64| {
-                counts.lost = counts.lost.max(said.saturating_sub(counts.recovered));
+            exact(&mut self.messages, stated.message_count);
+            exact(&mut self.attachments, stated.attachment_count.into());
+            exact(&mut self.metadata, stated.metadata_count.into());
+            exact(&mut self.chunks, stated.chunk_count.into());
+            let missing = |counts: &mut Counts, stated: u64| {
+                counts.lost = counts.lost.max(stated.saturating_sub(counts.recovered));
             };
-            missing(&mut self.schemas, said.schema_count.into());
-            missing(&mut self.channels, said.channel_count.into());
+            missing(&mut self.schemas, stated.schema_count.into());
+            missing(&mut self.channels, stated.channel_count.into());
         }
         // A changed opcode can hide a whole chunk. Only the checksum of the data section shows it.
         let uncounted = self.uncounted || self.doubt || !self.data_ended;

@@ -146,7 +146,7 @@ impl<R: Read + Seek> Scan<R> {
     }
 
     /// Starts a scan, also of a file whose first bytes are not those of an MCAP file: the error
-    /// beside it says so, and [`Scan::resume`] finds the records that there are.
+    /// beside it reports that, and [`Scan::resume`] finds the records that there are.
     ///
     /// # Errors
     /// [`ScanError::Io`].

@@ -293,7 +293,7 @@ mod tests {
         }
 
         #[test]
-        fn exp_and_ln_are_as_exact_as_they_say(x in -80.0f32..0.0, a in 1.0f32..4.0, b in 1.0f32..4.0) {
+        fn exp_and_ln_are_as_exact_as_they_state(x in -80.0f32..0.0, a in 1.0f32..4.0, b in 1.0f32..4.0) {
             let exact = f64::from(x).exp();
             prop_assert!((f64::from(exp(x)) / exact - 1.0).abs() < 3e-7 * (1.0 + f64::from(-x)));
             let exact = (f64::from(a) / f64::from(b)).ln();

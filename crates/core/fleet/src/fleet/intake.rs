@@ -64,7 +64,7 @@ impl Fleet {
         }
     }
 
-    /// A person says that the power of a robot is its new normal: alarms of its level end, and its
+    /// A person declares the power of a robot its new normal: alarms of its level end, and its
     /// power is compared with that from now on. Does nothing if the robot is not in the fleet, or
     /// its level is not judged.
     pub fn take_as_normal(&mut self, robot: u32) {

@@ -233,7 +233,7 @@ impl OnlineForecasts {
         let (window, online) = (&robot.window, &robot.online);
         let settings = &self.settings;
         let possible = PossiblePower { min_w: settings.power_min_w, max_w: settings.power_max_w };
-        // As in the tick: where robots learn nothing, nobody else judges what the member says.
+        // As in the tick: where robots learn nothing, nobody else judges the output of the member.
         let is_number =
             member_w.is_finite() & (self.members.is_some() | possible.is_near(member_w));
         let (due, unread) = (window.due(), window.unread_steps);

@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_instant_moves_exactly_none_stays_none_and_what_lies_before_the_clock_is_told() {
+    fn an_instant_moves_exactly_none_stays_none_and_what_lies_before_the_clock_is_reported() {
         for (stamp_ns, offset_ns, moved_ns, before_ns) in [
             (0, 5, 0, 0),
             (0, -5, 0, 0),

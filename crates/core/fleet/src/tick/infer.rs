@@ -84,7 +84,7 @@ fn store_block(
     let windows = &mut columns.windows[inferred.block];
     let (mut finite, mut invalid) = ([false; LANES], [false; LANES]);
     for lane in 0..LANES {
-        // Where robots learn nothing, nobody else judges what the network says.
+        // Where robots learn nothing, nobody else judges the output of the network.
         let network_w = inferred.forecast_w[lane];
         let is_number = network_w.is_finite() & (members.is_some() | possible.is_near(network_w));
         finite[lane] = inferred.rows[lane] & is_number;

@@ -37,7 +37,7 @@ pub(crate) struct PlatformContext {
     pub energy: EnergyModel,
     /// By what levels are judged. `None` if the energy model states no errors.
     pub levels: Option<LevelRules>,
-    /// The power until a battery is empty. `None` if the model says nothing of it.
+    /// The power until a battery is empty. `None` if the model does not state it.
     pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
     pub errors: SharedErrors,

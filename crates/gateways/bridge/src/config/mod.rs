@@ -28,7 +28,7 @@ pub(crate) struct Settings {
     /// Name of the source and of the planners.
     pub(crate) name: String,
     pub(crate) holds: Holds,
-    /// Findings that are not told.
+    /// Findings that are not reported.
     pub(crate) accepted: Vec<Kind>,
     pub(crate) robots: Robots,
     pub(crate) mqtt: Option<MqttSettings>,

@@ -41,7 +41,7 @@ pub(crate) enum Reason {
     NotFinite,
     /// A share beyond 0 to 1, or a code that the message's definition does not have.
     OutOfRange,
-    /// A charge that its sender says not to know: NaN or −1.
+    /// A charge that its sender does not know: NaN or −1.
     Unknown,
     /// Stamped by another clock than `/clock`, or before a reset of the simulation.
     WrongStamp,

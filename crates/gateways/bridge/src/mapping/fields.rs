@@ -118,7 +118,7 @@ pub(crate) struct Fields {
     pub(crate) standard: Option<Standard>,
 }
 
-/// A standard that documents say the version of.
+/// A standard whose version documents state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Standard {
     /// VDA 5050. Its vehicles may leave out everything but the state of charge and whether they

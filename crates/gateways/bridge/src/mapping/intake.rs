@@ -66,7 +66,7 @@ struct Robot {
     /// `None` if messages report it and none has come yet.
     charging: Option<bool>,
     /// True if a message has come that reports it, and when the first of any kind came.
-    is_told: bool,
+    has_reported: bool,
     first_ns: u64,
     full: bool,
 }
@@ -75,7 +75,7 @@ struct Robot {
 #[derive(Debug, Clone)]
 pub(crate) struct Intake {
     holds: Holds,
-    reports_charging: bool,
+    has_reported: bool,
     robots: BTreeMap<u32, Robot>,
     observations: u64,
     judgement: Judgement,
@@ -126,7 +126,7 @@ impl Intake {
         self.observations += 1;
         known.any_ns = Some(at_ns);
         known.first_ns = known.first_ns.min(at_ns);
-        known.is_told |= seen.reports_charging;
+        known.has_reported |= seen.reports_charging;
         for (value, place) in [
             (seen.v_mps, &mut known.v_mps),
             (seen.omega_radps, &mut known.omega_radps),
@@ -159,8 +159,8 @@ impl Intake {
         if now_ns.saturating_sub(any_ns) > holds.silent_ns {
             return None;
         }
-        let is_untold = !known.is_told && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
-        let charging = known.charging.or(is_untold.then_some(false));
+        let is_unreported = !known.has_reported && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
+        let charging = known.charging.or(is_unreported.then_some(false));
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
@@ -206,12 +206,12 @@ impl Intake {
         silent.map(|(id, _)| *id)
     }
 
-    /// Robots heard of without a message that reports whether they charge, though others have such
-    /// messages.
-    pub(crate) fn untold(&self) -> impl Iterator<Item = u32> {
-        let untold =
-            self.robots.iter().filter(|(_, known)| known.any_ns.is_some() && !known.is_told);
-        untold.map(|(id, _)| *id)
+    /// Robots with messages, but without one that reports whether they charge, though others have
+    /// such messages.
+    pub(crate) fn unreported(&self) -> impl Iterator<Item = u32> {
+        let unreported =
+            self.robots.iter().filter(|(_, known)| known.any_ns.is_some() && !known.has_reported);
+        unreported.map(|(id, _)| *id)
     }
 
     /// Number of observations taken.
@@ -234,7 +234,7 @@ impl Robot {
             soc: None,
             percent: false,
             charging: if reports_charging { None } else { Some(false) },
-            is_told: !reports_charging,
+            has_reported: !reports_charging,
             first_ns: u64::MAX,
             full: false,
         }
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_batterys_power_on_the_charger_means_what_the_platform_says() {
+    fn a_batterys_power_on_the_charger_means_what_the_platform_states() {
         let charging = Observation {
             charging: Some(true),
             full: Some(true),
@@ -388,7 +388,7 @@ mod tests {
             last = intake.sample(7, at_ns).unwrap().power_w;
             assert_eq!(last.is_some(), at_ns - 10 > HOLDS.silent_ns, "{at_ns}");
         }
-        assert_eq!((last, intake.untold().collect::<Vec<_>>()), (Some(12.0), vec![7]));
+        assert_eq!((last, intake.unreported().collect::<Vec<_>>()), (Some(12.0), vec![7]));
         // A field that such a message names, and does not have, is no report.
         let mut intake = Intake::new(HOLDS, true, [(7, ChargeReading::Load)]);
         let seen = Observation { reports_charging: true, ..power(12.0, PowerOf::Battery) };
@@ -396,11 +396,11 @@ mod tests {
             intake.take(7, &seen, at_ns);
             assert_eq!(intake.sample(7, at_ns).unwrap().power_w, None, "{at_ns}");
         }
-        assert_eq!(intake.untold().count(), 0);
+        assert_eq!(intake.unreported().count(), 0);
     }
 
     #[test]
-    fn a_batterys_power_means_nothing_before_it_is_told_whether_the_robot_charges() {
+    fn a_batterys_power_means_nothing_before_it_is_known_whether_the_robot_charges() {
         for (charge_reading, of, expected) in [
             (ChargeReading::Load, PowerOf::Battery, None),
             (ChargeReading::Charger, PowerOf::Battery, None),
@@ -411,15 +411,15 @@ mod tests {
             intake.take(7, &power(-40.0, of), 10);
             let state = intake.sample(7, 20).unwrap();
             assert_eq!((state.power_w, state.charger), (expected, Charger::Disconnected));
-            let told = Observation { charging: Some(false), ..power(12.0, of) };
-            intake.take(7, &told, 30);
+            let other = Observation { charging: Some(false), ..power(12.0, of) };
+            intake.take(7, &other, 30);
             let state = intake.sample(7, 40).unwrap();
             assert_eq!((state.power_w, state.held), (Some(12.0), false));
         }
     }
 
     #[test]
-    fn charging_applies_until_it_is_told_otherwise() {
+    fn charging_applies_until_a_message_states_otherwise() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
         let charging =
             |charging| Observation { charging: Some(charging), ..Observation::default() };
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reading_that_came_after_the_samples_time_keeps_the_time_that_was_told() {
+    fn a_reading_that_came_after_the_samples_time_keeps_the_time_that_was_stated() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
         intake.take(7, &power(3.0, PowerOf::Load), 12);
         for (now_ns, held) in [(10, false), (20, true)] {

@@ -17,7 +17,7 @@ const STANDS_NS: u64 = 2_000_000_000;
 const MISSED_NS: u64 = 5_000_000_000;
 /// Time over which the rate is measured.
 const RATE_NS: u64 = 5_000_000_000;
-/// Factor by which the rate differs from the one that was told, before it is told again.
+/// Factor by which the rate differs from the reported one before it is reported again.
 const OTHER_RATE: f64 = 1.5;
 /// Maximum distance of a message's stamp from the clock. In a fast simulation, clock and message
 /// come far apart.
@@ -66,10 +66,10 @@ pub(crate) struct SimulatedClock {
     allowed: Allowed,
     began_ns: u64,
     now: Option<Now>,
-    told: Option<ClockState>,
+    reported: Option<ClockState>,
     /// The newest step that was no running, from and to, ns.
     reset_ns: Option<(u64, u64)>,
-    told_rate: f64,
+    reported_rate: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -92,7 +92,7 @@ impl Now {
 impl SimulatedClock {
     /// A clock at `host_ns` (monotonic), before its first message.
     pub(crate) const fn new(allowed: Allowed, host_ns: u64) -> Self {
-        Self { allowed, began_ns: host_ns, now: None, told: None, reset_ns: None, told_rate: 1.0 }
+        Self { allowed, began_ns: host_ns, now: None, reported: None, reset_ns: None, reported_rate: 1.0 }
     }
 
     /// Takes a message of `/clock` that came at `host_ns` (monotonic). Returns whether the
@@ -153,8 +153,8 @@ impl SimulatedClock {
         let state = self.state(host_ns);
         let is_early =
             state == ClockState::Missing && host_ns.saturating_sub(self.began_ns) < MISSED_NS;
-        if self.told != Some(state) && !is_early {
-            self.told = Some(state);
+        if self.reported != Some(state) && !is_early {
+            self.reported = Some(state);
             let now_s = seconds(self.now.map_or(0, |now| now.sim_ns));
             return Some(match state {
                 ClockState::Missing => format!(
@@ -171,7 +171,7 @@ impl SimulatedClock {
         self.rate_news(host_ns)
     }
 
-    /// Measures the rate, and says what is new about it.
+    /// Measures the rate, and reports what is new about it.
     fn rate_news(&mut self, host_ns: u64) -> Option<String> {
         let now = self.now.as_mut()?;
         let (host_since_ns, sim_since_ns) = now.since_ns;
@@ -182,11 +182,11 @@ impl SimulatedClock {
         }
         let rate = (now.sim_ns - sim_since_ns) as f64 / passed_ns as f64;
         now.since_ns = (now.moved_ns, now.sim_ns);
-        let change = rate / self.told_rate;
+        let change = rate / self.reported_rate;
         if (OTHER_RATE.recip()..=OTHER_RATE).contains(&change) {
             return None;
         }
-        self.told_rate = rate;
+        self.reported_rate = rate;
         let (least, most) = self.allowed.rates;
         let remedy = if rate > most {
             format!(
@@ -218,16 +218,16 @@ mod tests {
         SimulatedClock::new(ALLOWED, 100 * S)
     }
 
-    /// Runs for `host_s` at `rate`, by 50 messages a second, and returns what was said.
+    /// Runs for `host_s` at `rate`, by 50 messages a second, and returns the reports.
     fn run(clock: &mut SimulatedClock, host_ns: &mut u64, host_s: u64, rate: f64) -> Vec<String> {
         let from_ns = clock.now_ns().map_or(0, |(_, sim_ns)| sim_ns);
-        let mut said = Vec::new();
+        let mut reports = Vec::new();
         for step in 1..=50 * host_s {
             *host_ns += S / 50;
             clock.take(from_ns + (step as f64 * 2e7 * rate) as u64, *host_ns);
-            said.extend(clock.news(*host_ns));
+            reports.extend(clock.news(*host_ns));
         }
-        said
+        reports
     }
 
     #[test]
@@ -240,18 +240,18 @@ mod tests {
         ] {
             let (mut clock, mut host_ns) = (clock(), 100 * S);
             clock.take(0, host_ns);
-            let said = run(&mut clock, &mut host_ns, 20, rate);
+            let reports = run(&mut clock, &mut host_ns, 20, rate);
             let (stamp_ns, sim_ns) = clock.now_ns().unwrap();
             assert_eq!(stamp_ns, 100 * S + sim_ns, "{rate}");
             assert_eq!(sim_ns, (20.0 * rate * 1e9) as u64);
-            assert!(said[0].contains("goes on at 0"), "{said:?}");
-            assert_eq!(said.len(), 1 + expected.len(), "{said:?}");
-            assert!(said[1..].iter().zip(expected).all(|(line, part)| line.contains(part)), "{said:?}");
+            assert!(reports[0].contains("goes on at 0"), "{reports:?}");
+            assert_eq!(reports.len(), 1 + expected.len(), "{reports:?}");
+            assert!(reports[1..].iter().zip(expected).all(|(line, part)| line.contains(part)), "{reports:?}");
         }
     }
 
     #[test]
-    fn a_pause_passes_no_time_and_each_change_is_said_once() {
+    fn a_pause_passes_no_time_and_each_change_is_reported_once() {
         let (mut clock, mut host_ns) = (clock(), 100 * S);
         assert_eq!((clock.news(102 * S), clock.now_ns()), (None, None));
         assert!(clock.news(105 * S).unwrap().contains("no message of /clock in 5 s"));
@@ -263,13 +263,13 @@ mod tests {
         for step in 1..=100 {
             host_ns = paused_ns + step * S;
             assert!(!clock.take(8 * S, host_ns));
-            let said = clock.news(host_ns);
-            assert_eq!(said.is_some(), step == 3, "{step} {said:?}");
+            let reports = clock.news(host_ns);
+            assert_eq!(reports.is_some(), step == 3, "{step} {reports:?}");
         }
         assert_eq!(clock.state(host_ns), ClockState::Stands);
         assert_eq!(clock.now_ns(), Some((101 * S, 8 * S)));
-        let said = run(&mut clock, &mut host_ns, 10, 1.0);
-        assert_eq!(said.len(), 1, "{said:?}");
+        let reports = run(&mut clock, &mut host_ns, 10, 1.0);
+        assert_eq!(reports.len(), 1, "{reports:?}");
         assert_eq!(clock.now_ns(), Some((111 * S, 18 * S)), "no time has passed in the pause");
     }
 
@@ -290,8 +290,8 @@ mod tests {
             clock.news(150 * S);
             assert_eq!(clock.take(to_ns, 151 * S), is_reset, "{to_ns}");
             assert_eq!(clock.now_ns().unwrap().0, stamp_ns, "{to_ns}");
-            let said = clock.news(151 * S).unwrap_or_default();
-            assert_eq!(said.contains("went from 50 s to"), is_reset, "{said}");
+            let reports = clock.news(151 * S).unwrap_or_default();
+            assert_eq!(reports.contains("went from 50 s to"), is_reset, "{reports}");
         }
     }
 

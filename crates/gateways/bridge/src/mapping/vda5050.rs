@@ -9,7 +9,7 @@ use crate::mapping::outgoing::{Object, What};
 const TYPE: &str = "joulebus.outlook";
 const DESCRIPTION: &str =
     "Energy that the vehicle will draw if it goes on as it does (J), and time to empty (s)";
-/// Values that say of whom and when, which the state has already.
+/// Values that identify the robot and the time, which the state has already.
 const NOT_INFORMATION: [&str; 2] = ["robot", "name"];
 
 /// Adds the outlook of a vehicle to the information of its state, if it is known. Other members of
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_states_wait_and_what_is_dropped_beyond_them_is_told() {
+    fn a_thousand_states_wait_and_what_is_dropped_beyond_them_is_reported() {
         let holds = Holds { command_ns: 1, expired: Expired::Unknown, reading_ns: 1, silent_ns: 1 };
         let shared = Shared::new(Intake::new(holds, false, []), None);
         let states = |robots: std::ops::Range<usize>| {

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_status_before_the_first_reading_says_nothing() {
+    fn a_status_before_the_first_reading_reports_nothing() {
         let first = r#"{"batt_volt": -1, "charge_status": false, "bus_volt": -1, "bus_current": -1, "power": -1}"#;
         assert!(read(first).is_empty());
         let later = r#"{"batt_volt": 3.9, "charge_status": false, "bus_volt": 3900.0, "bus_current": 950, "power": 3705}"#;

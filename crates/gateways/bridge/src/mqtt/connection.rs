@@ -24,7 +24,7 @@ use crate::mqtt::outlet::{Outgoing, Outlet};
 use crate::mqtt::transport::Transport;
 
 /// Maximum size of a packet that a broker of MQTT 5 is asked to send, bytes. It drops longer
-/// messages, and does not tell. Shorter ones that are too long are skipped and counted here.
+/// messages without a report. Shorter ones that are too long are skipped and counted here.
 const MAX_PACKET_BYTES: u32 = 16 << 20;
 /// Bytes that are read at once, and after which no further message is encoded.
 const CHUNK_BYTES: usize = 64 << 10;
@@ -98,7 +98,7 @@ impl Lost {
     }
 
     /// True if the broker may know another version of MQTT alone. Some end the connection without
-    /// a word, which says nothing once a broker has answered by this version (`is_known`).
+    /// a word, which means nothing once a broker has answered by this version (`is_known`).
     pub(super) const fn is_of_version(&self, is_known: bool) -> bool {
         match self {
             Self::Unanswered => !is_known,
@@ -175,7 +175,7 @@ const fn tls_remedy(error: &TlsError) -> &'static str {
     }
 }
 
-/// A code as words, with what the broker says itself.
+/// A code as words, with the text of the broker.
 pub(super) fn reason(code: impl Debug, properties: &Properties) -> String {
     let mut words = String::new();
     for letter in format!("{code:?}").replace("QoS", "Qos").chars() {
@@ -210,7 +210,7 @@ pub(super) struct Connection {
     ping_due_ns: u64,
     is_asked: bool,
     /// Bytes received since the last ping.
-    heard: usize,
+    received: usize,
 }
 
 /// Limits of the broker.
@@ -254,7 +254,7 @@ impl Connection {
             keep_alive: settings.keep_alive,
             ping_due_ns: after_ns(ANSWER_TIMEOUT),
             is_asked: false,
-            heard: 0,
+            received: 0,
         };
         let mut properties = Properties::new();
         properties.set_maximum_packet_size(MAX_PACKET_BYTES);
@@ -356,7 +356,7 @@ impl Connection {
         self.unacknowledged.remove(&id)
     }
 
-    /// Tells the broker that the bridge ends.
+    /// Sends the broker a disconnect.
     pub(super) fn disconnect(&mut self) {
         self.out.extend(DISCONNECT);
     }
@@ -366,7 +366,7 @@ impl Connection {
         self.out.is_empty() && !self.transport.wants_write()
     }
 
-    /// Says that nothing more is sent.
+    /// Ends the sending direction.
     pub(super) fn close(&mut self) {
         self.transport.close();
     }
@@ -387,11 +387,11 @@ impl Connection {
         match self.transport.read(&mut self.chunk) {
             Ok(0) => return Err(self.ended()),
             Ok(count) => {
-                let is_first = !self.is_up && self.heard == 0;
+                let is_first = !self.is_up && self.received == 0;
                 if is_first && self.chunk[0] == TLS_ALERT && !self.transport.is_tls() {
                     return Err(Lost::SpeaksTls);
                 }
-                self.heard += count;
+                self.received += count;
                 self.inbox.add(&self.chunk[..count]);
             }
             Err(error) => match error.kind() {
@@ -403,7 +403,7 @@ impl Connection {
         while !self.is_sent() {
             match self.transport.write(&self.out) {
                 Ok(count) => drop(self.out.drain(..count)),
-                // Where the connection has failed, reading tells why.
+                // Where the connection has failed, reading returns the cause.
                 Err(error) if error.kind() != ErrorKind::Interrupted => break,
                 Err(_) => {}
             }
@@ -418,7 +418,7 @@ impl Connection {
     pub(super) fn next(&mut self) -> Result<Option<Incoming>, Lost> {
         let next = self.inbox.next()?;
         if next.is_some() {
-            self.heard += CHUNK_BYTES;
+            self.received += CHUNK_BYTES;
         }
         Ok(next)
     }
@@ -436,7 +436,7 @@ impl Connection {
         if !self.is_up {
             return Err(Lost::NoAnswer);
         }
-        if self.is_asked && self.heard < CHUNK_BYTES {
+        if self.is_asked && self.received < CHUNK_BYTES {
             return Err(Lost::Silent(self.keep_alive));
         }
         if self.waits.is_some() {
@@ -448,7 +448,7 @@ impl Connection {
         let oldest = next_up.or_else(|| self.unacknowledged.first_key_value());
         self.waits = oldest.map(|(id, _)| *id);
         self.out.extend(PING);
-        (self.is_asked, self.heard) = (true, 0);
+        (self.is_asked, self.received) = (true, 0);
         self.ping_due_ns = after_ns(self.keep_alive);
         Ok(())
     }

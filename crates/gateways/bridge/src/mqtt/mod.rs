@@ -256,8 +256,8 @@ impl Mqtt {
                     self.count(Reason::Refused, &format!("writing {topic}: {reason}"));
                 }
             }
-            Incoming::Packet(Packet::Disconnect(said)) => {
-                let (code, reason) = (said.reason_code, reason(said.reason_code, &said.properties));
+            Incoming::Packet(Packet::Disconnect(packet)) => {
+                let (code, reason) = (packet.reason_code, reason(packet.reason_code, &packet.properties));
                 return Err(match code {
                     ReasonCode::Success => Lost::Closed,
                     _ => Lost::Ended { code, reason },
@@ -321,10 +321,10 @@ impl Mqtt {
             return;
         }
         let until_ns = after_ns(DISCONNECT_TIMEOUT);
-        let (mut is_said, mut is_closed) = (false, false);
+        let (mut is_published, mut is_closed) = (false, false);
         while clock::monotonic_ns() < until_ns {
-            if self.send(connection) && !is_said {
-                is_said = true;
+            if self.send(connection) && !is_published {
+                is_published = true;
                 for message in std::mem::take(&mut self.goodbye) {
                     self.publish(connection, message);
                 }
@@ -341,7 +341,7 @@ impl Mqtt {
             if read.is_err() {
                 return;
             }
-            if is_said && connection.is_sent() && !is_closed {
+            if is_published && connection.is_sent() && !is_closed {
                 is_closed = true;
                 connection.close();
             }

@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_loses_no_change_of_an_alarm_and_tells_none_twice() {
+    fn a_full_queue_loses_no_change_of_an_alarm_and_publishes_none_twice() {
         // Nothing takes messages from this queue.
         let outlet = Arc::new(Outlet::new(3).unwrap());
         outlet.connected();

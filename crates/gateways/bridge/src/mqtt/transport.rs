@@ -77,7 +77,7 @@ impl Transport {
                 return Ok(0);
             }
             if let Err(error) = tls.process_new_packets() {
-                // Tells the broker why.
+                // Sends the broker the cause.
                 let _ = tls.write_tls(&mut self.socket);
                 return Err(io::Error::new(ErrorKind::InvalidData, error));
             }
@@ -100,7 +100,7 @@ impl Transport {
         Ok(written)
     }
 
-    /// Says that nothing more is written.
+    /// Ends the writing direction.
     pub(super) fn close(&mut self) {
         if let Some(tls) = &mut self.tls {
             tls.send_close_notify();

@@ -214,7 +214,7 @@ impl Drop for Zenoh {
     }
 }
 
-/// A topic or service as the child is told of it.
+/// A topic or service as the child receives it.
 fn topic(name: &str, kind: &str) -> Value {
     json!({"topic": name, "type": dds_type(kind), "hash": type_hash(kind)})
 }

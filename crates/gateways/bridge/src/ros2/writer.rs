@@ -62,7 +62,7 @@ impl ZenohWriter {
     /// Writes a frame: the number of a query, if it is a response, and the message.
     fn write(&self, number: &[u8], message: &[u8]) -> io::Result<()> {
         let mut input = self.input.lock().unwrap_or_else(PoisonError::into_inner);
-        // The encapsulation says that the message is CDR in little endian. DDS adds it by itself.
+        // The encapsulation states that the message is CDR in little endian. DDS adds it by itself.
         let encapsulation = [0, 1, 0, 0];
         let length = number.len() + encapsulation.len() + message.len();
         input.write_all(&self.topic.to_le_bytes())?;

@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn the_status_says_whether_a_robot_charges() {
+    fn the_status_states_whether_a_robot_charges() {
         for (status, charging, full) in [
             (0, None, None),
             (1, Some(true), Some(false)),
@@ -317,8 +317,8 @@ mod tests {
         let (seen, refused) = read_battery(&route, &unknown);
         let seen = seen.unwrap();
         assert_eq!((seen.power, seen.current_a, seen.soc), (None, None, None));
-        let told = [("unknown", "percentage of r1".to_owned())];
-        assert_eq!((seen.voltage_v, refused), (Some(24.0), told.to_vec()));
+        let expected = [("unknown", "percentage of r1".to_owned())];
+        assert_eq!((seen.voltage_v, refused), (Some(24.0), expected.to_vec()));
         // In either unit.
         for percentage in [Quantity::Share.si(), Quantity::Share.unit("%").unwrap()] {
             let mut route = route.clone();
@@ -326,7 +326,7 @@ mod tests {
             let unknown = BatteryState { percentage: -1.0, ..battery() };
             let (seen, refused) = read_battery(&route, &unknown);
             let seen = seen.unwrap();
-            assert_eq!((seen.soc, seen.current_a, refused), (None, Some(2.0), told.to_vec()));
+            assert_eq!((seen.soc, seen.current_a, refused), (None, Some(2.0), expected.to_vec()));
         }
         let wrong = BatteryState {
             voltage: f32::INFINITY,

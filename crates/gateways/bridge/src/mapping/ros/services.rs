@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_request_is_said() {
+    fn what_is_wrong_with_a_request_is_reported() {
         let named = |name: &str| vec![name.to_owned()];
         let two = || ["r1", "r2"].map(str::to_owned).to_vec();
         for (request, expected) in [
