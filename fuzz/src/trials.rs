@@ -97,9 +97,9 @@ const MAX_RESAMPLED_ROWS: f64 = 65_536.0;
 
 fn resampled(trial: &Trial, method: Method) {
     let how = Resample { method, rate_hz: 1e9 / trial.period_ns() as f64 };
-    if let Ok((again, told)) = trial.resampled(how) {
-        assert_eq!(again.rows(), told.rows);
-        assert_eq!(told.rows_before, trial.rows());
+    if let Ok((again, change)) = trial.resampled(how) {
+        assert_eq!(again.rows(), change.rows);
+        assert_eq!(change.rows_before, trial.rows());
         let times = again.timestamp_s();
         assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{method:?}");
     }

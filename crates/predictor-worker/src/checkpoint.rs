@@ -191,7 +191,7 @@ impl Checkpoint {
     }
 
     /// Converts the accounts to the current boot. After a reboot the stamps restart, and the time
-    /// in between, known only from the wall clock, is unmetered. If the wall clock says less than
+    /// in between, known only from the wall clock, is unmetered. If the wall clock shows less than
     /// the time since this boot (it is not set yet, or was set back), the time is unknown, and so
     /// is the charge of the batteries.
     #[must_use]
@@ -270,9 +270,9 @@ pub(crate) mod tests {
             stamp_ns: 900,
             ..Budget::default()
         };
-        let unheard = Budget { robot: 4, ..Budget::default() };
+        let absent = Budget { robot: 4, ..Budget::default() };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        assert_eq!(checkpoint.take(&sent(1_000), &[budget, unheard], (9, |_| true)), 0);
+        assert_eq!(checkpoint.take(&sent(1_000), &[budget, absent], (9, |_| true)), 0);
         checkpoint
     }
 

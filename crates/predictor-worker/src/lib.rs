@@ -19,7 +19,7 @@
 //!
 //! **Three types to know.** A [`Worker`] is one fleet's: [`Worker::open`] does everything that can
 //! fail (models, memory, the fleet's worker lock), and [`Worker::run`] then ticks until it is
-//! stopped. A [`Report`] says what it did. A [`TickPool`] distributes the tick over threads.
+//! stopped. A [`Report`] states what it did. A [`TickPool`] distributes the tick over threads.
 //!
 //! **The tick's output** is written directly into loaned shared memory. After warm-up the loop
 //! takes no lock, logs nothing and blocks on nothing but samples and its schedule. It allocates

@@ -50,7 +50,7 @@ pub struct Implausible {
 #[derive(Debug, Clone)]
 pub struct Judgement {
     source: Source,
-    /// Findings that are not told.
+    /// Findings that are not reported.
     accepted: Vec<Kind>,
     robots: BTreeMap<u32, Robot>,
     max_robots: usize,
@@ -90,7 +90,7 @@ impl Judgement {
     }
 
     /// Adds a state with a new reading at `now_ns` (monotonic). `soc` as it came, which may be more
-    /// than was published. States without one, or with a held one, say nothing new: leave them out.
+    /// than was published. States without one, or with a held one, add nothing new: leave them out.
     pub fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
         let new = || Robot { judge: Box::new(Judge::new(Known::default())), found: Vec::new() };
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sound_robot_is_not_told_and_a_turned_sign_once() {
+    fn a_sound_robot_is_not_reported_and_a_turned_sign_once() {
         let (judgement, news) = judged(|_, _| {}, 3_000);
         assert_eq!((judgement.records(), news), (Vec::new(), Vec::new()));
         let turned = |_: u64, state: &mut RobotState| {
@@ -216,19 +216,19 @@ mod tests {
     #[test]
     fn robots_of_one_frame_are_judged_in_different_ones() {
         let mut judgement = Judgement::new(Source::Bridge, Vec::new());
-        let mut first_told = BTreeMap::new();
+        let mut first_reported = BTreeMap::new();
         for step in 0..400 {
             for robot in 0..4 {
                 let mut state = RobotState::new(robot);
                 state.power_w = Some(40.0);
                 judgement.take(&state, Some(96.0), step * 100_000_000);
                 if !judgement.take_news().is_empty() {
-                    first_told.entry(robot).or_insert(step);
+                    first_reported.entry(robot).or_insert(step);
                 }
             }
         }
-        let steps: std::collections::BTreeSet<_> = first_told.values().collect();
-        assert_eq!((first_told.len(), steps.len()), (4, 4), "{first_told:?}");
+        let steps: std::collections::BTreeSet<_> = first_reported.values().collect();
+        assert_eq!((first_reported.len(), steps.len()), (4, 4), "{first_reported:?}");
     }
 
     #[test]
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_percentage_is_told_and_a_finding_ends_when_it_does_not_come_again() {
+    fn a_percentage_is_reported_and_a_finding_ends_when_it_does_not_come_again() {
         let percent =
             |step: u64, state: &mut RobotState| state.soc = Some(96.0 - 1e-4 * step as f32);
         let (_, news) = judged(percent, 200);

@@ -42,7 +42,7 @@
 //! **Refused values.** The worker refuses NaN as a known power, a speed beyond the platform's
 //! limits, and a robot that the config does not name. The publisher sends them all the same, so
 //! that the worker counts them by reason and reports them to operators. Other robots are not
-//! affected. [`Sent::refused`] says so at once, by the worker's own rule.
+//! affected. [`Sent::refused`] states that at once, by the worker's own rule.
 //!
 //! **Implausible values** are values that no limit refuses, such as a power of the wrong sign or in
 //! mW. They raise the alarm `Implausible` of their robot: a thread of the publisher judges what is

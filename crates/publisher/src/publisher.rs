@@ -74,9 +74,9 @@ impl Publisher {
     /// Joins the fleet of the config file at `config_path` as `source_name`. The worker need not
     /// run.
     ///
-    /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
-    /// over restarts: the worker lets a source's next run speak for its robots. The monotonic clock
-    /// at their beginning distinguishes the runs, so setting the wall clock changes nothing.
+    /// `source_name`, 1 to 128 bytes, distinguishes the sources of a fleet and must stay the same
+    /// over restarts: the worker lets a source's next run publish for its robots. The monotonic
+    /// clock at their beginning distinguishes the runs, so setting the wall clock changes nothing.
     ///
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.

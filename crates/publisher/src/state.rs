@@ -58,7 +58,7 @@ pub enum Charger {
     Disconnected,
     /// The robot is on its charger.
     Charging,
-    /// The robot is on its charger, which says that the battery is full.
+    /// The robot is on its charger, which reports that the battery is full.
     Full,
 }
 
@@ -192,7 +192,7 @@ impl Registry {
             self.forget_half();
         }
         let seq = before.map_or(self.seq_floor, |last| last.seq + 1);
-        // Stamps must rise, and a clock may tell the same time twice.
+        // Stamps must rise, and a clock may show the same time twice.
         let least_ns = before.map_or(self.stamp_floor_ns, |last| last.stamp_ns + 1);
         let stamp_ns = now_ns.max(least_ns);
         let repeated_ns = before.and_then(|last| last.measured_ns);
@@ -280,17 +280,17 @@ mod tests {
     #[test]
     fn each_robot_has_its_own_rising_numbers_and_stamps() {
         let mut registry = Registry::new(4);
-        let mut told = |robot, frame, now_ns| {
+        let mut stamped = |robot, frame, now_ns| {
             let sample = registry.sample(&RobotState::new(robot), frame, now_ns);
             sample.map(|sample| (sample.seq, sample.stamp_ns))
         };
-        assert_eq!(told(1, 0, 100), Some((0, 100)));
-        assert_eq!(told(2, 0, 100), Some((0, 100)));
-        assert_eq!(told(1, 0, 100), None, "twice in one frame");
-        assert_eq!(told(1, 1, 200), Some((1, 200)));
-        assert_eq!(told(1, 2, 200), Some((2, 201)), "the clock stood still");
-        assert_eq!(told(1, 3, 150), Some((3, 202)), "the clock went back");
-        assert_eq!(told(2, 9, 900), Some((1, 900)), "robot 2 was silent for a while");
+        assert_eq!(stamped(1, 0, 100), Some((0, 100)));
+        assert_eq!(stamped(2, 0, 100), Some((0, 100)));
+        assert_eq!(stamped(1, 0, 100), None, "twice in one frame");
+        assert_eq!(stamped(1, 1, 200), Some((1, 200)));
+        assert_eq!(stamped(1, 2, 200), Some((2, 201)), "the clock stood still");
+        assert_eq!(stamped(1, 3, 150), Some((3, 202)), "the clock went back");
+        assert_eq!(stamped(2, 9, 900), Some((1, 900)), "robot 2 was silent for a while");
     }
 
     #[test]

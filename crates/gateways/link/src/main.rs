@@ -37,7 +37,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
-    joulebus_program::logging::overhear(tls_causes::OVERHEARD);
+    joulebus_program::logging::tap(tls_causes::TAP);
     joulebus_program::verb::main("link", joulebus_bus::check_stack(), link::run)
 }
 

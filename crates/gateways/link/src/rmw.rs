@@ -6,8 +6,8 @@
 //! message, u32 in little endian each, and the message in CDR. Frames of read topics come back on
 //! stdout. The indices of services follow those of topics. Their messages begin with the number of
 //! the request, u64 in little endian, in both directions. Frames with the index [`NOTICE`] name a
-//! publisher's topic and type in two lines. An empty one says that the session is open. The end of
-//! stdin ends the program.
+//! publisher's topic and type in two lines. An empty one reports that the session is open. The end
+//! of stdin ends the program.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::{self, BufRead as _, ErrorKind, Read as _, Write as _};

@@ -4,26 +4,26 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use joulebus_program::logging::Overheard;
+use joulebus_program::logging::LogTap;
 use tracing::level_filters::LevelFilter;
 
 /// Messages of zenoh about TLS and its attempts to connect.
-pub(crate) const OVERHEARD: Overheard = Overheard {
+pub(crate) const TAP: LogTap = LogTap {
     targets: &[
         ("zenoh_link_tls", LevelFilter::WARN),
         ("zenoh_link_commons::tls", LevelFilter::WARN),
         ("zenoh::net::runtime::orchestrator", LevelFilter::DEBUG),
     ],
-    hear,
+    take: take_message,
 };
-/// A cause that goes on is said again after this long.
-const SAY_AGAIN: Duration = Duration::from_secs(600);
+/// Interval after which a cause that goes on is logged again.
+const REPEAT_INTERVAL: Duration = Duration::from_secs(600);
 /// Causes that are remembered. Strangers can cause any number of different ones.
 const MAX_CAUSES: usize = 64;
 
 struct Cause {
     text: String,
-    said: Instant,
+    logged: Instant,
     is_new: bool,
 }
 
@@ -41,16 +41,16 @@ pub(crate) fn take() -> Vec<String> {
 }
 
 /// Returns whether the message is of a connection that failed: it needs no line of its own then.
-fn hear(message: &str) -> bool {
+fn take_message(message: &str) -> bool {
     let Some(text) = in_words(message) else {
         return false;
     };
     let mut causes = CAUSES.lock().unwrap_or_else(PoisonError::into_inner);
     let now = Instant::now();
-    let is_over = |cause: &Cause| !cause.is_new && now - cause.said >= SAY_AGAIN;
+    let is_over = |cause: &Cause| !cause.is_new && now - cause.logged >= REPEAT_INTERVAL;
     causes.retain(|cause| !is_over(cause));
     if causes.len() < MAX_CAUSES && causes.iter().all(|cause| cause.text != text) {
-        causes.push(Cause { text, said: now, is_new: true });
+        causes.push(Cause { text, logged: now, is_new: true });
     }
     true
 }
@@ -75,7 +75,7 @@ fn in_words(message: &str) -> Option<String> {
     };
     let cause = cause(error);
     if cause.is_none() && error.len() == message.len() {
-        // An address that does not answer. The link says so, too.
+        // An address that does not answer. The link reports that, too.
         return None;
     }
     Some(format!("{who}: {}", cause.unwrap_or_else(|| error.to_owned())))
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_zenoh_says_of_tls_is_said_in_words_and_all_else_is_left_to_it() {
+    fn what_zenoh_logs_of_tls_is_reported_in_words_and_all_else_is_left_to_it() {
         const HINT: &str = " Hint: increase the system open file limit.";
         let refused = |error: &str| in_words(&format!("{error}.{HINT}"));
         let failed = |error: &str| {
@@ -130,7 +130,7 @@ mod tests {
             in_words(&format!("{peer} {error} at /src/unicast.rs:378.. Retry in 200ms."))
         };
         let invalid = |found: &str| format!("invalid peer certificate: {found}");
-        for (found, said) in [
+        for (found, expected) in [
             (invalid("certificate expired: verification time 7 (UNIX)"), "has expired"),
             (invalid("certificate not valid yet: verification time 7"), "clocks of the hosts"),
             (invalid("certificate not valid for name \"a\""), "another address"),
@@ -148,7 +148,7 @@ mod tests {
         ] {
             let (here, there) = (failed(&found).unwrap(), refused(&found).unwrap());
             assert!(here.starts_with("no connection to tls/10.0.0.1:7447: "), "{here}");
-            assert!(here.contains(said) && there.contains(said), "{here}; {there}");
+            assert!(here.contains(expected) && there.contains(expected), "{here}; {there}");
             assert!(!there.contains("open file"), "{there}");
         }
         let stranger = refused("received corrupt message of type InvalidContentType").unwrap();
@@ -165,9 +165,9 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_is_said_once_and_any_number_of_others_takes_no_memory() {
+    fn a_cause_is_logged_once_and_any_number_of_others_takes_no_memory() {
         let wrong = |number: usize| {
-            assert!(hear(&format!("odd {number}. Hint: increase the system open file limit.")));
+            assert!(take_message(&format!("odd {number}. Hint: increase the system open file limit.")));
         };
         wrong(0);
         wrong(0);

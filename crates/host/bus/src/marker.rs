@@ -34,7 +34,7 @@ pub(crate) struct Marked {
     path: PathBuf,
     marker: &'static str,
     /// Contents of the marker, without the boot.
-    says: String,
+    contents: String,
 }
 
 impl Marked {
@@ -43,7 +43,7 @@ impl Marked {
         Self {
             path: domain.root().to_owned(),
             marker: ROOT_MARKER,
-            says: format!("{FIRST_LINE}root\n"),
+            contents: format!("{FIRST_LINE}root\n"),
         }
     }
 
@@ -52,7 +52,7 @@ impl Marked {
         Self {
             path: domain.directory(),
             marker: FLEET_MARKER,
-            says: format!("{FIRST_LINE}fleet {fleet}\nprefix {prefix}\n"),
+            contents: format!("{FIRST_LINE}fleet {fleet}\nprefix {prefix}\n"),
         }
     }
 
@@ -143,7 +143,7 @@ impl Marked {
     }
 
     fn write(&self, mut file: File) -> io::Result<()> {
-        file.write_all(format!("{}boot {}\n", self.says, this_boot()).as_bytes())?;
+        file.write_all(format!("{}boot {}\n", self.contents, this_boot()).as_bytes())?;
         file.sync_all()
     }
 
@@ -164,7 +164,7 @@ impl Marked {
             Err(error) => return Err(failed(error.into())),
         };
         let text = own_text(file).map_err(failed)?.ok_or_else(unmarked)?;
-        if let Some(rest) = text.strip_prefix(&self.says) {
+        if let Some(rest) = text.strip_prefix(&self.contents) {
             let boot = rest.strip_prefix("boot ").and_then(|id| id.strip_suffix('\n'));
             return Ok(boot.ok_or_else(unmarked)?.to_owned());
         }
@@ -175,7 +175,7 @@ impl Marked {
         Err(RootError::AnotherFleet {
             path: self.path.clone(),
             found,
-            wanted: self.says.lines().skip(1).collect::<Vec<_>>().join(", "),
+            wanted: self.contents.lines().skip(1).collect::<Vec<_>>().join(", "),
         })
     }
 

@@ -158,7 +158,7 @@ impl<T: Shareable> Builder<'_, T> {
         let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
         let reserved = reserve(file, memory.size() as u64);
         reserved.map_err(|error| {
-            // A refusal for another reason, such as a quota, must not be told as lack of space.
+            // A refusal for another reason, such as a quota, must not be reported as lack of space.
             let full = check_memory(size).err().filter(|_| error.kind() == ErrorKind::StorageFull);
             shortage(full.unwrap_or(CapacityError::Reserve { bytes: size as u64, error }))
         })?;
@@ -172,7 +172,7 @@ impl<T: Shareable> Builder<'_, T> {
         let behind = unsafe { start.add(1) }.cast();
         // SAFETY: the object is mapped for writing, page-aligned, and long enough. Zeros, as the
         // system hands them out, are a value of both fields. No other process opens it before its
-        // permissions say that it is complete, so the reference is the only one.
+        // permissions show that it is complete, so the reference is the only one.
         let content = unsafe { start.as_mut() };
         let mut allocator = BumpAllocator::new(behind, rest);
         if !(self.initialize)(&mut content.value, &mut allocator) {

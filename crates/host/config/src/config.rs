@@ -249,7 +249,8 @@ impl Config {
         self.max_planners
     }
 
-    /// Silence of the worker of which people hear, ns. Planners hear of two missed ticks.
+    /// Silence of the worker that is reported to people, ns. Planners get a report of two missed
+    /// ticks.
     #[must_use]
     pub const fn worker_stale_after_ns(&self) -> u64 {
         self.worker_stale_after_ns

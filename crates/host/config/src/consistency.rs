@@ -16,7 +16,7 @@ use crate::problem::Problem;
 use crate::robots;
 use crate::values::{Place, Values};
 
-/// Robots that there is room for, at most, if a fleet's file does not say how many.
+/// Robots that there is room for, at most, if a fleet's file does not state the number.
 const UNASKED_ROBOTS: u64 = 1_000;
 
 /// Reports every inconsistency. Doubtful values go to `warnings`.

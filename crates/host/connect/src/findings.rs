@@ -16,7 +16,7 @@ use joulebus_wire::fnv1a;
 const AGAIN: Duration = Duration::from_secs(3);
 /// A file that is older is of a source that was killed.
 const EXPIRES: Duration = Duration::from_secs(15);
-/// Maximum size of a file, bytes, of lines in one, and of letters that say what was found: so all
+/// Maximum size of a file, bytes, of lines in one, and of letters that state what was found: so all
 /// lines are read.
 const MAX_BYTES: u64 = 1 << 20;
 const MAX_LINES: usize = 16_000;
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn long_and_foreign_text_loses_no_robot_and_what_is_cut_is_said() {
+    fn long_and_foreign_text_loses_no_robot_and_what_is_cut_is_reported() {
         let folder = tempfile::tempdir().expect("a temporary directory");
         let config = config(folder.path(), "lab");
         let mut file = FindingsFile::new(&config, "bridge");

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io::Read as _;
 use std::path::Path;
 
-/// Bytes at the beginning of a file that tell what it is.
+/// Bytes at the beginning of a file that identify its kind.
 pub const HEAD_BYTES: u64 = 512;
 
 /// A kind of file that is not read.
@@ -220,7 +220,7 @@ mod tests {
     use super::{KINDS, recognise};
 
     #[test]
-    fn every_kind_is_told_from_its_first_bytes_and_no_table_of_text_is_one() {
+    fn every_kind_is_known_by_its_first_bytes_and_no_table_of_text_is_one() {
         for (at, magic, what, remedy) in KINDS {
             // A kind further down may share the beginning of one above, never the other way.
             let head = [vec![b' '; at], magic.to_vec(), vec![1; 8]].concat();

@@ -19,7 +19,7 @@
 //! - [`create`] writes a new file, and [`replace`] the file of an earlier run. Both write it as a
 //!   whole or not at all.
 //! - [`Several`] removes the files of a result that did not become whole.
-//! - [`foreign`] says what a file of another program is, and how it is converted.
+//! - [`foreign`] states what a file of another program is, and how it is converted.
 //! - [`disk`] has the single operations for files that must survive a crash.
 //!
 //! **Units** are bytes.

@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// The files and folders of a result that is not whole yet. They are removed with it, so that the
-/// same call can be made again, unless [`keep`](Self::keep) says that the result is whole.
+/// same call can be made again, unless [`keep`](Self::keep) declares the result whole.
 #[derive(Debug, Default)]
 pub struct Several {
     /// In the order in which they were made.

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! **To know.** [`load_models`] returns one [`Model`] for each platform, in the order of the
-//! settings. A [`ModelSource`] is what the config says of a platform's model.
+//! settings. A [`ModelSource`] is the config's entry for a platform's model.
 //!
 //! **Units.** Models forecast W.
 //!

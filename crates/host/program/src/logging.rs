@@ -30,25 +30,25 @@ pub enum LogFormat {
 
 /// Libraries' log messages that a program reads itself, whether or not they are shown.
 #[derive(Debug, Clone, Copy)]
-pub struct Overheard {
+pub struct LogTap {
     /// Beginnings of targets, with their levels.
     pub targets: &'static [(&'static str, LevelFilter)],
-    /// Takes a message. Returns true if it needs no line in the log: the program says it otherwise.
-    /// It must not log.
-    pub hear: fn(&str) -> bool,
+    /// Takes a message. Returns true if it needs no line in the log: the program reports it
+    /// otherwise. It must not log.
+    pub take: fn(&str) -> bool,
 }
 
-static OVERHEARD: OnceLock<Overheard> = OnceLock::new();
+static TAP: OnceLock<LogTap> = OnceLock::new();
 
-/// Before [`start`]: lets this program hear its libraries' logs. Later calls have no effect.
-pub fn overhear(overheard: Overheard) {
-    let _ = OVERHEARD.set(overheard);
+/// Before [`start`]: lets this program read its libraries' logs. Later calls have no effect.
+pub fn tap(tap: LogTap) {
+    let _ = TAP.set(tap);
 }
 
 /// Starts logging to stderr at the level of `JOULEBUS_LOG`, or else of the number of `--verbose`.
 pub fn start(verbose: u8, format: LogFormat) {
-    let told = std::env::var(VARIABLE).ok().filter(|told| !told.is_empty());
-    let asked = told.and_then(|told| match told.parse() {
+    let variable = std::env::var(VARIABLE).ok().filter(|text| !text.is_empty());
+    let asked = variable.and_then(|text| match text.parse() {
         Ok(targets) => Some(targets),
         Err(error) => {
             log_line(&format!("{VARIABLE} is ignored: {error}"));
@@ -57,7 +57,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     });
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
     let levels = levels.with_target(PROGRAM_TARGET, LevelFilter::INFO);
-    let levels = Levels { levels, overheard: OVERHEARD.get().copied() };
+    let levels = Levels { levels, tap: TAP.get().copied() };
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
     // Fails only if logging was already started. It is then left unchanged.
@@ -94,7 +94,7 @@ fn by_verbosity(verbose: u8) -> Targets {
 /// The events that are shown: those of `levels` that the program does not report otherwise.
 struct Levels {
     levels: Targets,
-    overheard: Option<Overheard>,
+    tap: Option<LogTap>,
 }
 
 impl Levels {
@@ -102,19 +102,19 @@ impl Levels {
         self.levels.would_enable(of.target(), of.level())
     }
 
-    fn hears(&self, of: &Metadata<'_>) -> bool {
-        let targets = self.overheard.map_or(&[][..], |overheard| overheard.targets);
+    fn taps(&self, of: &Metadata<'_>) -> bool {
+        let targets = self.tap.map_or(&[][..], |tap| tap.targets);
         targets.iter().any(|(target, level)| of.target().starts_with(target) && of.level() <= level)
     }
 }
 
 impl<S: Subscriber> Layer<S> for Levels {
     fn enabled(&self, of: &Metadata<'_>, _: Context<'_, S>) -> bool {
-        self.shows(of) || self.hears(of)
+        self.shows(of) || self.taps(of)
     }
 
     fn register_callsite(&self, of: &'static Metadata<'static>) -> Interest {
-        match self.shows(of) || self.hears(of) {
+        match self.shows(of) || self.taps(of) {
             true => Interest::always(),
             false => Interest::never(),
         }
@@ -122,16 +122,16 @@ impl<S: Subscriber> Layer<S> for Levels {
 
     fn max_level_hint(&self) -> Option<LevelFilter> {
         let shown = Layer::<S>::max_level_hint(&self.levels)?;
-        let targets = self.overheard.map_or(&[][..], |overheard| overheard.targets);
+        let targets = self.tap.map_or(&[][..], |tap| tap.targets);
         Some(targets.iter().fold(shown, |max, (_, level)| max.max(*level)))
     }
 
     fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
         let of = event.metadata();
-        if let Some(overheard) = self.overheard.filter(|_| self.hears(of)) {
+        if let Some(tap) = self.tap.filter(|_| self.taps(of)) {
             let mut message = Message::default();
             event.record(&mut message);
-            if (overheard.hear)(&message.0) {
+            if (tap.take)(&message.0) {
                 return false;
             }
         }

@@ -10,8 +10,8 @@ use crate::options::GlobalOptions;
 use crate::output::Output;
 
 /// The `main` of `joulebus-VERB`: parses the arguments of this process, runs `work`, and returns
-/// the exit code. Help, errors and options are those of `joulebus VERB`. `ready` says whether this
-/// process may begin: parsing needs a stack.
+/// the exit code. Help, errors and options are those of `joulebus VERB`. `ready` states whether
+/// this process may begin: parsing needs a stack.
 #[must_use]
 pub fn main<A: clap::Args, E: Into<anyhow::Error>>(
     verb: &'static str,

@@ -6,7 +6,7 @@
 //!
 //! **Three types to know.** A [`Link`](link::Link) publishes, and waits for a worker. A
 //! [`Flow`](flow::Flow) follows the worker, so that it does not get more than it can take. A
-//! [`PublishReport`](report::PublishReport) says how many samples were sent, and what became of
+//! [`PublishReport`](report::PublishReport) states how many samples were sent, and what became of
 //! them. [`Window`](window::Window) has the frames that the worker has not answered yet. [`rate`]
 //! has rates, speeds and times as the command line takes them.
 //!

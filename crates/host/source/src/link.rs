@@ -25,7 +25,7 @@ pub enum Fate {
     /// A worker can read it.
     Sent,
     /// There was no reader.
-    Unheard,
+    NoReader,
     /// The frame could not be sent.
     Failed,
 }
@@ -82,7 +82,7 @@ impl Link {
                     return Ok(Fate::Sent);
                 }
                 report.frames_unheard += 1;
-                Ok(Fate::Unheard)
+                Ok(Fate::NoReader)
             }
             Err(PublishError::Send(error)) if !error.is_final() => {
                 report.frames_failed += 1;

@@ -21,7 +21,7 @@
 //!
 //! **Three types to know.** A [`Trial`](trial::Trial) is the recording of one robot in one run. A
 //! [`Dataset`](rows::Dataset) has the rows for training, validation and scores. An
-//! [`Assignment`](split::Assignment) says which rows of which trial go to which part.
+//! [`Assignment`](split::Assignment) states which rows of which trial go to which part.
 //!
 //! **Modules.** [`trial`] reads and writes recordings, [`archive`] folders of Parquet files, and
 //! [`npy`] the header of NumPy's arrays. [`inspect`] finds recordings and their faults. [`rows`]

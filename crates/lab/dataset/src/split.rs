@@ -554,7 +554,7 @@ fn in_time<E>(
         let (validation, held_out) = (count(split.validation), count(split.held_out));
         let training = usable - validation - held_out;
         let cuts = [training, (training + PAUSE_ROWS + validation).min(found)];
-        // The part that a cut lies in says where the rows continue after it.
+        // The part that a cut lies in states where the rows continue after it.
         let (mut resumed, mut begin) = (cuts, 0);
         for (at, part) in (from..).zip(parts) {
             let end = begin + part.rows;

@@ -214,7 +214,7 @@ fn held(trial: &Trial, poll_ns: Option<u64>) -> Vec<Sample> {
     for tick in 0..end_ns / TICK_NS {
         let (now_ns, stamp_ns) = (tick * TICK_NS, (tick + 1) * TICK_NS);
         let measured_ns = poll_ns.map_or(now_ns, |poll_ns| now_ns / poll_ns * poll_ns);
-        let (read, told) = (newest(measured_ns), newest(stamp_ns));
+        let (read, commanded) = (newest(measured_ns), newest(stamp_ns));
         let mut sample = Sample::new(0, tick, 1_000_000_000 + stamp_ns);
         let age_ns = measured_ns.saturating_sub(offsets_ns[read] as u64);
         let power_w = value(Column::Power, read);
@@ -225,7 +225,7 @@ fn held(trial: &Trial, poll_ns: Option<u64>) -> Vec<Sample> {
                 sample = sample.with(sample_flag::HELD);
             }
         }
-        let (v_mps, omega_radps) = (value(Column::V, told), value(Column::Omega, told));
+        let (v_mps, omega_radps) = (value(Column::V, commanded), value(Column::Omega, commanded));
         if v_mps.is_finite() && omega_radps.is_finite() {
             sample = sample.command(v_mps, omega_radps);
         }

@@ -129,7 +129,7 @@ impl EnergyScores {
         recorded.leave_out(scored);
         let (mut state, mut age) = (EnergyState::new(number), ReadingAge::UNKNOWN);
         for row in 0..recorded.samples.len() {
-            observe(&mut state, platform, recorded.energy, &recorded.told[row]);
+            observe(&mut state, platform, recorded.energy, &recorded.steps[row]);
             let sample = &recorded.samples[row];
             if sample.has(sample_flag::POWER) {
                 age.read(!sample.has(sample_flag::HELD));
@@ -232,7 +232,7 @@ struct Recorded<'a> {
     model: &'a Model,
     energy: &'a EnergyModel,
     samples: Vec<Sample>,
-    told: Vec<EnergySample>,
+    steps: Vec<EnergySample>,
     /// Number of readings up to each row that are not to be forecast, that row's included.
     left_out: Vec<usize>,
     /// Energy and time up to each row.
@@ -247,7 +247,7 @@ impl<'a> Recorded<'a> {
         let samples = trial.to_samples(0, 1_000_000_000);
         let period_s = trial.period_ns() as f64 * 1e-9;
         let longest_s = 1.5 * period_s;
-        let (mut told, mut sums) = (Vec::new(), Vec::new());
+        let (mut steps, mut sums) = (Vec::new(), Vec::new());
         let (mut before_ns, mut sum) = (None::<u64>, [0.0; 2]);
         for sample in &samples {
             let elapsed_ns = before_ns.map_or(0, |before| sample.stamp_ns.saturating_sub(before));
@@ -255,7 +255,7 @@ impl<'a> Recorded<'a> {
             let elapsed_s = elapsed_ns as f64 * 1e-9;
             let (v_mps, omega_radps) = command(sample);
             let counted = sample.has(sample_flag::POWER) && elapsed_s <= longest_s;
-            told.push(EnergySample {
+            steps.push(EnergySample {
                 power_w: if counted { sample.power_w } else { f32::NAN },
                 elapsed_s: elapsed_s as f32,
                 v_mps,
@@ -268,8 +268,8 @@ impl<'a> Recorded<'a> {
             model,
             energy,
             samples,
-            left_out: vec![0; told.len()],
-            told,
+            left_out: vec![0; steps.len()],
+            steps,
             sums,
             period_s,
             longest_s,
@@ -294,14 +294,14 @@ impl<'a> Recorded<'a> {
     ) -> Option<Scored> {
         let steps = (f64::from(horizon_s) / self.period_s).round().max(1.0) as usize;
         let (first, last) = (row + 1 - FIRST, row + steps);
-        let all = self.told.get(first..=last)?;
-        let sound = |told: &EnergySample| told.power_w.is_finite() && told.elapsed_s > 0.0;
+        let all = self.steps.get(first..=last)?;
+        let sound = |step: &EnergySample| step.power_w.is_finite() && step.elapsed_s > 0.0;
         if !all[1..].iter().all(sound) || self.left_out[last] > self.left_out[row] {
             return None;
         }
         let duration_s = self.sums[last][1] - self.sums[row][1];
         let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) =
-            self.told[row..last].iter().map(|told| (told.v_mps, told.omega_radps)).unzip();
+            self.steps[row..last].iter().map(|step| (step.v_mps, step.omega_radps)).unzip();
         let period_s = (duration_s / steps as f64) as f32;
         let plan = Commands { period_s, v_mps: &v_mps, omega_radps: &omega_radps };
         let forecast = self.energy.forecast(state, plan);
@@ -351,7 +351,7 @@ impl<'a> Recorded<'a> {
         lag_w: [f32; LAGS],
         age: ReadingAge,
     ) -> Option<f64> {
-        let before = row.checked_sub(1).map(|before| &self.told[before])?;
+        let before = row.checked_sub(1).map(|before| &self.steps[before])?;
         let command = (before.v_mps, before.omega_radps);
         let start = RolloutStart {
             command: command.0.is_finite().then_some(command),

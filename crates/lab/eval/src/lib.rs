@@ -21,7 +21,7 @@
 //! ```
 //!
 //! **Three types to know.** An [`Evaluation`](evaluate::Evaluation) is what the tick would have
-//! published live, to the bit. A [`Design`](score::Design) says which rows are scored, and which
+//! published live, to the bit. A [`Design`](score::Design) states which rows are scored, and which
 //! the baselines are fitted on. A [`ScoreReport`](score::ScoreReport) has the scores of a model
 //! beside its baselines, with confidence intervals.
 //!

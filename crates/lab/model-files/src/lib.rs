@@ -33,7 +33,7 @@
 //! **Export.** [`to_npz`], [`to_arrays`], [`to_onnx`] and [`to_python`] write a model for other
 //! programs.
 //!
-//! **Units.** Models of the worker use SI. A foreign model's [`Convention`] says which units it
+//! **Units.** Models of the worker use SI. A foreign model's [`Convention`] states which units it
 //! has.
 //!
 //! **Errors** name the location in the file, what was found and what is allowed: [`ReadError`],

@@ -163,7 +163,7 @@ impl Machine<'_> {
         Ok(true)
     }
 
-    /// The refusal of a foreign function before an opcode that is refused: it says more.
+    /// The refusal of a foreign function before an opcode that is refused: it has more detail.
     fn blamed(&self, error: PickleError) -> PickleError {
         let foreign = self.values.iter().find_map(|value| match value {
             Value::Foreign(foreign) => Some(foreign.refused()),

@@ -97,7 +97,7 @@ struct HeldOut {
 }
 
 impl HeldOut {
-    /// None where too few rows are held out for a score, which is said.
+    /// None where too few rows are held out for a score, which is logged.
     fn score(
         config: &Config,
         models: &[Model],

@@ -57,7 +57,7 @@ impl Judged {
 }
 
 impl AcceptArguments {
-    /// For recordings that were judged before: nothing is said again.
+    /// For recordings that were judged before: nothing is logged again.
     pub(crate) const fn settled() -> Self {
         Self { accept: Vec::new(), settled: true }
     }
@@ -134,7 +134,7 @@ impl AcceptArguments {
     /// Implausible findings of a trial, for [`AcceptArguments::settle`].
     pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
         let notes = trial.notes();
-        self.say_of_lines(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
+        self.log_lines_left_out(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
         judge_from(source, trial, &Limits::default())
     }
 
@@ -150,7 +150,7 @@ impl AcceptArguments {
         let found = trials.map(|(limits, trial)| {
             all.push(trial);
             let notes = trial.notes();
-            self.say_of_lines(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
+            self.log_lines_left_out(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
             let mut found = judge(trial, &limits);
             // The worker refuses such samples and counts them.
             let ranges = found.iter_mut().map(|one| &mut one.finding);
@@ -173,7 +173,7 @@ impl AcceptArguments {
     ) -> anyhow::Result<Vec<Judged>> {
         let mut short = Vec::new();
         let found = recordings.into_iter().map(|recording| {
-            self.say_of_lines(&recording.name, recording.left_out(), recording.may_be_cut());
+            self.log_lines_left_out(&recording.name, recording.left_out(), recording.may_be_cut());
             short.extend(recording.short());
             recording.implausible().to_vec()
         });
@@ -181,7 +181,7 @@ impl AcceptArguments {
         self.settle(found, short)
     }
 
-    fn say_of_lines(&self, file: &dyn fmt::Display, left_out: &LeftOut, may_be_cut: bool) {
+    fn log_lines_left_out(&self, file: &dyn fmt::Display, left_out: &LeftOut, may_be_cut: bool) {
         if may_be_cut && !self.settled {
             let what = "its last line has no newline, so that its last number may be cut";
             log_line(&format!("warning: {file}: {what}; --whole-rows leaves such a line out"));

@@ -267,10 +267,10 @@ impl Player {
             match fate {
                 Fate::Sent => flow.sent(part),
                 // A frame without a reader is not answered, and further ones would be lost as well.
-                Fate::Unheard if self.waits && !self.link.wait_for_worker(stop)? => {
+                Fate::NoReader if self.waits && !self.link.wait_for_worker(stop)? => {
                     return Ok(false);
                 }
-                Fate::Unheard | Fate::Failed => {}
+                Fate::NoReader | Fate::Failed => {}
             }
         }
         self.frame = frame;

@@ -15,7 +15,7 @@
 //! ```
 //!
 //! **Three types to know.** Each recording is a [`Trial`](joulebus_dataset::trial::Trial), from
-//! [`protocol`] or [`scenario`]. A [`SimulatedData`](training_data::SimulatedData) says how many
+//! [`protocol`] or [`scenario`]. A [`SimulatedData`](training_data::SimulatedData) states how many
 //! robots to simulate for a [`Dataset`](joulebus_dataset::rows::Dataset). A
 //! [`Barrier`](barrier::Barrier) keeps robots apart.
 //!

@@ -309,9 +309,9 @@ impl Normal {
         for block in blocks {
             let count = block.rows.len() as f64;
             let read_w = block.rows.iter().map(|(_, power_w)| power_w).sum::<f64>() / count;
-            let said = block.rows.iter().map(|(terms, _)| dot(weights, terms, scales));
-            let said_w = said.sum::<f64>() / count;
-            let level = ((read_w + 0.02 * mean_w) / (said_w + 0.02 * mean_w)).max(0.0);
+            let predicted = block.rows.iter().map(|(terms, _)| dot(weights, terms, scales));
+            let predicted_w = predicted.sum::<f64>() / count;
+            let level = ((read_w + 0.02 * mean_w) / (predicted_w + 0.02 * mean_w)).max(0.0);
             for (terms, power_w) in &block.rows {
                 let scaled: [f64; TERMS] =
                     std::array::from_fn(|term| level * terms[term] / scales[term]);
@@ -395,7 +395,7 @@ impl Origins {
                 });
                 std::iter::once(0.0).chain(sums).collect::<Vec<f64>>()
             };
-            let (read_j, said_j) = (sums(&run.power_w), sums(&commands));
+            let (read_j, predicted_j) = (sums(&run.power_w), sums(&commands));
             let mut levels = [[0.0; 3]; LEVELS];
             let first_w = commands.first().copied().unwrap_or(1.0);
             // The first of a recording's readings has no time before it.
@@ -407,7 +407,7 @@ impl Origins {
                     if number % stride == stride / 2 {
                         origins.push(Origin {
                             levels,
-                            command_j: said_j[at + steps] - said_j[at],
+                            command_j: predicted_j[at + steps] - predicted_j[at],
                             energy_j: read_j[at + steps] - read_j[at],
                         });
                     }

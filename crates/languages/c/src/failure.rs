@@ -29,11 +29,11 @@ impl Failure {
 
     /// The failure of a panic: a defect of joulebus.
     pub(crate) fn defect(panic: &(dyn Any + Send)) -> Self {
-        let said = panic.downcast_ref::<&str>().copied();
-        let said = said.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+        let text = panic.downcast_ref::<&str>().copied();
+        let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
         let text = format!(
             "a defect of joulebus: {}. The handle of this call is closed. Please report it",
-            said.unwrap_or("without a message")
+            text.unwrap_or("without a message")
         );
         Self::new(joulebus_error::Defect, text)
     }

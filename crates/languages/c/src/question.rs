@@ -13,7 +13,7 @@ const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
 /// A question.
 ///
 /// # Safety
-/// The pointers that its kind names point to as many elements as its counts say.
+/// The pointers that its kind names point to as many elements as its counts state.
 #[allow(unsafe_code, reason = "memory of the caller")]
 pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Question, Failure> {
     let found = from.flags;
@@ -91,7 +91,7 @@ impl<'a> Places<'a> {
     /// Refuses fewer places for rows than a question has answers.
     ///
     /// # Safety
-    /// The pointers of `of` point to as many elements as its capacities say.
+    /// The pointers of `of` point to as many elements as its capacities state.
     #[allow(unsafe_code, reason = "memory of the caller")]
     pub(crate) unsafe fn new(
         of: &joulebus_answers,

@@ -27,7 +27,7 @@ pub(crate) fn check(found: &str) -> Result<(), Failure> {
     Err(Failure::new(joulebus_error::Version, text))
 }
 
-/// The remedy when the fleet speaks another version.
+/// The remedy when the fleet has another version.
 pub(crate) fn remedy() -> String {
     format!(
         "This library is joulebus {VERSION}. `joulebus --version` on the worker's side says which release to install"

@@ -45,7 +45,7 @@ struct Open {
 
 /// An event, as the thread reports it.
 #[allow(clippy::large_enum_variant, reason = "there is one at a time")]
-enum Told {
+enum Observed {
     Frame(Memory),
     Gone(End),
     Stale { age_ns: u64 },
@@ -95,10 +95,10 @@ impl PlannerPorts {
             let left = deadline
                 .map_or(SLICE, |deadline| deadline.saturating_duration_since(Instant::now()));
             let slice = left.min(SLICE);
-            let told = py.detach(|| self.thread.ask(move |state| state.wait(slice)))??;
-            match told {
-                Told::Nothing => py.check_signals()?,
-                told => return Ok(Some(self.event(py, told)?)),
+            let observed = py.detach(|| self.thread.ask(move |state| state.wait(slice)))??;
+            match observed {
+                Observed::Nothing => py.check_signals()?,
+                observed => return Ok(Some(self.event(py, observed)?)),
             }
             if left.is_zero() {
                 return Ok(None);
@@ -137,8 +137,8 @@ impl PlannerPorts {
 
     /// The worker as seen by the last event, and what was counted.
     fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let told = py.detach(|| self.thread.ask(|state| state.open().map(status)))?;
-        let (worker, counts, kept) = told?;
+        let observed = py.detach(|| self.thread.ask(|state| state.open().map(status)))?;
+        let (worker, counts, kept) = observed?;
         let dict = PyDict::new(py);
         dict.set_item("worker", worker)?;
         for (name, count) in counts {
@@ -160,16 +160,16 @@ impl PlannerPorts {
 }
 
 impl PlannerPorts {
-    fn event<'py>(&self, py: Python<'py>, told: Told) -> PyResult<Bound<'py, PyAny>> {
-        match told {
-            Told::Frame(memory) => {
+    fn event<'py>(&self, py: Python<'py>, observed: Observed) -> PyResult<Bound<'py, PyAny>> {
+        match observed {
+            Observed::Frame(memory) => {
                 let thread = self.thread.share();
                 FrameMemory { memory, thread }.into_bound_py_any(py)
             }
-            Told::Gone(end) => ("gone", end_name(end)).into_bound_py_any(py),
-            Told::Stale { age_ns } => ("stale", age_ns as f64 * 1e-9).into_bound_py_any(py),
-            Told::Nothing => Ok(py.None().into_bound(py)),
-            Told::Closed => Err(closed()),
+            Observed::Gone(end) => ("gone", end_name(end)).into_bound_py_any(py),
+            Observed::Stale { age_ns } => ("stale", age_ns as f64 * 1e-9).into_bound_py_any(py),
+            Observed::Nothing => Ok(py.None().into_bound(py)),
+            Observed::Closed => Err(closed()),
         }
     }
 
@@ -201,21 +201,21 @@ impl State {
         self.ports.as_mut().map(|open| (open, kept)).ok_or_else(closed)
     }
 
-    fn wait(&mut self, slice: Duration) -> PyResult<Told> {
+    fn wait(&mut self, slice: Duration) -> PyResult<Observed> {
         let kept = self.frames.len();
         let Some(open) = &mut self.ports else {
-            return Ok(Told::Closed);
+            return Ok(Observed::Closed);
         };
         let arrival = match open.planner.wait_next(slice) {
             Ok(Event::Frame(frame)) => frame.arrival(),
-            Ok(Event::Gone(end)) => return Ok(Told::Gone(end)),
-            Ok(Event::Stale { age_ns }) => return Ok(Told::Stale { age_ns }),
+            Ok(Event::Gone(end)) => return Ok(Observed::Gone(end)),
+            Ok(Event::Stale { age_ns }) => return Ok(Observed::Stale { age_ns }),
             // The caller learns of an interruption by its signal.
-            Ok(_) => return Ok(Told::Nothing),
+            Ok(_) => return Ok(Observed::Nothing),
             Err(error) => return Err(read_failed(&error, kept)),
         };
         let Some(frame) = open.planner.take_current() else {
-            return Ok(Told::Nothing);
+            return Ok(Observed::Nothing);
         };
         let number = self.next;
         self.next += 1;
@@ -227,7 +227,7 @@ impl State {
             arrival,
         };
         self.frames.insert(number, frame);
-        Ok(Told::Frame(memory))
+        Ok(Observed::Frame(memory))
     }
 
     /// The newest frame of a channel, which the first call opens.
@@ -308,7 +308,7 @@ impl FrameMemory {
 impl Drop for FrameMemory {
     fn drop(&mut self) {
         let number = self.memory.number;
-        self.thread.tell(move |state| drop(state.frames.remove(&number)));
+        self.thread.post(move |state| drop(state.frames.remove(&number)));
     }
 }
 

@@ -54,7 +54,7 @@ impl<S: 'static> PortThread<S> {
     }
 
     /// Has the thread run `call` later, without waiting.
-    pub(crate) fn tell(&self, call: impl FnOnce(&mut S) + Send + 'static) {
+    pub(crate) fn post(&self, call: impl FnOnce(&mut S) + Send + 'static) {
         if self.pid == process::id() {
             // A thread that has ended has dropped its ports.
             let _ = self.send(Box::new(call));

@@ -27,7 +27,7 @@ pub(crate) struct PublisherPort {
     warned: Mutex<BTreeSet<(u32, &'static str)>>,
     judgement: Mutex<Judgement>,
     /// Implausible findings not reported yet. A send may fail, and a warning may be an error.
-    untold: Mutex<VecDeque<String>>,
+    unreported: Mutex<VecDeque<String>>,
 }
 
 #[pymethods]
@@ -44,7 +44,7 @@ impl PublisherPort {
             thread,
             warned: Mutex::default(),
             judgement: Mutex::new(Judgement::new(Source::Program, vec![Kind::Constant])),
-            untold: Mutex::default(),
+            unreported: Mutex::default(),
         })
     }
 
@@ -71,7 +71,7 @@ impl PublisherPort {
             let message = CString::new(format!("the worker was not woken: {error}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
-        while let Some(news) = self.next_untold() {
+        while let Some(news) = self.next_unreported() {
             let message = CString::new(format!("implausible: {news}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
@@ -106,21 +106,21 @@ impl PublisherPort {
 }
 
 impl PublisherPort {
-    /// Judges these states. News wait until they are told.
+    /// Judges these states. News wait until they are reported.
     fn judge(&self, robots: &[RobotState]) {
         let now_ns = clock::monotonic_ns();
-        let (Ok(mut judgement), Ok(mut untold)) = (self.judgement.lock(), self.untold.lock())
+        let (Ok(mut judgement), Ok(mut unreported)) = (self.judgement.lock(), self.unreported.lock())
         else {
             return;
         };
         let new = robots.iter().filter(|state| state.power_w.is_some() && !state.held);
         new.for_each(|state| judgement.take(state, state.soc, now_ns));
-        untold.extend(judgement.take_news());
+        unreported.extend(judgement.take_news());
     }
 
     /// Without a lock afterwards: a warning runs Python, which may publish.
-    fn next_untold(&self) -> Option<String> {
-        self.untold.lock().ok()?.pop_front()
+    fn next_unreported(&self) -> Option<String> {
+        self.unreported.lock().ok()?.pop_front()
     }
 }
 
@@ -176,7 +176,7 @@ fn setter(name: &str) -> Option<Setter> {
         "soc" => Number(|robot, value| robot.soc = value),
         "return_j" => Number(|robot, value| robot.return_j = value),
         "held" => Truth(|robot, value| robot.held = value),
-        // A charger that says "full" is connected, in whichever order the columns are given.
+        // A charger that reports "full" is connected, in whichever order the columns are given.
         "charging" => Truth(|robot, value| {
             if value && robot.charger == Charger::Disconnected {
                 robot.charger = Charger::Charging;

@@ -271,10 +271,10 @@ impl Reading {
         let together = judge_together(short);
         let found: Vec<&Implausible> = found.into_iter().collect();
         let (mut errors, mut others) = (Vec::new(), Vec::new());
-        let mut told = BTreeSet::new();
+        let mut reported = BTreeSet::new();
         for one in found.into_iter().chain(&together) {
             let finding = &one.finding;
-            if told.insert((finding.severity, finding.kind, finding.quantity)) {
+            if reported.insert((finding.severity, finding.kind, finding.quantity)) {
                 let is_error = finding.is_error() && !self.accepted.contains(&finding.kind);
                 let lines = if is_error { &mut errors } else { &mut others };
                 lines.push(format!("implausible {}: {}", finding.kind, one.place));
@@ -290,7 +290,7 @@ impl Reading {
         )))
     }
 
-    /// The same of trials in memory. What may be implausible is not said.
+    /// The same of trials in memory. What may be implausible is not reported.
     fn judge_trials(&self, trials: &[Trial]) -> PyResult<()> {
         let found: Vec<Implausible> =
             trials.iter().flat_map(|trial| judge(trial, &Limits::default())).collect();

@@ -121,7 +121,7 @@ impl Acknowledged {
         Ok(raised)
     }
 
-    /// Acknowledges an alarm, of which the newest diagnostics say whether it is raised. One that
+    /// Acknowledges an alarm, of which the newest diagnostics state whether it is raised. One that
     /// was entered before only has to be raised still.
     pub(crate) fn enter(&mut self, row: Acknowledgement, is_raised: bool) -> Result<(), Refused> {
         let is_new = !self.table.rows.contains(&row);

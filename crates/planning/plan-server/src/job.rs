@@ -39,7 +39,7 @@ pub(crate) struct Job {
 pub(crate) enum State {
     Waiting(Question),
     Working(Work),
-    /// Waits for diagnostics, which say whether the alarm is raised.
+    /// Waits for diagnostics, which state whether the alarm is raised.
     Acknowledging(Acknowledgement),
 }
 

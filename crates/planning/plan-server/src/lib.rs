@@ -19,7 +19,7 @@
 //! ```
 //!
 //! **Three types to know.** A [`PlanServer`] is the thread. A [`QueryReport`] counts the questions
-//! that it answered, and those that it refused by reason. A [`StartError`] says why it could not
+//! that it answered, and those that it refused by reason. A [`StartError`] states why it could not
 //! start.
 //!
 //! **Fairness.** The thread has its own nice value and takes questions of all clients before it

@@ -124,7 +124,7 @@ mod tests {
     const PERMIT: Permit = Permit { term: 4, until_ns: Some(100), lease: 9 };
 
     #[test]
-    fn a_worker_speaks_until_its_permit_ends_and_never_with_that_of_another_term() {
+    fn a_worker_sends_until_its_permit_ends_and_never_with_that_of_another_term() {
         assert!(CurrentPermit::always().holds(u64::MAX));
         let current_permit = CurrentPermit::not_yet();
         assert!(!current_permit.holds(0));

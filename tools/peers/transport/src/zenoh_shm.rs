@@ -37,7 +37,7 @@ impl Sender {
             .congestion_control(CongestionControl::Block)
             .express(true)
             .wait()
-            .map_err(told)?;
+            .map_err(in_words)?;
         let provider = ShmProviderBuilder::default_backend((bytes + 4096) * FRAMES)
             .wait()
             .map_err(|error| anyhow!("{error:?}"))?;
@@ -46,7 +46,7 @@ impl Sender {
 
     /// Waits for a subscriber.
     fn await_listener(&self) -> anyhow::Result<()> {
-        while !self.publisher.matching_status().wait().map_err(told)?.matching() {
+        while !self.publisher.matching_status().wait().map_err(in_words)?.matching() {
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
@@ -60,7 +60,7 @@ impl Sender {
             .wait()
             .map_err(|error| anyhow!("{error:?}"))?;
         write(&mut frame);
-        self.publisher.put(frame).wait().map_err(told)
+        self.publisher.put(frame).wait().map_err(in_words)
     }
 }
 
@@ -112,7 +112,7 @@ impl Way for Zenoh {
         drop(self.relay.stdin.take());
         self.relay.wait()?;
         drop(self.sender);
-        self.session.close().wait().map_err(told)?;
+        self.session.close().wait().map_err(in_words)?;
         std::fs::remove_dir_all(&self.directory)?;
         Ok(spread)
     }
@@ -131,11 +131,11 @@ pub fn relay(directory: &Path, robots: usize) -> anyhow::Result<()> {
             }
         })
         .wait()
-        .map_err(told)?;
+        .map_err(in_words)?;
     println!("ready");
     std::io::read_to_string(std::io::stdin())?;
     drop(subscriber);
-    session.close().wait().map_err(told)?;
+    session.close().wait().map_err(in_words)?;
     failure.try_recv().map_or(Ok(()), Err)
 }
 
@@ -157,14 +157,14 @@ pub fn sink(directory: &Path, mut sink: Sink) -> anyhow::Result<()> {
             }
         })
         .wait()
-        .map_err(told)?;
+        .map_err(in_words)?;
     // The relay has a listener when its publisher reports it; querying it would need another
     // channel.
     std::thread::sleep(Duration::from_millis(500));
     println!("ready");
     end.recv().context("zenoh has dropped the subscriber")??;
     drop(subscriber);
-    session.close().wait().map_err(told)
+    session.close().wait().map_err(in_words)
 }
 
 /// The frame in shared memory; a copy is an error.
@@ -186,9 +186,9 @@ fn session(does: &str, directory: &Path) -> anyhow::Result<Session> {
     ] {
         config.insert_json5(key, &value).map_err(|error| anyhow!("{key}: {error}"))?;
     }
-    zenoh::open(config).wait().map_err(told)
+    zenoh::open(config).wait().map_err(in_words)
 }
 
-fn told(error: zenoh::Error) -> anyhow::Error {
+fn in_words(error: zenoh::Error) -> anyhow::Error {
     anyhow!("zenoh: {error}")
 }

@@ -1,6 +1,6 @@
 //! Checks `[network]`.
 //!
-//! A link listens only where its file says so. Traffic that leaves this host is encrypted unless
+//! A link listens only where its file states it. Traffic that leaves this host is encrypted unless
 //! the file allows otherwise.
 
 use std::net::IpAddr;

@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn alarms_of_a_shard_that_is_not_heard_stay_and_no_data_is_one_of_them() {
+    fn alarms_of_a_shard_that_is_silent_stay_and_no_data_is_one_of_them() {
         let raised = AlarmSet::default().with(Alarm::BatteryLow);
         let mut row = Diagnostic {
             alarms: raised.0,

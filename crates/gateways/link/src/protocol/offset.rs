@@ -324,7 +324,7 @@ mod tests {
         /// is, and the uncertainty follows the bound. If it does not, stamps stay within the bounds
         /// of round trips and are never ahead.
         #[test]
-        fn clocks_that_are_kept_together_bound_the_uncertainty_and_never_beyond_what_round_trips_say(
+        fn clocks_that_are_kept_together_bound_the_uncertainty_and_never_beyond_what_round_trips_show(
             offset_ns in -1_000_000_000_000_i64..1_000_000_000_000,
             drift_ppm in -3_i128..3,
             within_ns in 1_000_u64..2_000_000,

@@ -49,7 +49,7 @@ impl Topic {
 
     /// The key by which late subscribers ask a latched publisher for its newest messages, and of
     /// the token by which they find it. It is that of an advanced publisher of zenoh-ext, whose
-    /// messages are told apart by time stamps.
+    /// messages are distinguished by time stamps.
     pub(crate) fn history_key(&self, domain_id: u16, session: &str) -> String {
         format!("{}/@adv/pub/{session}/uhlc/_", self.key(domain_id))
     }

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn readings_that_say_too_little_or_nothing_are_not_used() {
+    fn readings_that_show_too_little_or_nothing_are_not_used() {
         for between_ns in [(R, R + 2 * READ_NS + 1), (0, 0), (R + SECOND, R), (0, u64::MAX)] {
             let mut wall = Wall::default();
             assert_eq!(wall.note(read(1, between_ns, true)), None);

@@ -332,7 +332,7 @@ fn a_link_slower_than_the_fleet_brings_the_newest_frames_and_counts_those_that_i
 }
 
 #[test]
-fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its_bound() {
+fn after_a_partition_everything_goes_on_by_itself_and_silence_is_reported_within_its_bound() {
     for cut_ns in [SECOND / 2, 2 * SECOND, 60 * SECOND] {
         let mut hosts = Hosts::new(5_000, FAST, 1);
         hosts.run(5 * SECOND, CALM);
@@ -398,7 +398,7 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
 }
 
 #[test]
-fn a_frame_that_says_it_was_sent_after_its_message_is_refused() {
+fn a_frame_that_claims_it_was_sent_after_its_message_is_refused() {
     let mut hosts = Hosts::new(7_000, FAST, 1);
     hosts.run(2 * SECOND, CALM);
     let at = SENT + 40 + std::mem::offset_of!(ForecastHeader, sent_ns);

@@ -55,13 +55,13 @@ pub(super) struct Alarms {
 #[derive(Debug, Default)]
 pub(super) struct AlarmLog {
     newest: Arc<Alarms>,
-    untold: Vec<FleetAlarm>,
+    added: Vec<FleetAlarm>,
 }
 
 impl AlarmLog {
     /// Adds a change. [`AlarmLog::update`] then publishes it.
     pub(super) fn add(&mut self, change: FleetAlarm) {
-        self.untold.push(change);
+        self.added.push(change);
     }
 
     /// Publishes the added changes. `unix_of` converts monotonic times to Unix time, ns.
@@ -70,12 +70,12 @@ impl AlarmLog {
         (history, sources): (&AlarmHistory, &SourceAlarms),
         unix_of: impl Fn(u64) -> u64,
     ) {
-        if self.untold.is_empty() {
+        if self.added.is_empty() {
             return;
         }
         let mut alarms = Alarms::clone(&self.newest);
         let acknowledged = |row: &Acknowledgement| AcknowledgedRecord::new(row, &unix_of);
-        for change in self.untold.drain(..) {
+        for change in self.added.drain(..) {
             // Those of the worker have no robot, and are shown as its state.
             let Some(robot) = change.robot else { continue };
             alarms.number += 1;

@@ -26,7 +26,7 @@ impl Entry {
     /// Time since the stamp of its newest sample, ns. `None` before the first sample.
     pub(super) fn sample_age_ns(&self, now_ns: u64) -> Option<u64> {
         let forecast = &self.newest.forecast;
-        let heard = forecast.flags & forecast_flag::SAMPLE != 0;
-        heard.then(|| now_ns.saturating_sub(forecast.stamp_ns))
+        let sampled = forecast.flags & forecast_flag::SAMPLE != 0;
+        sampled.then(|| now_ns.saturating_sub(forecast.stamp_ns))
     }
 }

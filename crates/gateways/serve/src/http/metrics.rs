@@ -61,7 +61,7 @@ impl TextFormat {
 }
 
 /// A media range of an `Accept` header in lower case, and its weight. `None`: it has none that is
-/// valid, so it says nothing.
+/// valid, so it is ignored.
 fn range(text: &str) -> Option<(String, f32)> {
     let mut parts = text.split(';').map(|part| part.trim().to_ascii_lowercase());
     let kind = parts.next().filter(|kind| !kind.is_empty())?;
@@ -79,8 +79,8 @@ fn classic(open: &str) -> String {
     let mut text = String::with_capacity(open.len());
     let mut help = "";
     for line in open.lines() {
-        if let Some(said) = line.strip_prefix("# HELP ") {
-            help = said.split_once(' ').map_or("", |(_, said)| said);
+        if let Some(rest) = line.strip_prefix("# HELP ") {
+            help = rest.split_once(' ').map_or("", |(_, help)| help);
         } else if let Some((name, kind)) =
             line.strip_prefix("# TYPE ").and_then(|typed| typed.split_once(' '))
         {
@@ -589,7 +589,7 @@ mod tests {
             (&of(";q=0.1, text/plain;q=0"), open),
             ("text/plain;q=0, */*", open),
             ("text/*;q=0, application/*;q=0.1", open),
-            // A weight that is none says nothing.
+            // A weight that is none is ignored.
             (&of(";q=high"), classic),
             (&of(";q=2"), classic),
             (&of(";q=0, text/plain;q=0"), None),

@@ -201,7 +201,7 @@ mod tests {
         assert_eq!(steps(usize::MAX, 0), (64, true));
         assert_eq!(steps(3, 0), (3, false));
         assert_eq!(steps(usize::MAX, 4), (3, false));
-        // What is computed is told.
+        // A computed answer is sent.
         assert_eq!(steps(64, 0), (64, true));
     }
 }

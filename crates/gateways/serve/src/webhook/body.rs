@@ -54,9 +54,9 @@ fn lines(changes: &[AlarmRecord], page: Option<&str>) -> Vec<String> {
     };
     let mut lines: Vec<String> = changes.iter().map(linked).collect();
     for card in changes.iter().filter_map(|change| change.card) {
-        let told = format!("{}: {} {}", card.alarm, card.meaning, card.check);
-        if !lines.contains(&told) {
-            lines.push(told);
+        let line = format!("{}: {} {}", card.alarm, card.meaning, card.check);
+        if !lines.contains(&line) {
+            lines.push(line);
         }
     }
     lines

@@ -114,7 +114,7 @@ impl Shared {
 }
 
 impl Webhooks {
-    /// Joins the fleet, and tells receivers of alarm changes from now on: `to`, an address or
+    /// Joins the fleet, and sends receivers the alarm changes from now on: `to`, an address or
     /// `@FILE` with one, whose certificate is checked against those of the file `authorities`, and
     /// those in the file `listed`.
     ///
@@ -312,9 +312,9 @@ impl Sending {
             }
             let body = || locked(alerts).body(&due, clock::unix_ns());
             let taken = self.deliver(due.len(), body);
-            let told = locked(alerts).settle(&due, Instant::now());
+            let taken_changes = locked(alerts).settle(&due, Instant::now());
             if taken {
-                self.counts.delivered.fetch_add(told, Ordering::Relaxed);
+                self.counts.delivered.fetch_add(taken_changes, Ordering::Relaxed);
             }
         }
     }

@@ -259,7 +259,7 @@ mod tests {
             std::fs::set_permissions(folder.path().join(name), mode).unwrap();
         }
         let at = "[[webhook]]\naddress = \"http://host/\"\n";
-        for (text, says) in [
+        for (text, expected) in [
             ("", vec!["webhook", "is missing", "Add a [[webhook]]"]),
             (
                 "[[webhook]]\n",
@@ -281,7 +281,7 @@ mod tests {
             (&format!("{at}secret_file = \"open\"\n"), vec!["hooks.toml:3", "0644", "umask 077"]),
         ] {
             let refused = read(text).unwrap_err().to_string();
-            for words in says {
+            for words in expected {
                 assert!(refused.contains(words), "{text}: {refused} lacks {words}");
             }
         }

@@ -1,4 +1,4 @@
-//! Signatures of requests, as [Standard Webhooks](https://www.standardwebhooks.com) says.
+//! Signatures of requests, as [Standard Webhooks](https://www.standardwebhooks.com) defines them.
 
 use std::fmt;
 use std::path::Path;

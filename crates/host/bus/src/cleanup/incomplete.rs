@@ -198,7 +198,7 @@ pub(crate) fn holders(domain: &Domain) -> Vec<u32> {
 }
 
 /// True if the list of ports of a service with this description exists, as far as the description
-/// tells. `prefix`: that of the domain's objects in shared memory.
+/// shows. `prefix`: that of the domain's objects in shared memory.
 pub(crate) fn has_ports(prefix: &str, description: &str) -> bool {
     let half = |key: &str| -> Option<u128> {
         let line = description.lines().find_map(|line| line.strip_prefix(key));

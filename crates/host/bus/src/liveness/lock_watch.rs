@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shutdown_is_told_from_a_death_whoever_removes_the_file() {
+    fn a_shutdown_is_distinguished_from_a_death_whoever_removes_the_file() {
         let (domain, path) = domain("end");
         let lock = WorkerLock::acquire(&domain).unwrap();
         assert!(LockWatch::open(&path, 1).is_none(), "of another process");

@@ -168,7 +168,7 @@ impl Drop for WorkerLock {
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }
-        // `LockWatch` tells a shutdown from a death by the empty file.
+        // `LockWatch` distinguishes a shutdown from a death by the empty file.
         let _ = self.file.set_len(0);
         crate::directory::remove_root(&self.domain);
     }
@@ -442,7 +442,7 @@ mod tests {
 
         let mut looks = Looks::default();
         assert!(!looks.are_enough(found(Some(7))));
-        let told = (1..).find(|_| looks.are_enough(found(None)));
-        assert_eq!(told, Some(LOOKS));
+        let enough = (1..).find(|_| looks.are_enough(found(None)));
+        assert_eq!(enough, Some(LOOKS));
     }
 }

@@ -16,7 +16,7 @@ pub trait Steps {
     fn step(&mut self, last: bool) -> Option<Duration>;
 }
 
-/// Work that is done in rounds, until it is told to end, with a `T`, or fails.
+/// Work that is done in rounds, until it is asked to end, with a `T`, or fails.
 pub trait Rounds<T, E> {
     /// Does what is due, and waits for more. Returns a pause before the next round. Zero after a
     /// round that has waited.
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn work_is_told_to_end_and_its_result_or_the_reason_that_it_did_not_join_is_returned() {
+    fn work_is_asked_to_end_and_its_result_or_the_reason_that_it_did_not_join_is_returned() {
         let (background, joined) = Background::run("works", |running| {
             running.joined(7);
             while !running.is_stopping() {

@@ -94,12 +94,12 @@ mod tests {
     }
 
     #[test]
-    fn realtime_minus_monotonic_lies_between_its_bounds_and_the_kernel_says_whether_it_is_kept() {
+    fn realtime_minus_monotonic_lies_between_its_bounds_and_the_kernel_reports_whether_it_is_kept() {
         let (lo_ns, hi_ns) = realtime_minus_monotonic_ns().unwrap();
         assert!(lo_ns <= hi_ns);
         // Refused in some containers.
         if let Ok(found) = synchronisation() {
-            // The kernel says so itself above 16 s.
+            // The kernel reports that itself above 16 s.
             assert!(!found.is_synchronised || found.most_error_ns <= 16_000_000_000, "{found:?}");
         }
     }

@@ -48,7 +48,7 @@ mod tests {
 
     // In a forked process: `cargo test -p joulebus-c --test all programs`, misuse.c.
     #[test]
-    fn it_is_what_the_kernel_says() {
+    fn it_is_that_of_the_kernel() {
         for _ in 0..3 {
             assert_eq!(process_id(), std::process::id());
         }

@@ -10,7 +10,7 @@ use super::wait::Waiter;
 use crate::PeerWatch;
 
 /// A descriptor that is readable when events wait or a watched process is gone: an `epoll` of both,
-/// which can itself be polled. It belongs to any thread, and tells nothing after its waiter and
+/// which can itself be polled. It belongs to any thread, and reports nothing after its waiter and
 /// watches are gone.
 #[derive(Debug, Clone)]
 pub struct Readiness {

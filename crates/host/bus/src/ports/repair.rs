@@ -55,8 +55,8 @@ mod tests {
 
     const PERIOD: u64 = RETRY_EVERY_NS;
 
-    /// A port of which connections have failed `failed` times, at a time. `listed` is what it is
-    /// told about the failed ports.
+    /// A port of which connections have failed `failed` times, at a time. `listed` is the
+    /// state of the failed ports.
     fn is_due(repair: &mut Repair, failed: u64, now_ns: u64, listed: bool) -> bool {
         repair.is_due(failed, || now_ns, || listed)
     }

@@ -459,8 +459,8 @@ impl ColumnMap {
         self.whole_rows
     }
 
-    /// Turns the sign of a table's current if the caller says that it is negative while the battery
-    /// discharges. What a config says is for files that joulebus did not write.
+    /// Turns the sign of a table's current if the caller states that it is negative while the
+    /// battery discharges. A config is for files that joulebus did not write.
     pub fn apply_sign(&self, table: &mut Table) {
         if self.turns() {
             table.turn();
@@ -472,7 +472,7 @@ impl ColumnMap {
         self.turned
     }
 
-    /// Turns the tables of a file that joulebus did not write, if a config says so.
+    /// Turns the tables of a file that joulebus did not write, if a config states it.
     pub(super) fn turn_as_configured(&self, tables: &mut [Table]) {
         if self.turned_as_configured {
             tables.iter_mut().for_each(Table::turn);

@@ -173,7 +173,7 @@ const MAX_SET_BACK: usize = 20;
 /// Ages up to which values of other rows count, s: of commands, and of measurements, as in a bag.
 const COMMAND_AGE_S: f64 = joulebus_plausibility::COMMAND_HOLDS_S;
 const MEASURED_AGE_S: f64 = 1.0;
-/// Values of a column before it tells whether rows are sparse, and the share of them that are in
+/// Values of a column before it shows whether rows are sparse, and the share of them that are in
 /// rows with a reading.
 const MIN_SPARSE: usize = 10;
 const MAX_SHARED: f64 = 0.05;

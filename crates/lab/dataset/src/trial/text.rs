@@ -320,14 +320,14 @@ const HEAD_BYTES: u64 = 64 << 10;
 
 /// Form of the numbers of a text.
 struct Numbers {
-    /// True if a comma is in front of the fraction. Unknown until a number tells.
+    /// True if a comma is in front of the fraction. Unknown until a number shows it.
     decimal_comma: Option<bool>,
     /// True if a number had a point.
     has_point: bool,
 }
 
 impl Numbers {
-    /// The number in a field, NaN for one that says that there is none, or what is allowed.
+    /// The number in a field, NaN for one that means that there is none, or what is allowed.
     fn parse(&mut self, field: &[u8]) -> Result<f64, &'static str> {
         const ALLOWED: &str = "a number, NaN, or nothing";
         if is_missing(field) {
@@ -374,7 +374,7 @@ fn without_unit(field: &[u8], column: Column, factor: f64) -> Option<&[u8]> {
     is_unit(column, unit, factor).then(|| number.trim_ascii())
 }
 
-/// True if a field says that there is no value.
+/// True if a field states that there is no value.
 fn is_missing(field: &[u8]) -> bool {
     const WORDS: [&str; 16] = [
         "nan",
@@ -402,7 +402,7 @@ fn is_missing(field: &[u8]) -> bool {
 #[derive(Default)]
 struct Times {
     form: Option<TimeForm>,
-    /// True if they are numbers of a unit that their size tells, when all are known.
+    /// True if they are numbers of a unit that their size shows, when all are known.
     is_epoch: bool,
     /// This unit, and how many make a second.
     unit: Option<(&'static str, f64)>,
@@ -824,7 +824,7 @@ impl Layout {
             None => {}
         }
         let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
-        // `v` beside `i`, and nothing else that says that the robot moves, or what its voltage is.
+        // `v` beside `i`, and nothing else that shows that the robot moves, or what its voltage is.
         let speed = sources.iter().find(|one| one.column == Column::V && !one.is_mapped);
         if let Some(speed) = speed.filter(|one| one.name.eq_ignore_ascii_case("v"))
             && !has(Column::Voltage)
@@ -953,7 +953,7 @@ impl Layout {
                         let bare = without_unit(field, *column, *factor).ok_or(allowed)?;
                         numbers.parse(bare)
                     });
-                    // `96%` is that, whatever the name of the column says.
+                    // `96%` is that, whatever the name of the column is.
                     let percent = field.strip_suffix(b"%").filter(|_| *column == Column::Soc);
                     let percent = percent.and_then(|bare| numbers.parse(bare.trim_ascii()).ok());
                     if let Some(percent) = percent {

@@ -112,7 +112,7 @@ pub struct IntervalScore {
     /// Mean pinball loss of both ends, W.
     pub pinball_w: f64,
     /// Weighted interval score of forecast and interval, W: the continuous ranked probability score
-    /// as far as they tell (Bracher and others, "Evaluating epidemic forecasts in an interval
+    /// as far as both give it (Bracher and others, "Evaluating epidemic forecasts in an interval
     /// format", 2021).
     pub wis_w: f64,
 }

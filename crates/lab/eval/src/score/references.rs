@@ -58,7 +58,7 @@ pub struct Foreign {
 /// A line of its file.
 #[derive(Debug, Deserialize)]
 struct Line {
-    /// The recording's file, with as many of its folders as tell it from others.
+    /// The recording's file, with as many of its folders as distinguish it from others.
     recording: String,
     /// The file's row, from 1, whose power is forecast.
     row: usize,
@@ -241,7 +241,7 @@ impl Differences {
     pub(super) fn season(&self) -> Option<usize> {
         let [count, sum, squares] = self.readings;
         let variance = squares / count - (sum / count) * (sum / count);
-        // Few pairs say little.
+        // Few pairs prove little.
         let pairs = self.at.iter().take_while(|[pairs, _]| *pairs > 0.1 * count);
         let correlation = pairs.map(|[pairs, squares]| 1.0 - squares / pairs / (2.0 * variance));
         let after = (1..).zip(correlation).skip_while(|(_, correlation)| *correlation > 0.0);

@@ -182,7 +182,7 @@ fn state(of: &joulebus_robot_state) -> RobotState {
     state.held = has(sample_flag::HELD);
     state.soc = known(sample_flag::SOC, of.soc);
     state.return_j = known(sample_flag::RETURN, of.return_j);
-    // A charger that says "full" is connected.
+    // A charger that reports "full" is connected.
     state.charger = if has(sample_flag::FULL) {
         Charger::Full
     } else if has(sample_flag::CHARGING) {

@@ -97,7 +97,7 @@ pub unsafe extern "C" fn joulebus_subscriber_wait(
         let mut event = unsafe { out("event", event) }?;
         let found = handles::with(subscriber, |ports: &mut Ports| {
             let found = ports.subscriber.wait_next(Duration::from_nanos(timeout_ns));
-            found.map(told).map_err(|error| read_failed(&error))
+            found.map(event_of).map_err(|error| read_failed(&error))
         })?;
         event.set(found);
         Ok(())
@@ -292,7 +292,7 @@ pub extern "C" fn joulebus_subscriber_close(
     entry(|| handles::close::<Ports>(subscriber))
 }
 
-fn told(event: Event<'_>) -> joulebus_event {
+fn event_of(event: Event<'_>) -> joulebus_event {
     let nothing = joulebus_event {
         kind: joulebus_event_kind::TimedOut,
         end: joulebus_end::None,

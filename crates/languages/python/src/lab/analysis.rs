@@ -24,9 +24,9 @@ pub(crate) fn analyze(
     let asked: AnalysisSettings = settings(asked)?;
     let named = |model: Model| (format!("network {}", model.name()), model);
     let models: Vec<(String, Model)> = models(given_models)?.into_iter().map(named).collect();
-    let work = move |teller: &job::Teller<String>| {
+    let work = move |reporter: &job::Reporter<String>| {
         let remark = |remark| {
-            let _ = teller.tell(remark);
+            let _ = reporter.report(remark);
         };
         let recordings = inputs.open(&reading, |id| id, ROWS_IN_MEMORY, remark)?;
         let analysis = analyze_recordings(&recordings, &asked, &models);

@@ -48,7 +48,7 @@ impl Asked {
 }
 
 /// Progress of an evaluation.
-enum Told {
+enum Progress {
     Remark(String),
     /// Recordings done, of all.
     Done(usize, usize),
@@ -78,9 +78,9 @@ pub(crate) fn evaluate<'py>(
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
-    let work = move |teller: &job::Teller<Told>| {
+    let work = move |reporter: &job::Reporter<Progress>| {
         let remark = |text| {
-            let _ = teller.tell(Told::Remark(text));
+            let _ = reporter.report(Progress::Remark(text));
         };
         let recordings = inputs.recordings(&reading, |id| id, remark)?;
         let fit = fit.recordings(&reading, |id| id, remark)?;
@@ -94,13 +94,13 @@ pub(crate) fn evaluate<'py>(
             design: &design,
         };
         let all = recordings.len();
-        let watch = |done| teller.tell(Told::Done(done, all));
+        let watch = |done| reporter.report(Progress::Done(done, all));
         let scored = score_watched(subject, &options, watch).map_err(refused)?;
         Ok((scored, recordings))
     };
-    let (scored, recordings) = job::run(py, work, |told| match told {
-        Told::Remark(text) => remark.call1((text,)).map(|_| ()),
-        Told::Done(done, all) => progress.call1((done, all)).map(|_| ()),
+    let (scored, recordings) = job::run(py, work, |news| match news {
+        Progress::Remark(text) => remark.call1((text,)).map(|_| ()),
+        Progress::Done(done, all) => progress.call1((done, all)).map(|_| ()),
     })?;
     let Scored { report, live, .. } = scored;
     let live = Evaluation { robots: live.into_iter().flat_map(|live| live.robots).collect() };

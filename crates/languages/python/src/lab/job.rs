@@ -12,8 +12,8 @@ use pyo3::prelude::*;
 use crate::planner::SLICE;
 
 /// Reports the progress of a computation.
-pub(super) struct Teller<P> {
-    tell: Sender<Message<P>>,
+pub(super) struct Reporter<P> {
+    messages: Sender<Message<P>>,
     is_ended: Arc<AtomicBool>,
 }
 
@@ -22,10 +22,10 @@ enum Message<P> {
     Done,
 }
 
-impl<P> Teller<P> {
-    /// Tells `progress`. `Break` when nobody waits for the result any more.
-    pub(super) fn tell(&self, progress: P) -> ControlFlow<()> {
-        let sent = self.tell.send(Message::Progress(progress));
+impl<P> Reporter<P> {
+    /// Reports `progress`. `Break` when nobody waits for the result any more.
+    pub(super) fn report(&self, progress: P) -> ControlFlow<()> {
+        let sent = self.messages.send(Message::Progress(progress));
         match sent.is_err() || self.is_ended.load(Ordering::Relaxed) {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
@@ -33,29 +33,29 @@ impl<P> Teller<P> {
     }
 }
 
-/// Runs `work` while other Python threads run. `told` is called in this thread with its progress.
-/// An exception of a signal or of `told` is raised within [`SLICE`]. The computation then ends at
+/// Runs `work` while other Python threads run. `each` is called in this thread with its progress.
+/// An exception of a signal or of `each` is raised within [`SLICE`]. The computation then ends at
 /// its next progress, and its result is dropped.
 pub(super) fn run<T, P>(
     py: Python<'_>,
-    work: impl FnOnce(&Teller<P>) -> PyResult<T> + Send + 'static,
-    mut told: impl FnMut(P) -> PyResult<()>,
+    work: impl FnOnce(&Reporter<P>) -> PyResult<T> + Send + 'static,
+    mut each: impl FnMut(P) -> PyResult<()>,
 ) -> PyResult<T>
 where
     T: Send + 'static,
     P: Send + 'static,
 {
-    let (tell, mut messages) = channel();
+    let (sender, mut messages) = channel();
     let (give, mut result) = channel();
     let is_ended = Arc::new(AtomicBool::new(false));
-    let teller = Teller { tell: tell.clone(), is_ended: Arc::clone(&is_ended) };
+    let reporter = Reporter { messages: sender.clone(), is_ended: Arc::clone(&is_ended) };
     let compute = move || {
         let found = match rayon::ThreadPoolBuilder::new().build() {
-            Ok(pool) => pool.install(|| work(&teller)),
+            Ok(pool) => pool.install(|| work(&reporter)),
             Err(error) => Err(PyOSError::new_err(format!("cannot start threads: {error}"))),
         };
         let _ = give.send(found);
-        let _ = tell.send(Message::Done);
+        let _ = sender.send(Message::Done);
     };
     thread::Builder::new()
         .name("joulebus-lab".to_owned())
@@ -65,7 +65,7 @@ where
         let messages = &mut messages;
         let message = py.detach(move || messages.recv_timeout(SLICE));
         let looked = match message {
-            Ok(Message::Progress(progress)) => told(progress),
+            Ok(Message::Progress(progress)) => each(progress),
             Ok(Message::Done) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
             Err(RecvTimeoutError::Timeout) => Ok(()),
         };

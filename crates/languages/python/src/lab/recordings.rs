@@ -37,7 +37,7 @@ impl Inputs {
         Ok(found)
     }
 
-    /// The files of the paths. What is left out of directories is told by `remark`.
+    /// The files of the paths. What is left out of directories is reported by `remark`.
     fn files(&self, remark: &mut impl FnMut(String)) -> PyResult<Vec<PathBuf>> {
         if self.paths.is_empty() {
             return Ok(Vec::new());

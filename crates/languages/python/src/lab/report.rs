@@ -88,9 +88,9 @@ pub(crate) fn report_recorded(
     let asked: Asked = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
-    let work = move |teller: &job::Teller<String>| {
+    let work = move |reporter: &job::Reporter<String>| {
         let remark = |text| {
-            let _ = teller.tell(text);
+            let _ = reporter.report(text);
         };
         // Each is run alone: all have the same id.
         let recordings = inputs.recordings(&reading, |_| 0, remark)?;
@@ -125,9 +125,9 @@ pub(crate) fn report_simulated(
     experiment.draws = draws;
     experiment.recipe.max_epochs = max_epochs;
     let config = config()?;
-    let work = move |teller: &job::Teller<(u64, u32)>| {
+    let work = move |reporter: &job::Reporter<(u64, u32)>| {
         let report = simulated(&experiment, config.settings(), |seed, epoch| {
-            teller.tell((seed, epoch.number))
+            reporter.report((seed, epoch.number))
         });
         let SimulatedReport { document, network, .. } = report.map_err(refused)?;
         Ok(Report { document, network: Some(network) })

@@ -23,16 +23,16 @@ pub(crate) fn simulate<'py>(
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<(Vec<Made<'py>>, Vec<Made<'py>>)> {
     let all = Protocol::ALL.len() + 1;
-    let work = move |teller: &job::Teller<usize>| {
+    let work = move |reporter: &job::Reporter<usize>| {
         let mut alone = Vec::new();
         for (protocol, done) in Protocol::ALL.into_iter().zip(1..) {
             alone.push(drive_with(protocol, Parts::default(), seed, steps));
-            if teller.tell(done).is_break() {
+            if reporter.report(done).is_break() {
                 return Ok((alone, Vec::new()));
             }
         }
         let together = scenario::seven_robots(seed, steps);
-        let _ = teller.tell(all);
+        let _ = reporter.report(all);
         Ok((alone, together))
     };
     let (alone, together) = job::run(py, work, |done| progress.call1((done, all)).map(|_| ()))?;

@@ -78,7 +78,7 @@ fn feature_set(name: &str) -> PyResult<FeatureSet> {
 }
 
 /// Progress of a training.
-enum Told {
+enum Progress {
     Remark(String),
     Epoch(Epoch),
 }
@@ -104,10 +104,10 @@ pub(crate) fn train_recordings<'py>(
     let (recipe, threads, reading) = (asked.recipe()?, asked.threads, Reading::new(reading)?);
     let inputs = Inputs::new(recordings)?;
     let parts = [Inputs::new(&parts.0)?, Inputs::new(&parts.1)?];
-    let prepare = move |teller: &job::Teller<Told>| {
+    let prepare = move |reporter: &job::Reporter<Progress>| {
         let read = |inputs: Inputs| -> PyResult<Vec<Recording>> {
             let remark = |text| {
-                let _ = teller.tell(Told::Remark(text));
+                let _ = reporter.report(Progress::Remark(text));
             };
             inputs.open(&reading, |id| id, ROWS_IN_MEMORY, remark)
         };
@@ -140,7 +140,7 @@ pub(crate) fn train_simulated<'py>(
     let mut training = settings_for_sim(seed, set);
     asked.change(&mut training)?;
     let threads = asked.threads;
-    let prepare = move |_: &job::Teller<Told>| {
+    let prepare = move |_: &job::Reporter<Progress>| {
         let dataset = dataset_from_plant(SimulatedData::shipped(seed));
         Ok((dataset, training, None))
     };
@@ -151,19 +151,19 @@ type Prepared = (Dataset, TrainSettings, Option<SplitSummary>);
 
 fn run<'py>(
     py: Python<'py>,
-    prepare: impl FnOnce(&job::Teller<Told>) -> PyResult<Prepared> + Send + 'static,
+    prepare: impl FnOnce(&job::Reporter<Progress>) -> PyResult<Prepared> + Send + 'static,
     threads: usize,
     file: Option<String>,
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
-    let work = move |teller: &job::Teller<Told>| {
-        let (dataset, settings, summary) = prepare(teller)?;
+    let work = move |reporter: &job::Reporter<Progress>| {
+        let (dataset, settings, summary) = prepare(reporter)?;
         let begin = Instant::now();
         let mut training = Training::new(&dataset, &settings, threads).map_err(refused)?;
         while !training.is_done() {
             let epoch = training.epoch().map_err(refused)?;
-            if teller.tell(Told::Epoch(epoch)).is_break() {
+            if reporter.report(Progress::Epoch(epoch)).is_break() {
                 return Err(PyKeyboardInterrupt::new_err(()));
             }
         }
@@ -174,9 +174,9 @@ fn run<'py>(
         let report = TrainReport::new(file, &trained, begin.elapsed(), summary);
         Ok((json(&report)?, report.to_string(), bytes, trained.epochs))
     };
-    let (json, text, bytes, epochs) = job::run(py, work, |told| match told {
-        Told::Remark(text) => remark.call1((text,)).map(|_| ()),
-        Told::Epoch(epoch) => progress.call1(epoch_row(epoch)).map(|_| ()),
+    let (json, text, bytes, epochs) = job::run(py, work, |news| match news {
+        Progress::Remark(text) => remark.call1((text,)).map(|_| ()),
+        Progress::Epoch(epoch) => progress.call1(epoch_row(epoch)).map(|_| ()),
     })?;
     let epochs = epochs.into_iter().map(epoch_row).collect();
     Ok((json, text, PyBytes::new(py, &bytes), epochs))

@@ -283,7 +283,7 @@ fn a_wish_moves_the_shard_and_one_for_a_candidate_that_is_gone_does_not_lose_it(
 }
 
 #[test]
-fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_term_gives_way() {
+fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_learns_a_later_term_gives_way() {
     let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
     let serves =
         |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
