@@ -95,9 +95,9 @@ def totals(found):
 def sources():
     """Parts of pages that a test or a tool writes: page, part and writer."""
     yield "docs/reference/layout.md", "the page", "`JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts`"
-    for file in git("grep", "-l", "assert_page_says(", "--", "*.rs").splitlines():
+    for file in git("grep", "-l", "assert_page_contains(", "--", "*.rs").splitlines():
         test, text = "", (ROOT / file).read_text()
-        for named, page, part in re.findall(r'fn (\w+)\(|assert_page_says\("(docs/[^"]+)", "<!-- ([^"]+)"', text):
+        for named, page, part in re.findall(r'fn (\w+)\(|assert_page_contains\("(docs/[^"]+)", "<!-- ([^"]+)"', text):
             test = named or test
             if page:
                 yield page, part, f"`{test}`"

@@ -30,18 +30,18 @@ fn start(name: &str, arguments: &[&Path]) -> Child {
 
 /// The lines that an example prints until it exits successfully.
 fn lines(example: Child) -> Vec<String> {
-    said(example.wait_with_output().unwrap())
+    printed(example.wait_with_output().unwrap())
 }
 
-fn said(output: Output) -> Vec<String> {
-    let said = String::from_utf8(output.stdout).unwrap();
+fn printed(output: Output) -> Vec<String> {
+    let printed = String::from_utf8(output.stdout).unwrap();
     assert!(
         output.status.success(),
-        "{}; output:\n{said}{}",
+        "{}; output:\n{printed}{}",
         output.status,
         String::from_utf8_lossy(&output.stderr)
     );
-    said.lines().map(str::to_owned).collect()
+    printed.lines().map(str::to_owned).collect()
 }
 
 /// Same as [`lines`], of an example that records: one whose recorder gets no processor in time
@@ -50,7 +50,7 @@ fn recorded(start: impl Fn() -> Child) -> Vec<String> {
     for _ in 0..5 {
         let output = start().wait_with_output().unwrap();
         if !String::from_utf8_lossy(&output.stderr).contains("the recorder lost ") {
-            return said(output);
+            return printed(output);
         }
     }
     panic!("the recorder lost messages each time");
@@ -71,21 +71,21 @@ fn assert_starts(lines: &[String], starts: &[&str]) {
 /// The verdict depends on how punctual the machine is: late frames are stale.
 #[test]
 fn ask_answers_for_every_robot() {
-    let said = run("ask");
+    let printed = run("ask");
     for robot in 0..3 {
         let start = format!("robot {robot}: ");
-        let answers = said.iter().filter(|line| line.starts_with(&start)).count();
-        assert_eq!(answers, 1, "{said:#?}");
+        let answers = printed.iter().filter(|line| line.starts_with(&start)).count();
+        assert_eq!(answers, 1, "{printed:#?}");
     }
 }
 
 #[test]
 fn ask_worker_is_answered_and_refused() {
-    let said = run("ask_worker");
-    assert_eq!(said.len(), 5, "{said:#?}");
-    assert_eq!(said[2].split(':').next(), Some("robot 1"), "{said:#?}");
-    assert_eq!(said[3].split(':').next(), Some("refused (UnknownRobot)"));
-    assert_eq!(said[4], "2 questions answered");
+    let printed = run("ask_worker");
+    assert_eq!(printed.len(), 5, "{printed:#?}");
+    assert_eq!(printed[2].split(':').next(), Some("robot 1"), "{printed:#?}");
+    assert_eq!(printed[3].split(':').next(), Some("refused (UnknownRobot)"));
+    assert_eq!(printed[4], "2 questions answered");
 }
 
 #[test]
@@ -93,9 +93,9 @@ fn an_error_prints_as_a_sentence() {
     let nowhere = Path::new("/nowhere/fleet.toml");
     let output = start("controller", &[nowhere]).wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let said = String::from_utf8(output.stderr).unwrap();
+    let printed = String::from_utf8(output.stderr).unwrap();
     let begin = "Error: cannot read the config /nowhere/fleet.toml: ";
-    assert!(said.starts_with(begin), "{said}");
+    assert!(printed.starts_with(begin), "{printed}");
 }
 
 #[test]
@@ -123,9 +123,9 @@ fn a_controller_and_a_planner_meet_in_a_worker() {
     let planner = start("planner", &[fleet.config(), "60".as_ref()]);
     let controller = start("controller", &[fleet.config(), "90".as_ref()]);
     assert_eq!(lines(controller), ["1800 samples sent"]);
-    let told = lines(planner);
-    let frames = told.iter().filter(|line| line.starts_with("tick "));
-    assert_eq!(frames.count(), 60, "{told:#?}");
+    let printed_lines = lines(planner);
+    let frames = printed_lines.iter().filter(|line| line.starts_with("tick "));
+    assert_eq!(frames.count(), 60, "{printed_lines:#?}");
 }
 
 #[test]

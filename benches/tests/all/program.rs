@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use joulebus_testkit::{Child, Ended, end_signals, run, says};
+use joulebus_testkit::{Child, Ended, end_signals, run, assert_contains};
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
@@ -75,7 +75,7 @@ fn a_comparison_fails_only_on_request() {
     let compared = with(&["--compare", &old_name]).exits(0);
     assert!(compared.text().contains("WORSE"), "{}", compared.text());
     let failed = with(&["--compare", &old_name, "--fail-above", "100"]).exits(3);
-    says(&failed.text(), ["too slow: kernel scalar_ns_per_robot, 7 robots"]);
+    assert_contains(&failed.text(), ["too slow: kernel scalar_ns_per_robot, 7 robots"]);
     with(&["--compare", &old_name, "--fail-above", "1e12"]).exits(0);
 }
 
@@ -85,7 +85,7 @@ fn invalid_requests_are_refused_before_measuring() {
     let other = place.path().join("other.json");
     fs::write(&other, "{}").unwrap();
     let other = other.display().to_string();
-    for (more, exit, says) in [
+    for (more, exit, expected) in [
         (vec!["--kernel", "abacus"], 1, "scalar"),
         (vec!["--compare", "/nowhere.json"], 1, "/nowhere.json"),
         (vec!["--compare", &other], 1, "--json"),
@@ -96,7 +96,7 @@ fn invalid_requests_are_refused_before_measuring() {
         let arguments = ["kernel", "--quick"].into_iter().chain(more.iter().copied());
         let refused = output(arguments);
         assert_eq!(refused.exit_code(), exit, "{more:?}: {}", refused.errors());
-        assert!(refused.errors().contains(says), "{more:?}: {}", refused.errors());
+        assert!(refused.errors().contains(expected), "{more:?}: {}", refused.errors());
         assert_eq!(refused.text(), "", "{more:?}");
     }
 }

@@ -127,7 +127,7 @@ fn listed(command: &clap::Command) -> String {
 mod tests {
     use std::fmt::Write as _;
 
-    use joulebus_testkit::assert_page_says;
+    use joulebus_testkit::assert_page_contains;
 
     use super::*;
 
@@ -249,6 +249,6 @@ mod tests {
                 .unwrap();
         }
         text.push('\n');
-        assert_page_says("docs/reference/commands.md", "<!-- verbs", &text);
+        assert_page_contains("docs/reference/commands.md", "<!-- verbs", &text);
     }
 }

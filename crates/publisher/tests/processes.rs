@@ -10,7 +10,7 @@ use std::path::Path;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_connect::findings::implausible_robots;
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_testkit::{Place, eventually, run_member, send_to_test, told};
+use joulebus_testkit::{Place, eventually, run_member, send_to_test, next_order};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.
@@ -58,22 +58,22 @@ fn example(config: &Path) {
 fn worker(config: &Path) {
     let mut intake = Intake::new(config);
     send_to_test("ready");
-    let mut told_of = 0;
-    while let Some(wanted) = told() {
+    let mut known_epoch = 0;
+    while let Some(wanted) = next_order() {
         let wanted: u64 = wanted.parse().unwrap();
         let (mut frames, mut samples, mut newest) = (0, 0, SampleHeader::default());
         while frames < wanted {
             intake.arrivals.wait_until(None, None).unwrap();
             while let Some((header, robots)) = intake.take() {
                 check(&header, &robots);
-                if header.source_epoch <= told_of {
+                if header.source_epoch <= known_epoch {
                     continue;
                 }
                 assert!(frames == 0 || newest.frame_seq < header.frame_seq);
                 (frames, samples, newest) = (frames + 1, samples + robots.len(), header);
             }
         }
-        told_of = newest.source_epoch;
+        known_epoch = newest.source_epoch;
         send_to_test(format!("{frames} {samples} {} {}", newest.source_id, newest.source_epoch));
     }
 }

@@ -255,7 +255,7 @@ impl Checker {
     }
 
     /// A planner that polls tells a shutdown of the run `followed` from a death.
-    pub(crate) fn end_is_told(&self, learned: &Learned, followed: Option<u64>) -> Checked {
+    pub(crate) fn end_is_reported(&self, learned: &Learned, followed: Option<u64>) -> Checked {
         let (Some(end), Some(followed), true) = (learned.end, followed, learned.polls) else {
             return Ok(());
         };

@@ -73,7 +73,7 @@ fn hours(text: &str) -> Result<f64, String> {
 }
 
 /// Interval of lines of progress.
-const SAY_EVERY: Duration = Duration::from_secs(5);
+const PRINT_INTERVAL: Duration = Duration::from_secs(5);
 
 fn main() -> ExitCode {
     match Arguments::try_parse() {
@@ -96,11 +96,11 @@ fn work(arguments: &Arguments) -> anyhow::Result<Outcome> {
         threads: if arguments.threads == 0 { processors } else { arguments.threads },
         shrinks: !arguments.no_shrink,
     };
-    let said = Mutex::new(Instant::now());
+    let printed = Mutex::new(Instant::now());
     let totals = play(&campaign, stop.flag(), |done| {
-        let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
-        if said.elapsed() >= SAY_EVERY {
-            *said = Instant::now();
+        let mut printed = printed.lock().unwrap_or_else(PoisonError::into_inner);
+        if printed.elapsed() >= PRINT_INTERVAL {
+            *printed = Instant::now();
             output::log_line(&format!("{done} of {} seeds", campaign.seeds));
         }
     });

@@ -37,13 +37,13 @@ pub(crate) enum Stepped {
     /// A planner that goes on: what it learned.
     Learned(u64, Learned),
     /// A client that goes on, and what it heard.
-    Asked(u64, Heard),
+    Asked(u64, Outcome),
     /// The program has ended by itself, for the reason given.
     Ended(String),
 }
 
 /// Result of a client's step.
-pub(crate) enum Heard {
+pub(crate) enum Outcome {
     Nothing,
     Answer(Box<Answered>),
     /// No answer in time to what it asked then, simulated ns.
@@ -341,23 +341,23 @@ impl ClientProgram {
         if self.is_asking {
             return match self.client.poll() {
                 // It sleeps; until when, it has told the host.
-                Ok(None) => Stepped::Asked(time::now_ns(), Heard::Nothing),
+                Ok(None) => Stepped::Asked(time::now_ns(), Outcome::Nothing),
                 Ok(Some(answered)) => {
                     self.answered_ns = time::now_ns();
-                    self.pauses(Heard::Answer(Box::new(answered)))
+                    self.pauses(Outcome::Answer(Box::new(answered)))
                 }
                 Err(error) => self.fails(&error),
             };
         }
         if time::now_ns() < self.next_ns {
-            return Stepped::Asked(self.next_ns, Heard::Nothing);
+            return Stepped::Asked(self.next_ns, Outcome::Nothing);
         }
         self.asked_ns = time::now_ns();
         let sent = self.client.send(&self.question(), Self::patience(self.period_ns));
         match sent {
             Ok(()) => {
                 self.is_asking = true;
-                Stepped::Asked(time::now_ns(), Heard::Nothing)
+                Stepped::Asked(time::now_ns(), Outcome::Nothing)
             }
             Err(error) => self.fails(&error),
         }
@@ -387,16 +387,16 @@ impl ClientProgram {
             return Stepped::Ended(self.last.clone());
         }
         self.pauses(match error {
-            ClientError::Unanswered(QueryError::TimedOut { .. }) => Heard::TimedOut(self.asked_ns),
-            _ => Heard::Nothing,
+            ClientError::Unanswered(QueryError::TimedOut { .. }) => Outcome::TimedOut(self.asked_ns),
+            _ => Outcome::Nothing,
         })
     }
 
-    fn pauses(&mut self, heard: Heard) -> Stepped {
+    fn pauses(&mut self, outcome: Outcome) -> Stepped {
         self.is_asking = false;
         let most = 1 + 4 * self.period_ns as usize / 1_000_000;
         self.next_ns = time::now_ns() + 1_000_000 * (1 + host::below(most)) as u64;
-        Stepped::Asked(self.next_ns, heard)
+        Stepped::Asked(self.next_ns, outcome)
     }
 }
 

@@ -9,7 +9,7 @@ use std::path::Path;
 /// # Panics
 /// The file says something else, or lacks the lines.
 #[track_caller]
-pub fn assert_page_says(file: &str, mark: &str, text: &str) {
+pub fn assert_page_contains(file: &str, mark: &str, text: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(file);
     let old = fs::read_to_string(&path).expect("the page can be read");
     let mut parts = old.splitn(3, mark);

@@ -107,7 +107,7 @@ pub fn run_member(member: impl FnOnce(&str, &Path)) {
 ///
 /// # Panics
 /// stdin cannot be read.
-pub fn told() -> Option<String> {
+pub fn next_order() -> Option<String> {
     let line = std::io::stdin().lines().next();
     line.map(|line| line.expect("the test writes UTF-8"))
 }

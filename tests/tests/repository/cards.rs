@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 
 use joulebus_config::KEYS;
-use joulebus_testkit::assert_page_says;
+use joulebus_testkit::assert_page_contains;
 use joulebus_wire::AlarmCard;
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn the_page_about_alarms_has_every_card() {
         .unwrap();
     }
     text.push('\n');
-    assert_page_says("docs/reference/alarms.md", "<!-- cards", &text);
+    assert_page_contains("docs/reference/alarms.md", "<!-- cards", &text);
 }
 
 #[test]
@@ -48,7 +48,7 @@ fn the_page_about_configs_has_every_key() {
         writeln!(text, "| `{name}` | {cells} |").unwrap();
     }
     text.push('\n');
-    assert_page_says("docs/reference/config.md", "<!-- keys", &text);
+    assert_page_contains("docs/reference/config.md", "<!-- keys", &text);
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn the_page_about_bridges_has_the_table_of_findings() {
     let source = source("crates/gateways/bridge/src/mapping/doors.rs");
     let (_, table) = source.split_once("const TABLE: &str = \"").unwrap();
     let (table, _) = table.split_once("\";").unwrap();
-    assert_page_says("docs/explanation/bridges.md", "<!-- doors", table);
+    assert_page_contains("docs/explanation/bridges.md", "<!-- doors", table);
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn the_alert_rules_say_what_an_alarm_means() {
         word = "else if";
     }
     text.push_str("            {{ end }}\n");
-    assert_page_says("configs/prometheus/joulebus.rules.yml", "# cards", &text);
+    assert_page_contains("configs/prometheus/joulebus.rules.yml", "# cards", &text);
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn the_page_about_http_has_every_path_of_the_router() {
         format!("{} {path}", rest.split('(').next().unwrap())
     });
     assert_eq!(routes.collect::<BTreeSet<_>>(), described);
-    assert_page_says("docs/reference/http.md", "<!-- paths", &text);
+    assert_page_contains("docs/reference/http.md", "<!-- paths", &text);
 }
 
 /// Constants that a user meets: a heading, a source and its constants.
@@ -188,5 +188,5 @@ fn the_page_about_limits_has_the_constants_of_the_sources() {
         }
     }
     text.push('\n');
-    assert_page_says("docs/reference/limits.md", "<!-- limits", &text);
+    assert_page_contains("docs/reference/limits.md", "<!-- limits", &text);
 }

@@ -41,10 +41,10 @@ impl Supervisor {
             let child = self.running.get_mut(name).expect("every task runs");
             // A controller that is notified of removed files ends in production; this one
             // continues.
-            let is_told = child.lines(0, Duration::ZERO).last().is_some_and(|line| {
+            let is_reported = child.lines(0, Duration::ZERO).last().is_some_and(|line| {
                 name == "controller" && line.contains("while this process used it")
             });
-            if is_told {
+            if is_reported {
                 child.end();
             }
             if child.is_running() {

@@ -79,11 +79,11 @@ fn everybody_refuses(what: &str, arena: &Arena, shows: &str) {
         assert_eq!(ended.code(), Some(1), "{what}: {name}: {ended:?}");
         // The recorder may have created its file.
         let _ = fs::remove_file(arena.files().join("run.mcap"));
-        let said = format!("{}{}", ended.errors(), ended.text());
+        let printed = format!("{}{}", ended.errors(), ended.text());
         let path = arena.domain().directory().display().to_string();
-        assert!(said.contains(&path), "{what}: {name}: {said}");
-        assert!(said.contains(shows), "{what}: {name}: {said}");
-        assert!(!said.contains("rm -r"), "{what}: {name}: {said}");
+        assert!(printed.contains(&path), "{what}: {name}: {printed}");
+        assert!(printed.contains(shows), "{what}: {name}: {printed}");
+        assert!(!printed.contains("rm -r"), "{what}: {name}: {printed}");
         assert_eq!(tree(arena.domain().root()), before, "{what}: {name}");
     }
 }
@@ -165,8 +165,8 @@ fn a_root_not_created_by_joulebus_is_neither_changed_nor_removed() {
     for arguments in [&["run"][..], &["doctor"], &["doctor", "--fix"]] {
         let ended = arena.run(arguments);
         assert_eq!(ended.code(), Some(1), "{arguments:?}: {ended:?}");
-        let said = format!("{}{}", ended.errors(), ended.text());
-        assert!(said.contains("has mode 0755"), "{arguments:?}: {said}");
+        let printed = format!("{}{}", ended.errors(), ended.text());
+        assert!(printed.contains("has mode 0755"), "{arguments:?}: {printed}");
     }
     fs::set_permissions(&root, fs::Permissions::from_mode(0o700)).unwrap();
     fs::write(root.join("letter.txt"), "dear\n").unwrap();
@@ -257,8 +257,8 @@ fn a_directory_of_an_earlier_boot_with_our_marker_is_cleaned_and_reused() {
     arena.worker().kill();
     let marker = arena.domain().directory().join("members.lock");
     let text = fs::read_to_string(&marker).unwrap();
-    let (says, _) = text.split_once("boot ").expect("the marker names the boot");
-    fs::write(&marker, format!("{says}boot of-last-week\n")).unwrap();
+    let (head, _) = text.split_once("boot ").expect("the marker names the boot");
+    fs::write(&marker, format!("{head}boot of-last-week\n")).unwrap();
     let _worker = arena.worker();
     let text = fs::read_to_string(&marker).unwrap();
     assert!(!text.contains("of-last-week"), "{text}");

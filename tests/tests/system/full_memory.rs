@@ -91,10 +91,10 @@ enum Left {
 
 impl Left {
     /// True if the lack is told, with numbers.
-    fn is_told(self, said: &str) -> bool {
+    fn is_reported(self, printed: &str) -> bool {
         match self {
-            Self::Bytes(_) => said.contains("bytes needed") && said.contains("free"),
-            Self::Files(_) => said.contains("files needed") && said.contains("free"),
+            Self::Bytes(_) => printed.contains("bytes needed") && printed.contains("free"),
+            Self::Files(_) => printed.contains("files needed") && printed.contains("free"),
         }
     }
 }
@@ -175,8 +175,8 @@ fn start(shm: &OwnShm, role: &Role, at_once: usize, left: Left) -> usize {
         let what = format!("{} with {left:?}", role.name);
         assert_eq!(ended.signal(), None, "{what}: {ended:?}");
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
-        let said = ended.errors();
-        assert!(left.is_told(&said), "{what}: {said}");
+        let printed = ended.errors();
+        assert!(left.is_reported(&printed), "{what}: {printed}");
     }
     for child in &mut children {
         if child.is_running() {

@@ -140,8 +140,8 @@ fn every_program_whose_files_are_removed_reports_it_and_exits() {
         }
         let ended = member.wait();
         assert_eq!(ended.code(), Some(1), "{name}: {ended:?}");
-        let said = format!("{}{}", ended.errors(), ended.text());
-        assert!(said.contains(NOTICED), "{name}: {said}");
+        let printed = format!("{}{}", ended.errors(), ended.text());
+        assert!(printed.contains(NOTICED), "{name}: {printed}");
     }
     let info = joulebus_tests::alone(&["info", arena.files().join("run-0.mcap").to_str().unwrap()]);
     assert_eq!(info.code(), Some(0), "the capture is whole: {info:?}");

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use joulebus_capture_format::{Entry, Frame, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit_networks::random;
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
@@ -27,7 +27,7 @@ fn entries(file: &Path) -> Vec<Entry> {
 
 /// Samples and the answers to each, by robot and number.
 #[derive(Default)]
-struct Heard {
+struct Recorded {
     samples: BTreeMap<(u32, u64), Sample>,
     forecasts: BTreeMap<(u32, u64), Forecast>,
     diagnostics: BTreeMap<(u32, u64), Diagnostic>,
@@ -39,8 +39,8 @@ fn rows_of<C: Channel>(message: &Message) -> impl Iterator<Item = C::Row> {
     frames.flat_map(|frame| frame.rows.iter().copied())
 }
 
-fn heard(file: &Path) -> Heard {
-    let mut heard = Heard::default();
+fn heard(file: &Path) -> Recorded {
+    let mut heard = Recorded::default();
     for entry in entries(file) {
         let message = &entry.message;
         let samples = rows_of::<Samples>(message).map(|row| ((row.robot, row.seq), row));
@@ -142,7 +142,7 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
     assert_eq!(report["robots"], 12);
     assert_every_tick_verified(&report);
     let text = arena.run(&["replay", "--verify", name]).text();
-    says(&text, [" ticks, 12 robots, 0 differences\n"]);
+    assert_contains(&text, [" ticks, 12 robots, 0 differences\n"]);
 
     let flipped = arena.files().join("forecast.mcap");
     let (mut tick, mut robot) = (0, 0);
@@ -238,7 +238,7 @@ fn the_recording_of_a_replay_equals_the_original() {
     assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
     assert_eq!(before.samples.len(), after.samples.len());
     assert_eq!(report["samples"], before.samples.len());
-    let starts = |heard: &Heard| *heard.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
+    let starts = |heard: &Recorded| *heard.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
     let (one, other) = (starts(&before), starts(&after));
     for (key, row) in &before.samples {
         let again = &after.samples[key];
@@ -359,7 +359,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let mut worker = arena.worker();
     let ended = alone(&[&["replay", name][..], &outputs].concat());
     assert_eq!(ended.code(), Some(1), "{}", ended.text());
-    says(&ended.errors(), ["already has a worker"]);
+    assert_contains(&ended.errors(), ["already has a worker"]);
     worker.stop();
 
     let second = arena.files().join("second.mcap");

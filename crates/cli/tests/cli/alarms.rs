@@ -13,19 +13,19 @@ use crate::fleet::{Exits as _, Fleet, Program, code, json, output, stderr, stdou
 const ROBOTS: usize = 3;
 
 /// Lines that the command has written: robot, alarm and change.
-fn told(path: &Path) -> Vec<String> {
+fn hook_lines(path: &Path) -> Vec<String> {
     let text = fs::read_to_string(path).unwrap_or_default();
     text.lines().map(str::to_owned).collect()
 }
 
 fn count(path: &Path, what: &str) -> usize {
-    told(path).iter().filter(|line| line.ends_with(what)).count()
+    hook_lines(path).iter().filter(|line| line.ends_with(what)).count()
 }
 
 /// Waits until all robots are silent: the last that was told of them.
 fn wait_for_silence(path: &Path) {
     eventually("all robots are silent", || {
-        let lines = told(path);
+        let lines = hook_lines(path);
         let is_silent = |robot: usize| {
             let of_robot = format!("{robot} NoData ");
             let last = lines.iter().rfind(|line| line.starts_with(&of_robot));
@@ -98,7 +98,7 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
         let word = |name: &str| line[name].as_str().unwrap().to_owned();
         format!("{robot} {} {}", word("alarm"), word("change"))
     });
-    assert_eq!(shown.collect::<Vec<_>>(), told(&hook));
+    assert_eq!(shown.collect::<Vec<_>>(), hook_lines(&hook));
     for line in &lines {
         assert_eq!(line["lasted_s"].is_null(), line["change"] == "raised", "{line}");
     }
@@ -229,10 +229,10 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
     };
     ended_with(&mut watcher, &["raised nobody"]);
 
-    let (status, said) = acknowledge(&fleet, &["1", "nodata", "--by", "ann"]);
-    assert_eq!((status, &*said), (0, "robot 1: NoData acknowledged by ann\n"));
-    let (status, said) = acknowledge(&fleet, &["1", "BiasHigh", "--by", "ann"]);
-    assert!(status == 1 && said.contains("BiasHigh of robot 1 is not raised"), "{said}");
+    let (status, printed) = acknowledge(&fleet, &["1", "nodata", "--by", "ann"]);
+    assert_eq!((status, &*printed), (0, "robot 1: NoData acknowledged by ann\n"));
+    let (status, printed) = acknowledge(&fleet, &["1", "BiasHigh", "--by", "ann"]);
+    assert!(status == 1 && printed.contains("BiasHigh of robot 1 is not raised"), "{printed}");
     for (wrong, reason) in [
         (&["1", "WorkerGone"][..], "cannot be acknowledged"),
         (&["x", "NoData"], "no id of a robot"),
@@ -241,8 +241,8 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
         (&["1", "NoData", "--by", "\n"], "control characters"),
         (&["1", "NoData", "--new-normal"], "allowed: LevelHigh, LevelLow"),
     ] {
-        let (status, said) = acknowledge(&fleet, wrong);
-        assert!(status == 2 && said.contains(reason), "{wrong:?}: {status} {said}");
+        let (status, printed) = acknowledge(&fleet, wrong);
+        assert!(status == 2 && printed.contains(reason), "{wrong:?}: {status} {printed}");
     }
     ended_with(&mut watcher, &["raised nobody", "acknowledged ann"]);
     // One that comes later is told, too.
@@ -302,12 +302,12 @@ fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verifi
         eventually(&format!("{expected:?}"), || of_robot_1(program, "LevelHigh") == expected);
     };
     shown(&mut watcher, &["raised nobody"]);
-    let (status, said) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
-    assert_eq!((status, &*said), (0, "robot 1: LevelHigh acknowledged as the new normal by ann\n"));
+    let (status, printed) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
+    assert_eq!((status, &*printed), (0, "robot 1: LevelHigh acknowledged as the new normal by ann\n"));
     // The load goes on.
     shown(&mut watcher, &["raised nobody", "acknowledged ann", "cleared ann"]);
-    let (status, said) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
-    assert!(status == 1 && said.contains("is not raised"), "{said}");
+    let (status, printed) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
+    assert!(status == 1 && printed.contains("is not raised"), "{printed}");
     source.end(Signal::TERM);
     assert!(matches!(code(&watcher.end(Signal::TERM)), 0 | 3));
     assert!(matches!(code(&recorder.end(Signal::TERM)), 0 | 3));

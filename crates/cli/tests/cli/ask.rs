@@ -57,9 +57,9 @@ fn outcome(fleet: &Fleet, question: &str, is_expected: impl Fn(&Output) -> bool)
 }
 
 /// Same as [`outcome`], of a question that is refused with an exit code and such a reason.
-fn refused(fleet: &Fleet, question: &str, with: i32, told: &str) {
+fn refused(fleet: &Fleet, question: &str, with: i32, expected: &str) {
     let asked =
-        outcome(fleet, question, |asked| code(asked) == with && stderr(asked).contains(told));
+        outcome(fleet, question, |asked| code(asked) == with && stderr(asked).contains(expected));
     assert!(stdout(&asked).is_empty(), "{asked:?}");
 }
 
@@ -118,8 +118,8 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
         assert_eq!(ranked["answers"].as_array().map(Vec::len), Some(2), "{ranked}");
     }
 
-    let told = outcome(&fleet, "ask --robot 2 --idle 30", |told| code(told) == 0);
-    assert!(stdout(&told).starts_with("robot 2 (gternal): "), "{told:?}");
+    let answered = outcome(&fleet, "ask --robot 2 --idle 30", |asked| code(asked) == 0);
+    assert!(stdout(&answered).starts_with("robot 2 (gternal): "), "{answered:?}");
     // A robot that is not there, and a dock of words.
     refused(&fleet, "ask --robot 9 --idle 30", 1, "robot 9");
     let nowhere = fleet.output("ask --robot 1 --path p.csv --return home");
@@ -137,7 +137,7 @@ fn a_speed_above_the_platforms_is_refused_with_its_greatest() {
     let none = "x_m,y_m\n0,0\n1,0\n";
     // The speed of the first point is not used.
     let stated = "x_m,y_m,speed_mps\n0,0,99\n1,0,0.1\n1,1,99\n";
-    for (text, question, told) in [
+    for (text, question, expected) in [
         (none, "--robot 1 --speed 99", "towards point 1"),
         (none, "--rank 2,1 --speed 99 --through worker", "at most 0."),
         (none, "--robot 1 --speed 99 --format json", "v_max_mps"),
@@ -146,7 +146,7 @@ fn a_speed_above_the_platforms_is_refused_with_its_greatest() {
         fs::write(&path, text).unwrap();
         let asked = fleet.output(&format!("ask --path {path} {question}"));
         assert_eq!(code(&asked), 2, "{asked:?}");
-        assert!(stderr(&asked).contains(told), "{asked:?}");
+        assert!(stderr(&asked).contains(expected), "{asked:?}");
         assert!(stdout(&asked).is_empty(), "{asked:?}");
     }
     // The greatest itself, and none: there is only no worker.
@@ -164,11 +164,11 @@ fn a_planner_with_another_model_or_other_limits_than_the_worker_is_refused() {
     let source = Program::start(fleet.joulebus("publish sim --robots 2"));
     ask(&fleet, "--robot 1 --idle 10");
     let text = fs::read_to_string(fleet.config()).unwrap();
-    for (change, told) in
+    for (change, expected) in
         [("capacity_wh = 6.0", "settings"), ("capacity_wh = 5.0\ninitial_soc = 0.97", "settings")]
     {
         fs::write(fleet.config(), text.replace("capacity_wh = 5.0", change)).unwrap();
-        refused(&fleet, "ask --robot 1 --idle 10", 1, told);
+        refused(&fleet, "ask --robot 1 --idle 10", 1, expected);
     }
     let gternal = "file = \"builtin:gternal\"";
     let other = format!("{gternal}\nmodel = \"builtin:gternal-sim-power\"");

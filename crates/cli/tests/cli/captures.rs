@@ -10,7 +10,7 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
-use joulebus_testkit::{eventually, says};
+use joulebus_testkit::{eventually, assert_contains};
 use rustix::process::Signal;
 
 /// The program with the words of a line.
@@ -43,7 +43,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     assert_eq!(info["statistics"]["state"], "agree");
     let messages = info["messages"].as_u64().unwrap();
     assert_eq!(info["channels"][0]["topic"], "joulebus/cli/samples");
-    says(&info["joulebus"]["imported"], ["0 a, 1 b"]);
+    assert_contains(&info["joulebus"]["imported"], ["0 a, 1 b"]);
     run(format!("doctor {shown}")).exits(0);
 
     let lines = stdout(&run(format!("cat {shown} --format ndjson")));
@@ -60,19 +60,19 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
         ("-e budget", "budget"),
     ] {
         let refused = run(format!("cat {shown} {asked}")).exits(1);
-        says(&stderr(&refused), [last, "there are joulebus/cli/samples"]);
+        assert_contains(&stderr(&refused), [last, "there are joulebus/cli/samples"]);
     }
     let found = run(format!("cat {shown} -e sampl.s$")).exits(0);
     assert_eq!(stdout(&found).lines().count() as u64, messages);
     let table = stdout(&run(format!("cat {shown} --format csv")));
     assert_eq!(table.lines().count() as u64, samples + 1);
-    says(table.lines().next().unwrap(), ["samples.power_w"]);
+    assert_contains(table.lines().next().unwrap(), ["samples.power_w"]);
 
     let cut = fleet.path("cut.mcap");
     let bytes = fs::read(&whole).unwrap();
     fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let doctor = run(format!("doctor {}", text(&cut))).exits(3);
-    says(&stdout(&doctor), ["the file ends within", "joulebus recover"]);
+    assert_contains(&stdout(&doctor), ["the file ends within", "joulebus recover"]);
     let again = text(&fleet.path("again.mcap"));
     let recover = format!("recover {} -o {again}", text(&cut));
     let recovered = json(&run(format!("{recover} --format json")).exits(3));
@@ -81,7 +81,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     run(format!("doctor {again}")).exits(0);
     let shown = json(&run(format!("info {again} --format json")));
     assert_eq!(shown["files"][0]["messages"], kept);
-    says(&stderr(&run(recover).exits(1)), ["exists"]);
+    assert_contains(&stderr(&run(recover).exits(1)), ["exists"]);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn a_recovery_that_cannot_be_written_names_file_and_cause_and_leaves_what_was_th
     // A link that leads nowhere is somebody's, too.
     std::os::unix::fs::symlink(fleet.path("nowhere"), &out).unwrap();
     let refused = run(format!("recover {} -o {}", text(&whole), text(&out))).exits(1);
-    says(&stderr(&refused), ["exists"]);
+    assert_contains(&stderr(&refused), ["exists"]);
     fs::remove_file(&out).expect("the link is left as it was");
     // As on a full disk: four blocks of 1,024 bytes.
     let mut limited = Command::new("bash");
@@ -100,7 +100,7 @@ fn a_recovery_that_cannot_be_written_names_file_and_cause_and_leaves_what_was_th
     limited.arg(joulebus::<&str>([]).get_program());
     limited.args(["recover", &text(&whole), "-o", &text(&out)]);
     let failed = limited.output().unwrap().exits(1);
-    says(&stderr(&failed), [text(&out).as_str(), "File too large"]);
+    assert_contains(&stderr(&failed), [text(&out).as_str(), "File too large"]);
     assert!(!out.exists(), "part of a file is left");
 }
 
@@ -138,7 +138,7 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
         let writer = Writer::new(file, CaptureSettings::default(), &attachments).unwrap();
         writer.finish().unwrap();
         let refused = run(format!("replay {} {verb}", text(&path))).exits(2);
-        says(&stderr(&refused), [named]);
+        assert_contains(&stderr(&refused), [named]);
         assert!(!Path::new(&made).exists());
     }
 }
@@ -150,7 +150,7 @@ fn files_of_an_earlier_release_are_refused_by_name_or_go_on() {
     let earlier = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/earlier");
     let capture = text(&earlier.join("run.mcap"));
     let refused = stderr(&run(format!("replay --verify {capture}")).exits(1));
-    says(&refused, ["run.mcap", "by rules 1", "with the version that recorded it (0.1.0)"]);
+    assert_contains(&refused, ["run.mcap", "by rules 1", "with the version that recorded it (0.1.0)"]);
     let shown = json(&run(format!("info {capture} --format json")).exits(0));
     assert!(shown.is_object(), "{shown}");
     let fleet = Fleet::new();
@@ -192,7 +192,7 @@ fn an_existing_file_is_refused_with_a_remedy() {
     let file = fleet.path("run.mcap");
     fs::write(&file, "precious").unwrap();
     let refused = fleet.output(&format!("record -o {}", file.display())).exits(1);
-    says(&stderr(&refused), ["--resume"]);
+    assert_contains(&stderr(&refused), ["--resume"]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
     assert!(fleet.stale_files().is_empty());
 }
@@ -210,11 +210,11 @@ fn a_worker_runs_whatever_becomes_of_its_recording() {
             program.end(Signal::TERM).exits(wanted)
         };
         run();
-        let said = stderr(&run());
-        assert_eq!(said.contains("nothing is recorded"), parts == 0, "{said}");
+        let printed = stderr(&run());
+        assert_eq!(printed.contains("nothing is recorded"), parts == 0, "{printed}");
         let there = |part: &str| fleet.path(part).exists();
         let found = ["run.mcap", "run_1.mcap"].map(there);
-        assert_eq!(found, [parts > 0, parts > 1], "{said}");
+        assert_eq!(found, [parts > 0, parts > 1], "{printed}");
         assert!(fleet.stale_files().is_empty());
     }
 }
@@ -247,7 +247,7 @@ fn a_file_that_is_not_a_capture_is_refused() {
     let file = fleet.recording("a.csv", 10);
     for verb in ["info", "doctor", "cat"] {
         let refused = run(format!("{verb} {}", text(&file))).exits(1);
-        says(&stderr(&refused), ["an MCAP file begins with"]);
+        assert_contains(&stderr(&refused), ["an MCAP file begins with"]);
     }
     run(format!("info {} --format csv", text(&file))).exits(2);
     let result = fleet.path("x.mcap");
@@ -266,7 +266,7 @@ fn a_real_recording_is_imported_and_played() {
     let imported = run(format!("import {file} -o {out} --current discharge-positive"));
     // Positions that are not numbers are reported and set the exit code.
     let imported = imported.exits(3);
-    says(&stdout(&imported), ["its position is not a number"]);
+    assert_contains(&stdout(&imported), ["its position is not a number"]);
     let dataset = trials.join("coug2.csv.gz");
     let info = json(&run(format!("data info {} --format json", text(&dataset))));
     let trial = &info["trials"][0];
@@ -275,7 +275,7 @@ fn a_real_recording_is_imported_and_played() {
     let rate_hz = trial["rate_hz"].as_f64().unwrap();
     assert!((9.5..10.5).contains(&rate_hz), "{trial}");
     let missing = trial["missing_columns"].to_string();
-    says(&missing, ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"]);
+    assert_contains(&missing, ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"]);
     assert!(!missing.contains("voltage_mV"), "{missing}");
     assert!(trial["least_power_w"].as_f64().unwrap() > 0.0, "{trial}");
     let play = "publish trial --no-wait --rate 10000 --first-robot 100 --format json";
@@ -294,7 +294,7 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
         let file = file.unwrap().path();
         let out = fleet.path("out");
         let refused = run(format!("import {} -o {}", text(&file), text(&out))).exits(1);
-        says(&stderr(&refused), ["no robot", "other types"]);
+        assert_contains(&stderr(&refused), ["no robot", "other types"]);
         assert!(stdout(&refused).is_empty(), "{}", stdout(&refused));
         assert!(!out.exists());
     }
@@ -332,11 +332,11 @@ fn a_recorder_says_at_once_that_the_worker_runs_with_other_files_than_it_attache
     fs::write(fleet.config(), &other).unwrap();
     let mut recorder = Program::start(record("settings.mcap"));
     recorder.wait_for_stderr("cannot be verified");
-    says(&json(&recorder.wait().exits(3))["differs"], ["other settings"]);
+    assert_contains(&json(&recorder.wait().exits(3))["differs"], ["other settings"]);
     fs::write(fleet.config(), config).unwrap();
     model("");
     let ended = record("model.mcap").output().unwrap().exits(3);
-    says(&json(&ended)["differs"], ["m.safetensors", "is refused"]);
+    assert_contains(&json(&ended)["differs"], ["m.safetensors", "is refused"]);
     assert!(json(&ended)["messages"].as_u64().unwrap() > 0, "what there is, is recorded");
     source.end(Signal::TERM).exits(0);
     worker.end(Signal::TERM).exits(0);

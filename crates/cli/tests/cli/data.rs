@@ -1,7 +1,7 @@
 //! `joulebus data` and `joulebus analyze`.
 
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 #[test]
 fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
@@ -18,14 +18,14 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     assert!(stdout(&good).contains("no fault"), "{}", stdout(&good));
 
     let bad = output(["data", "check", folder]).exits(3);
-    let said = stdout(&bad);
-    says(&said, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
+    let printed = stdout(&bad);
+    assert_contains(&printed, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
     assert!(stderr(&bad).contains("are ignored"), "the config beside them: {}", stderr(&bad));
 
-    let told = json(&output(["data", "check", folder, "--format", "json"]));
-    assert_eq!((&told["sound"], &told["files"]), (&false.into(), &2.into()));
-    assert_eq!(told["findings"][0]["kind"], "gap");
-    assert_eq!(told["findings"][0]["places"][0]["row"], 50);
+    let report = json(&output(["data", "check", folder, "--format", "json"]));
+    assert_eq!((&report["sound"], &report["files"]), (&false.into(), &2.into()));
+    assert_eq!(report["findings"][0]["kind"], "gap");
+    assert_eq!(report["findings"][0]["places"][0]["row"], 50);
 
     output(["data", "check", &format!("{folder}/*.npy")]).exits(2);
 }
@@ -44,7 +44,7 @@ fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
     }
     let runs = runs.to_str().unwrap();
     let check = output(["data", "check", runs]).exits(3);
-    says(
+    assert_contains(
         &stdout(&check),
         ["lines that are no whole rows: 1 in 1 files", "b.csv: row 201: 512 NUL bytes"],
     );
@@ -54,17 +54,17 @@ fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
         let words: Vec<&str> = verb.iter().copied().chain([runs]).collect();
         let refused = output(&words);
         assert_eq!(code(&refused), 1, "{verb:?}");
-        says(
+        assert_contains(
             &stderr(&refused),
             ["b.csv: row 201", "512 NUL bytes", "--whole-rows", "leave the file out"],
         );
     }
     let analysed = output(["analyze", runs, "--split", "time", "--whole-rows"]).exits(0);
-    says(&stderr(&analysed), ["b.csv: 1 lines that are no whole rows were left out"]);
+    assert_contains(&stderr(&analysed), ["b.csv: 1 lines that are no whole rows were left out"]);
     let out = folder.path().join("whole.csv");
     let (from, out) = (format!("{runs}/b.csv"), out.to_str().unwrap());
     let converted = output(["data", "convert", &from, "--whole-rows", "--out", out]).exits(3);
-    says(&stdout(&converted), ["200 rows", "1 lines that are no whole rows were left out"]);
+    assert_contains(&stdout(&converted), ["200 rows", "1 lines that are no whole rows were left out"]);
     output(["data", "check", out]).exits(0);
 }
 
@@ -114,12 +114,12 @@ fn an_analysis_reports_its_split_and_held_readings() {
     let pattern = fleet.path("run_*.csv");
     let pattern = pattern.to_str().unwrap();
     let text = done(["analyze", pattern, "--rate", "60"]);
-    let said = stdout(&text);
+    let printed = stdout(&text);
     let parts = "native: 1020 rows | held at 60 Hz | split by trial | persistence | \
         % of these readings repeat";
-    says(&said, parts.split(" | "));
-    let told = json(&output(["analyze", pattern, "--rate", "60", "--format", "json"]));
-    let series = told["series"].as_array().unwrap();
+    assert_contains(&printed, parts.split(" | "));
+    let report = json(&output(["analyze", pattern, "--rate", "60", "--format", "json"]));
+    let series = report["series"].as_array().unwrap();
     assert_eq!(series[0]["held_share"], 0.0);
     let held = series[1]["held_share"].as_f64().unwrap();
     assert!((held - 0.5).abs() < 0.01, "{held}");

@@ -60,8 +60,8 @@ impl Run {
     /// returns their number.
     fn wait_for_samples(&mut self, more_than: u64) -> u64 {
         loop {
-            let told = self.wait_for("  samples ");
-            let (samples, _) = told.split_once(' ').unwrap();
+            let line = self.wait_for("  samples ");
+            let (samples, _) = line.split_once(' ').unwrap();
             let samples = samples.parse().unwrap();
             if samples > more_than {
                 return samples;
@@ -238,9 +238,9 @@ fn killed_worker() -> (Run, Value) {
     assert_eq!(code, 0, "{summary:#}");
     assert_eq!(count(&summary["workers"]), 2, "{summary:#}");
     let samples = &summary["samples"];
-    let told = count(&samples["accepted"]) + dropped(&summary);
+    let counted = count(&samples["accepted"]) + dropped(&summary);
     let lost = count(&samples["lost_between_workers"]);
-    assert_eq!(count(&samples["sent"]), told + lost);
+    assert_eq!(count(&samples["sent"]), counted + lost);
     (demo, summary)
 }
 

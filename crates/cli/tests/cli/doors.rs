@@ -8,7 +8,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use joulebus_testkit::assert_page_says;
+use joulebus_testkit::assert_page_contains;
 
 use super::fleet::{Fleet, code, done, output, stderr, stdout};
 
@@ -233,7 +233,7 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
 }
 
 /// Words of an import's note about a fault that it corrects by itself.
-fn said_of(kind: &str) -> &'static [&'static str] {
+fn notes_of(kind: &str) -> &'static [&'static str] {
     match kind {
         "unit" => &["percentage"],
         "clock" => &["the time of recording is used", "clock was set back"],
@@ -243,20 +243,20 @@ fn said_of(kind: &str) -> &'static [&'static str] {
 }
 
 /// The outcome of a recording at a door.
-fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
-    let (out, errors) = (stdout(said), stderr(said));
+fn cell(door: &str, kind: &str, printed: &Output) -> &'static str {
+    let (out, errors) = (stdout(printed), stderr(printed));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
     // Too few recordings, which is asked after what is in them.
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
     let is_short = errors.contains("at least 2 are needed") || warns(kind);
-    let is_read = matches!(code(said), 0 | 3) || door == "calibrate" && is_short;
+    let is_read = matches!(code(printed), 0 | 3) || door == "calibrate" && is_short;
     let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
-    match code(said) {
+    match code(printed) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
         3 if door == "data check" && !kind.is_empty() && out.contains("fault: ") => "fault",
         _ if is_read && warns(kind) => "warned",
-        _ if is_read && said_of(kind).iter().any(|note| out.contains(note)) => "read, said",
+        _ if is_read && notes_of(kind).iter().any(|note| out.contains(note)) => "read, said",
         found => panic!("{door}: {kind:?}: exit code {found}\n{out}{errors}"),
     }
 }
@@ -334,5 +334,5 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         }
     }
     text.push('\n');
-    assert_page_says("docs/reference/plausibility.md", "<!-- doors", &text);
+    assert_page_contains("docs/reference/plausibility.md", "<!-- doors", &text);
 }

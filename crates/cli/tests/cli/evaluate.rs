@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use serde_json::Value;
 
 use super::fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
@@ -75,12 +75,12 @@ fn a_directory_is_evaluated_by_group_robot_and_trial() {
     assert_eq!(reached(5), (&300.into(), &0.into()));
     assert!(horizons[5]["forecasters"][0]["r2"]["value"].is_null());
 
-    let told = output([&asked[..], &["--horizons", "1,20"]].concat());
+    let shown = output([&asked[..], &["--horizons", "1,20"]].concat());
     let parts =
         "AR(5) + velocities | By group | sand | By robot | skill | Open loop | MAPE | no split";
-    says(&stdout(&told), parts.split(" | "));
+    assert_contains(&stdout(&shown), parts.split(" | "));
     // 120 trials are not listed one by one.
-    assert!(stdout(&told).lines().count() < 80);
+    assert!(stdout(&shown).lines().count() < 80);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn a_built_in_model_is_named_as_in_a_config() {
     assert_eq!(code(&by_name), 0, "{}", stderr(&by_name));
     assert_eq!(json(&by_name), json(&by_file));
     let refused = with("builtin:nothing").exits(2);
-    says(&stderr(&refused), ["builtin:nothing", "builtin:gternal-sim-power"]);
+    assert_contains(&stderr(&refused), ["builtin:nothing", "builtin:gternal-sim-power"]);
 }
 
 #[test]
@@ -118,14 +118,14 @@ fn split_holds_out_the_trials_that_training_held_out() {
     assert_eq!(own["trials"].as_array().unwrap().len(), 2);
     assert_eq!(own["design"]["split"]["by"], "trial");
     let description = own["design"]["description"].as_str().unwrap();
-    says(&description, ["split by trial", "seed 3"]);
+    assert_contains(&description, ["split by trial", "seed 3"]);
     assert!(own["open_loop"]["horizons"].as_array().unwrap().is_empty());
     let other = eval("4", "trial");
     assert_ne!(other["models"][0]["trained_on"]["rows"], 0, "{other}");
     let in_time = eval("3", "time");
     assert_eq!(in_time["design"]["trials"], 10);
-    let told = output(asked("3", "trial").split(' '));
-    says(&stdout(&told), ["on none of the 150 rows evaluated here"]);
+    let shown = output(asked("3", "trial").split(' '));
+    assert_contains(&stdout(&shown), ["on none of the 150 rows evaluated here"]);
 }
 
 #[test]
@@ -148,12 +148,12 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
     };
 
     // 8 of 10 trials of 75 rows were trained on or chose the epoch: the other two are the headline.
-    let (whole, told) = eval(&data);
+    let (whole, shown) = eval(&data);
     assert_eq!(whole["models"][0]["trained_on"]["rows"], 8 * 75, "{whole}");
     assert_eq!(whole["all"]["rows"], 2 * 75);
     assert_eq!(whole["trained_on"]["rows"], 8 * 75);
     assert_eq!(whole["scored_rows"], "not_trained_on");
-    says(&told, ["warning", "80.0 %"]);
+    assert_contains(&shown, ["warning", "80.0 %"]);
 
     let renamed = folder.path().join("new name.csv");
     fs::copy(of("training"), &renamed).unwrap();
@@ -162,14 +162,14 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
     import.arg(of("training")).arg("-o").arg(&capture);
     import.output().unwrap().exits(0);
     for path in [renamed, capture, of("validation")] {
-        let (found, told) = eval(&path);
+        let (found, shown) = eval(&path);
         assert_eq!(found["models"][0]["trained_on"]["share"], 1.0, "{path:?}");
         assert_eq!(found["scored_rows"], "trained_on");
-        assert!(told.contains("100.0 %"), "{told}");
+        assert!(shown.contains("100.0 %"), "{shown}");
     }
-    let (found, told) = eval(&of("held_out"));
+    let (found, shown) = eval(&of("held_out"));
     assert_eq!(found["models"][0]["trained_on"]["rows"], 0);
-    assert!(!told.contains("warning"), "{told}");
+    assert!(!shown.contains("warning"), "{shown}");
 }
 
 #[test]
@@ -191,7 +191,7 @@ fn baselines_can_be_fitted_on_given_recordings() {
     for again in [&ice, &copy] {
         let arguments = [text(&ice), "--fit", text(again)];
         let twice = output([&["eval", "--model", MODELS[1]], &arguments[..]].concat()).exits(2);
-        says(&stderr(&twice), ["must not be scored on"]);
+        assert_contains(&stderr(&twice), ["must not be scored on"]);
     }
 }
 
@@ -270,7 +270,7 @@ fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     let same = compare(MODELS[0], MODELS[0], &["--fail-worse"]).exits(0);
     assert!(stdout(&same).contains("undecided"), "{}", stdout(&same));
     let parts = "old: model | By group | By robot | By trial | new − old | paired";
-    says(&stdout(&same), parts.split(" | "));
+    assert_contains(&stdout(&same), parts.split(" | "));
 }
 
 /// Makes the parts of an evaluation in processes that run at once. Returns their files.
@@ -339,8 +339,8 @@ fn parts_that_are_missing_twice_there_damaged_or_of_other_evaluations_are_refuse
     let refused = |files: &[&PathBuf], wanted: i32, why: &str| {
         let files: Vec<PathBuf> = files.iter().map(|file| (*file).clone()).collect();
         let found = merge(&files, "text");
-        let said = stderr(&found);
-        assert!(code(&found) == wanted && said.contains(why), "{said}");
+        let printed = stderr(&found);
+        assert!(code(&found) == wanted && printed.contains(why), "{printed}");
         assert_eq!(stdout(&found), "");
     };
     refused(&[&first, &third], 2, "parts 2 of 3 are missing");
@@ -373,7 +373,7 @@ fn parts_that_are_missing_twice_there_damaged_or_of_other_evaluations_are_refuse
     // What is there is not replaced.
     let part = ["--partition", "2/3", "-o", text(&second)];
     let again = output(asked.iter().chain(&part));
-    says(&stderr(&again), ["exists"]);
+    assert_contains(&stderr(&again), ["exists"]);
     assert_eq!(code(&again), 1);
     assert_eq!(fs::read(&second).unwrap(), whole);
 }

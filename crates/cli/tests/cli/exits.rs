@@ -209,10 +209,10 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
         let new = fleet.path(&format!("new-{place}"));
         let arguments = words.split(' ').map(|word| file(&fleet, word, &new));
         let ended = joulebus(arguments).output().unwrap();
-        let said = stderr(&ended);
+        let printed = stderr(&ended);
         let fails = matches!(expected, 1 | 2);
         // A failed call has no result, says why, and leaves no part of a file.
-        let is_silent = stdout(&ended).is_empty() && !said.is_empty() && !new.exists();
+        let is_silent = stdout(&ended).is_empty() && !printed.is_empty() && !new.exists();
         if code(&ended) != *expected || fails && !is_silent {
             wrong.push(format!("{expected}, {words}: {ended:?}"));
         }
@@ -247,12 +247,12 @@ fn a_limit_of_address_space_or_stack_is_named_and_nobody_is_aborted() {
             verb => (program.to_owned(), verb),
         };
         let words: Vec<PathBuf> = first.into_iter().chain(words).collect();
-        for (limit, says) in LIMITS {
+        for (limit, wanted) in LIMITS {
             let mut limited = Command::new("bash");
             limited.args(["-c", &format!("ulimit {limit}; exec \"$@\""), "bash"]);
             let ended = limited.arg(&program).args(&words).output().unwrap();
-            let said = stderr(&ended);
-            let is_named = says.iter().all(|part| said.contains(part));
+            let printed = stderr(&ended);
+            let is_named = wanted.iter().all(|part| printed.contains(part));
             assert!(is_named && ended.status.code() == Some(1), "{row}, {limit}: {ended:?}");
             assert!(!new.exists(), "{row}, {limit}");
         }
@@ -323,12 +323,12 @@ fn results_that_cannot_be_written_are_a_failure() {
     let mut wrong = Vec::new();
     for call in &calls {
         let ended = refused(call.clone());
-        let said = stderr(&ended).contains("cannot write to stdout");
+        let printed = stderr(&ended).contains("cannot write to stdout");
         let _ = (fs::remove_dir_all(&new), fs::remove_file(&new));
         // Publishers, and verbs whose result is a file, print nothing to stdout.
         let has_results = !output(call).stdout.is_empty();
         let _ = (fs::remove_dir_all(&new), fs::remove_file(&new));
-        if code(&ended) != i32::from(has_results) || said != has_results {
+        if code(&ended) != i32::from(has_results) || printed != has_results {
             wrong.push(format!("{call:?}: {ended:?}"));
         }
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::fleet::{Exits as _, code, output, stderr, stdout};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 /// The program in an otherwise empty directory.
 struct Installed(tempfile::TempDir);
@@ -57,8 +57,8 @@ fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and
     let path = format!("{}:/usr/bin:/bin", in_path.display());
     let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0").exits(3);
     let beside = installed.0.path().join("joulebus-serve");
-    let told = format!("{} -v --format json --foxglove --port 0\n", beside.display());
-    assert_eq!(stdout(&ended), told);
+    let command_line = format!("{} -v --format json --foxglove --port 0\n", beside.display());
+    assert_eq!(stdout(&ended), command_line);
 
     write_program(installed.0.path(), "serve", "kill -TERM $$");
     let killed = installed.joulebus(&path, "serve --foxglove");
@@ -72,8 +72,8 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
     for path in ["", ".", ":", "../stands-here"] {
         let refused = installed.joulebus(path, "bench kernel");
         assert_eq!(code(&refused), 1, "{path:?}: {}", stdout(&refused));
-        let said = stderr(&refused);
-        says(&said, ["cargo build --release -p joulebus-bench"]);
+        let printed = stderr(&refused);
+        assert_contains(&printed, ["cargo build --release -p joulebus-bench"]);
         assert_eq!(stdout(&refused), "", "{path:?}");
     }
     let in_path = installed.directory("path");
@@ -91,8 +91,8 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
     {
         let missing = installed.joulebus("", words);
         assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
-        let said = stderr(&missing);
-        says(&said, ["cargo build --release -p joulebus-lab`"]);
+        let printed = stderr(&missing);
+        assert_contains(&printed, ["cargo build --release -p joulebus-lab`"]);
         write_program(installed.0.path(), "lab", "exit 3");
         let lab = installed.0.path().join("joulebus-lab");
         let ended = installed.joulebus("", words);
@@ -105,7 +105,7 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
 #[test]
 fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
-    for (words, exit, says) in [
+    for (words, exit, expected) in [
         ("help serve", 0, "--foxglove"),
         ("bench --help", 0, "--fail-above"),
         ("mission --help", 0, "--battery-wh"),
@@ -119,10 +119,10 @@ fn help_and_usage_errors_need_no_executable() {
     ] {
         let ended = installed.joulebus("", words);
         assert_eq!(code(&ended), exit, "{words}");
-        let said = stdout(&ended) + &stderr(&ended);
-        assert!(said.contains(says), "{words}: {said}");
+        let printed = stdout(&ended) + &stderr(&ended);
+        assert!(printed.contains(expected), "{words}: {printed}");
     }
     let script = output(["completions", "bash"]);
     let parts = "--per-robot | --fail-above | --worker-cpus | --false-alarms";
-    says(&stdout(&script), parts.split(" | "));
+    assert_contains(&stdout(&script), parts.split(" | "));
 }

@@ -202,7 +202,7 @@ impl Program {
     }
 
     /// Its lines on stderr so far.
-    pub(crate) fn said(&self) -> Vec<String> {
+    pub(crate) fn printed(&self) -> Vec<String> {
         self.0.errors().lines().map(str::to_owned).collect()
     }
 

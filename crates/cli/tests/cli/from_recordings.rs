@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -97,15 +97,15 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
     fs::write(&path, "stamp_of_log,load,power\n0,1,2\n1,2,3\n").unwrap();
     let refused = output(["data", "info", text(&path)]).exits(1);
     let parts = "timestamp_s | power_mW | stamp_of_log, load, power | --map";
-    says(&stderr(&refused), parts.split(" | "));
+    assert_contains(&stderr(&refused), parts.split(" | "));
     let mapped = |map: &str| output(["data", "info", text(&path), "--map", map]);
     let refused = mapped("time=stamp_of_log,power_W=lod");
-    says(&stderr(&refused), ["power=lod"]);
+    assert_contains(&stderr(&refused), ["power=lod"]);
     assert_eq!(code(&mapped("speed=load")), 2);
     mapped("time=stamp_of_log,power_W=load").exits(0);
     let help = stdout(&output(["data", "check", "--help"]));
     let parts = "power_mW | timestamp_s | omega_cmd_radps | yaw_rate | battery_voltage";
-    says(&help, parts.split(" | "));
+    assert_contains(&help, parts.split(" | "));
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         assert!(off < 1e-6, "{recorded}");
     }
     let next = report["next"].to_string();
-    says(&next, ["joulebus run --config", "train trials"]);
+    assert_contains(&next, ["joulebus run --config", "train trials"]);
 
     let fleet = out.join("fleet.toml");
     let checked = done(["config", "check", text(&fleet)]);
@@ -180,7 +180,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
     assert!(!errors.contains("warning"), "{errors}");
     let platform = fs::read_to_string(out.join("platforms/husky-like.toml")).unwrap();
     let parts = "rate_hz = 20.0 | power_resolution_w = 0.01 | capacity_wh = 480.0";
-    says(&platform, parts.split(" | "));
+    assert_contains(&platform, parts.split(" | "));
     // The recordings are accepted by the platform made of them.
     done(["eval", from, "--config", text(&fleet), "--format", "json"]);
 
@@ -202,9 +202,9 @@ fn one_stuck_robot_sets_no_limit_for_the_others() {
     fs::write(&stuck, format!("{}\n{}", LAYOUT.0, rows.collect::<String>())).unwrap();
     let out = folder.path().join("lab");
     let made = done(["config", "init", "--from", text(&runs), "--out", text(&out)]);
-    says(&stderr(&made), ["stuck.csv", "far longer than those of the others"]);
+    assert_contains(&stderr(&made), ["stuck.csv", "far longer than those of the others"]);
     let platform = fs::read_to_string(out.join("platforms/runs.toml")).unwrap();
-    says(&platform, ["\nhold_max_s = 0.5\n", "\nstuck_after_s = 10.0\n"]);
+    assert_contains(&platform, ["\nhold_max_s = 0.5\n", "\nstuck_after_s = 10.0\n"]);
 }
 
 #[test]
@@ -236,12 +236,12 @@ fn recordings_of_one_name_are_refused_before_any_is_imported() {
     }
     let out = folder.path().join("trials");
     let both = output(["import", text(&one), text(&two), "-o", text(&out)]).exits(2);
-    says(&stderr(&both), ["two recordings"]);
+    assert_contains(&stderr(&both), ["two recordings"]);
     assert!(!out.exists());
     let import = || output(["import", text(&one), "-o", text(&out)]);
     assert_eq!(code(&import()), 0);
     let again = import().exits(1);
-    says(&stderr(&again), ["not overwritten"]);
+    assert_contains(&stderr(&again), ["not overwritten"]);
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
         &["model", "export", model, "--python"],
     ] {
         let refused = output(command.iter().chain(&[text(&out)])).exits(1);
-        says(&stderr(&refused), ["\"precious\""]);
+        assert_contains(&stderr(&refused), ["\"precious\""]);
         assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     }
     // Files of an earlier run are replaced.
@@ -279,7 +279,7 @@ fn a_model_of_another_range_of_power_is_warned_about() {
     done(format!("config init --from {from} --out {to} --model {GTERNAL}").split(' '));
     let checked = done(["config", "check", text(&out.join("fleet.toml"))]);
     let parts = ["warning", "was trained on readings of", "power_max_w"];
-    says(&stderr(&checked), parts);
+    assert_contains(&stderr(&checked), parts);
     // The model's own platform has no such warning.
     let own = output(["config", "check"]);
     assert!(!stderr(&own).contains("was trained on"), "{}", stderr(&own));

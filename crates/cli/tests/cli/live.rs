@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use joulebus_testkit::{eventually, says};
+use joulebus_testkit::{eventually, assert_contains};
 use rustix::process::Signal;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};
@@ -47,7 +47,7 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     play.arg(format!("{}@7", one.display()));
     play.arg(format!("{}@rover", fleet.path("rovers").display()));
     let played = play.output().unwrap().exits(0);
-    says(&stderr(&played), ["no worker runs"]);
+    assert_contains(&stderr(&played), ["no worker runs"]);
     let played = json(&played);
     let trial = |robot: u32, file: &std::path::Path| (robot, file.display().to_string());
     let found: Vec<_> = played["trials"]
@@ -132,11 +132,11 @@ fn a_second_worker_exits_and_reports_the_pid_of_the_first() {
     let fleet = Fleet::new();
     let worker = fleet.worker();
     let second = fleet.output("run").exits(1);
-    says(&stderr(&second), [&*format!("pid {}", worker.pid())]);
+    assert_contains(&stderr(&second), [&*format!("pid {}", worker.pid())]);
     assert_eq!(stdout(&second), "");
     let doctor = json(&fleet.output("doctor --format json"));
     let found = doctor["checks"].to_string();
-    says(&found, [&*format!("runs, pid {}", worker.pid())]);
+    assert_contains(&found, [&*format!("runs, pid {}", worker.pid())]);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
     assert!(fleet.stale_files().is_empty());
 }

@@ -33,7 +33,7 @@ use std::time::Duration;
 use exits::{below, subcommands};
 use fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
-use joulebus_testkit::{cases, says};
+use joulebus_testkit::{cases, assert_contains};
 
 #[test]
 fn every_verb_has_help_with_examples() {
@@ -76,7 +76,7 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
         eval TRIAL --config CONFIG | gternal, rover
         ",
     ) {
-        let [arguments, says] = case.as_slice() else {
+        let [arguments, expected] = case.as_slice() else {
             panic!("{case:?}");
         };
         let words = arguments.split(' ').map(|word| match word {
@@ -88,7 +88,7 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
         let errors = stderr(&refused);
         assert_eq!(code(&refused), 2, "{arguments}: {errors}");
         assert_eq!(stdout(&refused), "", "{arguments}");
-        assert!(errors.contains(says), "{arguments}: {errors}");
+        assert!(errors.contains(expected), "{arguments}: {errors}");
     }
     assert_eq!(fleet.stale_files(), Vec::<std::path::PathBuf>::new());
 }
@@ -109,9 +109,9 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
     ] {
         let refused = output(&arguments);
         assert_eq!(code(&refused), 2, "{arguments:?}");
-        let said = stderr(&refused);
-        assert!(said.contains("typo.toml:3:"), "{arguments:?}: {said}");
-        says(&said, ["capcity", "`fleet.capacity`"]);
+        let printed = stderr(&refused);
+        assert!(printed.contains("typo.toml:3:"), "{arguments:?}: {printed}");
+        assert_contains(&printed, ["capcity", "`fleet.capacity`"]);
     }
     let good = fleet.config().display().to_string();
     let checked = output(["config", "check", &good, &path, "--format", "json"]).exits(2);
@@ -175,7 +175,7 @@ fn completions_contain_the_verbs() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = output(["completions", shell]);
         assert_eq!(code(&script), 0, "{shell}");
-        says(&stdout(&script), ["publish", "doctor", "completions"]);
+        assert_contains(&stdout(&script), ["publish", "doctor", "completions"]);
     }
 }
 
@@ -237,7 +237,7 @@ fn doctor_finds_and_removes_stale_files() {
     assert_eq!(mode(fleet.root()), 0o755, "doctor changed the mode");
 
     let mended = fleet.output("doctor --fix").exits(0);
-    says(&stdout(&mended), ["0755 changed to 0700"]);
+    assert_contains(&stdout(&mended), ["0755 changed to 0700"]);
     assert!(!fs::exists(&unfinished).unwrap());
     assert!(fleet.stale_files().is_empty());
 }
@@ -245,5 +245,5 @@ fn doctor_finds_and_removes_stale_files() {
 #[test]
 fn training_does_not_start_if_its_result_cannot_be_written() {
     let refused = output("train sim --seed 7 --out /nowhere/model.safetensors".split(' ')).exits(1);
-    says(&stderr(&refused), ["/nowhere"]);
+    assert_contains(&stderr(&refused), ["/nowhere"]);
 }

@@ -4,7 +4,7 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 const SHIPPED: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
@@ -29,12 +29,12 @@ fn text(path: &Path) -> &str {
 fn info_describes_a_native_model() {
     let info = done(["model", "info", SHIPPED]);
     let parts = "11→64→64→32→1 | 7041 parameters | gelu_erf | power_lag5_w | simulation | R²";
-    says(&stdout(&info), parts.split(" | "));
+    assert_contains(&stdout(&info), parts.split(" | "));
     let info = json(&output(["--format", "json", "model", "info", SHIPPED]));
     assert_eq!(info["parameters"], 7041);
     assert_eq!(info["features"].as_array().unwrap().len(), 11);
     let shown = output(["model", "info", SHIPPED]);
-    says(&stdout(&shown), [info["model_hash"].as_str().unwrap()]);
+    assert_contains(&stdout(&shown), [info["model_hash"].as_str().unwrap()]);
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
     let names = [&at("evil.pt"), &at("nothing.pt"), &npy, &out].map(|path| text(path).to_owned());
     let [evil, nothing, npy, bin] = names;
     let full = text(folder.path());
-    for (arguments, expected, said) in [
+    for (arguments, expected, expected_text) in [
         (format!("info {evil}"), 1, "os.system"),
         (format!("info {nothing}"), 1, "nothing.pt"),
         (format!("export {SHIPPED} --out {bin}"), 2, "--to"),
@@ -97,7 +97,7 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
         let done = output(["model"].into_iter().chain(arguments.split(' ')));
         let errors = stderr(&done);
         assert_eq!(code(&done), expected, "{arguments}: {errors}");
-        assert!(errors.contains(said), "{arguments}: {errors}");
+        assert!(errors.contains(expected_text), "{arguments}: {errors}");
     }
     assert!(!canary.exists());
     assert!(!out.exists());

@@ -64,14 +64,14 @@ fn a_folder_that_has_files_and_a_clone_that_is_none_are_refused() {
     let there = fleet.path("fleet.toml").display().to_string();
     let full = fleet.path("").display().to_string();
     let new = fleet.path("new").display().to_string();
-    for (arguments, says) in [
+    for (arguments, expected) in [
         (vec![full.as_str()], "is not empty: name a new or an empty folder"),
         (vec![&there], "is not a folder: name a new or an empty folder"),
         (vec![&new, "--sources", &full], "--sources names a clone of joulebus"),
     ] {
         let refused = joulebus(["new", "planner"]).args(&arguments).output().unwrap();
         assert_eq!(code(&refused), 2, "{refused:?}");
-        assert!(stderr(&refused).contains(says), "{refused:?}");
+        assert!(stderr(&refused).contains(expected), "{refused:?}");
         assert_eq!(stdout(&refused), "");
     }
     assert!(!fs::exists(new).unwrap());

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_testkit::{lab_beside, left_behind, says};
+use joulebus_testkit::{lab_beside, left_behind, assert_contains};
 
 use super::fleet::{Exits as _, Program, code, stderr, stdout};
 
@@ -67,8 +67,8 @@ impl Home {
         let made = self.shell(line).output().unwrap();
         assert_eq!(code(&made), 0, "{line}: {}", stderr(&made));
         self.ran.push(line.to_owned());
-        let said = stdout(&made);
-        let proposed = said.lines().skip_while(|line| *line != "next:").skip(1);
+        let printed = stdout(&made);
+        let proposed = printed.lines().skip_while(|line| *line != "next:").skip(1);
         let proposed: Vec<String> = proposed.map(|line| line.trim().to_owned()).collect();
         let fleets = self.own_domains();
         let mut worker = None;
@@ -88,7 +88,7 @@ impl Home {
                 let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
             }
         }
-        said
+        printed
     }
 
     /// Gives the fleets that were written domains of this test: prefixes and roots.
@@ -149,7 +149,7 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
         assert_eq!(verbs(verb), count, "{verb}: {:#?}", home.ran);
     }
     let platform = fs::read_to_string(home.folder.path().join("lab/platforms/runs.toml")).unwrap();
-    says(
+    assert_contains(
         &platform,
         ["map = \"time=t,voltage_V=u,current_A=i\"", "current = \"discharge-negative\""],
     );
@@ -159,8 +159,8 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
         "joulebus eval runs --config lab/fleet.toml --resamples 0 --horizons none",
         "joulebus report runs --platform runs --config lab/fleet.toml --model builtin:gternal-sim -o page",
     ] {
-        let said = home.shell(line).output().unwrap().exits(0);
-        assert!(!stderr(&said).contains("implausible"), "{line}: {}", stderr(&said));
+        let printed = home.shell(line).output().unwrap().exits(0);
+        assert!(!stderr(&printed).contains("implausible"), "{line}: {}", stderr(&printed));
     }
 }
 
@@ -177,13 +177,13 @@ fn from_one_file_of_several_robots_to_a_trained_model_and_its_skill() {
     };
     let header = "robot_id,time,power_W,current_A,v_cmd,omega_cmd";
     home.write("my logs/fleet.csv", header, row, 400 * robots);
-    let said =
+    let printed =
         home.walk("joulebus config init --from 'my logs' --train --accept constant -o 'my lab'");
-    says(&said, ["models/my_logs.safetensors", "held out, ", "skill ", "against the last reading"]);
+    assert_contains(&printed, ["models/my_logs.safetensors", "held out, ", "skill ", "against the last reading"]);
     let platform = home.folder.path().join("my lab/platforms/my_logs.toml");
-    says(&fs::read_to_string(platform).unwrap(), ["accept = \"constant\""]);
+    assert_contains(&fs::read_to_string(platform).unwrap(), ["accept = \"constant\""]);
     // Whole robots are held out of one file.
     home.walk("joulebus train trials 'my logs' --accept constant --out m.safetensors");
     let model = home.shell("joulebus model info 'my lab/models/my_logs.safetensors'");
-    says(&stdout(&{ model }.output().unwrap()), ["period        0.005"]);
+    assert_contains(&stdout(&{ model }.output().unwrap()), ["period        0.005"]);
 }

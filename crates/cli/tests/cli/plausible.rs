@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use serde_json::Value;
 
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
@@ -60,26 +60,26 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
     let negative = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
     let unstated = "time,voltage,current,v_cmd,omega_cmd";
     let unstated = recording(&fleet, "unstated.csv", unstated, [1.0, 1.0]);
-    for (path, says, option) in [
+    for (path, expected, option) in [
         (negative, "--current discharge-negative", ["--current", "discharge-negative"]),
         (unstated, "--map voltage_V=voltage", ["--map", "voltage_V=voltage,current_A=current"]),
     ] {
         let path = path.display().to_string();
         let checked = output(["data", "check", &path]).exits(3);
-        assert!(stdout(&checked).contains(says), "{}", stdout(&checked));
+        assert!(stdout(&checked).contains(expected), "{}", stdout(&checked));
         for (number, door) in DOORS.iter().enumerate() {
             let plain = words(&fleet, door, &path, number);
             let refused = output(&plain);
-            let said = stderr(&refused);
-            assert_eq!(code(&refused), 1, "{door}: {said}");
-            assert!(said.contains(says) && said.contains("--accept"), "{door}: {said}");
+            let printed = stderr(&refused);
+            assert_eq!(code(&refused), 1, "{door}: {printed}");
+            assert!(printed.contains(expected) && printed.contains("--accept"), "{door}: {printed}");
             assert!(!fleet.path(&format!("out-{number}.csv")).exists(), "{door}");
             // Reading it right is enough.
             let read = plain.iter().map(String::as_str).chain(option);
             let read = output(read);
-            let said = stderr(&read);
-            assert!(!said.contains("implausible"), "{door} {option:?}: {said}");
-            assert!(matches!(code(&read), 0 | 3), "{door} {option:?}: {said}");
+            let printed = stderr(&read);
+            assert!(!printed.contains("implausible"), "{door} {option:?}: {printed}");
+            assert!(matches!(code(&read), 0 | 3), "{door} {option:?}: {printed}");
             for out in ["", ".csv", ".safetensors"] {
                 let out = fleet.path(&format!("out-{number}{out}"));
                 let _ = fs::remove_file(&out);
@@ -97,12 +97,12 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     let path = path.display().to_string();
     let analyze = ["analyze", &path, "--native", "--split", "time", "--format", "json"];
     let accepted = done(analyze.into_iter().chain(["--accept", "sign"]));
-    says(&stderr(&accepted), ["accepted: sign"]);
+    assert_contains(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
     assert_eq!((&found["kind"], &found["accepted"]), (&Value::from("sign"), &Value::from(true)));
     output(["data", "check", &path, "--accept", "sign", "--format", "json"]).exits(0);
     let refused = output(["data", "check", &path, "--accept", "smell"]).exits(2);
-    says(&stderr(&refused), ["saturation"]);
+    assert_contains(&stderr(&refused), ["saturation"]);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn warnings_are_shown_and_go_on() {
     fs::write(&path, text).unwrap();
     let analyze = ["analyze", path.to_str().unwrap(), "--native", "--split", "time"];
     let found = done(analyze.into_iter().chain(["--format", "json"]));
-    says(&stderr(&found), ["warning: constant"]);
+    assert_contains(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];
     assert_eq!(kind, &Value::from("constant"));
 }
@@ -135,7 +135,7 @@ fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
     let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
     assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
     // The next commands read the recording in the same way.
-    says(&stdout(&made), ["--current discharge-negative"]);
+    assert_contains(&stdout(&made), ["--current discharge-negative"]);
 }
 
 /// A zero in front of noise is no step of the monitor.

@@ -20,8 +20,8 @@ fn is_obeyed(letter: char) -> bool {
 
 fn assert_is_printable(arguments: &[&str], ended: &Output) {
     for bytes in [&ended.stdout, &ended.stderr] {
-        let said = std::str::from_utf8(bytes).unwrap();
-        assert!(!said.contains(is_obeyed), "{arguments:?}: {said:?}");
+        let printed = std::str::from_utf8(bytes).unwrap();
+        assert!(!printed.contains(is_obeyed), "{arguments:?}: {printed:?}");
     }
 }
 

@@ -87,15 +87,15 @@ fn link(fleet: &Fleet) -> PathBuf {
 
 #[test]
 fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code() {
-    for (row, says) in RUNS.iter().filter(|(row, _)| crate::fleet::is_built(row)) {
+    for (row, wanted) in RUNS.iter().filter(|(row, _)| crate::fleet::is_built(row)) {
         let expected = i32::from(row.starts_with("train"));
         for signal in end_signals() {
             let fleet = Fleet::new();
             let mut program = Program::start(command(&fleet, row));
-            program.wait_for_stderr(says);
+            program.wait_for_stderr(wanted);
             let ended = program.end(signal);
-            let said = stderr(&ended);
-            assert_eq!(code(&ended), expected, "{row}, {signal:?}: {said}");
+            let printed = stderr(&ended);
+            assert_eq!(code(&ended), expected, "{row}, {signal:?}: {printed}");
             assert!(fleet.stale_files().is_empty(), "{row}, {signal:?}");
             assert!(!fleet.path("new").exists(), "{row}, {signal:?}");
         }
@@ -214,7 +214,7 @@ fn a_snapshot_requested_together_with_the_end_is_written() {
     eventually("messages in memory", || {
         // Progress is printed every five seconds.
         record
-            .said()
+            .printed()
             .iter()
             .any(|line| line.contains("in memory") && !line.contains(" 0 messages of"))
     });

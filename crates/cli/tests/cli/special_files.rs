@@ -100,13 +100,13 @@ fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
     for verb in READERS {
         for (special, kind) in &specials {
             let ended = called(&fleet, verb, [special, &whole, &trial]);
-            let (said, shown) = (stderr(&ended), special.display());
+            let (printed, shown) = (stderr(&ended), special.display());
             // A replay of several files plays the readable ones, and reports the others at its end.
             let codes = if verb.contains("CAPTURE X") { 3..=3 } else { 1..=2 };
             assert!(codes.contains(&code(&ended)), "{verb}, {shown}: {ended:?}");
-            assert!(!said.contains("panicked"), "{verb}, {shown}: {said}");
-            let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &said;
-            assert!(told.contains(kind), "{verb}, {shown}: {told}");
+            assert!(!printed.contains("panicked"), "{verb}, {shown}: {printed}");
+            let output_text = String::from_utf8_lossy(&ended.stdout).into_owned() + &printed;
+            assert!(output_text.contains(kind), "{verb}, {shown}: {output_text}");
             assert!(!fleet.path("out").exists(), "{verb}, {shown}");
         }
     }
@@ -125,11 +125,11 @@ fn what_a_file_of_another_kind_is_says_every_verb_that_reads_recordings_or_model
     let mut asked = 0;
     for verb in doors {
         let ended = called(&fleet, verb, [&pointer, Path::new("CAPTURE"), &trial]);
-        let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &stderr(&ended);
-        assert!((1..=3).contains(&code(&ended)), "{verb}: {told}");
+        let output_text = String::from_utf8_lossy(&ended.stdout).into_owned() + &stderr(&ended);
+        assert!((1..=3).contains(&code(&ended)), "{verb}: {output_text}");
         assert!(
-            told.contains("a pointer of Git LFS") && told.contains("git lfs pull"),
-            "{verb}: {told}"
+            output_text.contains("a pointer of Git LFS") && output_text.contains("git lfs pull"),
+            "{verb}: {output_text}"
         );
         asked += 1;
     }

@@ -40,7 +40,7 @@
 
 mod hashes;
 mod joulebus;
-mod told;
+mod published;
 
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ pub use joulebus::{
     AcknowledgeRequest, AcknowledgeResponse, Answer, Outlook, VERDICTS, WhatIfRequest,
     WhatIfResponse, definitions,
 };
-pub use told::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
+pub use published::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
 
 /// Time since 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -11,8 +11,7 @@
 //! an invalid one. This is checked at compile time: each is a [`Payload`].
 //!
 //! **Three types to know.** A [`Sample`] is the report of a source on a robot. A [`Forecast`] is
-//! what the worker says of it. A [`Channel`] is a service of shared memory: its header and its
-//! rows.
+//! that of the worker on it. A [`Channel`] is a service of shared memory: its header and its rows.
 //!
 //! **Units** are SI. Times are `u64` nanoseconds. An unknown value is NaN *and* has its flag
 //! cleared. It is never 0 or −1.

@@ -5,7 +5,7 @@ use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_testkit::{Ended, run, says};
+use joulebus_testkit::{Ended, run, assert_contains};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
     let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());
@@ -43,12 +43,12 @@ fn a_split_reports_on_what_was_held_out() {
     };
     let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
     assert!(text.contains("split by trial"), "{text}");
-    says(&text, ["seed 3", "30 % held out"]);
+    assert_contains(&text, ["seed 3", "30 % held out"]);
     assert!(text.contains(", on 2 recordings"), "{text}");
     let text = report(&["--split", "trial", "--leave-out", data.join("t_4.csv").to_str().unwrap()]);
-    says(&text, [", on 1 recordings", "t_4.csv held out"]);
+    assert_contains(&text, [", on 1 recordings", "t_4.csv held out"]);
     let text = report(&["--leave-out", "t_4.csv"]);
-    says(&text, [", on 1 recordings", "left out: t_4.csv", "mean so far", "ridge"]);
+    assert_contains(&text, [", on 1 recordings", "left out: t_4.csv", "mean so far", "ridge"]);
     output(
         format!("{} --model builtin:gternal-sim --split row -o x", data.to_str().unwrap())
             .split(' '),
@@ -94,7 +94,7 @@ fn one_command_runs_the_simulated_experiments() {
     let made = output(arguments).exits(0);
     let text = made.text();
     let parts = "network | persistence | AR(5) + velocities | trained on simulated robots";
-    says(&text, parts.split(" | "));
+    assert_contains(&text, parts.split(" | "));
     assert!(made.errors().contains("report.html"), "{}", made.errors());
 }
 

@@ -76,7 +76,7 @@ struct Observer {
 
 /// The state of the worker as a planner knows it.
 #[derive(Default)]
-struct Told {
+struct Received {
     /// Its newest frame: the process, run and tick of its worker.
     newest: Option<(u32, u64, u64)>,
     /// When it came, or the planner could first look since, monotonic ns.
@@ -95,7 +95,7 @@ pub(super) struct Machine {
     observer: Option<Observer>,
     /// Number of the last frame of each run of a source.
     sources: BTreeMap<(u64, u64), u64>,
-    told: Told,
+    received: Received,
     next_pid: u32,
     report: Report,
     disk_until_ns: u64,
@@ -129,7 +129,7 @@ impl Machine {
             arrivals: 0,
             observer: None,
             sources: BTreeMap::new(),
-            told: Told::default(),
+            received: Received::default(),
             next_pid: PIDS.start,
             report: Report::default(),
             disk_until_ns: 0,
@@ -240,20 +240,20 @@ impl Machine {
     /// Frames come in order, and a planner that has none for some periods knows it.
     fn learns(&mut self, learned: &process::Learned, age_ns: Option<u64>) -> Checked {
         self.report.learned += learned.frames.len() as u64;
-        let (told, now_ns) = (&mut self.told, time::monotonic_ns());
+        let (received, now_ns) = (&mut self.received, time::monotonic_ns());
         for frame in &learned.frames {
-            let before = told.newest.replace(*frame);
+            let before = received.newest.replace(*frame);
             if before.is_some_and(|before| before.0 == frame.0 && (frame.1, frame.2) <= (before.1, before.2)) {
                 let found = format!("a planner has frame {frame:?} after {before:?}");
                 return Err(failure("planners see runs and ticks in order", found));
             }
-            (told.since_ns, told.is_warned) = (now_ns, false);
+            (received.since_ns, received.is_warned) = (now_ns, false);
         }
-        told.is_warned |= learned.is_worse;
+        received.is_warned |= learned.is_worse;
         // Stale after two periods, and somewhat later.
         let bound_ns = 2 * self.setup.period_ns + 2 * learned.every_ns + SECOND / 5;
-        let silent_ns = now_ns.saturating_sub(told.since_ns);
-        if told.newest.is_some() && !told.is_warned && silent_ns > bound_ns {
+        let silent_ns = now_ns.saturating_sub(received.since_ns);
+        if received.newest.is_some() && !received.is_warned && silent_ns > bound_ns {
             let found = format!(
                 "nothing for {silent_ns} ns, the newest frame is {age_ns:?} ns old, allowed are \
                  {bound_ns}"
@@ -300,7 +300,7 @@ impl Machine {
             },
         };
         match slot.program {
-            Some(Program::Planner(_)) => self.told = Told::default(),
+            Some(Program::Planner(_)) => self.received = Received::default(),
             Some(_) => {}
             None => {
                 host::bury(pid);
@@ -437,14 +437,14 @@ impl Machine {
                 if let Some(at) = self.slot(part) {
                     self.slots[at].paused_until_ns = now_ns + ns;
                     if part == Part::Planner {
-                        self.told = Told::default();
+                        self.received = Received::default();
                     }
                 }
             }
             Fault::Suspend(ns) => time::sleep(ns),
             Fault::Jump(ns) => {
                 time::pass(ns);
-                self.told = Told::default();
+                self.received = Received::default();
             }
             Fault::WallClock(ns) => time::set_wall_clock(ns),
             Fault::Drift(ppm) => time::drift(ppm),

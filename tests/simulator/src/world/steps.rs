@@ -8,7 +8,7 @@ use simulated_host::{self as host, disk, memory, time};
 use super::state::World;
 use crate::check::{Checked, failure};
 use crate::grown;
-use crate::process::{self, Heard, Learned, Stepped};
+use crate::process::{self, Outcome, Learned, Stepped};
 use crate::scenario::Role;
 
 impl World<'_> {
@@ -109,9 +109,9 @@ impl World<'_> {
                 slot.wake_ns = wake_ns;
                 self.learns(place, &learned)?;
             }
-            Ok(Some(Stepped::Asked(wake_ns, heard))) => {
+            Ok(Some(Stepped::Asked(wake_ns, result))) => {
                 slot.wake_ns = deadline_ns.map_or(wake_ns, time::simulated_ns);
-                self.hears(&heard)?;
+                self.takes_outcome(&result)?;
             }
             Ok(Some(Stepped::Ended(reason))) => {
                 slot.last = reason;
@@ -160,21 +160,21 @@ impl World<'_> {
         self.woken.clear();
     }
 
-    fn hears(&mut self, heard: &Heard) -> Checked {
-        match heard {
-            Heard::Nothing => Ok(()),
-            Heard::Answer(answered) => {
+    fn takes_outcome(&mut self, result: &Outcome) -> Checked {
+        match result {
+            Outcome::Nothing => Ok(()),
+            Outcome::Answer(answered) => {
                 // One of the worker before may be found late.
                 let is_its = self.checker.run() == Some(answered.worker_epoch);
                 self.answered += u64::from(is_its);
                 self.outcome.questions += 1;
                 self.checker.answered(answered)
             }
-            Heard::TimedOut(asked_ns) if *asked_ns < self.worker_ended_ns => {
+            Outcome::TimedOut(asked_ns) if *asked_ns < self.worker_ended_ns => {
                 let found = format!("asked at {asked_ns} ns, the worker ended later");
                 Err(failure("clients learn of every end", found))
             }
-            Heard::TimedOut(_) => Ok(()),
+            Outcome::TimedOut(_) => Ok(()),
         }
     }
 
@@ -199,7 +199,7 @@ impl World<'_> {
                 self.checker.none_between(before, *frame)?;
             }
         }
-        self.checker.end_is_told(learned, slot.watched)?;
+        self.checker.end_is_reported(learned, slot.watched)?;
         if learned.is_worse || !learned.frames.is_empty() {
             slot.learn_until_ns = u64::MAX;
             slot.is_warned = learned.is_worse;

@@ -25,8 +25,8 @@ fn cargo(arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO"));
     let command = command.args(arguments).arg("--locked");
     let output = command.current_dir(crates().parent().unwrap()).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "cargo {arguments:?}: {said}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "cargo {arguments:?}: {printed}");
     String::from_utf8(output.stdout).unwrap()
 }
 

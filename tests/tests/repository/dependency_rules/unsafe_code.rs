@@ -54,8 +54,8 @@ fn every_unsafe_block_has_a_safety_comment() {
                 continue;
             }
             let above = &lines[number.saturating_sub(8)..number];
-            let said = above.iter().any(|line| line.contains("SAFETY:"));
-            assert!(said, "{}:{} has no SAFETY: above it", path.display(), number + 1);
+            let is_explained = above.iter().any(|line| line.contains("SAFETY:"));
+            assert!(is_explained, "{}:{} has no SAFETY: above it", path.display(), number + 1);
         }
     }
 }

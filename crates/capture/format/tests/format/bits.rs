@@ -251,7 +251,7 @@ fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_field
     assert_eq!(frame.rows[0].robot, 7);
     assert!(frame.rows[0].power_w.is_nan() && frame.rows[0].quality == 0);
     // The last one counts.
-    for (qualities, told) in [
+    for (qualities, error_text) in [
         (&[0x18, 0x80, 0x80, 0x04, 0x18, 0x02][..], None),
         (
             &[0x18, 0x02, 0x18, 0x80, 0x80, 0x04],
@@ -263,18 +263,18 @@ fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_field
         ),
     ] {
         let row = [&[0xf2, 0x01, qualities.len() as u8], qualities].concat();
-        let told_now = Message::decode(kind, &row).err().map(|error| error.to_string());
-        assert_eq!(told_now.as_deref(), told);
+        let refusal_now = Message::decode(kind, &row).err().map(|error| error.to_string());
+        assert_eq!(refusal_now.as_deref(), error_text);
     }
     // Before 1970.
     let time = [
         0x7a, 0x02, 0x08, 0x7f, 0x7a, 0x0b, 0x08, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
         0xff, 0x01,
     ];
-    let told = Message::decode(kind, &time).unwrap_err().to_string();
-    assert_eq!(told, format!("Forecasts.sent_at = -1000000000: allowed are 0 to {}", u64::MAX));
-    let told = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2]).unwrap_err().to_string();
-    assert_eq!(told, "failed to decode Protobuf message: Forecast.reading_w: buffer underflow");
+    let error_text = Message::decode(kind, &time).unwrap_err().to_string();
+    assert_eq!(error_text, format!("Forecasts.sent_at = -1000000000: allowed are 0 to {}", u64::MAX));
+    let error_text = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2]).unwrap_err().to_string();
+    assert_eq!(error_text, "failed to decode Protobuf message: Forecast.reading_w: buffer underflow");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use cdr_encoding::to_vec;
 use joulebus_capture_format::import::{Mapping, RobotReport, import};
 use joulebus_ros_messages::TwistStamped;
 use joulebus_testkit::recordings::shared;
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
@@ -43,7 +43,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
     assert!(not_numbers > 0, "{odometry:?}");
     let notes = robot.notes.join("\n");
     let parts = ["2628 of 2628 readings have no stamp", "`present` is false"];
-    says(&notes, parts);
+    assert_contains(&notes, parts);
     assert!(!notes.contains("flowing into the battery"), "{notes}");
     assert_eq!(imported.unusable.len(), 1, "{:?}", imported.unusable);
     let others: u64 = imported.others.values().sum();
@@ -66,7 +66,7 @@ fn a_current_of_the_wrong_sign_is_reported() {
     let robot = &imported.robots[0];
     assert!(robot.rows.iter().all(|row| row.power_w < 0.0));
     let part = "check whether it is discharge-positive";
-    says(&robot.notes.join("\n"), [part]);
+    assert_contains(&robot.notes.join("\n"), [part]);
     // Stamps of 0 are unset.
     let mapping: Mapping = "time = \"header\"".parse().unwrap();
     let imported = import(File::open(&file).unwrap(), "couguv", &mapping).unwrap();
@@ -92,7 +92,7 @@ fn corner_cases_of_rosbag2_are_reported_as_without_battery() {
         let mapping = "[[robot]]\nname = \"r\"\nbattery = \"/test_topic\"";
         let mapping: Mapping = mapping.parse().unwrap();
         let refused = import(File::open(&file).unwrap(), "x", &mapping).unwrap_err();
-        says(&refused, ["/test_topic"]);
+        assert_contains(&refused, ["/test_topic"]);
     }
     assert_eq!(files, 20);
 }
@@ -181,7 +181,7 @@ fn undecodable_messages_are_refused_by_reason_and_the_rest_is_used() {
     assert!(!imported.is_whole());
     let reasons: Vec<&str> = found.refused.keys().map(|why| &**why).collect();
     let parts = ["Plain CDR begins with", "not a number", "9 bytes follow"];
-    says(&reasons.join("\n"), parts);
+    assert_contains(&reasons.join("\n"), parts);
 }
 
 /// Found by fuzzing: a topic may have channels of several kinds.
@@ -217,7 +217,7 @@ fn a_type_with_other_fields_or_another_encoding_is_not_misread() {
     let unusable = imported.unusable.iter();
     let why: Vec<&str> = unusable.map(|channel| channel.why.as_str()).collect();
     assert_eq!(why.len(), 2, "{why:?}");
-    says(&why.join("\n"), ["float32 temperature", "wrong_format"]);
+    assert_contains(&why.join("\n"), ["float32 temperature", "wrong_format"]);
 }
 
 #[test]
@@ -252,7 +252,7 @@ fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
     assert_eq!((robot.rows[0].v_mps, robot.rows[0].power_w), (1.0, 5.0));
     assert_eq!(imported.unusable.len(), 2, "{:?}", imported.unusable);
     let twice = format!("{mapping}\n[[robot]]\nname = \"second\"\nbattery = \"/a/battery\"");
-    says(&bag().import(&twice).unwrap_err(), ["second"]);
+    assert_contains(&bag().import(&twice).unwrap_err(), ["second"]);
 }
 
 /// A bag in which each battery, command and odometry has five messages, the n-th topic with v = n.
@@ -290,7 +290,7 @@ fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
     let several = ["/p/battery/status", "/p/battery/left/status", "/p/battery/right/status"];
     let bag = || bag_of(&several, &["/p/cmd_vel", "/q/cmd_vel"]);
     let refused = bag().import("").unwrap_err().to_string();
-    says(&refused, several.iter().chain(&["--battery", "mapping file"]));
+    assert_contains(&refused, several.iter().chain(&["--battery", "mapping file"]));
     let mut mapping: Mapping =
         "[[robot]]\nname = \"p\"\nbattery = \"/p/battery/left/status\"".parse().unwrap();
     let chosen = |mapping: &Mapping| import(Cursor::new(bag().bytes()), "bag", mapping).unwrap();
@@ -387,7 +387,7 @@ fn a_file_of_another_kind_is_named() {
         (b"hello, world", "68, 65"),
     ] {
         let refused = import(Cursor::new(bytes), "bag", &Mapping::default()).unwrap_err();
-        says(&refused, [part, "an MCAP file begins with"]);
+        assert_contains(&refused, [part, "an MCAP file begins with"]);
     }
 }
 
@@ -402,7 +402,7 @@ fn an_invalid_mapping_is_refused() {
         ("[[robot]]\nname = \"r\"", "battery"),
         (unit, "voltage_unit_v"),
     ] {
-        says(&text.parse::<Mapping>().unwrap_err(), [part]);
+        assert_contains(&text.parse::<Mapping>().unwrap_err(), [part]);
     }
 }
 
@@ -449,13 +449,13 @@ fn stamps_are_not_joined_with_times_of_another_clock() {
         // All have the robot's clock.
         (|ns| ns + LATE_NS, Some(LATE_NS), "header", ""),
     ];
-    for (number, (stamp, stamped, clock, says)) in cases.into_iter().enumerate() {
-        let name = format!("case {number}, {says}");
+    for (number, (stamp, stamped, clock, expected_note)) in cases.into_iter().enumerate() {
+        let name = format!("case {number}, {expected_note}");
         let imported = two_clocks(stamp, stamped).import("").unwrap();
         let robot = &imported.robots[0];
         let notes = robot.notes.join("\n");
         assert!(imported.is_whole(), "{name}: {imported}");
-        assert!(notes.contains(says), "{name}: {imported}");
+        assert!(notes.contains(expected_note), "{name}: {imported}");
         assert_eq!((robot.time, robot.row_count), (clock, 60), "{name}");
         for (step, row) in robot.rows.iter().enumerate() {
             let v_mps = if step < 30 { 0.2 } else { 0.0 };
@@ -477,7 +477,7 @@ fn a_recorder_whose_clock_is_set_back_begins_another_trial() {
     let robot = &imported.robots[0];
     assert_eq!(robot.row_count, 60, "{imported}");
     assert_eq!(robot.runs_from, [40], "{imported}");
-    says(&robot.notes.join("\n"), ["set back 1 times"]);
+    assert_contains(&robot.notes.join("\n"), ["set back 1 times"]);
     for (step, row) in robot.rows.iter().enumerate() {
         assert_eq!(row.power_w, 12.0 * (1.0 + step as f64));
     }
@@ -539,10 +539,10 @@ fn percentages_are_read_as_such_in_all_readings() {
     let percent = imported(&|step| 60.0 - step as f32);
     assert_eq!(percent.rows[0].soc, 0.6);
     assert!((percent.rows[59].soc - 0.01).abs() < 1e-9);
-    says(&percent.notes.join("\n"), ["0 to 100"]);
+    assert_contains(&percent.notes.join("\n"), ["0 to 100"]);
     let share = imported(&|step| if step == 7 { 7.0 } else { 0.5 });
     assert!(share.rows[7].soc.is_nan() && share.rows[8].soc == 0.5);
-    says(&share.notes.join("\n"), ["1 of 60 readings have a percentage outside", "left out"]);
+    assert_contains(&share.notes.join("\n"), ["1 of 60 readings have a percentage outside", "left out"]);
     // The last one is that of mavros. Drivers that measure nothing else leave it at 0.
     for unknown in [-1.0, f32::NAN, -0.01] {
         for (known, expected) in [(0.5, 0.5), (60.0, 0.6), (0.0, f64::NAN)] {
@@ -550,7 +550,7 @@ fn percentages_are_read_as_such_in_all_readings() {
             assert_eq!((robot.row_count, robot.battery.refused.len()), (60, 0));
             let [even, odd] = [robot.rows[8].soc, robot.rows[7].soc];
             assert!(odd.is_nan() && even.total_cmp(&expected).is_eq(), "{unknown} {known}: {even}");
-            says(&robot.notes.join("\n"), ["30 of 60 readings have a percentage of NaN or −1"]);
+            assert_contains(&robot.notes.join("\n"), ["30 of 60 readings have a percentage of NaN or −1"]);
         }
     }
 }

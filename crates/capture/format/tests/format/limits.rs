@@ -101,8 +101,8 @@ fn try_all(preset: Preset, step: usize) {
         let fits = room == whole.len();
         assert_eq!(written.is_ok(), fits, "{preset:?}, room for {room} bytes");
         if let Err(error) = written {
-            let told = error.to_string();
-            assert!(told.contains("storage") || told.contains("space"), "{told}");
+            let text = error.to_string();
+            assert!(text.contains("storage") || text.contains("space"), "{text}");
         }
         assert_eq!(file, whole[..room], "nothing but the beginning");
         let (found, end) = read(&file);

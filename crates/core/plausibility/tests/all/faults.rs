@@ -281,11 +281,11 @@ fn each_reading_of_a_unit_is_named() {
         });
         let found = judged(known, &rows.collect::<Vec<_>>());
         let units = found.iter().filter(|one| one.kind == Kind::Unit);
-        let told: Vec<String> = units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
-        let is_told = told.len() == expected.len()
-            && told.iter().zip(expected).all(|(told, part)| told.contains(part));
+        let remedies: Vec<String> = units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
+        let is_complete = remedies.len() == expected.len()
+            && remedies.iter().zip(expected).all(|(remedies, part)| remedies.contains(part));
         let case = (voltage, current, ampere);
-        assert!(is_told, "{case:?}: {told:?}, and not {expected:?}: {found:?}");
+        assert!(is_complete, "{case:?}: {remedies:?}, and not {expected:?}: {found:?}");
     }
 }
 

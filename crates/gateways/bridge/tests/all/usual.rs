@@ -39,7 +39,7 @@ fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
         assert_eq!(again.json(), checked.json());
         let refused = ended(&fleet, &[&given[..], &["--write", file]].concat());
         assert_eq!(refused.exit_code(), 1);
-        for (options, says) in [
+        for (options, expected) in [
             (&[usual][..], "--robots 'robot{id}=0-9'"),
             (&[usual, "--robots", "robot7"], "NAME=IDS"),
             (&[usual, "--robots", "robot=0-9"], "robots.robot"),
@@ -48,7 +48,7 @@ fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
         ] {
             let refused = ended(&fleet, options);
             assert_eq!(refused.exit_code(), 2, "{refused:?}");
-            assert!(refused.errors().contains(says), "{refused:?}");
+            assert!(refused.errors().contains(expected), "{refused:?}");
         }
     }
 }

@@ -93,7 +93,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
 }
 
 /// Waits until the link has logged this, and no library has in other words.
-fn says(link: &Child, expected: &str) {
+fn wait_for_log(link: &Child, expected: &str) {
     eventually(expected, || link.errors().contains(expected));
     assert!(!link.errors().contains("open file limit"), "{}", link.errors());
 }
@@ -126,9 +126,9 @@ fn both_links_say_why_a_certificate_is_refused() {
         let text = file("edge", name, of, &format!("connect = [\"{to}\"]"), SAMPLES);
         let ca = |folder: &Path| format!("{}/fleet-ca.pem", folder.display());
         let mut edge = edge.link(&text.replace(&ca(of), &ca(authority)));
-        says(&edge, &format!("no connection to {to}: "));
-        says(&edge, here);
-        says(&link, there);
+        wait_for_log(&edge, &format!("no connection to {to}: "));
+        wait_for_log(&edge, here);
+        wait_for_log(&link, there);
         edge.end();
         link.end();
     }
@@ -258,7 +258,7 @@ fn init_writes_files_and_certificates_that_check_compares() {
     assert!(check(edge).json()["certificate"]["days_left"].as_i64() <= Some(1));
     // The key of another certificate, the name of another link, and another authority.
     let text = host.read(edge);
-    for (change, told) in [
+    for (change, refusal) in [
         (text.replace("edge-1.key", "../base/base.key"), "is not the key of"),
         (text.replace("\"edge-1\"", "\"edge-2\""), "is for the link \"edge-1\""),
         (text.replace("\"fleet-ca.pem\"", "\"../base/base.pem\""), "peers refuse"),
@@ -266,7 +266,7 @@ fn init_writes_files_and_certificates_that_check_compares() {
         host.write(edge, &change);
         let refused = check(edge);
         assert_eq!(refused.code(), Some(2), "{change}");
-        assert!(refused.errors().contains(told), "{told}: {refused:?}");
+        assert!(refused.errors().contains(refusal), "{refusal}: {refused:?}");
     }
     for wrong in [
         "base=10.0.0.9",
@@ -341,8 +341,8 @@ fn a_certificate_that_expires_ends_its_connection_and_a_renewed_one_makes_it_aga
     // It is not let in again as long as the certificate has expired.
     assert!(planner.frame_within(Duration::from_secs(3)).is_none());
     assert!(edge.is_running() && link.is_running());
-    says(&link, "ends: the other link's certificate has expired");
-    says(&edge, "refuses this link's certificate: it has expired");
+    wait_for_log(&link, "ends: the other link's certificate has expired");
+    wait_for_log(&edge, "refuses this link's certificate: it has expired");
     assert!(certificates(folder.path(), 30, &["edge"]));
     planner.fresh_sample();
     edge.end();

@@ -338,8 +338,8 @@ fn a_host_has_a_worker_or_a_link_in_its_place_and_the_second_is_refused() {
     let _desk = there.link(&of_other("desk", &address, FOLLOW));
     let refused = Child::spawn("run", there.joulebus(&["run"])).wait();
     assert_eq!(refused.code(), Some(1), "{refused:?}");
-    let told = "already has a worker on another host: the link here stands in for it";
-    assert!(refused.errors().contains(told), "{refused:?}");
+    let refusal = "already has a worker on another host: the link here stands in for it";
+    assert!(refused.errors().contains(refusal), "{refused:?}");
     assert!(!refused.errors().contains("kill"), "{refused:?}");
     let _robots = here.robots(&["--robots", "2"]);
     let mut doctor = Value::Null;

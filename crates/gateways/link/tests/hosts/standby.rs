@@ -297,7 +297,7 @@ fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
 
 /// Asserts that frames in the order of sending never return to an earlier run: workers do not
 /// alternate.
-fn assert_one_spoke_at_a_time(planners: Vec<Reader>) {
+fn assert_one_sent_at_a_time(planners: Vec<Reader>) {
     let mut sent = Vec::new();
     for (at, planner) in planners.into_iter().enumerate() {
         let frames = planner.all_frames();
@@ -415,7 +415,7 @@ fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_an
     for over in [cut_off, commanded] {
         assert_continues(&over, gaps_s);
     }
-    assert_one_spoke_at_a_time(beside);
+    assert_one_sent_at_a_time(beside);
 }
 
 #[test]
@@ -443,7 +443,7 @@ fn a_host_that_was_stopped_and_goes_on_too_late_sends_nothing_any_more() {
     std::thread::sleep(Duration::from_secs(1));
     fresh(&mut planner);
     planner.leave();
-    assert_one_spoke_at_a_time(beside);
+    assert_one_sent_at_a_time(beside);
     let report = field.end().json();
     assert_eq!(report["taken"].as_array().unwrap().len(), 2, "{report}");
 }
@@ -491,7 +491,7 @@ fn without_a_lease_operators_command_who_serves() {
     for over in &taken_over {
         assert_continues(over, gaps_s);
     }
-    assert_one_spoke_at_a_time(beside);
+    assert_one_sent_at_a_time(beside);
 }
 
 #[test]
@@ -525,7 +525,7 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
         serving = serves().unwrap();
     }
     planner.leave();
-    assert_one_spoke_at_a_time(beside);
+    assert_one_sent_at_a_time(beside);
 }
 
 #[test]
@@ -801,6 +801,6 @@ fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_i
         "figure: {faults} faults, {gave_way} workers gave way, at most {lost_s:.2} s of an account went back"
     );
     planner.leave();
-    assert_one_spoke_at_a_time(beside);
+    assert_one_sent_at_a_time(beside);
     all.field.end();
 }

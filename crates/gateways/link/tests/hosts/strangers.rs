@@ -58,11 +58,11 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     let mut desk = there.link(&text);
     let stranger = session([&address, &of_desk]);
     // Real messages of the stream, recorded and sent again, damaged and intact.
-    let overheard = stranger.declare_subscriber("joulebus/lab/**").wait().unwrap();
+    let intercepted = stranger.declare_subscriber("joulebus/lab/**").wait().unwrap();
     let mut planner = there.planner();
     let mut real = Vec::new();
     while real.len() < 60 {
-        let sample = overheard.recv().unwrap();
+        let sample = intercepted.recv().unwrap();
         real.push((
             sample.key_expr().as_str().to_owned(),
             sample.payload().to_bytes().into_owned(),
@@ -70,7 +70,7 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
         planner.frame();
     }
     // The recorder would receive its own messages.
-    drop(overheard);
+    drop(intercepted);
     let mut last = (0, 0);
     for (key, real) in real.iter().cycle().take(150) {
         for forged in forgeries(real) {

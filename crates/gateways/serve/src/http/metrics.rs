@@ -459,7 +459,7 @@ fn histogram(
 #[cfg(test)]
 mod tests {
     use joulebus_board::{Board, Link, Platforms};
-    use joulebus_testkit::assert_page_says;
+    use joulebus_testkit::assert_page_contains;
     use joulebus_wire::{DropReason, ForecastHeader, QueryCounts, QueryRefusal};
 
     use super::super::alarms::Alarms;
@@ -559,8 +559,8 @@ mod tests {
         }
         let head = "| metric | type | labels | meaning |\n|---|---|---|---|\n";
         let [fleet, robots] = tables.map(|rows| format!("\n{head}{rows}\n"));
-        assert_page_says("docs/reference/metrics.md", "<!-- metrics of the fleet", &fleet);
-        assert_page_says("docs/reference/metrics.md", "<!-- metrics of robots", &robots);
+        assert_page_contains("docs/reference/metrics.md", "<!-- metrics of the fleet", &fleet);
+        assert_page_contains("docs/reference/metrics.md", "<!-- metrics of robots", &robots);
     }
 
     #[test]

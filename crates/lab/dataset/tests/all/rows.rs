@@ -8,7 +8,7 @@ use joulebus_dataset::split::{
     By, PAUSE_ROWS, Source, Split, SplitError, assign, assign_leaving_out, group_of, split,
 };
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
 
@@ -103,7 +103,7 @@ fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
     let wanted = Split { by: By::Group, ..Split::default() };
     let error = assign_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
     let text = error.to_string();
-    says(&text, "t2 and copy | held out | 80 rows | leave one of them out".split(" | "));
+    assert_contains(&text, "t2 and copy | held out | 80 rows | leave one of them out".split(" | "));
 }
 
 /// The unit of a row, encoded in its readings.

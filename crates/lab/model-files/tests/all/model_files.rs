@@ -10,7 +10,7 @@ use joulebus_model_files::{
     StatisticsFrom, to_arrays, to_npz, to_onnx,
 };
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
-use joulebus_testkit::{cases, says};
+use joulebus_testkit::{cases, assert_contains};
 use joulebus_testkit_networks::random;
 
 const STEP_S: f64 = 1.0 / 30.0;
@@ -217,7 +217,7 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
         let name = convention.to_string();
         assert_eq!(name.parse::<Convention>().unwrap(), convention);
         let card = choice.network().card();
-        says(&card.source, [&name]);
+        assert_contains(&card.source, [&name]);
         assert_eq!(card.scores.rows, choice.rows as u64);
     }
 }
@@ -352,7 +352,7 @@ fn a_network_of_another_program_is_not_assumed_to_read_the_reading_age() {
     let read = Checkpoint::from_arrays(&arrays).unwrap();
     assert!(read.network.is_none());
     let error = read.find(None, None).unwrap_err().to_string();
-    says(&error, ["is read only from a file of joulebus", "64, 13"]);
+    assert_contains(&error, ["is read only from a file of joulebus", "64, 13"]);
 }
 
 #[test]
@@ -401,7 +401,7 @@ fn the_activation_is_taken_from_the_layers_and_a_program_is_refused() {
 
 #[test]
 fn files_of_other_formats_are_refused_with_what_was_found() {
-    for (bytes, said) in [
+    for (bytes, expected_text) in [
         (&b""[..], "empty"),
         (b"robot_id,timestamp_s\n", "72, 6f"),
         (b"\x89HDF\r\n\x1a\n", "found an HDF5 file"),
@@ -409,7 +409,7 @@ fn files_of_other_formats_are_refused_with_what_was_found() {
         (b"\x93NUMPY\x01\x00", "header"),
     ] {
         let error = Checkpoint::read(bytes).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(expected_text), "{error}");
     }
     let error = Checkpoint::read(&vec![0; (16 << 20) + 1]).unwrap_err();
     let found = matches!(error, ReadError::TooLarge { found: 16_777_217 });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::archive::{fields, listings};
 use joulebus_dataset::trial::{Column, ColumnMap, Table};
-use joulebus_testkit::{Child, Ended, run, says};
+use joulebus_testkit::{Child, Ended, run, assert_contains};
 
 use crate::recordings::{capture, every_kind, full, sparse};
 use crate::{LAB, export, export_as, export_mixed, files, joulebus, parquet};
@@ -32,7 +32,7 @@ fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
     let second = sparse(place.path(), "a.csv", 50, 2);
     assert_eq!(export(&[&first], &folder).code(), Some(0));
     let ended = export(&[&second], &folder).exits(0);
-    says(&ended.errors(), ["adding to the 1 recordings"]);
+    assert_contains(&ended.errors(), ["adding to the 1 recordings"]);
     assert_eq!(ended.json()["recordings_before"], 1);
     // In the order in which they were exported.
     let info = joulebus("data info --format json", &[&folder]).text();
@@ -164,14 +164,14 @@ fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_m
     assert!(folder("unnamed/000000-0000.parquet").exists());
     export(&[&table], &folder("tables")).exits(0);
     assert!(folder("tables/robot=7/000000-0000.parquet").exists());
-    for (archive, other, said) in [
+    for (archive, other, expected) in [
         ("tables", &unnamed, "neither fleet nor day nor robot"),
         ("tables", &run, "fleet, day, robot"),
         ("unnamed", &table, "have neither"),
     ] {
         let before = files(&folder(archive));
         let refused = export(&[other], &folder(archive)).exits(2);
-        says(&refused.errors(), [said, "another folder", "--map robot:=NAME", "pandas and Dask"]);
+        assert_contains(&refused.errors(), [expected, "another folder", "--map robot:=NAME", "pandas and Dask"]);
         assert_eq!(files(&folder(archive)), before);
         joulebus("data info", &[&folder(archive)]).exits(0);
     }
@@ -271,8 +271,8 @@ fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
         assert_eq!(sum(read(&listing, &own)), sign * original);
         let configured = own.clone().configured_discharge_negative(true);
         assert_eq!(sum(read(&listing, &configured)), sign * original);
-        let told = own.clone().discharge_negative(true);
-        assert_eq!(sum(read(&listing, &told)), -sign * original);
+        let turned = own.clone().discharge_negative(true);
+        assert_eq!(sum(read(&listing, &turned)), -sign * original);
     }
     let configured = own.configured_discharge_negative(true);
     assert_eq!(sum(read(&run, &configured)), original);
@@ -287,5 +287,5 @@ fn lines_that_are_left_out_are_counted_and_the_exit_code_says_so() {
     let ended = export_as(&["--whole-rows"], &[&path], &folder).exits(3);
     assert_eq!(ended.json()["left_out_lines"], 1);
     assert_eq!(ended.json()["rows"], 3);
-    says(&ended.errors(), ["cut.csv", "1 lines", "NUL"]);
+    assert_contains(&ended.errors(), ["cut.csv", "1 lines", "NUL"]);
 }

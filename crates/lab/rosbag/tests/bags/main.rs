@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use joulebus_capture_format::import::{Imported, Mapping, import, import_files};
-use joulebus_testkit::{eventually, lab_beside, says};
+use joulebus_testkit::{eventually, lab_beside, assert_contains};
 
 use bag::{Bag, convert, joulebus, text};
 
@@ -166,7 +166,7 @@ fn a_bag_whose_recorder_was_killed_within_a_change_names_its_journal() {
     let ended = convert(&copy, &place.path().join("out.mcap"));
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
     let message = String::from_utf8(ended.stderr).unwrap();
-    says(&message, ["killed/live.db3-journal", "PRAGMA quick_check"]);
+    assert_contains(&message, ["killed/live.db3-journal", "PRAGMA quick_check"]);
     assert!(before == contents(&killed), "the bag was changed");
     // The message contains the remedy.
     let sqlite = rusqlite::Connection::open(&copy).unwrap();
@@ -213,7 +213,7 @@ fn an_odd_row_of_the_topics_costs_its_own_messages_alone() {
     let message = String::from_utf8(ended.stderr).unwrap();
     let parts = "2 topics left out: id is no integer, or name, type or encoding no text | \
         10 messages left out: of a topic that the bag does not name";
-    says(&message, parts.split(" | "));
+    assert_contains(&message, parts.split(" | "));
     let found = import(File::open(&out).unwrap(), "bag", &Mapping::default()).unwrap();
     assert_eq!(found.robots[0].row_count, 10);
 }
@@ -346,7 +346,7 @@ fn joulebus_imports_files_and_folders() {
     let ended = import(&folder);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
-    says(&message, "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "));
+    assert_contains(&message, "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "));
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();
     let ended = import(&empty);
@@ -381,5 +381,5 @@ fn a_folder_of_mcap_files_is_one_recording() {
     let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
-    says(&message, ["45 rows of r1", "bag_2.mcap: byte 0: found an empty file"]);
+    assert_contains(&message, ["45 rows of r1", "bag_2.mcap: byte 0: found an empty file"]);
 }

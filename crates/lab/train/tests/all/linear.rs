@@ -97,16 +97,16 @@ proptest! {
         rows in rows(40..80), constant in -3.0f32..3.0, twice in -4.0f32..4.0
     ) {
         prop_assume!(twice.abs() > 0.01);
-        let mut told_twice = rows.clone();
-        for row in &mut told_twice {
+        let mut doubled = rows.clone();
+        for row in &mut doubled {
             row.features[2] = constant;
             row.features[NEWEST + 3] = row.features[1] * 2.0;
         }
-        let linear = Linear::fit(&told_twice, Terms::AR5_AND_VELOCITIES).expect("enough rows");
+        let linear = Linear::fit(&doubled, Terms::AR5_AND_VELOCITIES).expect("enough rows");
         prop_assert_eq!(linear.dropped(), [(2, Dropped::Constant), (NEWEST + 3, Dropped::Dependent)]);
         let rest: Vec<usize> = (0..FEATURES).filter(|at| ![2, NEWEST + 3].contains(at)).collect();
-        let without = Linear::fit(&told_twice, Terms::new(&rest)).expect("enough rows");
-        for row in &told_twice {
+        let without = Linear::fit(&doubled, Terms::new(&rest)).expect("enough rows");
+        for row in &doubled {
             prop_assert!((linear.predict(&row.features) - without.predict(&row.features)).abs() < 1e-9);
         }
     }

@@ -7,7 +7,7 @@ use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
 };
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_train::{
     Epoch, TrainError, TrainSettings, Trained, Training, scored, settings_for_sim, train,
 };
@@ -73,13 +73,13 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
 
 #[test]
 fn training_reports_its_progress_and_the_losses_fall() {
-    let mut told: Vec<Epoch> = Vec::new();
+    let mut reported: Vec<Epoch> = Vec::new();
     let settings = tiny_settings(FeatureSet::Full);
-    let trained = train(&tiny_data(), &settings, |epoch| told.push(epoch)).expect("sound data");
-    assert_eq!(told, trained.epochs);
-    let (first, last) = (told[0], told[told.len() - 1]);
-    assert!(last.training_loss < 0.7 * first.training_loss, "{told:?}");
-    assert!(last.validation_loss < first.validation_loss, "{told:?}");
+    let trained = train(&tiny_data(), &settings, |epoch| reported.push(epoch)).expect("sound data");
+    assert_eq!(reported, trained.epochs);
+    let (first, last) = (reported[0], reported[reported.len() - 1]);
+    assert!(last.training_loss < 0.7 * first.training_loss, "{reported:?}");
+    assert!(last.validation_loss < first.validation_loss, "{reported:?}");
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
 
     let mut short = data.clone();
     short.training.truncate(1);
-    says(&refused(&short, &full), ["training part has 1 usable rows (0 more"]);
+    assert_contains(&refused(&short, &full), ["training part has 1 usable rows (0 more"]);
 
     let mut poisoned = data.clone();
     for row in &mut poisoned.validation {
@@ -127,7 +127,7 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
     }
     let unusable = poisoned.validation.len();
     let part = format!("has 0 usable rows ({unusable} more have a NaN");
-    says(&refused(&poisoned, &full), [part]);
+    assert_contains(&refused(&poisoned, &full), [part]);
     // Velocities are not read.
     made(&poisoned, &tiny_settings(FeatureSet::PowerOnly));
 
@@ -153,7 +153,7 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
     for (knob, spoil) in spoiled {
         let mut settings = full.clone();
         spoil(&mut settings);
-        says(&refused(&data, &settings), [knob]);
+        assert_contains(&refused(&data, &settings), [knob]);
     }
     let settings = TrainSettings {
         learning_rate: 1.0,

@@ -187,8 +187,8 @@ fn root() -> PathBuf {
 
 fn succeeds(command: &mut Command) {
     let output = command.output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{command:?}\n{said}");
+    let printed_text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}\n{printed_text}");
 }
 
 /// Reads lines of its output until one contains `part`.
@@ -214,8 +214,8 @@ fn misuse_is_refused_and_the_next_call_works() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
     let mut controller = fleet.start(&installed.controller());
-    let said = fleet.run(&program, &[]).text();
-    let checks: usize = said.trim_end_matches(" checks").parse().unwrap();
+    let printed_text = fleet.run(&program, &[]).text();
+    let checks: usize = printed_text.trim_end_matches(" checks").parse().unwrap();
     assert!(checks > 150, "{checks}");
     controller.stop();
     // The sample that was not a number was refused by the worker, by its reason.
@@ -225,9 +225,9 @@ fn misuse_is_refused_and_the_next_call_works() {
 /// Ends the worker. What it says last.
 fn finished(worker: &mut Member) -> String {
     worker.send_line("end");
-    let said = worker.next_line();
+    let printed_text = worker.next_line();
     assert_eq!(worker.wait().code(), Some(0));
-    said
+    printed_text
 }
 
 #[test]
@@ -239,7 +239,7 @@ fn the_cpp_layer_works_beside_a_worker_and_its_forecasts_have_the_bits_of_rust()
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
     let mut controller = fleet.start(&installed.controller());
-    let said = fleet.run(&program, &[]).stdout;
+    let printed_text = fleet.run(&program, &[]).stdout;
     let (_, bytes) = builtin_model("gternal-sim").unwrap();
     let model = Model::Network(Network::from_safetensors(bytes).unwrap());
     let mut expected = Vec::new();
@@ -257,7 +257,7 @@ fn the_cpp_layer_works_beside_a_worker_and_its_forecasts_have_the_bits_of_rust()
         model.predict(&rows, &mut power_w);
         expected.extend(power_w.iter().map(|power_w| power_w.to_bits().to_string()));
     }
-    assert_eq!(said, expected);
+    assert_eq!(printed_text, expected);
     controller.stop();
     finished(&mut worker);
 }
@@ -268,7 +268,7 @@ fn the_examples_run_and_a_killed_worker_is_told() {
     let Some(installed) = Installed::new() else {
         return;
     };
-    for (controller, planner, says) in [
+    for (controller, planner, wanted) in [
         ("examples/c/controller.c", "examples/c/planner.c", "8 of 8 robots will draw"),
         // Which asks with its twentieth frame.
         ("examples/cpp/controller.cpp", "examples/cpp/planner.cpp", "a trip of"),
@@ -278,14 +278,14 @@ fn the_examples_run_and_a_killed_worker_is_told() {
         let mut source = fleet.start(&installed.program(controller, &[]));
         let mut reader = fleet.start(&installed.program(planner, &[]));
         let mut read = 0;
-        until(&reader, &mut read, says);
+        until(&reader, &mut read, wanted);
         worker.kill();
         until(&reader, &mut read, "the worker has ended");
         let mut again = fleet.worker();
         until(&reader, &mut read, "tick ");
         source.stop();
-        let said = reader.stop().text();
-        assert!(said.ends_with(" 2 workers"), "{said}");
+        let printed_text = reader.stop().text();
+        assert!(printed_text.ends_with(" 2 workers"), "{printed_text}");
         finished(&mut again);
     }
 }
@@ -311,16 +311,16 @@ fn the_adapter_answers_with_the_share_of_the_battery_that_a_trajectory_takes() {
     let mut worker = fleet.worker();
     let mut controller = fleet.start(&installed.controller());
     eventually("the robot's level is known", || {
-        let said = fleet.run(&adapter, &["7"]).stdout;
+        let printed_text = fleet.run(&adapter, &["7"]).stdout;
         let share = |line: &String| line.split(": ").nth(1)?.split(' ').next()?.parse().ok();
-        let shares: Vec<f64> = said.iter().filter_map(share).collect();
+        let shares: Vec<f64> = printed_text.iter().filter_map(share).collect();
         // Three trajectories, a time at rest, and what is left.
         let [driven @ .., at_rest, left] = shares.as_slice() else { return false };
         driven.len() == 3
             && driven.windows(2).all(|pair| 0.0 < pair[0] && pair[0] < pair[1])
             && *at_rest > 0.0
             && (0.0..=100.0).contains(left)
-            && CHARGES.into_iter().all(|line| said.iter().any(|printed| printed == line))
+            && CHARGES.into_iter().all(|line| printed_text.iter().any(|printed| printed == line))
     });
     controller.stop();
     finished(&mut worker);

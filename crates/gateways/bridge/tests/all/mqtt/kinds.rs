@@ -277,7 +277,7 @@ fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_s
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "a subscription was refused: {ended:?}");
     let errors = ended.errors();
-    joulebus_testkit::says(
+    joulebus_testkit::assert_contains(
         &errors,
         [
             "trying MQTT 3.1.1",
@@ -320,7 +320,7 @@ fn a_port_of_tls_is_named_and_not_taken_for_an_older_version() {
     let text = format!("{text}vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n");
     let ended = Child::spawn("bridge", fleet.command(&text)).wait();
     assert_eq!(ended.exit_code(), 1, "{ended:?}");
-    joulebus_testkit::says(&ended.errors(), ["it speaks TLS: add [mqtt.tls]"]);
+    joulebus_testkit::assert_contains(&ended.errors(), ["it speaks TLS: add [mqtt.tls]"]);
     assert_eq!(broker.join().unwrap(), [5]);
 }
 

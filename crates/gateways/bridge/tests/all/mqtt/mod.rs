@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use crate::fleet::Fleet;
 use broker::{Broker, Listener, mosquitto};
-use joulebus_testkit::{Child, eventually, says};
+use joulebus_testkit::{Child, eventually, assert_contains};
 use rumqttc::{Client, QoS};
 use serde_json::{Value, json};
 
@@ -269,7 +269,7 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "{ended:?}");
     assert!(!ended.errors().contains('\u{202e}'), "{}", ended.errors());
-    says(&ended.errors(), ["not mapped: fleet/{robot}/power: unknown_robot: "]);
+    assert_contains(&ended.errors(), ["not mapped: fleet/{robot}/power: unknown_robot: "]);
     let report = ended.json();
     for (reason, least) in [
         ("too_long", 1),

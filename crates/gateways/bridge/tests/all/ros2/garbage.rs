@@ -50,7 +50,7 @@ struct Stranger {
 
 impl Stranger {
     /// Waits for the announcement of a participant, at a port where discovery looks for one.
-    fn hear(domain: &RosDomain) -> Self {
+    fn listen(domain: &RosDomain) -> Self {
         let port = domain.first_port() + 2 * 7;
         let socket = UdpSocket::bind(("127.0.0.1", port)).unwrap();
         socket.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
@@ -197,7 +197,7 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
     let is_read = |document: &serde_json::Value| is_near(&document["data"], 4_400.0);
     peer.wait_for("/r1/joulebus/reading_w", 0, is_read);
 
-    let mut stranger = Stranger::hear(&domain);
+    let mut stranger = Stranger::listen(&domain);
     let ports = [domain.first_port(), domain.first_port() + 1];
     // The bridge answers it with the announcements of its readers and writers.
     eventually("the bridge takes the stranger for a participant", || {

@@ -150,10 +150,10 @@ fn late_subscribers_over_zenoh_get_the_newest_message_of_a_latched_topic_once() 
     early.wait_for("/diagnostics", 0, |note| note["attached"]["number"] == 1);
     let mut late = Peer::beside(&python, &address);
     late.order(&latched);
-    let told = late.wait_for("/diagnostics", 0, |_| true);
-    assert_eq!(told["attached"]["number"], 1, "{told}");
-    assert_eq!(told["status"][0]["hardware_id"], "bridge", "{told}");
-    assert_eq!(told["status"].as_array().map(Vec::len), Some(101), "{told}");
+    let late_array = late.wait_for("/diagnostics", 0, |_| true);
+    assert_eq!(late_array["attached"]["number"], 1, "{late_array}");
+    assert_eq!(late_array["status"][0]["hardware_id"], "bridge", "{late_array}");
+    assert_eq!(late_array["status"].as_array().map(Vec::len), Some(101), "{late_array}");
     // A later topic shows that nothing came twice.
     for peer in [&mut early, &mut late] {
         peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());

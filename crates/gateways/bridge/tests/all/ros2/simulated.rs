@@ -35,11 +35,11 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
     peer.order(&stamped);
     peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
     bridge.wait_for_line("no message of /clock in 5 s, and without simulated time no samples");
-    let says = |array: &Value, text: &str| {
+    let is_reported = |array: &Value, text: &str| {
         let worker = status(array, "joulebus: worker of lab");
         worker["message"].as_str().is_some_and(|message| message.ends_with(text)) && worker["level"] == 1
     };
-    let early = peer.wait_for("/diagnostics", 0, |array| says(array, ", no /clock"));
+    let early = peer.wait_for("/diagnostics", 0, |array| is_reported(array, ", no /clock"));
     assert_eq!(stamp_s(&early), 0, "{early}");
     let mut forecasts = 0;
     peer.each(forecast, |_| forecasts += 1);
@@ -52,7 +52,7 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
 
     peer.order(&json!({"clock": 0.0, "type": "Clock"}));
     bridge.wait_for_line("the simulated time stands at 1");
-    peer.wait_for("/diagnostics", 0, |array| says(array, ", /clock stands"));
+    peer.wait_for("/diagnostics", 0, |array| is_reported(array, ", /clock stands"));
     let stood = peer.wait_for(metered, peer.received(), |metered| metered["data"].is_number());
     let again = peer.wait_for(metered, peer.received() + 5, |metered| metered["data"].is_number());
     assert_eq!(stood["data"], again["data"], "a pause takes no energy");

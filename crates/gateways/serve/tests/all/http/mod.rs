@@ -17,7 +17,7 @@ use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_testkit::{
-    MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, remove, says,
+    MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, remove, assert_contains,
 };
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -111,7 +111,7 @@ fn page_and_worker_name_a_platform_that_its_model_was_not_trained_for() {
     std::fs::write(fleet.path(), text).unwrap();
     let (_server, address) = fleet.serve(&[]);
     let found = get_json(&address, "/api/v1/fleet")["model_warnings"].to_string();
-    says(&found, ["rover", "was trained on readings of", "5000 W"]);
+    assert_contains(&found, ["rover", "was trained on readings of", "5000 W"]);
     let mut worker = fleet.joulebus("run");
     worker.wait_for_line("was trained on readings of");
     worker.wait_for_line("ready:");
@@ -169,8 +169,8 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
         (&good, "Content-Type: application/json\r\nSec-Fetch-Site: cross-site", 403, ""),
     ] {
         let refused = acknowledge(&address, body, header);
-        let said = refused.text();
-        assert!(refused.status == status && said.contains(reason), "{body} {header}: {said}");
+        let output = refused.text();
+        assert!(refused.status == status && output.contains(reason), "{body} {header}: {output}");
     }
     source.end();
     let by = |alarms: &Value| {
@@ -451,7 +451,7 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
     let entered = get(&address, "/?token=0123456789abcdef");
     assert_eq!((entered.status, entered.header("location")), (303, Some("/")));
     let cookie = entered.header("set-cookie").unwrap();
-    says(&cookie, ["HttpOnly", "SameSite=Strict"]);
+    assert_contains(&cookie, ["HttpOnly", "SameSite=Strict"]);
     let cookie = cookie.split(';').next().unwrap();
     for header in [format!("Cookie: {cookie}"), "Authorization: Bearer 0123456789abcdef".to_owned()]
     {
@@ -496,7 +496,7 @@ fn a_server_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
         let ended = server.wait();
         assert_eq!(ended.code(), Some(1), "{words:?}: {ended:?}");
         assert!(ended.text().is_empty(), "{words:?}: {ended:?}");
-        says(&ended.errors(), ["error: ", "RemoveIPC"]);
+        assert_contains(&ended.errors(), ["error: ", "RemoveIPC"]);
         assert_eq!(worker.wait().code(), Some(1));
         // What they made meanwhile.
         fleet.stale_files().iter().for_each(|path| remove(path));

@@ -403,7 +403,7 @@ fn each_listed_receiver_is_told_in_its_own_format() {
         ),
     );
     publish(&fleet);
-    let told = |receiver: &Receiver, words: &str| {
+    let assert_delivered = |receiver: &Receiver, words: &str| {
         eventually("the robots' silence is told", || {
             let bodies: Vec<String> = receiver.bodies().iter().map(ToString::to_string).collect();
             (0..3).all(|robot| {
@@ -411,9 +411,9 @@ fn each_listed_receiver_is_told_in_its_own_format() {
             })
         });
     };
-    told(&slack, "fleet http, robot #: NoData raised (stale) http://page/?robot=#");
-    told(&teams, "fleet http, robot #: NoData raised (stale)");
-    told(&other, "\"# NoData raised\"");
+    assert_delivered(&slack, "fleet http, robot #: NoData raised (stale) http://page/?robot=#");
+    assert_delivered(&teams, "fleet http, robot #: NoData raised (stale)");
+    assert_delivered(&other, "\"# NoData raised\"");
     eventually("the robots' silence is told", || {
         (0..3).all(|robot| signed.changes().contains(&format!("{robot} NoData raised")))
     });

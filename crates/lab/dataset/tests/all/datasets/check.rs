@@ -9,7 +9,7 @@ use joulebus_dataset::inspect::{
 };
 use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_testkit::recordings::trials;
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, csv, npy_f8};
 
 /// Sound rows at 10 Hz: all columns, every reading new, power the product of voltage and current.
@@ -120,7 +120,7 @@ fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11
         let at: Vec<usize> = places.clone().filter_map(|place| place.row).collect();
         assert_eq!(at, rows, "{kind:?}");
         let message: String = places.map(ToString::to_string).collect();
-        says(&message, [words, name]);
+        assert_contains(&message, [words, name]);
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use joulebus_dataset::trial::{Column, Table, Trial, TrialError, WriteError};
 use joulebus_testkit::recordings::trials;
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, ROWS, csv, npy_f8, timed};
 use proptest::prelude::*;
 
@@ -184,7 +184,7 @@ fn rows_without_a_robot_are_counted_where_there_is_one_and_refused_where_there_a
     ] {
         let path = files.write("several.csv", text.as_bytes());
         let refused = Trial::read_robots(path).unwrap_err().to_string();
-        says(&refused, [row, "a name in every row"]);
+        assert_contains(&refused, [row, "a name in every row"]);
     }
 }
 

@@ -128,12 +128,12 @@ fn columns_without_a_unit_are_refused_with_both_readings() {
     assert_eq!(errors(&path, &ColumnMap::default()), [Kind::Unit, Kind::Unit]);
     let trial = Trial::read(&path).unwrap();
     let found = judge(&trial, &Limits::default());
-    let said: Vec<String> = found.iter().map(|one| one.place.to_string()).collect();
-    for (said, words) in said.iter().zip([
+    let printed: Vec<String> = found.iter().map(|one| one.place.to_string()).collect();
+    for (printed, words) in printed.iter().zip([
         ["0.024 V", "24", "--map voltage_V=voltage"],
         ["A", "in A", "--map current_A=current"],
     ]) {
-        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+        assert!(words.iter().all(|word| printed.contains(word)), "{printed}");
     }
     let columns = ["voltage_V=voltage", "current_A=current"];
     let columns = columns.map(|text| text.parse::<MappedColumn>().unwrap());

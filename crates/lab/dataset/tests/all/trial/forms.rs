@@ -3,7 +3,7 @@
 
 use joulebus_dataset::inspect::{Limits, judge};
 use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
-use joulebus_testkit::assert_page_says;
+use joulebus_testkit::assert_page_contains;
 use joulebus_testkit::trials::Files;
 
 /// Origin, kind, header, row, `--map`, and outcome of a file. The outcome is `read`, kinds of
@@ -273,9 +273,9 @@ fn outcome(files: &Files, header: &str, template: &str, columns: &str, expected:
     let trials = match Trial::read_mapped(path, &ColumnMap::from(columns)) {
         Ok(trials) => trials,
         Err(error) => {
-            let said = error.to_string();
-            let part = expected.strip_prefix("refused: ").filter(|part| said.contains(part));
-            return part.map_or(format!("refused: {said}"), |_| expected.to_owned());
+            let printed = error.to_string();
+            let part = expected.strip_prefix("refused: ").filter(|part| printed.contains(part));
+            return part.map_or(format!("refused: {printed}"), |_| expected.to_owned());
         }
     };
     let found = trials.iter().flat_map(|trial| judge(trial, &Limits::default()));
@@ -307,5 +307,5 @@ fn public_forms_are_read_or_refused_as_the_page_says() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     table.push('\n');
-    assert_page_says("docs/measured/intake.md", "<!-- forms", &table);
+    assert_page_contains("docs/measured/intake.md", "<!-- forms", &table);
 }

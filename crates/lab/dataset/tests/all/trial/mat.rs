@@ -5,7 +5,7 @@ use std::io::Write as _;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use joulebus_dataset::trial::{Column, Table, Trial, TrialError};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::Files;
 
 const DOUBLE: u8 = 6;
@@ -121,7 +121,7 @@ fn vectors_and_matrices_are_columns_in_either_byte_order_compressed_and_not() {
         assert_eq!(table.column(Column::Current).unwrap()[1], 260.0);
         assert_eq!(table.column(Column::V).unwrap()[3], 3.0);
         assert_eq!(table.column(Column::Omega).unwrap()[3], 53.0);
-        says(
+        assert_contains(
             &table.understood().join(", "),
             ["robot is a text", "rate is a single number", "short has 7"],
         );
@@ -143,10 +143,10 @@ fn what_is_no_array_of_numbers_is_refused_by_name() {
         let other = variable("log", class, [1, 1], (9, &[0; 8]), false);
         let path = files.write("log.mat", &file(&[other], false, false));
         let error = Trial::read(path).unwrap_err().to_string();
-        says(&error, [what, "log is", "writetable"]);
+        assert_contains(&error, [what, "log is", "writetable"]);
     }
     let path = files.write("log.mat", &file(&[], false, false));
-    says(&Trial::read(path).unwrap_err().to_string(), ["no variables"]);
+    assert_contains(&Trial::read(path).unwrap_err().to_string(), ["no variables"]);
 }
 
 /// However it is damaged: an error, or a trial.
@@ -164,13 +164,13 @@ fn a_damaged_file_is_an_error_or_a_trial() {
         for length in (19..whole.len()).step_by(7) {
             let read = Trial::read(files.write("log.mat", &whole[..length]));
             if let Err(error) = read {
-                let is_said = matches!(
+                let is_reported = matches!(
                     error,
                     TrialError::Truncated { .. }
                         | TrialError::MissingColumns { .. }
                         | TrialError::Kind { .. }
                 );
-                assert!(is_said, "{length} bytes: {error:?}");
+                assert!(is_reported, "{length} bytes: {error:?}");
                 refused += 1;
             }
         }

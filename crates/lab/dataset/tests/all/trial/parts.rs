@@ -4,7 +4,7 @@ use std::path::Path;
 
 use joulebus_dataset::inspect::{FindingKind, Limits, Profiler, check_files};
 use joulebus_dataset::trial::{Column, ColumnMap, Table, Trial, TrialError};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, csv, gzip, header, npy, npy_f8};
 
 /// Rows of the robots 1 to `robots`, in turn.
@@ -90,7 +90,7 @@ fn what_a_text_says_once_holds_for_all_its_parts() {
     let (first, last) = (&trials[0], trials.last().unwrap());
     assert_eq!(first.timestamp_s()[0], 1_764_000_000.0);
     assert_eq!(*last.timestamp_s().last().unwrap(), 1_764_000_099.9);
-    says(&first.notes().understood.join(", "), ["';'", "milliseconds since 1970"]);
+    assert_contains(&first.notes().understood.join(", "), ["';'", "milliseconds since 1970"]);
     let lines = trials.iter().map(|trial| trial.notes().left_out.lines);
     assert_eq!(lines.sum::<usize>(), 2);
     // Later times of another unit are refused.
@@ -104,7 +104,7 @@ fn what_a_text_says_once_holds_for_all_its_parts() {
     let TrialError::Value { allowed, .. } = error else {
         panic!("{error:?}");
     };
-    says(&allowed, ["--map time_ms=stamp"]);
+    assert_contains(&allowed, ["--map time_ms=stamp"]);
 }
 
 #[test]

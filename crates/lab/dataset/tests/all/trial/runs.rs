@@ -17,13 +17,13 @@ fn lengths(files: &Files, text: &str, map: &ColumnMap) -> (Vec<usize>, usize) {
     let path = files.write("log.csv", text.as_bytes());
     let trials = Trial::read_mapped(&path, map).unwrap();
     let found = trials.iter().flat_map(|trial| judge(trial, &Limits::default()));
-    let told = found.filter(|one| {
+    let begun = found.filter(|one| {
         one.finding.kind == Kind::Clock && one.place.what.contains("are another trial")
     });
-    let told = told.count();
+    let begun = begun.count();
     let check = check_files(&[path.to_owned()], map, &Limits::default(), 4);
     assert_eq!(check.trials, trials.len());
-    (trials.iter().map(Trial::rows).collect(), told)
+    (trials.iter().map(Trial::rows).collect(), begun)
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use joulebus_dataset::inspect::{FindingKind, Limits, check_files, judge};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Table, Trial, TrialError};
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
-use joulebus_testkit::{cases, says};
+use joulebus_testkit::{cases, assert_contains};
 
 fn mapped(columns: &str) -> ColumnMap {
     let columns = columns.split(',').filter(|column| *column != "-");
@@ -63,7 +63,7 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         - | Timestamp(ms),power_uW\n0,4500000\n500,4600000\n | 0 | 0.5 | 4.6 | -
         "#,
     ) {
-        let [columns, text, first_s, step_s, power_w, said] = case.as_slice() else {
+        let [columns, text, first_s, step_s, power_w, expected] = case.as_slice() else {
             panic!("{case:?}");
         };
         let text = &text.replace("\\t", "\t");
@@ -74,7 +74,7 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         assert!((times_s[1] - times_s[0] - number(step_s)).abs() < 1e-6, "{text}: {times_s:?}");
         let found = trial.column(Column::Power).unwrap()[1];
         assert!((found - number(power_w)).abs() < 1e-9, "{text}: {found}");
-        assert!(said == "-" || trial.notes().to_string().contains(said), "{}", trial.notes());
+        assert!(expected == "-" || trial.notes().to_string().contains(expected), "{}", trial.notes());
         assert_eq!(
             trial.notes().ignored_columns.iter().filter(|name| !name.contains("stamp")).count(),
             0,
@@ -107,7 +107,7 @@ fn texts_that_can_mean_two_things_are_refused_with_the_way_out() {
             panic!("{case:?}");
         };
         let error = read(&files, text, columns).unwrap_err().to_string();
-        says(&error, parts);
+        assert_contains(&error, parts);
     }
 }
 
@@ -174,7 +174,7 @@ fn a_quote_that_is_not_closed_is_a_fault_with_its_row() {
             }
             let path = files.write("quote.csv", text.as_bytes());
             let error = Trial::read(&path).unwrap_err().to_string();
-            says(&error, ["row 31", "a quote that is not closed", &swallowed.to_string()]);
+            assert_contains(&error, ["row 31", "a quote that is not closed", &swallowed.to_string()]);
             let found = check_files(&[path], &ColumnMap::default(), &Limits::default(), 3);
             let finding = found.finding(FindingKind::NoRow);
             assert!(finding.is_some_and(|one| one.fault), "{name}: {found:?}");
@@ -208,21 +208,21 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
     ] {
         let path = files.write("broken.csv", text.as_bytes());
         let error = Trial::read(&path).unwrap_err().to_string();
-        says(&error, ["broken.csv", &format!("row {row}")]);
+        assert_contains(&error, ["broken.csv", &format!("row {row}")]);
         if name != "word" {
-            says(&error, [what, "--whole-rows", "leave the file out"]);
+            assert_contains(&error, [what, "--whole-rows", "leave the file out"]);
         }
         let check =
             check_files(std::slice::from_ref(&path), &ColumnMap::default(), &Limits::default(), 3);
         let finding = check.finding(FindingKind::NoRow).expect(name);
         assert!(finding.fault && finding.count == 1 && check.rows == 4, "{name}: {check:?}");
-        says(&finding.places[0].to_string(), [what, &format!("row {row}")]);
+        assert_contains(&finding.places[0].to_string(), [what, &format!("row {row}")]);
         let whole = ColumnMap::default().whole_rows(true);
         let trial = Table::only_of(&path, &whole).unwrap().into_trial().unwrap();
         assert_eq!(trial.column(Column::Power), Some([4.5, 4.6, 4.7, 4.8].as_slice()), "{name}");
         assert_eq!(trial.notes().left_out.lines, 1, "{name}");
         assert_eq!(trial.file_row(3), if in_front == 4 { 4 } else { 5 }, "{name}");
-        says(&trial.notes().to_string(), ["1 lines that are no whole rows were left out", what]);
+        assert_contains(&trial.notes().to_string(), ["1 lines that are no whole rows were left out", what]);
         let asked = check_files(&[path], &whole, &Limits::default(), 3);
         assert!(
             asked.finding(FindingKind::NoRow).is_some_and(|one| one.accepted && !one.fault),
@@ -273,10 +273,10 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
         for name in ["log.csv", "log.mat"] {
             let error = Trial::read(files.write(name, bytes)).unwrap_err();
             assert!(matches!(error, TrialError::Kind { .. }), "{what}: {error:?}");
-            says(&error.to_string(), [name, what, remedy]);
+            assert_contains(&error.to_string(), [name, what, remedy]);
         }
         let error = Trial::read(files.write("log.csv.gz", &gzip(bytes))).unwrap_err();
-        says(&error.to_string(), [what, "in gzip"]);
+        assert_contains(&error.to_string(), [what, "in gzip"]);
     }
     // What is read is none of them.
     Trial::read(files.write("log.csv", csv(&ROWS).as_bytes())).unwrap();
@@ -309,10 +309,10 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
     assert_eq!(turned.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     // One of them is missing: it is a broken file of that program.
     let error = read("time,p\n0,4.5\n1,4.6\n", &map).unwrap_err();
-    says(&error.to_string(), ["mapped: current=i"]);
+    assert_contains(&error.to_string(), ["mapped: current=i"]);
     // Columns that the caller names must be there.
-    let told = mapped("power_W=p");
-    assert!(read("time,power_W\n0,4.5\n1,4.6\n", &told).is_err());
+    let columns_of_power = mapped("power_W=p");
+    assert!(read("time,power_W\n0,4.5\n1,4.6\n", &columns_of_power).is_err());
 }
 
 /// A robot whose first row is after midnight has the same day as the others.
@@ -333,7 +333,7 @@ fn a_robot_may_have_a_name_that_begins_as_a_comment() {
     let path = files.write("log.csv", text.as_bytes());
     assert_eq!(Table::read(path).unwrap().robot_name(), Some("#3"));
     let error = read(&files, &format!("{text}# the end\n"), "-").unwrap_err();
-    says(&error.to_string(), ["row 3", "a comment"]);
+    assert_contains(&error.to_string(), ["row 3", "a comment"]);
 }
 
 /// Kinds of text that were found in public logs, each with what it is read as.
@@ -356,7 +356,7 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
         assert_eq!(power, [4500.0, 4600.0], "{text}");
     }
     let understood = read("made by me\nt,power_W\n0,1\n1,2\n", "");
-    says(&understood.understood().join(", "), ["line 2"]);
+    assert_contains(&understood.understood().join(", "), ["line 2"]);
     let percent = read("t,power_W,SOC (%)\n0,4.5,80\n1,4.6,79\n", "");
     assert_eq!(percent.column(Column::Soc), Some(&[0.8, 0.79][..]));
     // A unit of another size is none of the column's.
@@ -378,7 +378,7 @@ fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
     ] {
         let path = files.write("log.csv", format!("{header}\n0,1,2,3\n").as_bytes());
         let error = Trial::read(path).unwrap_err().to_string();
-        says(&error, [suggested]);
+        assert_contains(&error, [suggested]);
     }
     for (per_second, unit) in [(1e3, "ms"), (1e6, "us")] {
         let rows =
@@ -387,6 +387,6 @@ fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
         let path = files.write("log.csv", text.as_bytes());
         let found = judge(&Trial::read(path).unwrap(), &Limits::default());
         let remedies: String = found.into_iter().map(|one| one.remedy).collect();
-        says(&remedies, [&format!("--map time_{unit}=timestamp_s")]);
+        assert_contains(&remedies, [&format!("--map time_{unit}=timestamp_s")]);
     }
 }

@@ -2,7 +2,7 @@
 
 use joulebus_dataset::inspect::{FindingKind, Limits, check_files};
 use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, header, npy, npy_f8};
 
 #[test]
@@ -40,7 +40,7 @@ fn a_truncated_array_keeps_its_whole_rows_on_request() {
         let check = check_files(&[path], &ColumnMap::default(), &Limits::default(), 1);
         let finding = check.finding(FindingKind::NoRow).unwrap();
         assert!(finding.fault && check.rows == rows, "{check:?}");
-        says(
+        assert_contains(
             &finding.places[0].to_string(),
             [format!("row {}", rows + 1), format!("{missing} of")],
         );
@@ -49,7 +49,7 @@ fn a_truncated_array_keeps_its_whole_rows_on_request() {
     let columns = npy(&header("<f8", "True", 5), &[0; 54 * 8]);
     let path = files.write("columns.npy", &columns);
     let error = Trial::read_mapped(&path, &map).unwrap_err().to_string();
-    says(&error, ["its last columns"]);
+    assert_contains(&error, ["its last columns"]);
 }
 
 #[test]

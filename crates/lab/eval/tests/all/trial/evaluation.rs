@@ -8,7 +8,7 @@ use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, ev
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, LAGS, Model, features};
 use joulebus_testkit::recordings::trials;
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, npy_f8, timed};
 use joulebus_wire::{
     DropReason, InvalidReason, Quality, SCHEMA_VERSION, SampleHeader, diagnostic_flag,
@@ -231,7 +231,7 @@ fn without_commands_a_model_that_needs_them_makes_the_rover_invalid() {
         assert!(robot.ledger.drawn_uj > 0);
     }
     let report = evaluation.report().to_string();
-    says(&report, ["samples without forecast: Invalid(NoCommand)"]);
+    assert_contains(&report, ["samples without forecast: Invalid(NoCommand)"]);
 }
 
 #[test]
@@ -371,7 +371,7 @@ fn the_report_states_the_evaluation_in_text_and_json() {
     assert_eq!(json["platforms"][0]["platform"], "rover");
     let text = report.to_string();
     let r2 = format!("{:.4}", robot.scores.r2());
-    says(&text, ["saw.npy", "random 3", "2 trials", &r2]);
+    assert_contains(&text, ["saw.npy", "random 3", "2 trials", &r2]);
     // The samples' drawn energy. Their last stamp is one period after the last row.
     let drawn_j = robot.ledger.drawn_uj as f64 / 1e6;
     let metered_s = robot.ledger.metered_ns as f64 / 1e9;

@@ -19,7 +19,7 @@ use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_testkit::recordings::trials;
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
@@ -487,7 +487,7 @@ fn scoring_and_training_hold_out_the_same_rows() {
         found.sort_unstable();
         held_out.sort_unstable();
         assert_eq!(found, held_out, "{by}");
-        says(&design.description, [&*format!("by {by}")]);
+        assert_contains(&design.description, [&*format!("by {by}")]);
         assert_eq!(summary.pause_rows > 0, by == By::Time);
     }
 }
@@ -504,7 +504,7 @@ fn named_groups_are_left_out_and_nothing_of_them_is_fitted() {
     let fold = &design.folds[0];
     assert_eq!(groups(&fold.evaluated), BTreeSet::from(["b"]));
     assert_eq!(groups(&fold.fitted), BTreeSet::from(["a", "c"]));
-    says(&design.description, ["b held out"]);
+    assert_contains(&design.description, ["b held out"]);
     let unknown = Design::leaving_out(&recordings, wanted, &["ice".to_owned()]).unwrap_err();
     assert!(unknown.to_string().contains("\"ice\""), "{unknown}");
 }
@@ -655,7 +655,7 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     assert!(warning.contains("scored apart"), "{warning}");
     let text = report.to_string();
     let parts = "rows that no model was trained on | on rows that a model was trained on";
-    says(&text, parts.split(" | "));
+    assert_contains(&text, parts.split(" | "));
 }
 
 #[test]
@@ -690,7 +690,7 @@ fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
 #[test]
 fn a_model_trained_on_all_rows_or_on_unknown_ones_is_scored_with_a_warning() {
     let recordings = made_up(3, 300);
-    for (model, scored_rows, says) in [
+    for (model, scored_rows, expected_text) in [
         (trained_on(Some(&recordings)), ScoredRows::TrainedOn, "100.0 %"),
         (trained_on(None), ScoredRows::Unknown, "unknown"),
         (persistence(), ScoredRows::NotTrainedOn, ""),
@@ -699,9 +699,9 @@ fn a_model_trained_on_all_rows_or_on_unknown_ones_is_scored_with_a_warning() {
         assert_eq!(report.scored_rows, scored_rows);
         assert_eq!(report.all.rows, rows_of(&recordings) as u64);
         assert!(report.trained_on.is_none());
-        assert_eq!(report.warnings.is_empty(), says.is_empty());
+        assert_eq!(report.warnings.is_empty(), expected_text.is_empty());
         let warnings = report.warnings.join("\n");
-        assert!(warnings.contains(says), "{warnings}");
+        assert!(warnings.contains(expected_text), "{warnings}");
     }
 }
 
@@ -797,7 +797,7 @@ fn invalid_evaluations_are_refused_with_a_reason() {
         assert!(error.contains(names), "{error}");
     }
     let options = Options { origins_every: 0, ..quick() };
-    says(&run(&models, &recordings, &options), ["origins_every is 0"]);
+    assert_contains(&run(&models, &recordings, &options), ["origins_every is 0"]);
     let files = Files::new();
     let row = |row: u32| driven(0.033 * f64::from(row), f64::NAN, f64::NAN, 5.0);
     let table: Vec<_> = (0..40).map(row).collect();
@@ -809,12 +809,12 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     let refused = |subject| score(subject, &quick()).map(|_| ()).unwrap_err();
     let foreign = Design::folds(&recordings);
     let foreign = refused(subject(&blind, &models, &foreign));
-    says(&foreign, ["design belongs to other recordings"]);
+    assert_contains(&foreign, ["design belongs to other recordings"]);
     let wrong =
         FleetSettings { interval: IntervalSettings { coverage: 1.5, rate: 0.05 }, ..settings() };
     let design = Design::folds(&blind);
     let wrong = refused(Subject { settings: &wrong, ..subject(&blind, &models, &design) });
-    says(&wrong, ["interval coverage is 1.5"]);
+    assert_contains(&wrong, ["interval coverage is 1.5"]);
 }
 
 #[test]
@@ -829,8 +829,8 @@ fn a_shift_is_evaluated_and_fitted_on_the_others() {
     // Their folder is that of all.
     let folder = contents(&recordings[0]).trial.path().parent().unwrap().file_name().unwrap();
     let nothing = shifted(folder.to_str().unwrap()).unwrap_err().to_string();
-    says(&nothing, ["no other recording is left"]);
-    says(&shifted("snow").unwrap_err().to_string(), ["\"snow\"", "even, odd"]);
+    assert_contains(&nothing, ["no other recording is left"]);
+    assert_contains(&shifted("snow").unwrap_err().to_string(), ["\"snow\"", "even, odd"]);
 }
 
 #[test]
@@ -891,7 +891,7 @@ fn references_are_scored_on_the_same_rows_and_other_programs_with_their_interval
     let theirs = Foreign::read("theirs", &file).unwrap();
     let options = Options { references: references(theirs), ..quick() };
     let refused = score(subject(&recordings, &models, &design), &options).unwrap_err();
-    says(&refused.to_string(), ["theirs", "odd_", "have no forecast"]);
+    assert_contains(&refused.to_string(), ["theirs", "odd_", "have no forecast"]);
     std::fs::write(&file, "recording,row,power_w\na.csv,1,NaN\n").unwrap();
-    says(&Foreign::read("theirs", &file).unwrap_err().to_string(), ["row 1 of a.csv", "finite"]);
+    assert_contains(&Foreign::read("theirs", &file).unwrap_err().to_string(), ["row 1 of a.csv", "finite"]);
 }

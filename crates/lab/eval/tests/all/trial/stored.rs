@@ -13,7 +13,7 @@ use joulebus_predictor::FeatureSet;
 use joulebus_testkit::trials::{Files, npy_f8};
 
 use super::model::{network, settings};
-use joulebus_testkit::says;
+use joulebus_testkit::assert_contains;
 
 /// Files of different lengths, and one that two robots share.
 fn made_up(files: &Files) -> Vec<(u32, PathBuf)> {
@@ -110,7 +110,7 @@ fn a_file_that_changes_or_goes_while_it_is_used_is_an_error_with_its_name() {
     let bytes = std::fs::read(&paths[1].1).unwrap();
     std::fs::write(&paths[0].1, &bytes).unwrap();
     let error = stored[0].contents().unwrap_err().to_string();
-    says(&error, ["run_0.npy: changed", "190 rows", "150"]);
+    assert_contains(&error, ["run_0.npy: changed", "190 rows", "150"]);
     std::fs::remove_file(&paths[1].1).unwrap();
     assert!(stored[1].contents().is_err());
     let model = [network(5, FeatureSet::Full, 20.0)];

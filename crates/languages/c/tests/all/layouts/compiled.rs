@@ -86,12 +86,12 @@ fn compilers_of_c_and_cpp_put_all_fields_where_rust_has_them() {
             .output()
             .unwrap();
         assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        let said = Command::new(&binary).output().unwrap();
-        assert!(said.status.success());
-        let said = String::from_utf8(said.stdout).unwrap();
-        for (found, expected) in said.lines().zip(expected().lines()) {
+        let printed = Command::new(&binary).output().unwrap();
+        assert!(printed.status.success());
+        let printed = String::from_utf8(printed.stdout).unwrap();
+        for (found, expected) in printed.lines().zip(expected().lines()) {
             assert_eq!(found, expected, "{standard}");
         }
-        assert_eq!(said.lines().count(), expected().lines().count());
+        assert_eq!(printed.lines().count(), expected().lines().count());
     }
 }

@@ -88,7 +88,7 @@ const TOP: &str = "/**
 fn shared_memory() -> String {
     let mut text = String::new();
     let version = env!("CARGO_PKG_VERSION");
-    for (said, name, value) in [
+    for (words, name, value) in [
         ("The release of this header.", "VERSION", format!("\"{version}\"")),
         (
             "Checked when a handle is opened: header and library must be of one release.",
@@ -96,17 +96,17 @@ fn shared_memory() -> String {
             format!("\"{version}, schema {SCHEMA_VERSION}\""),
         ),
     ] {
-        writeln!(text, "\n/** {said} */\n#define JOULEBUS_{name} {value}").unwrap();
+        writeln!(text, "\n/** {words} */\n#define JOULEBUS_{name} {value}").unwrap();
     }
     bits_and_codes(&mut text);
     for layout in layouts() {
         let name = c_name(layout.name);
-        let said = text_of(layout.doc);
-        write!(text, "\n{}typedef struct {name} {{\n", comment("", &said)).unwrap();
+        let words = text_of(layout.doc);
+        write!(text, "\n{}typedef struct {name} {{\n", comment("", &words)).unwrap();
         for field in layout.fields {
-            let said = comment("    ", &text_of(field.doc));
+            let words = comment("    ", &text_of(field.doc));
             let array = field.elements.map_or(String::new(), |count| format!("[{count}]"));
-            writeln!(text, "{said}    {} {}{array};", c_type(field.of), field.name).unwrap();
+            writeln!(text, "{words}    {} {}{array};", c_type(field.of), field.name).unwrap();
         }
         writeln!(text, "}} {name};").unwrap();
     }
@@ -118,8 +118,8 @@ fn bits_and_codes(text: &mut String) {
         writeln!(text).unwrap();
         for Constant { name, value, doc } in &of.values {
             if of.bits {
-                let said = comment("", &text_of(doc));
-                writeln!(text, "{said}#define JOULEBUS_{}_{name} {value:#x}u", of.of).unwrap();
+                let words = comment("", &text_of(doc));
+                writeln!(text, "{words}#define JOULEBUS_{}_{name} {value:#x}u", of.of).unwrap();
             } else {
                 writeln!(text, "#define JOULEBUS_{}_{name} {value}u", of.of).unwrap();
             }
@@ -127,10 +127,10 @@ fn bits_and_codes(text: &mut String) {
     }
 }
 
-fn comment(indent: &str, said: &str) -> String {
+fn comment(indent: &str, words: &str) -> String {
     let room = WIDTH - indent.len() - 3;
     let mut lines = vec![String::new()];
-    for paragraph in said.split('\n') {
+    for paragraph in words.split('\n') {
         for word in paragraph.split(' ') {
             let line = lines.last_mut().unwrap();
             if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > room {

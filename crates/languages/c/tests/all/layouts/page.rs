@@ -23,16 +23,16 @@ fn made() -> String {
     );
     for layout in layouts() {
         let (name, c) = (layout.name, c_name(layout.name));
-        let said = text_of(layout.doc).replace('\n', " ");
+        let words = text_of(layout.doc).replace('\n', " ");
         let size = layout.size;
         write!(
             page,
-            "\n## {name}\n`{c}`, {size} bytes. {said}\n\n\
+            "\n## {name}\n`{c}`, {size} bytes. {words}\n\n\
              | offset | field | C | NumPy | |\n|---|---|---|---|---|\n"
         )
         .unwrap();
         for field in layout.fields {
-            let said = text_of(field.doc).replace('\n', " ");
+            let words = text_of(field.doc).replace('\n', " ");
             let (numpy, array) = (numpy(field.of), field.elements);
             let shape = array.map_or(String::new(), |count| format!("({count},)"));
             let c_array = array.map_or(String::new(), |count| format!("[{count}]"));
@@ -42,7 +42,7 @@ fn made() -> String {
                 field.offset,
                 field.name,
                 c_type(field.of),
-                said.replace('|', "\\|")
+                words.replace('|', "\\|")
             )
             .unwrap();
         }

@@ -7,7 +7,7 @@ use std::fmt::Display;
 /// # Panics
 /// The text lacks a part.
 #[track_caller]
-pub fn says(text: &(impl Display + ?Sized), parts: impl IntoIterator<Item: AsRef<str>>) {
+pub fn assert_contains(text: &(impl Display + ?Sized), parts: impl IntoIterator<Item: AsRef<str>>) {
     let text = text.to_string();
     for part in parts {
         let part = part.as_ref();
