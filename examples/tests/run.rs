@@ -45,7 +45,7 @@ fn printed(output: Output) -> Vec<String> {
 }
 
 /// Same as [`lines`], of an example that records: one whose recorder gets no processor in time
-/// loses messages and says so, and is run again.
+/// loses messages and reports that, and is run again.
 fn recorded(start: impl Fn() -> Child) -> Vec<String> {
     for _ in 0..5 {
         let output = start().wait_with_output().unwrap();

@@ -35,7 +35,7 @@ pub struct Setup {
     pub max_planners: u32,
     /// True if the ledger is saved to [`Arena::ledger`], at most every 50 ms.
     pub ledger: bool,
-    /// True if the config says nothing of the ledger.
+    /// True if the config has nothing on the ledger.
     pub default_ledger: bool,
     /// File of the only platform.
     pub platform: &'static str,

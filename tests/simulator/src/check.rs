@@ -254,7 +254,7 @@ impl Checker {
         })
     }
 
-    /// A planner that polls tells a shutdown of the run `followed` from a death.
+    /// A planner that polls distinguishes a shutdown of the run `followed` from a death.
     pub(crate) fn end_is_reported(&self, learned: &Learned, followed: Option<u64>) -> Checked {
         let (Some(end), Some(followed), true) = (learned.end, followed, learned.polls) else {
             return Ok(());
@@ -530,7 +530,7 @@ impl Checker {
         Ok(())
     }
 
-    /// A capture, whose files begin with `path`, contains what its summary says, and verifies.
+    /// A capture, whose files begin with `path`, contains what its summary lists, and verifies.
     pub(crate) fn capture(&mut self, path: &str, summary: Option<&Summary>) -> Checked {
         let mut messages = 0;
         let names = disk::names();

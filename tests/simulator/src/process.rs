@@ -36,7 +36,7 @@ pub(crate) enum Stepped {
     On(u64),
     /// A planner that goes on: what it learned.
     Learned(u64, Learned),
-    /// A client that goes on, and what it heard.
+    /// A client that goes on, and the outcome.
     Asked(u64, Outcome),
     /// The program has ended by itself, for the reason given.
     Ended(String),
@@ -81,7 +81,7 @@ impl Program {
         match self {
             Self::Client(client) => client.step(),
             Self::Worker(worker, _) => match worker.poll() {
-                // If it has not ticked it sleeps; when, it has told the host.
+                // If it has not ticked it sleeps. It has informed the host until when.
                 Ok(_) => Stepped::On(time::now_ns()),
                 Err(error) => Stepped::Ended(error.to_string()),
             },
@@ -244,7 +244,7 @@ impl ForEachChannel for Feeds<'_> {
 }
 
 impl PlannerProgram {
-    /// Planner `number` of the fleet: the first one polls if the setup says so.
+    /// Planner `number` of the fleet: the first one polls if the setup asks for it.
     pub(crate) fn open(config: &Config, setup: &Setup, number: usize) -> Option<Self> {
         let poll_every = (number == 0 && setup.poll_every_ns > 0)
             .then(|| Duration::from_nanos(setup.poll_every_ns));
@@ -340,7 +340,7 @@ impl ClientProgram {
     fn step(&mut self) -> Stepped {
         if self.is_asking {
             return match self.client.poll() {
-                // It sleeps; until when, it has told the host.
+                // It sleeps. It has informed the host until when.
                 Ok(None) => Stepped::Asked(time::now_ns(), Outcome::Nothing),
                 Ok(Some(answered)) => {
                     self.answered_ns = time::now_ns();
@@ -400,7 +400,7 @@ impl ClientProgram {
     }
 }
 
-/// True if what an answer says can be: its ranges are in order.
+/// True if the contents of an answer are possible: its ranges are in order.
 pub(crate) fn is_possible(reply: &Reply) -> bool {
     let energies = reply.rows.iter().filter_map(|row| row.answer.energy);
     let mut ranges = energies.map(|energy| (energy.lo_j, energy.mean_j, energy.hi_j));

@@ -127,7 +127,7 @@ pub struct Scenario {
     pub faults: Vec<(usize, Planned)>,
 }
 
-/// Maximum duration of a seed that is not told otherwise, ns.
+/// Maximum duration of a seed that is not set otherwise, ns.
 const MAX_DURATION_NS: u64 = 1_800 * SECOND;
 /// From this duration on a fleet is small and slow.
 const LONG_NS: u64 = 200 * 3_600 * SECOND;

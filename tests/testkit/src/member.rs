@@ -21,7 +21,7 @@ impl Member {
     /// The command of the calling test binary with its test `member` selected.
     ///
     /// # Panics
-    /// Linux always tells which program runs.
+    /// Linux always reports which program runs.
     pub fn command() -> Command {
         let mut command = Command::new(std::env::current_exe().expect("Linux tells"));
         command.args(["--exact", "member", "--nocapture", "--test-threads=1"]);

@@ -7,7 +7,7 @@ use std::path::Path;
 /// `mark`. With `JOULEBUS_WRITE=1` writes `text` there instead.
 ///
 /// # Panics
-/// The file says something else, or lacks the lines.
+/// The file has something else, or lacks the lines.
 #[track_caller]
 pub fn assert_page_contains(file: &str, mark: &str, text: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(file);

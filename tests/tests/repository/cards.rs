@@ -1,4 +1,4 @@
-//! Pages say what the sources say: cards of alarms, keys of configs, paths of the HTTP interface,
+//! Pages agree with the sources: cards of alarms, keys of configs, paths of the HTTP interface,
 //! limits. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes them
 //! again.
 

@@ -184,7 +184,7 @@ fn a_full_disk_ends_only_the_capture() {
     let (found, end) = read(&file);
     assert!(matches!(end, Some(ReadError::Truncated { .. })), "{end:?}");
     assert!(found.len() > 20, "{}", found.len());
-    // The file has exactly what it says was written.
+    // The file has exactly what it reported as written.
     assert_eq!(report["messages"], found.len() as u64);
     assert_eq!(report["bytes"], bytes(&file));
     assert!(report["messages_lost"].as_u64().unwrap() > 0, "{report}");

@@ -18,7 +18,8 @@ fn elsewhere(command: &Command, ahead_s: i64) -> Command {
     there
 }
 
-/// True if this kernel gives a program that is started so another clock; says so if it does not.
+/// True if this kernel gives a program that is started so another clock. Prints a line if it does
+/// not.
 fn can_differ() -> bool {
     let uptime_s = |mut command: Command| {
         let output = command.output().ok().filter(|output| output.status.success())?;
@@ -47,8 +48,8 @@ fn processes_whose_clocks_differ_are_forecast_and_each_notices_a_silent_worker()
     let mut near = arena.controller("near", 0, 2, 20.0);
     let mut away: Option<Child> = None;
     for ahead_s in [AWAY_S, -AWAY_S] {
-        // A source in the run before it had a clock that was ahead: it is heard again when that run
-        // has been silent.
+        // A source in the run before it had a clock that was ahead: it is accepted again when that
+        // run has been silent.
         away.as_mut().map(Child::kill);
         let controller = arena.probe(&["controller", "away", "2", "2", "20"]);
         away = Some(Child::spawn("away", elsewhere(&controller, ahead_s)));

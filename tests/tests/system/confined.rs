@@ -86,7 +86,7 @@ fn no_process_needs_a_call_or_a_capability_that_docker_forbids() {
         let mut controller = spawn("controller", controller).unwrap();
         forecast_of(&mut planner, &[0, 1, 2, 3]);
         has_frame(&mut consumer);
-        // Members see the end of others by locks, by pids and by what `/proc` says.
+        // Members see the end of others by locks, by pids and by `/proc`.
         assert_eq!(worker.kill().signal(), Some(9));
         consumer.until("the worker is gone", |line| match line {
             ReaderLine::WorkerGone { .. } => Some(()),

@@ -90,7 +90,7 @@ enum Left {
 }
 
 impl Left {
-    /// True if the lack is told, with numbers.
+    /// True if the lack is reported, with numbers.
     fn is_reported(self, printed: &str) -> bool {
         match self {
             Self::Bytes(_) => printed.contains("bytes needed") && printed.contains("free"),
@@ -147,7 +147,7 @@ const ROLES: [Role; 6] = [
             shm.joulebus(&["record", "-o", &capture])
         },
         is_ready: |child| child.try_wait_for_line("recording t into", PATIENCE).is_some(),
-        // One that gets no processor in time loses messages, and says so.
+        // One that gets no processor in time loses messages, and reports that.
         end: |child| {
             let ended = child.end();
             assert!(matches!(ended.code(), Some(0 | 3)), "{ended:?}");

@@ -27,7 +27,7 @@ fn entries(file: &Path) -> Vec<Entry> {
 
 /// Samples and the answers to each, by robot and number.
 #[derive(Default)]
-struct Recorded {
+struct Exchange {
     samples: BTreeMap<(u32, u64), Sample>,
     forecasts: BTreeMap<(u32, u64), Forecast>,
     diagnostics: BTreeMap<(u32, u64), Diagnostic>,
@@ -39,21 +39,21 @@ fn rows_of<C: Channel>(message: &Message) -> impl Iterator<Item = C::Row> {
     frames.flat_map(|frame| frame.rows.iter().copied())
 }
 
-fn heard(file: &Path) -> Recorded {
-    let mut heard = Recorded::default();
+fn exchange(file: &Path) -> Exchange {
+    let mut exchange = Exchange::default();
     for entry in entries(file) {
         let message = &entry.message;
         let samples = rows_of::<Samples>(message).map(|row| ((row.robot, row.seq), row));
-        heard.samples.extend(samples);
+        exchange.samples.extend(samples);
         // Open-loop forecasts by the worker's clock are provisional.
         let live = rows_of::<Forecasts>(message).filter(|row| {
             matches!(row.quality(), Quality::Fresh | Quality::Held | Quality::Warmup { .. })
         });
-        heard.forecasts.extend(live.map(|row| ((row.robot, row.sample_seq), row)));
+        exchange.forecasts.extend(live.map(|row| ((row.robot, row.sample_seq), row)));
         let diagnostics = rows_of::<Diagnostics>(message);
-        heard.diagnostics.extend(diagnostics.map(|row| ((row.robot, row.sample_seq), row)));
+        exchange.diagnostics.extend(diagnostics.map(|row| ((row.robot, row.sample_seq), row)));
     }
-    heard
+    exchange
 }
 
 /// All fields except times and runs, as text: floats that differ in a bit have different text.
@@ -234,11 +234,11 @@ fn the_recording_of_a_replay_equals_the_original() {
     let first = record(&arena, "first.mcap", 90);
     let (second, report) = replayed_and_recorded(&arena, &first);
 
-    let (before, after) = (heard(&first), heard(&second));
+    let (before, after) = (exchange(&first), exchange(&second));
     assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
     assert_eq!(before.samples.len(), after.samples.len());
     assert_eq!(report["samples"], before.samples.len());
-    let starts = |heard: &Recorded| *heard.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
+    let starts = |exchange: &Exchange| *exchange.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
     let (one, other) = (starts(&before), starts(&after));
     for (key, row) in &before.samples {
         let again = &after.samples[key];
@@ -338,8 +338,8 @@ fn another_model_is_compared_robot_by_robot() {
         assert!(other["coverage"].as_f64().unwrap() > 0.5, "{robot:#}");
     }
     // The reported errors of the recorded model are those of the worker's output.
-    let heard = heard(&file);
-    let last = |robot: u32| heard.diagnostics.range((robot, 0)..=(robot, u64::MAX)).next_back();
+    let exchange = exchange(&file);
+    let last = |robot: u32| exchange.diagnostics.range((robot, 0)..=(robot, u64::MAX)).next_back();
     for robot in robots {
         let id = robot["robot"].as_u64().unwrap() as u32;
         let (_, published) = last(id).unwrap();

@@ -1,4 +1,4 @@
-//! Raises and ends of alarms: live, told to a command, and in a capture.
+//! Raises and ends of alarms: live, passed to a command, and in a capture.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -22,7 +22,7 @@ fn count(path: &Path, what: &str) -> usize {
     hook_lines(path).iter().filter(|line| line.ends_with(what)).count()
 }
 
-/// Waits until all robots are silent: the last that was told of them.
+/// Waits until all robots are silent: the last report of them.
 fn wait_for_silence(path: &Path) {
     eventually("all robots are silent", || {
         let lines = hook_lines(path);
@@ -77,7 +77,7 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     wait_for_silence(&hook);
     let cleared = count(&hook, "NoData cleared");
     let recorded = recorder.end(Signal::TERM);
-    // One that gets no processor for a quarter of a second loses messages, and says so.
+    // One that gets no processor for a quarter of a second loses messages, and reports that.
     assert!(matches!(code(&recorded), 0 | 3), "{}", stderr(&recorded));
     worker.signal(Signal::KILL);
     eventually("its end is told", || count(&hook, "WorkerGone raised") == 1);
@@ -86,7 +86,7 @@ fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
     publish(&fleet);
     eventually("the next one is told", || count(&hook, "WorkerGone cleared") == 1);
     let watched = watcher.end(Signal::TERM);
-    // A process that gets no processor for two seconds misses ticks, and says so.
+    // A process that gets no processor for two seconds misses ticks, and reports that.
     let missed = stderr(&watched).contains("ticks without diagnostics");
     assert_eq!(code(&watched), if missed { 3 } else { 0 }, "{}", stderr(&watched));
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
@@ -187,7 +187,7 @@ fn an_alarm_is_explained_by_its_name_in_any_case() {
     assert!(stderr(&unknown).contains("BiasHigh"), "{}", stderr(&unknown));
 }
 
-/// Runs the verb, and returns its exit code and what it says.
+/// Runs the verb, and returns its exit code and output.
 fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
     let mut command = fleet.joulebus("alarms");
     let ended = command.env("USER", "eve").arg("--acknowledge").args(arguments).output().unwrap();
@@ -245,7 +245,7 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_
         assert!(status == 2 && printed.contains(reason), "{wrong:?}: {status} {printed}");
     }
     ended_with(&mut watcher, &["raised nobody", "acknowledged ann"]);
-    // One that comes later is told, too.
+    // One that comes later is listed, too.
     let mut later = Program::start(fleet.joulebus("alarms --format json"));
     ended_with(&mut later, &["raised nobody", "acknowledged ann"]);
     publish(&fleet);

@@ -376,7 +376,7 @@ fn a_capture_with_topics_of_single_robots_has_those_of_the_layouts_verifies_and_
     recorder.wait_for_stderr("recording cli into");
     fleet.output("publish sim --robots 2 --duration 2").exits(0);
     let recorded = recorder.end(Signal::TERM);
-    // On a busy host messages may be lost, which it says.
+    // On a busy host messages may be lost, which it reports.
     assert!(matches!(code(&recorded), 0 | 3), "{}", stderr(&recorded));
     worker.end(Signal::TERM).exits(0);
     let file = text(&file);

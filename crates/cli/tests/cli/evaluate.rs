@@ -70,7 +70,7 @@ fn a_directory_is_evaluated_by_group_robot_and_trial() {
     assert!(coverage.unwrap() > 0.5, "{model}");
     let horizons = evaluation["open_loop"]["horizons"].as_array().unwrap();
     let reached = |at: usize| (&horizons[at]["ticks"], &horizons[at]["origins"]);
-    // Every row; and a trial of 60 rows says nothing about 300 ticks.
+    // Every row; and a trial of 60 rows shows nothing about 300 ticks.
     assert_eq!(reached(0), (&1.into(), &(120 * 55).into()));
     assert_eq!(reached(5), (&300.into(), &0.into()));
     assert!(horizons[5]["forecasters"][0]["r2"]["value"].is_null());

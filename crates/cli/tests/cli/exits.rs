@@ -211,7 +211,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
         let ended = joulebus(arguments).output().unwrap();
         let printed = stderr(&ended);
         let fails = matches!(expected, 1 | 2);
-        // A failed call has no result, says why, and leaves no part of a file.
+        // A failed call has no result, states the cause, and leaves no part of a file.
         let is_silent = stdout(&ended).is_empty() && !printed.is_empty() && !new.exists();
         if code(&ended) != *expected || fails && !is_silent {
             wrong.push(format!("{expected}, {words}: {ended:?}"));

@@ -109,7 +109,7 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
     let killed = worker.end(Signal::KILL);
     assert_eq!(killed.status.code(), None);
     if is_paused {
-        // Its exit code tells that no worker runs.
+        // Its exit code shows that no worker runs.
         let removed = fleet.output("doctor --fix");
         assert!(code(&removed) < 2, "{}", stderr(&removed));
         play.signal(Signal::CONT);

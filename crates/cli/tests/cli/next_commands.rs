@@ -153,7 +153,7 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
         &platform,
         ["map = \"time=t,voltage_V=u,current_A=i\"", "current = \"discharge-negative\""],
     );
-    // Every verb that reads the config reads the recordings as it was told once.
+    // Every verb that reads the config reads the recordings as it was configured once.
     for line in [
         "joulebus data check runs --platform runs --config lab/fleet.toml",
         "joulebus eval runs --config lab/fleet.toml --resamples 0 --horizons none",

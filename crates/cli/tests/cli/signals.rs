@@ -220,7 +220,7 @@ fn a_snapshot_requested_together_with_the_end_is_written() {
     });
     record.signal(Signal::USR1);
     let ended = record.end(Signal::TERM);
-    // One that gets no processor for a quarter of a second loses messages, and says so.
+    // One that gets no processor for a quarter of a second loses messages, and reports that.
     assert!(matches!(code(&ended), 0 | 3), "{}", stderr(&ended));
     let report = json(&ended);
     assert_eq!(report["files"].as_array().unwrap().len(), 1, "{report}");

@@ -390,7 +390,7 @@ fn a_planner_that_polls_tells_a_shutdown_from_a_death_and_returns_the_last_frame
         worker.ask("ticks 1 1");
         assert_eq!(planner.ask("next 60000"), first);
         worker.ask("ticks 2 4");
-        // No event tells of it.
+        // No event reports it.
         worker.finish();
         assert_eq!(planner.ask("each 60000"), "[2, 3, 4], tick 4, missed 0");
         assert_eq!(planner.ask("next 60000"), "Gone(Ended)");
@@ -437,7 +437,7 @@ fn a_descriptor_is_readable_for_a_frame_and_the_exit_of_each_worker() {
         worker.ask("ticks 1 1");
         assert_eq!(planner.ask("readable 60000"), "true");
         assert_eq!(planner.ask("next 0"), frame);
-        // The cleanup after the one before may tell of it late.
+        // The cleanup after the one before may report it late.
         eventually("all has been read", || {
             assert_eq!(planner.ask("next 0"), "TimedOut");
             planner.ask("readable 0") == "false"

@@ -1,5 +1,5 @@
 //! Every bit pattern that another process could write decodes, each code decodes to the value
-//! it encodes, and each field is what its name says.
+//! it encodes, and each field is as named.
 
 use joulebus_wire::{
     Alarm, AlarmSet, Channel, ChargeState, DiagnosticHeader, DropCounts, DropReason, FieldRole,

@@ -81,7 +81,7 @@ impl Waiting {
     }
 }
 
-/// Waits for a service's events: tells the host until when, and returns at once.
+/// Waits for a service's events: informs the host until when, and returns at once.
 #[derive(Debug)]
 pub struct Waiter {
     waiting: Rc<Waiting>,

@@ -102,7 +102,7 @@ pub fn bury(pid: u32) {
     IS_DEAD.set(true);
 }
 
-/// The process stops running. Returns until when it sleeps, monotonic ns, if it said so.
+/// The process stops running. Returns until when it sleeps, monotonic ns, if it stated that.
 pub fn leave() -> Option<u64> {
     set_current(0);
     IS_DEAD.set(false);

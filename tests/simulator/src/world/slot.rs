@@ -41,7 +41,7 @@ pub(super) struct Slot {
     pub(super) watched: Option<u64>,
     /// When it looked last, simulated ns.
     pub(super) looked_ns: u64,
-    /// A planner: it was told not to rely on the newest frame.
+    /// A planner: it was warned not to rely on the newest frame.
     pub(super) is_warned: bool,
     /// Reason that it did not start, or ended, the last time.
     pub(super) last: String,

@@ -9,7 +9,7 @@ use simulated_host::{self as host, time};
 use simulated_standby::{Permit, Places};
 use simulated_worker::{RunError, Worker};
 
-/// Pid and time of taking the lock tell workers apart: for two with one pid the clock must go on.
+/// Pid and time of taking the lock distinguish workers: for two with one pid the clock must go on.
 #[test]
 fn the_wall_clock_goes_on_however_often_it_is_set_back() {
     for uptime_ns in [1, 315_360_000_000_000_001] {

@@ -67,7 +67,7 @@ fn seeds_that_found_defects() {
     }
 }
 
-/// A seed of years ends soon after it was told to, and says nothing.
+/// A seed of years ends soon after it was asked to, and has no verdict.
 #[test]
 fn a_stopped_seed_is_no_result() {
     let (stop, years_ns) = (AtomicBool::new(false), 10 * 365 * 86_400_000_000_000);

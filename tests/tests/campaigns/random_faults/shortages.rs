@@ -28,7 +28,7 @@ pub(crate) struct SmallDisk {
 }
 
 impl SmallDisk {
-    /// None, with a line that says so, where nothing can be mounted.
+    /// None, with a line that reports it, where nothing can be mounted.
     pub(crate) fn mount(folder: &Path) -> Option<Self> {
         fs::create_dir_all(folder).expect("a folder of the test");
         let mut command = Command::new("mount");

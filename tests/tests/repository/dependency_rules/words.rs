@@ -117,7 +117,7 @@ fn only_archives_of_datasets_use_parquet() {
 fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for member in members().iter().filter(|member| member.name != "model-files") {
-        // It says what a file is that nobody reads.
+        // It names files that nobody reads.
         let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
         assert_eq!(found, Vec::<String>::new());
     }
@@ -166,7 +166,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "serve/src/webhook/mod.rs",
         // When a person acknowledged an alarm.
         "plan-server/src/acknowledgements.rs",
-        // Times that other hosts are told.
+        // Times that other hosts receive.
         "bridge/src/outbound.rs",
         // Times in messages, which are compared with those of a simulation.
         "bridge/src/mapping/ros/incoming.rs",

@@ -83,7 +83,7 @@ pub(crate) fn dynamic(kind: MessageKind, data: &[u8]) -> DynamicMessage {
     read
 }
 
-/// Compares messages of arbitrary bits of each channel with what their schemas say.
+/// Compares messages of arbitrary bits of each channel with their schemas.
 struct Described(Bits);
 
 impl ForEachChannel for Described {

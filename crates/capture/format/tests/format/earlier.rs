@@ -14,7 +14,7 @@ use crate::bits::{assert_described, assert_query, dynamic};
 /// outlooks.
 const EARLIER: &[u8] = include_bytes!("../earlier.mcap");
 
-/// Compares a message with what the file's schema says of the same bytes.
+/// Compares a message with the same bytes decoded by the file's schema.
 struct Same<'a>(&'a Message, &'a [u8]);
 
 impl ForEachChannel for Same<'_> {

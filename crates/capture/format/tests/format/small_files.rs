@@ -1,4 +1,4 @@
-//! A small file costs bounded work and memory, whatever its messages and schemas say.
+//! A small file costs bounded work and memory, whatever its messages and schemas contain.
 
 use std::collections::BTreeMap as Map;
 use std::io::Cursor;

@@ -659,7 +659,7 @@ fn a_robot_whose_account_was_given_up_has_an_unknown_battery_until_it_is_known_a
     fleet.state().encode_into(&mut bytes);
     let mut standby = new();
     standby.restore_state(&FleetState::decode(&bytes).unwrap()).unwrap();
-    // A later run is told.
+    // A later run is reported.
     let mut later = new();
     later.lose(0);
     for mut fleet in [fleet, standby, later] {

@@ -132,7 +132,7 @@ fn the_time_to_empty_of_simulated_batteries_holds_in_the_first_minute_and_later(
     }
     let share = f64::from(inside as u32) / f64::from(count as u32);
     // Nine of ten are stated, and more are inside: these robots vary less than the model's errors.
-    // All of them would say that the bounds are empty words.
+    // All of them would mean that the bounds are empty words.
     assert!((0.95..0.995).contains(&share), "{share}");
 }
 

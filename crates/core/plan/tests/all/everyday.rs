@@ -72,7 +72,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
         ((0.1200, 0.1000), 1.0, Verdict::Tight, 0.9..=1.0),
         ((0.1010, 0.1000), 1.0, Verdict::No, 0.0..=0.45),
         ((0.0800, 0.0500), 1.0, Verdict::No, 0.0..=0.1),
-        // Not charged for long: the best estimate says yes, the lower bound nothing.
+        // Not charged for long: the best estimate allows it, the lower bound nothing.
         ((0.70, 0.0), 1.0, Verdict::Tight, 0.9..=1.0),
     ];
     for ((soc, soc_lo), away_m, verdict, probability) in table {
@@ -95,7 +95,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
             assert!(energy.hi_j - energy.lo_j < 0.25 * energy.mean_j, "{asked}");
         }
     }
-    // Unknown: nobody says, or somebody says something else.
+    // Unknown: nobody reports it, or somebody reports something else.
     let mut unknown = rows(&fleet, 0.5, 0.4);
     unknown.has_budget = false;
     let verdict = |rows: &Rows| there_and_back(&rows.robot(&fleet), 1.0).answer.verdict;

@@ -247,7 +247,7 @@ fn each_reading_of_a_unit_is_named() {
     use joulebus_plausibility::Source;
     let both = Known::default().whole().unstated(Quantity::Voltage).unstated(Quantity::Current);
     let stated = Known::default().whole();
-    // Scales of voltage and current, what is known, the current in A, and what a table is told.
+    // Scales of voltage and current, what is known, the current in A, and the remedies for a table.
     let cases: [(f64, f64, Known, f64, &[&str]); 15] = [
         // Read in mV and mA, as they are.
         (1.0, 1.0, both, 0.85, &[]),

@@ -96,7 +96,7 @@ fn a_turned_sign_is_found() {
         ("plain", (|_| ()) as fn(&mut Recording), 1.0),
         ("no velocities", |one| one.velocities = false, 1.0),
         ("power alone", |one| (one.velocities, one.battery) = (false, false), 1.0),
-        // Nothing tells that a robot that hardly moves is on a charger: a warning.
+        // Nothing shows that a robot that hardly moves is on a charger: a warning.
         ("no battery", |one| one.battery = false, 0.93),
         // While it feeds back a part of the time.
         ("regenerating", |one| one.regenerates = 0.05, 0.9),

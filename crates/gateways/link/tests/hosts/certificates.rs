@@ -109,7 +109,7 @@ fn both_links_say_why_a_certificate_is_refused() {
     certificates(&other, 30, &["edge"]);
     certificates(&own, 0, &["late"]);
     // The certificate of the side that connects, the authority and the host that it expects, and
-    // what it and the other side say.
+    // what it and the other side log.
     for ((of, name), authority, host, here, there) in [
         ((&other, "edge"), &own, IP, "refuses this link's certificate", "is of another authority"),
         ((&own, "edge"), &other, IP, "is of another authority", "in the other link's file"),
@@ -335,7 +335,7 @@ fn a_certificate_that_expires_ends_its_connection_and_a_renewed_one_makes_it_aga
     let _robots = there.robots(&["--robots", "2"]);
     let mut planner = there.planner();
     planner.fresh_sample();
-    // Both sides say it.
+    // Both sides log it.
     eventually("the worker's side has lost the link", || has_lost_edge(&link));
     assert_eq!(planner.gone(), "Unreachable");
     // It is not let in again as long as the certificate has expired.

@@ -537,7 +537,7 @@ fn a_start_beside_a_cleanup_that_is_stopped_between_its_removals_keeps_its_files
     let mut stopped_between = 0;
     let mut number = 0;
     let seen = format!("/dev/shm/joulebus-test-{}.trace", std::process::id());
-    // Only the tracer's word tells this stop from those of its own, which last moments.
+    // Only the tracer's word distinguishes this stop from those of its own, which last moments.
     let was_stopped = || fs::read_to_string(&seen).unwrap().contains("stopped by SIGSTOP");
     for _ in 0..200 {
         number += 1;

@@ -163,7 +163,7 @@ fn assert_refused_among(from: &str, to: &str, key: &str, expected: &[&str]) {
     assert_named(&text, key, line_of(WHOLE, from), expected);
 }
 
-/// Among the problems of the text is one of this key and line that says all of it.
+/// Among the problems of the text is one of this key and line that states all of it.
 fn assert_named(text: &str, key: &str, line: usize, expected: &[&str]) {
     let refused = parse(text).expect_err("accepted");
     let found = refused.problems().iter().find(|problem| problem.key == key);

@@ -28,7 +28,7 @@ pub(crate) fn member() {
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {
         scope.spawn(|| {
-            // Until the test says so, or has ended.
+            // Until the test asks for it, or has ended.
             let _ = std::io::stdin().lines().next();
             stop.store(true, Ordering::Relaxed);
         });
@@ -222,7 +222,7 @@ fn misuse_is_refused_and_the_next_call_works() {
     assert_eq!(finished(&mut worker), "1");
 }
 
-/// Ends the worker. What it says last.
+/// Ends the worker. Returns its last line.
 fn finished(worker: &mut Member) -> String {
     worker.send_line("end");
     let printed_text = worker.next_line();

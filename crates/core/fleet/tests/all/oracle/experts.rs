@@ -25,7 +25,7 @@ pub(crate) struct Forecasts {
     pub forecast_w: f32,
     /// True if the robot learns which forecaster to trust.
     pub learns: bool,
-    /// A network says what no robot of the platform can draw.
+    /// A network forecasts what no robot of the platform can draw.
     pub is_absurd: bool,
     pub network_w: f32,
     lag_w: [f32; 5],

@@ -178,9 +178,9 @@ fn what_a_broker_refuses_is_told_with_its_reason() {
 enum Act {
     Close,
     Send(&'static [u8]),
-    /// Says this, and then nothing until the bridge ends the connection.
+    /// Sends this, and then nothing until the bridge ends the connection.
     Hold(&'static [u8]),
-    /// Says this, and then answers pings, but acknowledges nothing.
+    /// Sends this, and then answers pings, but acknowledges nothing.
     Pong(&'static [u8]),
 }
 

@@ -1,4 +1,4 @@
-//! Vehicles that speak VDA 5050, and the master that gets their states with the energy forecast.
+//! Vehicles of VDA 5050, and the master that gets their states with the energy forecast.
 
 use std::path::PathBuf;
 use std::sync::Arc;

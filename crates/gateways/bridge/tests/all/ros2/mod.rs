@@ -104,7 +104,7 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     peer.order(
         &json!({"hear": "/r1/joulebus/budget", "type": "BatteryState", "transient_local": true}),
     );
-    // It has come after the bridge, whose node it is told of.
+    // It has come after the bridge, whose node it discovers.
     let graph = json!({"hear": "ros_discovery_info", "type": "ParticipantEntitiesInfo", "transient_local": true});
     peer.order(&graph);
     let node =

@@ -29,7 +29,8 @@ fn call(
     response
 }
 
-/// Robot r1 is published, its outlook heard, its plan's cost asked for, and its alarm acknowledged.
+/// Robot r1 is published, its outlook received, its plan's cost asked for, and its alarm
+/// acknowledged.
 fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     let ask = ("/joulebus/what_if", "WhatIf");
     let (battery, commands) = ("/fleet/r1/battery_state", "/fleet/r1/cmd_vel");

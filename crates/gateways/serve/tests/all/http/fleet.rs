@@ -98,7 +98,7 @@ impl Fleet {
         self.serve_alone(&["--socket", socket.to_str().unwrap()])
     }
 
-    /// Starts a server of what the words say alone.
+    /// Starts a server by these arguments alone.
     pub(crate) fn serve_alone(&self, words: &[&str]) -> Child {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
         command.args(words).arg("--config").arg(self.path()).env_remove("JOULEBUS_LOG");

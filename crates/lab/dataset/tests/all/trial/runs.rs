@@ -12,7 +12,7 @@ fn row(time_s: f64, number: u32) -> String {
     format!("{time_s:.2},{:.4},{ampere:.4}\n", 12.0 - 0.1 * ampere)
 }
 
-/// Rows of the trials in a text, and whether the judgement says where each but the first begins.
+/// Rows of the trials in a text, and whether the judgement states where each but the first begins.
 fn lengths(files: &Files, text: &str, map: &ColumnMap) -> (Vec<usize>, usize) {
     let path = files.write("log.csv", text.as_bytes());
     let trials = Trial::read_mapped(&path, map).unwrap();

@@ -19,7 +19,7 @@ fn read(files: &Files, text: &str, columns: &str) -> Result<Trial, TrialError> {
 #[test]
 fn times_separators_and_headers_of_other_programs_are_read() {
     let files = Files::new();
-    // Mapping, the text, its first time, the second, the second power in W, and what is said.
+    // Mapping, the text, its first time, the second, the second power in W, and the note.
     for case in cases(
         r#"
         - | timestamp,power_W\n2026-04-07T10:30:00Z,4.5\n2026-04-07T10:30:00.5Z,4.6\n | 1775557800 | 0.5 | 4.6 | -

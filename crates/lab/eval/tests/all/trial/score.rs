@@ -837,7 +837,7 @@ fn a_shift_is_evaluated_and_fitted_on_the_others() {
 fn references_are_scored_on_the_same_rows_and_other_programs_with_their_intervals() {
     let recordings = made_up(6, 200);
     let design = Design::shifted(&recordings, &["odd".to_owned()]).unwrap();
-    // Another program that says the newest reading, within 5 W.
+    // Another program that forecasts the newest reading, within 5 W.
     let mut text = "recording,row,power_w,lo_w,hi_w\n".to_owned();
     for contents in recordings.iter().map(contents) {
         let name = contents.trial.path().file_name().unwrap().to_str().unwrap();
