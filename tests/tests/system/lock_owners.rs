@@ -10,8 +10,8 @@ use joulebus_tests::{Arena, PATIENCE, Setup, eventually, figure};
 use rustix::fs::{FlockOperation, flock};
 
 fn to_kill(message: &str) -> Vec<i64> {
-    let told = message.split("`kill ").skip(1);
-    told.map(|rest| {
+    let proposed = message.split("`kill ").skip(1);
+    proposed.map(|rest| {
         let number = rest.split('`').next().unwrap_or_default();
         number.trim().parse().unwrap_or_else(|_| panic!("{message}"))
     })

@@ -124,8 +124,8 @@ fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
 fn assert_every_tick_verified(report: &Value) {
     let count = |name: &str| report[name].as_u64().unwrap();
     let verified = count("ticks_verified");
-    let told = verified + count("ticks_before_first_keyframe") + count("ticks_cut_off");
-    assert_eq!(told, count("ticks"), "{report:#}");
+    let accounted = verified + count("ticks_before_first_keyframe") + count("ticks_cut_off");
+    assert_eq!(accounted, count("ticks"), "{report:#}");
     assert!(verified > count("ticks_before_first_keyframe"), "{report:#}");
 }
 

@@ -281,8 +281,8 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
         });
         let is_failure = |line: &&ReaderLine| matches!(line, ReaderLine::Failed(_));
         disturbed += planner.seen().iter().filter(is_failure).count();
-        let told = controller.finish().stdout;
-        disturbed += told.iter().filter(|line| line.contains("Failed")).count();
+        let lines = controller.finish().stdout;
+        disturbed += lines.iter().filter(|line| line.contains("Failed")).count();
         planner.leave();
         worker.stop();
     }

@@ -278,8 +278,8 @@ fn row_17_a_second_worker_exits_with_the_owners_pid_and_the_first_continues() {
         if seq % 5 == 0 {
             let second = arena.run(&["run"]);
             assert_eq!(second.code(), Some(1), "{second:?}");
-            let told = format!("pid {}", first.pid());
-            assert!(second.errors().contains(&told), "{}", second.errors());
+            let owner_pid = format!("pid {}", first.pid());
+            assert!(second.errors().contains(&owner_pid), "{}", second.errors());
         }
         let answered = planner.answered(&frame);
         assert_eq!(answered.pid, first.pid());
@@ -307,8 +307,8 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
         for mut loser in racers {
             let ended = loser.wait();
             assert_eq!(ended.code(), Some(1), "{ended:?}");
-            let told = format!("pid {}", owner.pid());
-            assert!(ended.errors().contains(&told), "{}", ended.errors());
+            let owner_pid = format!("pid {}", owner.pid());
+            assert!(ended.errors().contains(&owner_pid), "{}", ended.errors());
         }
         let pid = owner.pid();
         planner.forecast("it ticks", |frame| (frame.pid == pid).then_some(()));

@@ -16,8 +16,8 @@ fn played(first: u64, seeds: u64, duration_ns: u64) -> Totals {
 }
 
 /// Samples and forecasts come once, in order and unchanged, one worker serves at a time, silence is
-/// reported, and everything goes on after the last fault. `JOULEBUS_LINKED_HOURS` states how long the
-/// seed `JOULEBUS_SIM_SEED` lasts instead.
+/// reported, and everything goes on after the last fault. `JOULEBUS_LINKED_HOURS` states how long
+/// the seed `JOULEBUS_SIM_SEED` lasts instead.
 #[test]
 fn linked_hosts_survive_faults() {
     let variable = |name: &str| std::env::var(name).ok()?.parse::<u64>().ok();
