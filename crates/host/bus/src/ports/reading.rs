@@ -1,6 +1,7 @@
 //! Handling of received frames by a reader. The simulator compiles this file too.
 
 use std::marker::PhantomData;
+use std::ops::Deref;
 
 use joulebus_wire::Channel;
 
@@ -90,7 +91,7 @@ impl<C: Channel> Reader<C> {
     #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
-        Some(KeptFrame { frame, _member: self.member.clone() })
+        Some(KeptFrame { frame: Frame::new(frame), _member: self.member.clone() })
     }
 
     /// Number of skipped frames on a service of the worker that another process has sent.
@@ -131,25 +132,19 @@ impl<C: Channel> Frame<'_, C> {
     }
 }
 
-/// A frame in shared memory that is kept while this value lives, also after its reader. The process
-/// is a member of the domain as long. Belongs to the reader's thread.
+/// A [`Frame`] that is kept while this value lives, also after its reader. The process is a member of
+/// the domain as long. Belongs to the reader's thread.
 #[derive(Debug)]
 pub struct KeptFrame<C: Channel> {
     // Dropped in this order.
-    frame: Received<C>,
+    frame: Frame<'static, C>,
     _member: Member,
 }
 
-impl<C: Channel> KeptFrame<C> {
-    /// The frame's header.
-    #[must_use]
-    pub fn header(&self) -> &C::Header {
-        self.frame.user_header()
-    }
+impl<C: Channel> Deref for KeptFrame<C> {
+    type Target = Frame<'static, C>;
 
-    /// The frame's slice.
-    #[must_use]
-    pub fn payload(&self) -> &[C::Row] {
-        self.frame.payload()
+    fn deref(&self) -> &Self::Target {
+        &self.frame
     }
 }
