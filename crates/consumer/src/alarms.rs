@@ -83,7 +83,7 @@ pub struct AlarmChange {
 pub struct AlarmHistory {
     robots: HashMap<u32, Raised>,
     /// Run of the worker, and tick, of the newest frame.
-    place: Option<(u64, u64)>,
+    newest_tick: Option<(u64, u64)>,
     ticks: u64,
     ticks_missed: u64,
     /// The newest frame of what is acknowledged.
@@ -128,15 +128,15 @@ impl AlarmHistory {
         at_ns: u64,
         mut each: impl FnMut(AlarmChange),
     ) {
-        let place = (header.worker_epoch, header.tick);
-        if self.place >= Some(place) {
+        let tick = (header.worker_epoch, header.tick);
+        if self.newest_tick >= Some(tick) {
             return;
         }
         // Ticks of different runs are not comparable.
-        let before = self.place.filter(|(epoch, _)| *epoch == place.0);
-        let missed = before.map_or(0, |(_, tick)| place.1 - tick - 1);
+        let before = self.newest_tick.filter(|(epoch, _)| *epoch == tick.0);
+        let missed = before.map_or(0, |(_, before)| tick.1 - before - 1);
         self.ticks_missed = self.ticks_missed.saturating_add(missed);
-        self.place = Some(place);
+        self.newest_tick = Some(tick);
         self.ticks += 1;
         let mut waiting = self.robots.len();
         for robot in robots {

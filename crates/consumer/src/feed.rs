@@ -8,7 +8,7 @@ use joulebus_wire::{Channel, FrameHeader as _};
 
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
-use crate::tracker::Place;
+use crate::tracker::RunOrder;
 use crate::{Arrival, Frame};
 
 /// Frames that the worker sends in addition to its forecasts: rows of robots, or for
@@ -30,14 +30,14 @@ use crate::{Arrival, Frame};
 /// ```
 pub struct Feed<C: Channel> {
     reader: Reader<C>,
-    place: Option<Place>,
+    newest_order: Option<RunOrder>,
     frames: u64,
     index: RefCell<RobotIndex>,
 }
 
 impl<C: Channel> Feed<C> {
     pub(crate) fn new(reader: Reader<C>) -> Self {
-        Self { reader, place: None, frames: 0, index: RefCell::default() }
+        Self { reader, newest_order: None, frames: 0, index: RefCell::default() }
     }
 
     /// The newest frame, whether or not it was returned before: its header has the tick. `None`
@@ -46,13 +46,13 @@ impl<C: Channel> Feed<C> {
     /// # Errors
     /// [`ReadError`]. The next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Frame<'_, C>>, ReadError> {
-        let (mut place, mut foreign) = (self.place, None);
+        let (mut newest_order, mut foreign) = (self.newest_order, None);
         let found = self.reader.hold_latest(|header, _, run| {
             let at = header.order();
-            newer(header.schema(), (run, at.run, at.number), &mut place, &mut foreign)
+            newer(header.schema(), (run, at.run, at.number), &mut newest_order, &mut foreign)
         })?;
         check_schema(found, foreign)?;
-        self.place = place;
+        self.newest_order = newest_order;
         self.frames += u64::from(found);
         let held = self.reader.held();
         let frame = |held| Frame::new(held, self.frames, &self.index, Arrival::default());
@@ -64,7 +64,7 @@ impl<C: Channel> fmt::Debug for Feed<C> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Feed")
             .field("frames", &self.frames)
-            .field("place", &self.place)
+            .field("place", &self.newest_order)
             .finish_non_exhaustive()
     }
 }

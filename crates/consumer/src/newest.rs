@@ -3,22 +3,22 @@
 use joulebus_bus::{ReceiveError, WaitError};
 use joulebus_wire::SCHEMA_VERSION;
 
-use crate::tracker::Place;
+use crate::tracker::RunOrder;
 
 /// True if a frame is of our version and later than the one at `at`, which is then advanced.
 pub(crate) fn newer(
     schema: u32,
-    place: Place,
-    at: &mut Option<Place>,
+    order: RunOrder,
+    at: &mut Option<RunOrder>,
     foreign: &mut Option<u32>,
 ) -> bool {
     if schema != SCHEMA_VERSION {
         *foreign = Some(schema);
         return false;
     }
-    let newer = Some(place) > *at;
+    let newer = Some(order) > *at;
     if newer {
-        *at = Some(place);
+        *at = Some(order);
     }
     newer
 }

@@ -15,7 +15,7 @@ use joulebus_wire::{Channel, Forecast, ForecastHeader};
 use crate::frame::{Frame, KeptForecasts};
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
-use crate::tracker::{Lateness, Tracker, place};
+use crate::tracker::{Lateness, Tracker, order};
 use crate::{
     Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, Outlooks, PlanStates, Queries,
     WorkerState,
@@ -457,11 +457,11 @@ impl Subscriber {
 
     /// Takes the newest frame, and hands those before it to `each`. Returns whether it is new.
     fn fetch(&mut self, each: &mut Option<Each<'_>>) -> Result<bool, ReadError> {
-        let (mut at, mut schema) = (self.tracker.place(), None);
+        let (mut at, mut schema) = (self.tracker.order(), None);
         let workers = self.tracker.counts().workers;
         let (tracker, arrival) = (&mut self.tracker, &mut self.arrival);
         let found = self.reader.hold_latest(|header, robots, run| {
-            let is_newer = newer(header.schema, place(run, header), &mut at, &mut schema);
+            let is_newer = newer(header.schema, order(run, header), &mut at, &mut schema);
             if is_newer && let Some(each) = each.as_mut() {
                 *arrival = tracker.frame(run, header, clock::monotonic_ns());
                 each(header, robots);

@@ -91,15 +91,15 @@ pub struct Counts {
 
 /// Total order of frames: (index of the worker's process among those seen here, run, tick). A later
 /// process counts as later, whatever it states.
-pub(crate) type Place = (u64, u64, u64);
+pub(crate) type RunOrder = (u64, u64, u64);
 
-pub(crate) const fn place(run: u64, header: &ForecastHeader) -> Place {
+pub(crate) const fn order(run: u64, header: &ForecastHeader) -> RunOrder {
     (run, header.worker_epoch, header.tick)
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Last {
-    place: Place,
+    order: RunOrder,
     sent_ns: u64,
     period_ns: u64,
 }
@@ -131,16 +131,16 @@ impl Tracker {
     }
 
     /// The order of the newest frame.
-    pub(crate) fn place(&self) -> Option<Place> {
-        self.last.map(|last| last.place)
+    pub(crate) fn order(&self) -> Option<RunOrder> {
+        self.last.map(|last| last.order)
     }
 
     /// A frame later than all before, of the `run`-th process that is the worker, read at `now_ns`.
     /// If this process's clock is behind the worker's, the frame's age is taken to be 0 then, so
     /// that a silent worker is noticed all the same.
     pub(crate) fn frame(&mut self, run: u64, header: &ForecastHeader, now_ns: u64) -> Arrival {
-        let (_, epoch, tick) = place(run, header);
-        let arrival = match self.place() {
+        let (_, epoch, tick) = order(run, header);
+        let arrival = match self.order() {
             None => Arrival::default(),
             Some((ran, before, last)) if (ran, before) == (run, epoch) => Arrival {
                 ticks_missed: tick.saturating_sub(last).saturating_sub(1),
@@ -162,7 +162,7 @@ impl Tracker {
             self.reported = Reported::Nothing;
         }
         self.last = Some(Last {
-            place: (run, epoch, tick),
+            order: (run, epoch, tick),
             sent_ns: header.sent_ns.min(now_ns),
             period_ns: header.period_ns,
         });

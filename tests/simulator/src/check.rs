@@ -18,7 +18,7 @@ use simulated_recorder::{Options, Summary};
 
 use simulated_planner::Answered;
 
-use crate::process::{FALSE_ROBOT, Learned, Place, is_constant, is_possible, power_w};
+use crate::process::{FALSE_ROBOT, Learned, FrameId, is_constant, is_possible, power_w};
 use crate::scenario::Setup;
 
 /// Pid of the process that observes.
@@ -244,7 +244,7 @@ impl Checker {
     }
 
     /// No frame was sent between two that a planner has read one after the other.
-    pub(crate) fn none_between(&self, before: Place, after: Place) -> Checked {
+    pub(crate) fn none_between(&self, before: FrameId, after: FrameId) -> Checked {
         let is_missing = |(run, tick): &&(u64, u64)| {
             (*run, *run) == (before.1, after.1) && before.2 < *tick && *tick < after.2
         };

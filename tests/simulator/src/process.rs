@@ -51,7 +51,7 @@ pub(crate) enum Outcome {
 }
 
 /// A frame: the process, run and tick of its worker.
-pub(crate) type Place = (u32, u64, u64);
+pub(crate) type FrameId = (u32, u64, u64);
 
 /// Result of a planner's step.
 #[derive(Debug, Clone, Default)]
@@ -60,7 +60,7 @@ pub(crate) struct Learned {
     pub polls: bool,
     pub every_ns: u64,
     /// Frames that it has read.
-    pub frames: Vec<Place>,
+    pub frames: Vec<FrameId>,
     /// End of the worker.
     pub end: Option<End>,
     /// The worker has ended, or is silent.

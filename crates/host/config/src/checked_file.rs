@@ -13,7 +13,7 @@ use crate::files;
 use crate::key::{DefaultValue, File, Key};
 use crate::problem::{ConfigError, Problem};
 use crate::table::keys;
-use crate::values::{Place, Scalar, Value, Values};
+use crate::values::{Location, Scalar, Value, Values};
 
 /// A file whose keys have passed the table of keys.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ pub struct CheckedFile {
 pub struct Text {
     text: String,
     key: String,
-    place: Place,
+    location: Location,
 }
 
 /// A section of a file, a table of a list, or an entry of a section with free names.
@@ -96,7 +96,7 @@ impl CheckedFile {
 /// Adds a problem for each required key of a section that the file has without it. Those of a
 /// platform may stand in the fleet's file.
 fn missing(values: &Values, file: File, name: &str, problems: &mut Vec<Problem>) {
-    for (path, place) in &values.sections {
+    for (path, location) in &values.sections {
         let section = Section { values, path: path.clone(), name };
         let required = |key: &&Key| {
             file != File::Platform && file == key.file && key.default == DefaultValue::Required
@@ -106,7 +106,7 @@ fn missing(values: &Values, file: File, name: &str, problems: &mut Vec<Problem>)
             {
                 let remedy = format!("{} ({})", key.doc, key.facts());
                 let key = section.shown(key.name());
-                place.problem(key, "is missing".to_owned(), remedy).add_to(problems);
+                location.problem(key, "is missing".to_owned(), remedy).add_to(problems);
             }
         }
     }
@@ -115,7 +115,7 @@ fn missing(values: &Values, file: File, name: &str, problems: &mut Vec<Problem>)
     }
 }
 
-impl Place {
+impl Location {
     fn problem(&self, key: String, what: String, remedy: String) -> Problem {
         Problem { file: self.file.to_string(), line: Some(self.line), key, what, remedy }
     }
@@ -133,7 +133,7 @@ impl Text {
     /// The path that the text is, relative to the folder of its file.
     #[must_use]
     pub fn file(&self) -> PathBuf {
-        let folder = self.place.directory.as_deref();
+        let folder = self.location.directory.as_deref();
         folder.map_or_else(|| PathBuf::from(&self.text), |folder| folder.join(&self.text))
     }
 
@@ -141,7 +141,7 @@ impl Text {
     #[must_use]
     pub fn problem(&self, what: &str, remedy: &str) -> Problem {
         let what = format!("= {:?} {what}", self.text);
-        self.place.problem(self.key.clone(), what.trim_end().to_owned(), remedy.to_owned())
+        self.location.problem(self.key.clone(), what.trim_end().to_owned(), remedy.to_owned())
     }
 }
 
@@ -159,11 +159,11 @@ impl<'a> Section<'a> {
         self.path(name).replacen('*', self.name, 1)
     }
 
-    /// The place of a key or section, else that of this section.
-    fn place(&self, name: &str) -> Option<&Place> {
+    /// The location of a key or section, else that of this section.
+    fn location(&self, name: &str) -> Option<&Location> {
         let path = self.path(name);
-        let list = || Some(&self.values.children.get(&path)?.first()?.place);
-        let own = self.values.place(&path).or_else(|| self.values.sections.get(&path));
+        let list = || Some(&self.values.children.get(&path)?.first()?.location);
+        let own = self.values.location(&path).or_else(|| self.values.sections.get(&path));
         let within = || self.values.sections.get(&self.path);
         // The first one is the table or file that all others are in.
         own.or_else(list).or_else(within).or_else(|| self.values.sections.values().next())
@@ -180,8 +180,8 @@ impl<'a> Section<'a> {
     #[must_use]
     pub fn problem(&self, name: &str, what: String, remedy: &str) -> Problem {
         let (key, remedy) = (self.shown(name), remedy.to_owned());
-        match self.place(name) {
-            Some(place) => place.problem(key, what, remedy),
+        match self.location(name) {
+            Some(location) => location.problem(key, what, remedy),
             None => Problem { file: String::new(), line: None, key, what, remedy },
         }
     }
@@ -211,15 +211,15 @@ impl<'a> Section<'a> {
     /// The free name of this entry.
     #[must_use]
     pub fn name(&self) -> Option<Text> {
-        let place = self.place("")?.clone();
-        Some(Text { text: self.name.to_owned(), key: self.shown(""), place })
+        let location = self.location("")?.clone();
+        Some(Text { text: self.name.to_owned(), key: self.shown(""), location })
     }
 
     /// A text, or its default.
     #[must_use]
     pub fn text(&self, name: &str) -> Option<Text> {
         let text = self.values.text(&self.path(name))?;
-        Some(Text { text, key: self.shown(name), place: self.place(name)?.clone() })
+        Some(Text { text, key: self.shown(name), location: self.location(name)?.clone() })
     }
 
     /// A number, or its default.
@@ -256,8 +256,8 @@ impl<'a> Section<'a> {
         let Some(Value::Texts(texts)) = self.values.get(&self.path(name)) else {
             return Vec::new();
         };
-        let place = |line| Some(Place { line, ..self.place(name)?.clone() });
-        let text = |(text, line)| Some(Text { text, key: self.shown(name), place: place(line)? });
+        let location = |line| Some(Location { line, ..self.location(name)?.clone() });
+        let text = |(text, line)| Some(Text { text, key: self.shown(name), location: location(line)? });
         texts.into_iter().filter_map(text).collect()
     }
 

@@ -161,10 +161,10 @@ impl Config {
             None => Some(("fleet.name", "a value is missing".to_owned())),
         };
         if let Some((key, what)) = complaint {
-            let place = values.place(key).or_else(|| values.place("fleet.name"));
+            let location = values.location(key).or_else(|| values.location("fleet.name"));
             problems.push(Problem {
-                file: place.map_or_else(String::new, |place| place.file.to_string()),
-                line: place.map(|place| place.line),
+                file: location.map_or_else(String::new, |location| location.file.to_string()),
+                line: location.map(|location| location.line),
                 key: key.to_owned(),
                 what,
                 remedy: "See `config explain`".to_owned(),

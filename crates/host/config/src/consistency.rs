@@ -14,7 +14,7 @@ use crate::key::{DefaultValue, File, Key};
 use crate::keys::KEYS;
 use crate::problem::Problem;
 use crate::robots;
-use crate::values::{Place, Values};
+use crate::values::{Location, Values};
 
 /// Robots that there is room for, at most, if a fleet's file does not state the number.
 const UNASKED_ROBOTS: u64 = 1_000;
@@ -63,7 +63,7 @@ pub(crate) fn check(
     }
 }
 
-fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &mut Vec<Problem>) {
+fn missing(values: &Values, file: &Arc<str>, header: Option<&Location>, problems: &mut Vec<Problem>) {
     let of_platform = header.is_some();
     let wanted = |key: &&Key| {
         key.default == DefaultValue::Required
@@ -73,13 +73,13 @@ fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &
     };
     for key in KEYS.iter().filter(wanted) {
         // A platform's own keys are reported in the platform's file.
-        let place = match key.file {
-            File::Platform => values.place("platform.name").or(header),
+        let location = match key.file {
+            File::Platform => values.location("platform.name").or(header),
             _ => header,
         };
         problems.push(Problem {
-            file: place.map_or(file, |place| &place.file).to_string(),
-            line: place.map(|place| place.line),
+            file: location.map_or(file, |location| &location.file).to_string(),
+            line: location.map(|location| location.line),
             key: key.path.to_owned(),
             what: "is missing".to_owned(),
             remedy: format!("{} ({})", key.doc, key.facts()),
@@ -460,10 +460,10 @@ fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
 /// Two ranges that share a robot, reported at the one later in the file.
 fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     let key = "platform.robots";
-    let line = |owned: &Owned<'_>| owned.1.place(key).map_or(0, |place| place.line);
+    let line = |owned: &Owned<'_>| owned.1.location(key).map_or(0, |location| location.line);
     let quote = |owned: &Owned<'_>| {
-        let place = owned.1.place(key).map_or_else(String::new, Place::to_string);
-        format!("{} ({place})", robots::text(&owned.0))
+        let location = owned.1.location(key).map_or_else(String::new, Location::to_string);
+        format!("{} ({location})", robots::text(&owned.0))
     };
     let later = if line(one) > line(other) { one } else { other };
     complaint(

@@ -14,7 +14,7 @@ use crate::problem::{MAX_PROBLEMS, Problem};
 use crate::remedy;
 use crate::robots;
 use crate::table;
-use crate::values::{Child, Place, Scalar, Value, Values};
+use crate::values::{Child, Location, Scalar, Value, Values};
 
 /// Letters of a key or a value that are shown.
 const MAX_SHOWN: usize = 60;
@@ -42,7 +42,7 @@ pub(crate) struct FleetFile {
 pub(crate) struct Listed {
     pub(crate) values: Values,
     /// Position of its start.
-    pub(crate) header: Place,
+    pub(crate) header: Location,
     /// Its own file could not be read: missing keys are not reported.
     pub(crate) cut_short: bool,
 }
@@ -69,7 +69,7 @@ impl Source<'_> {
         };
         let platforms = values.children.remove("platform").unwrap_or_default();
         let listed =
-            |child: Child| Listed { values: child.values, header: child.place, cut_short: false };
+            |child: Child| Listed { values: child.values, header: child.location, cut_short: false };
         let platforms = platforms.into_iter().map(listed).collect();
         FleetFile { values, platforms, cut_short: false }
     }
@@ -80,13 +80,13 @@ impl Source<'_> {
         let document = DeTable::parse(self.text);
         let document = document.map_err(|error| problems.push(self.syntax(&error))).ok()?;
         let mut walk = Walk { source: self, file, name: None, problems };
-        values.sections.insert(file.root().to_owned(), self.place(0..0));
+        values.sections.insert(file.root().to_owned(), self.location(0..0));
         walk.table(document.get_ref(), file.root(), &mut values);
         Some(values)
     }
 
-    fn place(&self, span: Range<usize>) -> Place {
-        Place {
+    fn location(&self, span: Range<usize>) -> Location {
+        Location {
             file: Arc::clone(&self.name),
             directory: self.directory.clone(),
             line: self.lines.partition_point(|line| *line <= span.start),
@@ -105,11 +105,11 @@ impl Source<'_> {
     fn syntax(&self, error: &toml::de::Error) -> Problem {
         let start = error.span().map(|span| span.start);
         let start = start.unwrap_or_else(|| self.start_of(error));
-        let place = self.place(start..start);
+        let location = self.location(start..start);
         let message = error.message().trim().replace('\n', "; ");
         let (key, what, remedy) = if message.contains("duplicate key") {
             let key = error.span().and_then(|span| self.text.get(span)).unwrap_or("");
-            let first = first_of(self.text, place.line)
+            let first = first_of(self.text, location.line)
                 .map_or_else(|| "before".to_owned(), |line| format!("in line {line}"));
             let what = format!("is set again. It was first set {first}");
             (key.trim().to_owned(), what, "Keep one of the two")
@@ -118,8 +118,8 @@ impl Source<'_> {
             (String::new(), what, "Correct the line. The rest of the file was not checked")
         };
         Problem {
-            file: place.file.to_string(),
-            line: Some(place.line),
+            file: location.file.to_string(),
+            line: Some(location.line),
             key,
             what,
             remedy: remedy.to_owned(),
@@ -187,23 +187,23 @@ impl Walk<'_> {
                 continue;
             }
             self.name = Some(key.get_ref().to_string());
-            let mut child = self.child(self.source.place(key.span()), &free);
+            let mut child = self.child(self.source.location(key.span()), &free);
             self.item(key, item, &free, &mut child.values);
             child.name = self.name.take();
             values.children.entry(free.clone()).or_default().push(child);
         }
     }
 
-    fn child(&self, place: Place, path: &str) -> Child {
+    fn child(&self, location: Location, path: &str) -> Child {
         let mut values = Values::default();
-        values.sections.insert(path.to_owned(), place.clone());
-        Child { name: None, place, values }
+        values.sections.insert(path.to_owned(), location.clone());
+        Child { name: None, location, values }
     }
 
     /// The tables of a list, or of an array of inline tables.
     fn list(
         &mut self,
-        (place, path, most): (&Place, &str, usize),
+        (location, path, most): (&Location, &str, usize),
         item: &DeValue<'_>,
         values: &mut Values,
     ) {
@@ -215,7 +215,7 @@ impl Walk<'_> {
                 "Write [[{path}]], with two brackets: there is one for each {}",
                 path.rsplit('.').next().unwrap_or(path)
             );
-            self.wrong(place, path, "is a single table".to_owned(), remedy);
+            self.wrong(location, path, "is a single table".to_owned(), remedy);
             return;
         };
         if tables.len() > most {
@@ -224,11 +224,11 @@ impl Walk<'_> {
                 "platform" => "List the robots of one kind in one [[platform]]",
                 _ => "List fewer of them",
             };
-            self.wrong(place, path, what, remedy.to_owned());
+            self.wrong(location, path, what, remedy.to_owned());
             return;
         }
         for (table, span) in tables {
-            let mut child = self.child(self.source.place(span), path);
+            let mut child = self.child(self.source.location(span), path);
             self.table(table, path, &mut child.values);
             values.children.entry(path.to_owned()).or_default().push(child);
         }
@@ -241,20 +241,20 @@ impl Walk<'_> {
         path: &str,
         values: &mut Values,
     ) {
-        let place = self.source.place(key.span());
+        let location = self.source.location(key.span());
         let below = |key: &Key| key.below(path).is_some_and(|rest| !rest.is_empty());
         let is_section = table::keys().any(|key| self.file.allows(key) && below(key));
         if let (true, Some(most)) = (is_section, table::list(path)) {
-            return self.list((&place, path, most), item.get_ref(), values);
+            return self.list((&location, path, most), item.get_ref(), values);
         }
         if is_section {
             match item.get_ref().as_table() {
                 Some(table) => {
-                    values.sections.insert(path.to_owned(), place);
+                    values.sections.insert(path.to_owned(), location);
                     self.table(table, path, values);
                 }
                 None => self.wrong(
-                    &place,
+                    &location,
                     path,
                     format!("is {}, but it is the name of a section", self.source.found(item)),
                     format!(
@@ -265,17 +265,17 @@ impl Walk<'_> {
             return;
         }
         let Some(known) = table::find(path).filter(|key| self.file.allows(key)) else {
-            self.unknown(&place, path, item);
+            self.unknown(&location, path, item);
             return;
         };
         let value = match self.value(known, item) {
             Ok(value) => Some(value),
             Err((what, remedy)) => {
-                self.wrong(&place, path, what, remedy);
+                self.wrong(&location, path, what, remedy);
                 None
             }
         };
-        values.set(path, value, place);
+        values.set(path, value, location);
     }
 
     /// The path as the file's reader knows it.
@@ -290,7 +290,7 @@ impl Walk<'_> {
         }
     }
 
-    fn unknown(&mut self, place: &Place, path: &str, item: &Spanned<DeValue<'_>>) {
+    fn unknown(&mut self, location: &Location, path: &str, item: &Spanned<DeValue<'_>>) {
         if self.problems.len() > MAX_PROBLEMS {
             return;
         }
@@ -300,13 +300,13 @@ impl Walk<'_> {
         } else {
             ("is not a known key", remedy::unknown_key(Some(self.file), path, value))
         };
-        self.wrong(place, path, what.to_owned(), remedy);
+        self.wrong(location, path, what.to_owned(), remedy);
     }
 
-    fn wrong(&mut self, place: &Place, path: &str, what: String, remedy: String) {
+    fn wrong(&mut self, location: &Location, path: &str, what: String, remedy: String) {
         let key = shown(&self.shown(path)).into_owned();
-        let file = place.file.to_string();
-        Problem { file, line: Some(place.line), key, what, remedy }.add_to(self.problems);
+        let file = location.file.to_string();
+        Problem { file, line: Some(location.line), key, what, remedy }.add_to(self.problems);
     }
 
     /// The value if the key's kind and range allow it, else the found value and the remedy.
@@ -386,7 +386,7 @@ impl Walk<'_> {
                 let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));
                 (what, format!("{advice}Allowed: {}", key.facts()))
             })?;
-            Ok((found.to_owned(), self.source.place(item.span()).line))
+            Ok((found.to_owned(), self.source.location(item.span()).line))
         };
         list.iter().map(one).collect()
     }

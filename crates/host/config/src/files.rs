@@ -86,7 +86,7 @@ fn platform(
 /// The path of a key, relative to the directory of the file that sets it. `None` if empty.
 pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
     let text = values.text(path)?;
-    let directory = values.place(path).and_then(|place| place.directory.clone());
+    let directory = values.location(path).and_then(|location| location.directory.clone());
     match directory {
         Some(directory) if !text.is_empty() => Some(directory.join(text)),
         _ => Some(PathBuf::from(text)),
@@ -139,10 +139,10 @@ pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
 
 /// A problem of a key that a file sets.
 pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String) -> Problem {
-    let place = values.place(key);
+    let location = values.location(key);
     Problem {
-        file: place.map_or_else(String::new, |place| place.file.to_string()),
-        line: place.map(|place| place.line),
+        file: location.map_or_else(String::new, |location| location.file.to_string()),
+        line: location.map(|location| location.line),
         key: key.to_owned(),
         what,
         remedy,

@@ -8,7 +8,7 @@ use crate::key::{File, Key};
 use crate::keys::KEYS;
 use crate::model_source::ModelSource;
 use crate::template::Assignment;
-use crate::values::{Place, Value, Values};
+use crate::values::{Location, Value, Values};
 
 /// Every key with its value and origin, as a valid config file.
 pub(crate) fn toml(read: &FleetFile) -> String {
@@ -56,11 +56,11 @@ pub(crate) fn platform(listed: &Listed) -> Vec<Assignment> {
     let values = &listed.values;
     let set = keys_of(values).filter(|key| key.file == File::Platform);
     set.filter_map(|key| {
-        let place = values.place(key.path)?;
+        let location = values.location(key.path)?;
         Some(Assignment {
             key: key.path_in_file(),
             value: resolved(values, key)?.to_string(),
-            note: format!("From {place}."),
+            note: format!("From {location}."),
         })
     })
     .collect()
@@ -71,13 +71,13 @@ fn section_of(key: &Key) -> &'static str {
 }
 
 fn line(text: &mut String, values: &Values, key: &Key) {
-    let place = values
-        .place(key.path)
-        .map_or_else(|| "default".to_owned(), Place::to_string)
+    let location = values
+        .location(key.path)
+        .map_or_else(|| "default".to_owned(), Location::to_string)
         // A control character in a file's name would end the comment.
         .replace(char::is_control, "?");
     let _ = match resolved(values, key) {
-        Some(value) => writeln!(text, "{} = {value} # {place}", key.name()),
+        Some(value) => writeln!(text, "{} = {value} # {location}", key.name()),
         None => writeln!(text, "# {} is not set", key.name()),
     };
 }

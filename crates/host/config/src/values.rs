@@ -13,14 +13,14 @@ use crate::table;
 
 /// A file and a line of it, from 1.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct Location {
     pub(crate) file: Arc<str>,
     /// Directory to which paths in the file are relative. `None` for built-in files.
     pub(crate) directory: Option<Arc<PathBuf>>,
     pub(crate) line: usize,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}:{}", self.file, self.line)
     }
@@ -75,7 +75,7 @@ impl fmt::Display for Value {
 struct Entry {
     /// `None` if the value was refused: it is not checked further.
     value: Option<Value>,
-    place: Place,
+    location: Location,
 }
 
 /// The keys of one file, or of a platform's file with its overrides.
@@ -83,7 +83,7 @@ struct Entry {
 pub(crate) struct Values {
     entries: BTreeMap<String, Entry>,
     /// The sections that the file has.
-    pub(crate) sections: BTreeMap<String, Place>,
+    pub(crate) sections: BTreeMap<String, Location>,
     /// Tables of lists, and entries of sections with free names, by their path.
     pub(crate) children: BTreeMap<String, Vec<Child>>,
 }
@@ -93,13 +93,13 @@ pub(crate) struct Values {
 pub(crate) struct Child {
     /// The free name.
     pub(crate) name: Option<String>,
-    pub(crate) place: Place,
+    pub(crate) location: Location,
     pub(crate) values: Values,
 }
 
 impl Values {
-    pub(crate) fn set(&mut self, path: &str, value: Option<Value>, place: Place) {
-        self.entries.insert(path.to_owned(), Entry { value, place });
+    pub(crate) fn set(&mut self, path: &str, value: Option<Value>, location: Location) {
+        self.entries.insert(path.to_owned(), Entry { value, location });
     }
 
     /// Overrides by the keys that `stronger` sets.
@@ -117,8 +117,8 @@ impl Values {
         self.entries.keys().any(|path| path.starts_with(prefix))
     }
 
-    pub(crate) fn place(&self, path: &str) -> Option<&Place> {
-        self.entries.get(path).map(|entry| &entry.place)
+    pub(crate) fn location(&self, path: &str) -> Option<&Location> {
+        self.entries.get(path).map(|entry| &entry.location)
     }
 
     /// The value set, else the default. `None` if it is missing or was refused.
@@ -166,8 +166,8 @@ impl Values {
         };
         let value = self.get(path).map_or_else(|| "not set".to_owned(), |value| value.to_string());
         let unit = if key.unit.is_empty() { String::new() } else { format!(" {}", key.unit) };
-        let place = self.place(path).map_or_else(|| "default".to_owned(), Place::to_string);
-        format!("`{}` = {value}{unit} ({place})", key.path_in_file())
+        let location = self.location(path).map_or_else(|| "default".to_owned(), Location::to_string);
+        format!("`{}` = {value}{unit} ({location})", key.path_in_file())
     }
 }
 

@@ -43,7 +43,7 @@ pub(super) fn add_product<S: Simd>(
         };
         while column < columns {
             let vectors = (columns - column) / LANES;
-            let at = Place { row, column, columns, inner };
+            let at = TilePosition { row, column, columns, inner };
             column += LANES
                 * match (step, vectors) {
                     (4, 4..) => tile::<S, 4, 4>(simd, left, right, out, at),
@@ -59,7 +59,7 @@ pub(super) fn add_product<S: Simd>(
 }
 
 #[derive(Clone, Copy)]
-struct Place {
+struct TilePosition {
     row: usize,
     column: usize,
     columns: usize,
@@ -72,9 +72,9 @@ fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
     left: Left<'_>,
     right: &[f32],
     out: &mut [f32],
-    at: Place,
+    at: TilePosition,
 ) -> usize {
-    let Place { row, column, columns, inner } = at;
+    let TilePosition { row, column, columns, inner } = at;
     let mut sums = [[f32x16::splat(simd, 0.0); VECTORS]; ROWS];
     for (r, sums) in sums.iter_mut().enumerate() {
         let start = (row + r) * columns + column;
@@ -147,10 +147,10 @@ fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
 #[inline(always)]
 fn series<S: Simd, const N: usize>(simd: S, x: f32x16<S>, factors: [f32; N]) -> f32x16<S> {
     let mut sum = f32x16::splat(simd, factors[N - 1]);
-    let mut place = N - 1;
-    while place > 0 {
-        place -= 1;
-        sum = sum.mul_add_precise(x, f32x16::splat(simd, factors[place]));
+    let mut term = N - 1;
+    while term > 0 {
+        term -= 1;
+        sum = sum.mul_add_precise(x, f32x16::splat(simd, factors[term]));
     }
     sum
 }

@@ -1,7 +1,7 @@
 //! Handles: numbers in the shape of pointers, which are never followed.
 //!
 //! Ports of shared memory belong to the thread that opened them. So does a table of open ports, and
-//! a handle is a place in it with the number of the thread and of the place's use. A handle that is
+//! a handle is a slot in it with the number of the thread and of the slot's use. A handle that is
 //! closed, of another thread, of the process that forked this one, or made up is refused without
 //! touching memory. Open ports of a thread that ends stay open until the process ends. Then other
 //! members of the fleet remove its remains.
@@ -17,12 +17,12 @@ use joulebus_bus::process_id;
 use crate::abi::types::joulebus_error;
 use crate::failure::Failure;
 
-const PLACE_BITS: u32 = 16;
+const SLOT_BITS: u32 = 16;
 const USE_BITS: u32 = 20;
 const THREAD_BITS: u32 = 24;
 
 /// Open ports of one kind in one thread. Never dropped: at a thread's end iceoryx2 may be gone.
-pub(crate) type Table<T> = ManuallyDrop<RefCell<Vec<Place<T>>>>;
+pub(crate) type Table<T> = ManuallyDrop<RefCell<Vec<Slot<T>>>>;
 
 /// The kind of object that a handle stands for.
 pub(crate) trait Kind: Sized + 'static {
@@ -59,7 +59,7 @@ macro_rules! kind {
 pub(crate) use kind;
 
 #[derive(Debug)]
-pub(crate) struct Place<T> {
+pub(crate) struct Slot<T> {
     uses: u64,
     pid: u32,
     state: State<T>,
@@ -79,29 +79,29 @@ struct Token {
     kind: u64,
     thread: u64,
     uses: u64,
-    place: usize,
+    slot: usize,
 }
 
 impl Token {
     fn encode(self) -> u64 {
-        let Self { kind, thread, uses, place } = self;
-        (((kind << THREAD_BITS) | thread) << (USE_BITS + PLACE_BITS))
-            | (uses << PLACE_BITS)
-            | place as u64
+        let Self { kind, thread, uses, slot } = self;
+        (((kind << THREAD_BITS) | thread) << (USE_BITS + SLOT_BITS))
+            | (uses << SLOT_BITS)
+            | slot as u64
     }
 
     fn decode(number: u64) -> Self {
         let bits = |from: u32, count: u32| (number >> from) & ((1 << count) - 1);
         Self {
-            kind: bits(THREAD_BITS + USE_BITS + PLACE_BITS, 4),
-            thread: bits(USE_BITS + PLACE_BITS, THREAD_BITS),
-            uses: bits(PLACE_BITS, USE_BITS),
-            place: bits(0, PLACE_BITS) as usize,
+            kind: bits(THREAD_BITS + USE_BITS + SLOT_BITS, 4),
+            thread: bits(USE_BITS + SLOT_BITS, THREAD_BITS),
+            uses: bits(SLOT_BITS, USE_BITS),
+            slot: bits(0, SLOT_BITS) as usize,
         }
     }
 }
 
-const _: () = assert!(usize::BITS == 64 && PLACE_BITS + USE_BITS + THREAD_BITS + 4 == 64);
+const _: () = assert!(usize::BITS == 64 && SLOT_BITS + USE_BITS + THREAD_BITS + 4 == 64);
 
 /// The number of this thread among those that opened something, from 1.
 fn thread() -> u64 {
@@ -130,24 +130,24 @@ pub(crate) fn open<T: Kind>(value: T) -> Result<*mut T::Handle, Failure> {
         return Err(none_left("threads"));
     }
     let number = T::table(|table| {
-        let mut places = table.borrow_mut();
-        let usable = |place: &Place<T>| {
-            matches!(place.state, State::Closed) && place.uses + 1 < 1 << USE_BITS
+        let mut slots = table.borrow_mut();
+        let usable = |slot: &Slot<T>| {
+            matches!(slot.state, State::Closed) && slot.uses + 1 < 1 << USE_BITS
         };
-        let place = places.iter().position(usable).unwrap_or(places.len());
-        if place >= 1 << PLACE_BITS {
+        let slot = slots.iter().position(usable).unwrap_or(slots.len());
+        if slot >= 1 << SLOT_BITS {
             return Err(none_left("places"));
         }
-        if place == places.len() {
+        if slot == slots.len() {
             let (uses, pid, state) = (0, 0, State::Closed);
-            places.push(Place { uses, pid, state });
+            slots.push(Slot { uses, pid, state });
         }
-        let at = &mut places[place];
+        let at = &mut slots[slot];
         at.uses += 1;
         at.pid = process_id();
         at.state = State::Open(Box::new(value));
         let (kind, uses) = (T::CODE, at.uses);
-        Ok(Token { kind, thread, uses, place })
+        Ok(Token { kind, thread, uses, slot })
     })?;
     // Linux on 64 bits: asserted above.
     Ok(ptr::without_provenance_mut(number.encode() as usize))
@@ -169,7 +169,7 @@ pub(crate) fn with<T: Kind, R>(
             (State::Closed, Err(Failure::defect(&*panic)))
         }
     };
-    T::table(|table| table.borrow_mut()[token.place].state = state);
+    T::table(|table| table.borrow_mut()[token.slot].state = state);
     result
 }
 
@@ -180,7 +180,7 @@ pub(crate) fn close<T: Kind>(handle: *mut T::Handle) -> Result<(), Failure> {
     }
     let token = check::<T>(handle)?;
     let value = take::<T>(token)?;
-    T::table(|table| table.borrow_mut()[token.place].state = State::Closed);
+    T::table(|table| table.borrow_mut()[token.slot].state = State::Closed);
     drop(value);
     Ok(())
 }
@@ -219,12 +219,12 @@ fn take<T: Kind>(token: Token) -> Result<Box<T>, Failure> {
         Failure::new(joulebus_error::Handle, text)
     };
     T::table(|table| {
-        let mut places = table.borrow_mut();
-        let place = places.get_mut(token.place).ok_or_else(closed)?;
-        if place.uses != token.uses {
+        let mut slots = table.borrow_mut();
+        let slot = slots.get_mut(token.slot).ok_or_else(closed)?;
+        if slot.uses != token.uses {
             return Err(closed());
         }
-        let (found, allowed) = (process_id(), place.pid);
+        let (found, allowed) = (process_id(), slot.pid);
         if found != allowed {
             let text = format!(
                 "a {name} used in process {found}, which was forked from {allowed}: its ports belong to process \
@@ -232,10 +232,10 @@ fn take<T: Kind>(token: Token) -> Result<Box<T>, Failure> {
             );
             return Err(Failure::new(joulebus_error::Process, text));
         }
-        match replace(&mut place.state, State::InCall) {
+        match replace(&mut slot.state, State::InCall) {
             State::Open(value) => Ok(value),
             State::Closed => {
-                place.state = State::Closed;
+                slot.state = State::Closed;
                 Err(closed())
             }
             State::InCall => {
@@ -272,7 +272,7 @@ mod tests {
         close::<Number>(one).unwrap();
         assert_eq!(code(value(one)), joulebus_error::Handle);
         assert_eq!(code(close::<Number>(one)), joulebus_error::Handle);
-        // The place is used again, under another number.
+        // The slot is used again, under another number.
         let three = open(Number(3)).unwrap();
         assert_eq!(three.addr() & 0xffff, one.addr() & 0xffff);
         assert_eq!(code(value(one)), joulebus_error::Handle);
@@ -316,15 +316,15 @@ mod tests {
     }
 
     #[test]
-    fn a_place_is_given_up_before_its_uses_repeat() {
+    fn a_slot_is_given_up_before_its_uses_repeat() {
         let first = open(Number(0)).unwrap();
-        let place = Token::decode(first.addr() as u64).place;
+        let slot = Token::decode(first.addr() as u64).slot;
         close::<Number>(first).unwrap();
-        Number::table(|table| table.borrow_mut()[place].uses = (1 << USE_BITS) - 2);
+        Number::table(|table| table.borrow_mut()[slot].uses = (1 << USE_BITS) - 2);
         let last = open(Number(0)).unwrap();
         close::<Number>(last).unwrap();
         let next = open(Number(0)).unwrap();
-        assert_ne!(Token::decode(next.addr() as u64).place, place);
+        assert_ne!(Token::decode(next.addr() as u64).slot, slot);
         let token = Token::decode(last.addr() as u64);
         assert_eq!(token.encode(), last.addr() as u64);
     }

@@ -13,11 +13,11 @@ const BYTES_A_ROW: u64 = 16;
 #[derive(Debug, Clone)]
 pub struct Stored {
     path: PathBuf,
-    place: Place,
+    source: TrialSource,
 }
 
 #[derive(Debug, Clone)]
-enum Place {
+enum TrialSource {
     /// With the number of the trial in the file, from 0.
     File(ColumnMap, usize),
     /// Number of the trial in the listing, from 0.
@@ -31,32 +31,32 @@ impl Stored {
     /// # Errors
     /// [`TrialError`]: a listing of an archive that cannot be read. Other files are not opened.
     pub fn find(path: &Path, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
-        let stored = |place| Self { path: path.to_owned(), place };
+        let stored = |source| Self { path: path.to_owned(), source };
         if !archive::is_listing(path) {
-            return Ok(vec![stored(Place::File(map.clone(), 0))]);
+            return Ok(vec![stored(TrialSource::File(map.clone(), 0))]);
         }
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
         let each =
-            trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.clone())));
+            trials.map(|number| stored(TrialSource::Listed(Arc::clone(&listing), number, map.clone())));
         Ok(each.collect())
     }
 
-    /// Calls `take` with each trial and its own place: those of all robots in the file, and the
+    /// Calls `take` with each trial and its own source: those of all robots in the file, and the
     /// parts of a long one, or the one of an archive.
     ///
     /// # Errors
     /// [`TrialError`], as [`Trial::each`].
     pub fn each(&self, mut take: impl FnMut(Self, Trial)) -> Result<(), TrialError> {
-        let Place::File(map, _) = &self.place else {
+        let TrialSource::File(map, _) = &self.source else {
             take(self.clone(), self.read_again()?);
             return Ok(());
         };
         let mut number = 0;
         Trial::each(&self.path, map, |trial| {
-            let place = Place::File(map.clone(), number);
+            let source = TrialSource::File(map.clone(), number);
             let path = self.path.clone();
-            take(Self { path, place }, trial);
+            take(Self { path, source }, trial);
             number += 1;
             Ok(())
         })
@@ -67,8 +67,8 @@ impl Stored {
     /// # Errors
     /// [`TrialError`], also if the file has fewer trials now.
     pub fn read_again(&self) -> Result<Trial, TrialError> {
-        match &self.place {
-            Place::File(map, number) => {
+        match &self.source {
+            TrialSource::File(map, number) => {
                 let (mut left, mut wanted) = (*number, None);
                 Table::each(&self.path, map, |table| {
                     if left == 0 {
@@ -81,7 +81,7 @@ impl Stored {
                 .or_else(|error: Option<TrialError>| error.map_or(Ok(()), Err))?;
                 wanted.unwrap_or_default().into_trial()
             }
-            Place::Listed(listing, number, map) => {
+            TrialSource::Listed(listing, number, map) => {
                 let mut table = archive::listed(&self.path, listing, *number)?;
                 map.apply_sign(&mut table);
                 table.into_trial()
@@ -91,19 +91,19 @@ impl Stored {
 
     /// True if the recording has other trials.
     pub fn is_one_of_several(&self) -> bool {
-        match &self.place {
-            Place::File(..) => false,
-            Place::Listed(listing, ..) => listing.trials.len() > 1,
+        match &self.source {
+            TrialSource::File(..) => false,
+            TrialSource::Listed(listing, ..) => listing.trials.len() > 1,
         }
     }
 
     /// Rows that it has, or the most that a file of its size has.
     pub fn most_rows(&self) -> u64 {
-        match &self.place {
-            Place::File(..) => {
+        match &self.source {
+            TrialSource::File(..) => {
                 self.path.metadata().map_or(0, |about| about.len().div_ceil(BYTES_A_ROW))
             }
-            Place::Listed(listing, number, _) => listing.trials[*number].rows,
+            TrialSource::Listed(listing, number, _) => listing.trials[*number].rows,
         }
     }
 }
