@@ -60,7 +60,7 @@ fn the_page_about_bridges_has_the_table_of_findings() {
 }
 
 #[test]
-fn the_alert_rules_say_what_an_alarm_means() {
+fn the_alert_rules_state_what_an_alarm_means() {
     let mut text = "          description: >-\n".to_owned();
     let mut word = "if";
     for card in AlarmCard::all() {

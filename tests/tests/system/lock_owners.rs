@@ -124,7 +124,7 @@ fn looking_whether_there_is_a_worker_keeps_none_from_starting() {
 }
 
 #[test]
-fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_told() {
+fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_reported() {
     let arena = Arena::new(&Setup::default());
     let lock = arena.domain().root().join("worker-t.lock");
     arena.worker().kill();

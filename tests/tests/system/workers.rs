@@ -231,7 +231,7 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
 }
 
 #[test]
-fn a_worker_whose_ledger_cannot_be_saved_at_the_end_says_so_and_ends_with_3() {
+fn a_worker_whose_ledger_cannot_be_saved_at_the_end_reports_it_and_ends_with_3() {
     let arena = Arena::new(&with_ledger());
     let mut worker = arena.worker();
     let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);

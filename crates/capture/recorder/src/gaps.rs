@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn diagnostics_that_the_worker_left_out_are_not_lost_whenever_it_says_so() {
+    fn diagnostics_that_the_worker_left_out_are_not_lost_whenever_it_reports_it() {
         let (sent, none) = (diagnostics, without_diagnostics);
         for (messages, lost) in [
             (vec![sent(1), sent(4)], 2),

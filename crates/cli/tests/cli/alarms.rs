@@ -51,7 +51,7 @@ fn the_workers_log_has_one_line_for_an_alarm_of_many_robots() {
 }
 
 #[test]
-fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
+fn every_change_is_shown_passed_to_the_command_and_found_in_the_capture() {
     let fleet = Fleet::new();
     let (hook, capture) = (fleet.path("told"), fleet.path("run.mcap"));
     let mut worker = fleet.worker();
@@ -208,7 +208,7 @@ fn of_robot_1(program: &mut Program, alarm: &str) -> Vec<String> {
 }
 
 #[test]
-fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_whom() {
+fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_state_by_whom() {
     let fleet = Fleet::new();
     let (_, none) = acknowledge(&fleet, &["1", "NoData"]);
     assert!(none.contains("has no worker"), "{none}");

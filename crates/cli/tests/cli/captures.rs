@@ -220,7 +220,7 @@ fn a_worker_runs_whatever_becomes_of_its_recording() {
 }
 
 #[test]
-fn a_recorder_whose_file_is_removed_says_so_goes_on_and_exits_with_3() {
+fn a_recorder_whose_file_is_removed_reports_it_goes_on_and_exits_with_3() {
     let fleet = Fleet::new();
     let mut worker = Program::start(fleet.joulebus("run"));
     worker.wait_for_stderr("ready:");
@@ -301,7 +301,7 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
 }
 
 #[test]
-fn a_recorder_says_at_once_that_the_worker_runs_with_other_files_than_it_attaches() {
+fn a_recorder_reports_at_once_that_the_worker_runs_with_other_files_than_it_attaches() {
     let fleet = Fleet::new();
     let platform = joulebus_config::builtin_platform("gternal").unwrap();
     let model = |text: &str| fs::write(fleet.path("m.safetensors"), text).unwrap();

@@ -153,7 +153,7 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
 }
 
 #[test]
-fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
+fn config_init_writes_a_fleet_that_passes_config_check_and_prints_what_is_next() {
     let folder = tempfile::tempdir().unwrap();
     let recordings = folder.path().join("husky-like");
     fs::create_dir(&recordings).unwrap();

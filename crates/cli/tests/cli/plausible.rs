@@ -90,7 +90,7 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
 }
 
 #[test]
-fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
+fn what_is_accepted_is_reported_and_goes_on_in_text_and_json() {
     let fleet = Fleet::new();
     let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
     let path = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);

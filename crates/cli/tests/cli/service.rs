@@ -64,7 +64,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
 }
 
 #[test]
-fn without_a_watchdog_only_ready_and_the_end_are_told() {
+fn without_a_watchdog_only_ready_and_the_end_are_notified() {
     let fleet = Fleet::new();
     let path = fleet.path("notify");
     let socket = UnixDatagram::bind(&path).unwrap();

@@ -114,7 +114,7 @@ fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
 }
 
 #[test]
-fn what_a_file_of_another_kind_is_says_every_verb_that_reads_recordings_or_models() {
+fn every_verb_that_reads_recordings_or_models_names_the_kind_of_another_file() {
     let fleet = Fleet::new();
     let trial = fleet.recording("trial.csv", 100);
     let pointer = fleet.path("pointer.mcap");

@@ -382,7 +382,7 @@ fn a_normal_end_of_the_worker_is_reported() {
 }
 
 #[test]
-fn a_planner_that_polls_tells_a_shutdown_from_a_death_and_returns_the_last_frames_first() {
+fn a_planner_that_polls_distinguishes_a_shutdown_from_a_death_and_returns_the_last_frames_first() {
     let place = Place::new();
     let mut planner = ready(&place, "poller");
     for first in ["tick 1, missed 0", "tick 1, missed 0, restarted"] {

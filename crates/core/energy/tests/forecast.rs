@@ -378,7 +378,7 @@ proptest! {
     }
 
     #[test]
-    fn samples_that_say_nothing_leave_numbers_finite(
+    fn samples_without_information_leave_numbers_finite(
         kinds in prop::collection::vec(0usize..6, 1..200),
     ) {
         let model = model(&[0.5; TERMS], 0.5);

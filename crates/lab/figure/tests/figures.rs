@@ -147,7 +147,7 @@ fn figures_have_a_text_alternative() {
 }
 
 #[test]
-fn panels_without_data_say_so() {
+fn panels_without_data_state_it() {
     let empty = bins([].into_iter(), [0.0, 1.0], 9);
     let marks = [
         line(&[], false),

@@ -72,7 +72,7 @@ fn pinned() -> (u32, u32, u32) {
 }
 
 #[test]
-fn a_workaround_is_where_the_table_says_with_its_numbers_and_its_test() {
+fn a_workaround_is_where_the_table_states_with_its_numbers_and_its_test() {
     let all: String = ["crates", "tests/tests", "tests/simulator"]
         .iter()
         .flat_map(|directory| sources(&root().join(directory)))

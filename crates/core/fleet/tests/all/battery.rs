@@ -249,7 +249,7 @@ fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
 }
 
 #[test]
-fn over_a_day_the_bounds_hold_the_truth_as_often_as_they_say() {
+fn over_a_day_the_bounds_hold_the_truth_as_often_as_they_claim() {
     let metered = Battery { charge_reading: ChargeReading::Battery, ..battery() };
     let cases = [
         ("counted, charge metered", metered, false, 0.30),
@@ -293,7 +293,7 @@ fn a_metered_charge_is_counted_with_its_sign_and_efficiency() {
 }
 
 #[test]
-fn a_full_battery_is_as_full_as_the_config_says_and_only_on_the_charger() {
+fn a_full_battery_is_as_full_as_the_config_states_and_only_on_the_charger() {
     let mut bench = Bench::new(Battery { on_full_soc: 0.97, ..battery() });
     bench.drive(300, plain);
     let full = bench.send(2.0, charged);
@@ -321,7 +321,7 @@ fn a_measured_state_of_charge_narrows_the_bounds_but_not_below_its_own_error() {
 }
 
 #[test]
-fn the_sensors_error_is_learned_where_the_charger_says_full() {
+fn the_sensors_error_is_learned_where_the_charger_reports_full() {
     let mut bench = Bench::new(battery());
     bench.truth.bias = 0.06;
     bench.drive(HOUR, with_soc);
@@ -418,7 +418,7 @@ fn a_sensor_that_jumps_up_and_stays_is_doubted_one_that_jumps_down_is_believed_a
 }
 
 #[test]
-fn an_exchanged_battery_is_noticed_after_a_gap_and_at_once_if_the_robot_says_so() {
+fn an_exchanged_battery_is_noticed_after_a_gap_and_at_once_if_the_robot_reports_it() {
     let mut bench = Bench::new(battery());
     let before = bench.drive(2 * HOUR, with_soc);
     assert!(before.soc < 0.2, "{before:?}");

@@ -137,7 +137,7 @@ fn the_time_to_empty_of_simulated_batteries_holds_in_the_first_minute_and_later(
 }
 
 #[test]
-fn what_a_robot_draws_on_its_charger_says_nothing_of_its_work() {
+fn what_a_robot_draws_on_its_charger_shows_nothing_of_its_work() {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
     let mut send = |step: usize, power_w: f64, flags: u32| {
         let sample = sample(0, step, power_w).with(flags);

@@ -139,7 +139,7 @@ fn wrong_paths_are_refused_with_the_value() {
 }
 
 #[test]
-fn a_path_of_too_many_steps_is_told_from_a_point_that_is_circled() {
+fn a_path_of_too_many_steps_is_distinguished_from_a_point_that_is_circled() {
     let follower = follower(0.2, 3.0).within(100);
     let points = [Point::new(0.0, 0.0), Point::new(50.0, 0.0)];
     for speed_mps in [0.2, 1e-5] {

@@ -45,7 +45,7 @@ fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
 }
 
 #[test]
-fn whatever_is_unknown_is_said_and_never_yes() {
+fn whatever_is_unknown_is_reported_and_never_yes() {
     let fleet = fleet();
     let fine = Rows::with_usable(20_000.0);
     assert_eq!(straight(&fine.robot(&fleet), 0.1, 300).verdict, Verdict::Yes);
@@ -317,7 +317,7 @@ proptest! {
     /// Whatever shared memory contains: no panic, and a yes only with finite numbers that support
     /// it.
     #[test]
-    fn arbitrary_rows_never_panic_and_never_say_yes_without_a_reason(
+    fn arbitrary_rows_never_panic_and_never_answer_yes_without_a_reason(
         state in prop::array::uniform32(any::<u8>()),
         more in prop::collection::vec(any::<u8>(), size_of::<PlanState>() - 32),
         budget in prop::collection::vec(any::<u8>(), size_of::<Budget>()),

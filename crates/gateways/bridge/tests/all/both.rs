@@ -49,7 +49,7 @@ fn is_forecast(document: &Value) -> bool {
 }
 
 #[test]
-fn power_of_a_broker_and_commands_of_ros_2_make_one_robot_that_both_are_told_of() {
+fn power_of_a_broker_and_commands_of_ros_2_make_one_robot_that_is_published_to_both() {
     let (Some(program), Some(python)) = (mosquitto(), cyclonedds()) else {
         return;
     };

@@ -21,7 +21,7 @@ fn ended(fleet: &Fleet, arguments: &[&str]) -> Ended {
 }
 
 #[test]
-fn a_usual_mapping_is_printed_and_its_file_says_the_same() {
+fn a_usual_mapping_is_printed_and_its_file_is_the_same() {
     let (fleet, folder) = (Fleet::new(), tempfile::tempdir().unwrap());
     for (usual, topic) in [("ros2", "/{robot}/cmd_vel"), ("mqtt", "fleet/{robot}/power")] {
         let given = [usual, "--robots", "robot{id}=0-4", "--robots", "lifter=7"];

@@ -99,7 +99,7 @@ fn wait_for_log(link: &Child, expected: &str) {
 }
 
 #[test]
-fn both_links_say_why_a_certificate_is_refused() {
+fn both_links_report_why_a_certificate_is_refused() {
     const IP: &str = "127.0.0.1";
     let folder = tempfile::tempdir().unwrap();
     let (own, other) = (folder.path().join("own"), folder.path().join("other"));

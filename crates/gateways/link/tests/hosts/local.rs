@@ -173,7 +173,7 @@ fn sources_of_one_name_on_two_hosts_replace_each_other_no_more_than_their_robots
 }
 
 #[test]
-fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_says_that_something_keeps_them()
+fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_reports_that_something_keeps_them()
  {
     let (here, there) = (Host::new(), Host::new());
     let address = free_address();
@@ -402,7 +402,7 @@ fn the_next_link_works_when_the_kernel_has_killed_one_for_memory() {
 }
 
 #[test]
-fn a_link_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+fn a_link_whose_shared_memory_is_removed_reports_it_and_exits_with_1() {
     let (here, there, address) = (Host::new(), Host::new(), free_address());
     let mut worker = here.worker();
     let mut links =

@@ -117,7 +117,7 @@ pub(crate) fn listening() -> String {
 }
 
 #[test]
-fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
+fn a_partition_is_reported_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let Some(wires) = Wires::new(2) else { return };
     let (here, there) = (wires.host(0), wires.host(1));
     let mut worker = here.worker();

@@ -221,7 +221,7 @@ fn when_a_shard_ends_its_robots_are_known_to_be_stale_and_the_others_go_on() {
 }
 
 #[test]
-fn a_check_says_which_robots_each_shard_has_and_for_which_the_link_speaks() {
+fn a_check_states_which_robots_each_shard_has_and_for_which_the_link_sends() {
     let fleet = Fleet::new(&LISTS.replace("0-4", "0-2").replace("5-9", "3-9"));
     let text = fleet.of_worker("south-1", 1);
     let mut command = fleet.south.link_command(&text);

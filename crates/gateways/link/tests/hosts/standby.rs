@@ -371,7 +371,7 @@ fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_win
 }
 
 #[test]
-fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_and_comes_back_by_command()
+fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_sends_and_comes_back_by_command()
  {
     let Some((scene, etcd)) = Scene::wired(TTL_S) else {
         return;
@@ -618,7 +618,7 @@ fn while_no_robot_sends_the_one_that_serves_goes_on() {
 }
 
 #[test]
-fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
+fn a_worker_without_standby_is_reported_and_not_followed_elsewhere() {
     let scene = Scene::by_hand();
     let _worker = scene.bases[0].worker();
     let link = scene.base_link(0);
@@ -632,7 +632,7 @@ fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
 }
 
 #[test]
-fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
+fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_reported() {
     let port = free_port();
     let Some(etcd) = Etcd::start("127.0.0.1", port, copy) else {
         return;
@@ -764,7 +764,7 @@ impl Supervised {
 }
 
 #[test]
-fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_it_had() {
+fn through_cuts_kills_and_stops_no_two_workers_send_and_no_account_loses_what_it_had() {
     let Some((scene, etcd)) = Scene::wired(SHORT_TTL_S) else {
         return;
     };

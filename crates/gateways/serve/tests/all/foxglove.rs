@@ -94,7 +94,7 @@ impl Drop for StopOnDrop<'_> {
 }
 
 #[test]
-fn a_server_that_shows_the_fleet_is_not_told_as_one_that_records_it() {
+fn a_server_that_shows_the_fleet_is_not_listed_as_one_that_records_it() {
     let fleet = Fleet::new();
     let (_server, _) = start(&fleet.path(), &[]);
     let members = joulebus_bus::inspect(&fleet.config.domain().unwrap()).unwrap();

@@ -90,7 +90,7 @@ fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
 }
 
 #[test]
-fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing() {
+fn a_start_with_few_file_descriptors_is_an_error_that_states_it_and_leaves_nothing() {
     const MAX: u64 = 200;
     let place = Place::new();
     let mut started = false;

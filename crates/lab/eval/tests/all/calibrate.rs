@@ -147,7 +147,7 @@ fn limits_keep_their_rate_on_robots_that_did_not_choose_them_and_find_faults_as_
 }
 
 #[test]
-fn the_table_of_faults_tells_a_load_from_a_sensor_and_both_from_chance() {
+fn the_table_of_faults_distinguishes_a_load_from_a_sensor_and_both_from_chance() {
     let found = asked(&trials(1..5), &WANTED).unwrap();
     assert_eq!(found.delays.len(), Fault::ALL.len());
     assert_eq!(found.faulty_recordings, found.stated_on.recordings);

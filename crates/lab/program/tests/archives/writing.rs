@@ -25,7 +25,7 @@ fn a_folder_with_other_files_is_refused_and_left_as_it_is() {
 }
 
 #[test]
-fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
+fn a_further_export_adds_and_reports_it_and_nothing_is_added_twice() {
     let place = tempfile::tempdir().unwrap();
     let folder = place.path().join("archive");
     let first = full(place.path(), "b.csv", 50, 1);
@@ -248,7 +248,7 @@ fn parquet_files_that_no_listing_names_are_kept() {
 
 /// A capture has joulebus's sign: only the caller turns it.
 #[test]
-fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
+fn a_capture_is_turned_if_the_caller_asks_for_it_and_never_by_a_config() {
     let place = tempfile::tempdir().unwrap();
     let run = capture(place.path(), "a.mcap", 300, 1);
     let read = |path: &Path, map: &ColumnMap| -> Vec<f64> {
@@ -279,7 +279,7 @@ fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
 }
 
 #[test]
-fn lines_that_are_left_out_are_counted_and_the_exit_code_says_so() {
+fn lines_that_are_left_out_are_counted_and_the_exit_code_shows_it() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("cut.csv");
     fs::write(&path, "timestamp_s,power_mW\n0,4500\n1,4600\n2,4700\n3,\0\0\n").unwrap();

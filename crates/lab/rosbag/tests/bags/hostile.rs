@@ -31,7 +31,7 @@ fn small_bag(path: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn a_bag_cut_at_any_page_or_within_is_refused_or_what_is_lost_is_said() {
+fn a_bag_cut_at_any_page_or_within_is_refused_or_what_is_lost_is_reported() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("bag.db3");
     let whole = small_bag(&path);
@@ -221,7 +221,7 @@ fn pages_that_name_each_other_give_no_more_rows_than_a_file_can_hold() {
 }
 
 #[test]
-fn a_table_is_not_what_the_text_of_its_definition_says() {
+fn a_table_is_not_what_the_text_of_its_definition_contains() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("bag.db3");
     let mut bag = Bag::create(&path);

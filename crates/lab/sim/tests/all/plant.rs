@@ -159,7 +159,7 @@ fn robots_for_training_are_none_of_the_live_fleet() {
 }
 
 #[test]
-fn trials_drive_what_the_paper_says() {
+fn trials_drive_as_in_the_paper() {
     let commands = |protocol: Protocol| -> Vec<(u32, f64, f64)> {
         let trial = drive(protocol, 9);
         let columns = [Column::Phase, Column::V, Column::Omega];

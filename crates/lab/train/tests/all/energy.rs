@@ -207,7 +207,7 @@ fn without_velocities_commands_make_no_difference() {
 }
 
 #[test]
-fn recordings_that_say_nothing_give_no_model() {
+fn recordings_without_information_give_no_model() {
     let mut unknown = dataset(&robots(0..8));
     unknown.period_s = 0.0;
     assert_eq!(energy_model(&unknown, FeatureSet::Full), None);

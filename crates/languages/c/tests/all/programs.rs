@@ -264,7 +264,7 @@ fn the_cpp_layer_works_beside_a_worker_and_its_forecasts_have_the_bits_of_rust()
 
 /// The examples of both languages. The worker is killed under a planner, and started again.
 #[test]
-fn the_examples_run_and_a_killed_worker_is_told() {
+fn the_examples_run_and_a_killed_worker_is_reported() {
     let Some(installed) = Installed::new() else {
         return;
     };

@@ -109,7 +109,7 @@ fn the_next_bridge_works_when_the_kernel_has_killed_one_for_memory() {
 }
 
 #[test]
-fn a_bridge_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+fn a_bridge_whose_shared_memory_is_removed_reports_it_and_exits_with_1() {
     let Some(program) = mosquitto() else { return };
     let (fleet, broker) = (Fleet::new(), Broker::start(&program, "allow_anonymous true"));
     let mut worker = fleet.worker();
@@ -157,7 +157,7 @@ fn what_a_killed_bridge_has_written_expires_where_the_broker_knows_that() {
 }
 
 #[test]
-fn what_a_broker_refuses_is_told_with_its_reason() {
+fn what_a_broker_refuses_is_reported_with_its_reason() {
     let Some(program) = mosquitto() else { return };
     let folder = tempfile::tempdir().unwrap();
     let rules = folder.path().join("rules");
@@ -252,7 +252,7 @@ fn scripted<const COUNT: usize>(acts: [Act; COUNT]) -> (thread::JoinHandle<Vec<u
 }
 
 #[test]
-fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_serves() {
+fn brokers_that_do_not_know_mqtt_5_or_send_nonsense_are_tried_again_until_one_serves() {
     let fleet = Fleet::new();
     let acts = [
         // Without a word: 3.1.1 at once, then 5 again.

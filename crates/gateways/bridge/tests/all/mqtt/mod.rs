@@ -106,7 +106,7 @@ fn is_forecast(document: &Value) -> bool {
 }
 
 #[test]
-fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
+fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_published() {
     let Some(program) = mosquitto() else { return };
     let fleet = Fleet::new();
     let broker = Broker::start(&program, "allow_anonymous true");
@@ -293,7 +293,7 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
 }
 
 #[test]
-fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
+fn vehicles_of_vda_5050_report_their_battery_and_velocity() {
     let Some(program) = mosquitto() else { return };
     let fleet = Fleet::new();
     let broker = Broker::start(&program, "allow_anonymous true");

@@ -86,7 +86,7 @@ fn lines_of<'r>(report: &'r Value, reason: &str) -> Vec<&'r Value> {
 }
 
 #[test]
-fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_are_heard() {
+fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_are_received() {
     let Some(python) = cyclonedds() else { return };
     let (fleet, domain) = (Fleet::new(), RosDomain::take());
     let mut worker = fleet.worker();

@@ -482,7 +482,7 @@ fn signals_end_the_server_whatever_clients_do() {
 }
 
 #[test]
-fn a_server_whose_shared_memory_is_removed_says_so_and_exits_with_1() {
+fn a_server_whose_shared_memory_is_removed_reports_it_and_exits_with_1() {
     for words in [
         &["--http", "127.0.0.1:0"][..],
         &["--foxglove", "--port", "0"],

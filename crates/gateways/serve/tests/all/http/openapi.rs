@@ -61,7 +61,7 @@ fn differences(
 }
 
 #[test]
-fn every_answer_is_as_the_document_says() {
+fn every_answer_is_as_the_document_states() {
     let fleet = Fleet::new();
     let _worker = fleet.worker();
     let _source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");

@@ -246,7 +246,7 @@ const RESET: &str = "reset ";
 const BUSY: &str = "429 Too Many Requests\r\nretry-after: 6";
 
 #[test]
-fn a_receiver_that_closes_or_resets_is_told_again_and_one_that_took_it_first_is_not() {
+fn a_receiver_that_closes_or_resets_is_sent_it_again_and_one_that_took_it_first_is_not() {
     for (answers, failed) in [
         (&[HALF_READ] as &[&str], 1),
         (&[""], 1),
@@ -270,7 +270,7 @@ fn a_receiver_that_closes_or_resets_is_told_again_and_one_that_took_it_first_is_
 }
 
 #[test]
-fn every_change_is_told_in_order_also_after_failures() {
+fn every_change_is_sent_in_order_also_after_failures() {
     let fleet = Fleet::new();
     // A closed connection, an overloaded server, one that asks for a pause.
     let receiver = Receiver::start(&["", "503 Service Unavailable", BUSY]);
@@ -308,7 +308,7 @@ fn what_is_refused_is_lost_and_counted() {
 }
 
 #[test]
-fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_by_nobody_else() {
+fn a_receiver_with_tls_gets_it_if_its_certificate_is_of_the_named_authority_and_of_nobody_else() {
     let (Some(authority), Some(stranger)) = (Authority::new(), Authority::new()) else {
         return;
     };
@@ -386,7 +386,7 @@ fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
 const SECRET: &str = "whsec_MDEyMzQ1Njc4OTAxMjM0NTY3ODkwMTIzNDU2Nzg5MDE=";
 
 #[test]
-fn each_listed_receiver_is_told_in_its_own_format() {
+fn each_listed_receiver_gets_its_own_format() {
     let fleet = Fleet::new();
     let [slack, teams, other, signed] = [(); 4].map(|()| Receiver::start(&[]));
     let address = secret(&fleet, "slack", &slack.address);

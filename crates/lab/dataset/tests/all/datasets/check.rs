@@ -248,7 +248,7 @@ fn files_directories_and_patterns_are_found_once_and_ignored_files_are_named() {
 }
 
 #[test]
-fn the_real_recordings_are_as_their_description_says() {
+fn the_real_recordings_are_as_described() {
     let mut paths = Vec::new();
     for platform in ["robotino", "borealtc_husky", "ase_rover"] {
         let Some(found) = trials(platform) else {

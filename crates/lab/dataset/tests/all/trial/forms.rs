@@ -288,7 +288,7 @@ fn outcome(files: &Files, header: &str, template: &str, columns: &str, expected:
 }
 
 #[test]
-fn public_forms_are_read_or_refused_as_the_page_says() {
+fn public_forms_are_read_or_refused_as_the_page_states() {
     let files = Files::new();
     let mut table = "\n| source | form | `--map` | result |\n|---|---|---|---|\n".to_owned();
     let mut wrong = Vec::new();

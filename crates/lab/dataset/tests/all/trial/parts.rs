@@ -76,7 +76,7 @@ fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
 }
 
 #[test]
-fn what_a_text_says_once_holds_for_all_its_parts() {
+fn what_a_text_states_once_holds_for_all_its_parts() {
     let files = Files::new();
     let map = ColumnMap::default().in_parts_of(300).whole_rows(true);
     let mut text = "stamp;power_W\n# begun\n".to_owned();

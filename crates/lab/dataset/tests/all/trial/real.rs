@@ -87,7 +87,7 @@ fn the_husky_runs_at_its_own_rate_without_gaps() {
 }
 
 #[test]
-fn the_rover_has_no_velocities_and_its_samples_say_so() {
+fn the_rover_has_no_velocities_and_its_samples_state_it() {
     let Some(trials) = read_all("ase_rover") else {
         return;
     };
