@@ -109,7 +109,7 @@ pub enum Role {
         robots: usize,
         /// Period of the frames, ns.
         period_ns: u64,
-        /// True to print a byte for each frame.
+        /// Whether to print a byte for each frame.
         #[arg(long)]
         acknowledge: bool,
     },
