@@ -75,7 +75,7 @@ struct Robot {
 #[derive(Debug, Clone)]
 pub(crate) struct Intake {
     holds: Holds,
-    has_reported: bool,
+    reports_charging: bool,
     robots: BTreeMap<u32, Robot>,
     observations: u64,
     judgement: Judgement,

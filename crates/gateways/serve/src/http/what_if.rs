@@ -31,7 +31,7 @@ pub(super) struct Asked {
 
 /// A point, and the maximum speed towards it. Without one the platform's maximum applies.
 #[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, rename = "Place")] // Errors name it as the schema does.
 struct Waypoint {
     x_m: f64,
     y_m: f64,
