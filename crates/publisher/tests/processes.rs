@@ -10,7 +10,7 @@ use std::path::Path;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_connect::findings::implausible_robots;
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_testkit::{Place, eventually, run_member, send_to_test, next_order};
+use joulebus_testkit::{TestFleet, eventually, run_member, send_to_test, next_order};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.
@@ -93,11 +93,11 @@ fn check(header: &SampleHeader, robots: &[Sample]) {
 
 #[test]
 fn the_worker_receives_every_frame_of_the_example() {
-    let place = Place::new();
-    let mut worker = place.start("worker");
+    let fleet = TestFleet::new();
+    let mut worker = fleet.start("worker");
     assert_eq!(worker.next_line(), "ready");
     worker.send_line("7");
-    let mut example = place.start("example");
+    let mut example = fleet.start("example");
     assert_eq!(example.next_line(), "140");
     let took = worker.next_line();
     example.finish();
@@ -116,13 +116,13 @@ fn source(config: &Path) {
 
 #[test]
 fn a_restarted_source_has_the_same_id_and_a_greater_epoch() {
-    let place = Place::new();
-    let mut worker = place.start("worker");
+    let fleet = TestFleet::new();
+    let mut worker = fleet.start("worker");
     assert_eq!(worker.next_line(), "ready");
     let mut before: Option<(u64, u64)> = None;
     for life in 0..6 {
         worker.send_line("3");
-        let source = place.start("source");
+        let source = fleet.start("source");
         let took = worker.next_line();
         source.kill();
         let numbers: Vec<u64> = took.split(' ').map(|word| word.parse().unwrap()).collect();
@@ -159,8 +159,8 @@ fn alone(config: &Path) {
 
 #[test]
 fn a_source_needs_no_worker_and_reports_to_a_late_one_what_it_missed() {
-    let place = Place::new();
-    place.start("alone").finish();
+    let fleet = TestFleet::new();
+    fleet.start("alone").finish();
 }
 
 /// Publishes a power of the wrong sign, until the fleet's readers know.
@@ -184,8 +184,8 @@ fn implausible(config: &Path) {
 
 #[test]
 fn what_a_source_publishes_is_judged_and_the_judgement_ends_with_it() {
-    let place = Place::new();
-    place.start("implausible").finish();
+    let fleet = TestFleet::new();
+    fleet.start("implausible").finish();
 }
 
 /// Frames that are refused, and values that are sent unchecked.
@@ -232,8 +232,8 @@ fn misuse(config: &Path) {
 
 #[test]
 fn a_refused_frame_does_not_affect_later_ones() {
-    let place = Place::new();
-    place.start("misuse").finish();
+    let fleet = TestFleet::new();
+    fleet.start("misuse").finish();
 }
 
 #[test]

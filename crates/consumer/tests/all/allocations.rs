@@ -6,7 +6,7 @@ use std::time::Duration;
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{Config, Event, Subscriber};
 use joulebus_publisher::{Publisher, RobotState};
-use joulebus_testkit::Place;
+use joulebus_testkit::TestFleet;
 use joulebus_testkit::counting::allocations;
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Forecast, ForecastHeader, Forecasts, SCHEMA_VERSION, WakeEvent,
@@ -14,11 +14,11 @@ use joulebus_wire::{
 
 #[test]
 fn only_loans_allocate_and_only_once() {
-    let place = Place::new();
-    let config = Config::load(place.config()).unwrap();
+    let fleet = TestFleet::new();
+    let config = Config::load(fleet.config()).unwrap();
     let limits = config.limits();
-    let mut publisher = Publisher::connect(place.config(), "source").unwrap();
-    let mut planner = Subscriber::connect(place.config()).unwrap();
+    let mut publisher = Publisher::connect(fleet.config(), "source").unwrap();
+    let mut planner = Subscriber::connect(fleet.config()).unwrap();
     let mut budgets = planner.budgets().unwrap();
     let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();

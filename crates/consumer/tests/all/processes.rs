@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{Config, Event, Feed, Subscriber, WorkerState};
-use joulebus_testkit::{Member, Place, eventually, run_member, assert_contains, send_to_test, next_order};
+use joulebus_testkit::{Member, TestFleet, eventually, run_member, assert_contains, send_to_test, next_order};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
     ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
@@ -240,26 +240,26 @@ fn describe(event: &Event<'_>) -> String {
     }
 }
 
-fn ready(place: &Place, role: &str) -> Member {
-    let mut member = place.start(role);
+fn ready(fleet: &TestFleet, role: &str) -> Member {
+    let mut member = fleet.start(role);
     assert_eq!(member.next_line(), "ready");
     member
 }
 
 #[test]
 fn a_planner_may_start_before_or_after_the_worker() {
-    let place = Place::new();
-    let mut early = ready(&place, "planner");
+    let fleet = TestFleet::new();
+    let mut early = ready(&fleet, "planner");
     assert_eq!(early.ask("next 0"), "TimedOut");
     assert_eq!(early.ask("latest"), "none");
     assert_eq!(early.ask("worker"), "Waiting");
     early.send_line("next 60000");
-    let mut worker = ready(&place, "worker");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(early.next_line(), "tick 1, missed 0");
     assert_eq!(early.ask("worker"), "Alive");
 
-    let mut late = ready(&place, "planner");
+    let mut late = ready(&fleet, "planner");
     worker.ask("ticks 2 9");
     worker.ask("ticks 10 10");
     // A late planner has missed nothing, and gets the newest frame.
@@ -281,10 +281,10 @@ fn a_planner_that_polls_learns_at_once_that_the_worker_was_killed_and_follows_it
 }
 
 fn killed_and_followed(role: &str) {
-    let place = Place::new();
-    let mut planner = ready(&place, role);
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, role);
     for life in 0..4 {
-        let mut worker = ready(&place, "worker");
+        let mut worker = ready(&fleet, "worker");
         worker.ask("ticks 1 1");
         let expected = match life {
             0 => "tick 1, missed 0",
@@ -307,12 +307,12 @@ const FAR: u64 = 1 << 62;
 
 #[test]
 fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_claims() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
-    let mut impostor = ready(&place, "impostor");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
+    let mut impostor = ready(&fleet, "impostor");
     impostor.ask(&format!("ticks {FAR} {FAR}"));
     assert_eq!(planner.ask("next 200"), "TimedOut", "there is no worker");
-    let mut worker = ready(&place, "worker");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
     assert_eq!(planner.ask("feeds"), "Some(1) None None None");
@@ -331,12 +331,12 @@ fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_cla
 
 #[test]
 fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_between() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
     planner.ask("feeds");
     // Forward, back, back, forward.
     for (life, epoch) in [FAR, 2 * FAR, 5, 4, FAR].into_iter().enumerate() {
-        let mut worker = ready(&place, "worker");
+        let mut worker = ready(&fleet, "worker");
         worker.ask(&format!("epoch {epoch}"));
         worker.ask("ticks 1 1");
         let restarted = if life == 0 { "" } else { ", restarted" };
@@ -353,9 +353,9 @@ fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_bet
 
 #[test]
 fn frames_sent_before_a_workers_death_are_returned_first() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
     worker.ask("ticks 2 3");
@@ -366,9 +366,9 @@ fn frames_sent_before_a_workers_death_are_returned_first() {
 
 #[test]
 fn a_normal_end_of_the_worker_is_reported() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
     // Its last tick and its end event arrive together.
@@ -383,10 +383,10 @@ fn a_normal_end_of_the_worker_is_reported() {
 
 #[test]
 fn a_planner_that_polls_distinguishes_a_shutdown_from_a_death_and_returns_the_last_frames_first() {
-    let place = Place::new();
-    let mut planner = ready(&place, "poller");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "poller");
     for first in ["tick 1, missed 0", "tick 1, missed 0, restarted"] {
-        let mut worker = ready(&place, "worker");
+        let mut worker = ready(&fleet, "worker");
         worker.ask("ticks 1 1");
         assert_eq!(planner.ask("next 60000"), first);
         worker.ask("ticks 2 4");
@@ -401,9 +401,9 @@ fn a_planner_that_polls_distinguishes_a_shutdown_from_a_death_and_returns_the_la
 
 #[test]
 fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
-    let place = Place::new();
-    let mut planner = ready(&place, "poller");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "poller");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 3");
     assert_eq!(planner.ask("each 60000"), "[1, 2, 3], tick 3, missed 0");
     assert_eq!(planner.ask("each 200"), "[], TimedOut");
@@ -418,10 +418,10 @@ fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
 
 #[test]
 fn a_tick_wakes_planners_that_listen_and_none_that_polls() {
-    let place = Place::new();
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut worker = ready(&fleet, "worker");
     for (role, woken) in [("poller", 0), ("planner", 1), ("poller", 0)] {
-        let planner = ready(&place, role);
+        let planner = ready(&fleet, role);
         assert_eq!(worker.ask("wake"), format!("{woken}"), "{role}");
         planner.finish();
     }
@@ -429,11 +429,11 @@ fn a_tick_wakes_planners_that_listen_and_none_that_polls() {
 
 #[test]
 fn a_descriptor_is_readable_for_a_frame_and_the_exit_of_each_worker() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
     assert_eq!(planner.ask("readable 0"), "false");
     for frame in ["tick 1, missed 0", "tick 1, missed 0, restarted"] {
-        let mut worker = ready(&place, "worker");
+        let mut worker = ready(&fleet, "worker");
         worker.ask("ticks 1 1");
         assert_eq!(planner.ask("readable 60000"), "true");
         assert_eq!(planner.ask("next 0"), frame);
@@ -450,9 +450,9 @@ fn a_descriptor_is_readable_for_a_frame_and_the_exit_of_each_worker() {
 
 #[test]
 fn the_descriptor_of_a_planner_that_polls_is_readable_for_the_workers_exit_alone() {
-    let place = Place::new();
-    let mut planner = ready(&place, "poller");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "poller");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("readable 0"), "false");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
@@ -473,9 +473,9 @@ fn a_silent_worker_is_stale_for_a_planner_that_polls() {
 }
 
 fn silent_and_back(role: &str) {
-    let place = Place::new();
-    let mut planner = ready(&place, role);
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, role);
+    let mut worker = ready(&fleet, "worker");
     worker.ask("period 50000000");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
@@ -492,13 +492,13 @@ fn silent_and_back(role: &str) {
 
 #[test]
 fn the_frames_of_a_killed_planner_are_released() {
-    let place = Place::new();
-    let mut witness = ready(&place, "planner");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut witness = ready(&fleet, "planner");
+    let mut worker = ready(&fleet, "worker");
     let mut tick = 0;
     // More runs than the capacity for planners, each holding a frame of each kind.
     for life in 0..8 {
-        let mut planner = ready(&place, "planner");
+        let mut planner = ready(&fleet, "planner");
         planner.ask("feeds");
         for _ in 0..3 {
             tick += 1;
@@ -522,10 +522,10 @@ fn the_frames_of_a_killed_planner_are_released() {
 
 #[test]
 fn a_new_planner_gets_budgets_without_a_new_tick() {
-    let place = Place::new();
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut worker = ready(&fleet, "worker");
     worker.ask("ticks 1 3");
-    let mut planner = ready(&place, "planner");
+    let mut planner = ready(&fleet, "planner");
     assert_eq!(planner.ask("feeds"), "None None None None");
     worker.ask("update");
     assert_eq!(planner.ask("feeds"), "None None Some(3) Some(3)");
@@ -537,9 +537,9 @@ fn a_new_planner_gets_budgets_without_a_new_tick() {
 
 #[test]
 fn a_worker_of_another_version_is_refused_with_both_numbers() {
-    let place = Place::new();
-    let mut planner = ready(&place, "planner");
-    let mut worker = ready(&place, "worker");
+    let fleet = TestFleet::new();
+    let mut planner = ready(&fleet, "planner");
+    let mut worker = ready(&fleet, "worker");
     worker.ask("schema 99");
     worker.ask("ticks 1 1");
     let refused = planner.ask("next 60000");
@@ -551,9 +551,9 @@ fn a_worker_of_another_version_is_refused_with_both_numbers() {
 
 #[test]
 fn the_example_prints_the_forecasts() {
-    let place = Place::new();
-    let mut worker = ready(&place, "worker");
-    let mut example = place.start("example");
+    let fleet = TestFleet::new();
+    let mut worker = ready(&fleet, "worker");
+    let mut example = fleet.start("example");
     let (send, ended) = std::sync::mpsc::channel();
     let listener = std::thread::spawn(move || {
         send.send(example.next_line()).unwrap();

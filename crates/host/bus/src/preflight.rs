@@ -217,7 +217,7 @@ pub(crate) const fn client_bytes() -> u64 {
     ((2 * ACTIVE_QUERIES + 1) * frame + SEGMENT_OVERHEAD) as u64
 }
 
-/// Sum of the memory of the ports of all channels.
+/// Sums over the ports of all channels.
 struct Sums<'a> {
     limits: &'a Limits,
     /// Bytes of a source's segments, and of a worker's.

@@ -8,23 +8,23 @@ use crate::{Member, left_behind};
 
 const ROLE: &str = "JOULEBUS_TEST_ROLE";
 const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
-static PLACES: AtomicU32 = AtomicU32::new(0);
+static FLEETS: AtomicU32 = AtomicU32::new(0);
 
 /// The fleet of one test, removed when dropped. What its members have left then fails the test.
 #[derive(Debug)]
-pub struct Place {
+pub struct TestFleet {
     config: PathBuf,
     root: PathBuf,
     prefix: String,
 }
 
-impl Place {
+impl TestFleet {
     /// A fleet of at most 64 rovers that nobody has joined.
     ///
     /// # Panics
     /// The fleet's config cannot be written.
     pub fn new() -> Self {
-        let number = PLACES.fetch_add(1, Ordering::Relaxed);
+        let number = FLEETS.fetch_add(1, Ordering::Relaxed);
         let (name, prefix) = names(std::process::id(), number);
         let root = Path::new("/dev/shm").join(&name);
         let config = std::env::temp_dir().join(format!("{name}.toml"));
@@ -64,13 +64,13 @@ impl Place {
     }
 }
 
-impl Default for Place {
+impl Default for TestFleet {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Drop for Place {
+impl Drop for TestFleet {
     fn drop(&mut self) {
         let left = left_behind(&self.prefix, &self.root);
         for object in &left {
