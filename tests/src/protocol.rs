@@ -202,7 +202,9 @@ pub fn names(
     reason: DropReason,
     pid: u32,
 ) -> bool {
-    diagnostics.refusals().any(|refusal| (refusal.robot, refusal.reason(), refusal.pid) == (robot, Some(reason), pid))
+    diagnostics
+        .refusals()
+        .any(|refusal| (refusal.robot, refusal.reason(), refusal.pid) == (robot, Some(reason), pid))
 }
 
 /// Energy drawn in µW·ns · 2, exact.

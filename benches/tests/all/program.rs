@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use joulebus_testkit::{Child, Ended, end_signals, run, assert_contains};
+use joulebus_testkit::{Child, Ended, assert_contains, end_signals, run};
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {

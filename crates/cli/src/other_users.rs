@@ -46,7 +46,8 @@ pub(crate) fn other_roots(root: &Path) -> Vec<OtherRoot> {
 
 fn process_of(uid: u32) -> Option<u32> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
-    let mut theirs = entries.filter(|entry| entry.metadata().is_ok_and(|metadata| metadata.uid() == uid));
+    let mut theirs =
+        entries.filter(|entry| entry.metadata().is_ok_and(|metadata| metadata.uid() == uid));
     theirs.find_map(|entry| {
         let pid = entry.file_name().to_str()?.parse().ok()?;
         let name = fs::read_to_string(entry.path().join("comm")).ok()?;

@@ -184,7 +184,9 @@ impl Worker {
         before.checkpoint.lost.iter().for_each(|ids| fleet.lose(*ids));
         let kept = saved
             .into_iter()
-            .filter(|account| fleet.restore(account.robot, account.ledger, account.charged, account.battery))
+            .filter(|account| {
+                fleet.restore(account.robot, account.ledger, account.charged, account.battery)
+            })
             .count();
         if kept < written {
             tracing::warn!(

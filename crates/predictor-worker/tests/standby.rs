@@ -182,7 +182,9 @@ impl Scene {
         let read = self.read.lock().unwrap();
         let forecasts = &read.0;
         forecasts.len() == ROBOTS as usize
-            && forecasts.iter().all(|forecast| matches!(forecast.quality(), Quality::Fresh | Quality::Held))
+            && forecasts
+                .iter()
+                .all(|forecast| matches!(forecast.quality(), Quality::Fresh | Quality::Held))
     }
 }
 

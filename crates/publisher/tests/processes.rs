@@ -10,7 +10,7 @@ use std::path::Path;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_connect::findings::implausible_robots;
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_testkit::{TestFleet, eventually, run_member, send_to_test, next_order};
+use joulebus_testkit::{TestFleet, eventually, next_order, run_member, send_to_test};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.

@@ -18,7 +18,7 @@ use simulated_recorder::{Options, Summary};
 
 use simulated_planner::Answered;
 
-use crate::process::{FALSE_ROBOT, Learned, FrameId, is_constant, is_possible, power_w};
+use crate::process::{FALSE_ROBOT, FrameId, Learned, is_constant, is_possible, power_w};
 use crate::scenario::Setup;
 
 /// Pid of the process that observes.

@@ -3,8 +3,8 @@
 use bytemuck::{Zeroable as _, bytes_of_mut};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Channel, Flow, ForEachChannel, FrameHeader as _, FrameOrder, FrameRows, QueryHeader, SCHEMA_VERSION,
-    Sample, SampleHeader, WakeEvent, each_channel, sample_flag,
+    Channel, Flow, ForEachChannel, FrameHeader as _, FrameOrder, FrameRows, QueryHeader,
+    SCHEMA_VERSION, Sample, SampleHeader, WakeEvent, each_channel, sample_flag,
 };
 use simulated_bus::{Bus, Limits};
 use simulated_host::{self as host, time};

@@ -387,7 +387,9 @@ impl ClientProgram {
             return Stepped::Ended(self.last.clone());
         }
         self.pauses(match error {
-            ClientError::Unanswered(QueryError::TimedOut { .. }) => Outcome::TimedOut(self.asked_ns),
+            ClientError::Unanswered(QueryError::TimedOut { .. }) => {
+                Outcome::TimedOut(self.asked_ns)
+            }
             _ => Outcome::Nothing,
         })
     }

@@ -6,15 +6,15 @@
 mod certificates;
 mod child;
 mod confined;
+mod contains;
 pub mod counting;
 mod end_signals;
+mod fleet;
 mod member;
 mod on_drop;
 mod pages;
-mod fleet;
 mod ports;
 pub mod recordings;
-mod contains;
 mod table;
 #[cfg(feature = "trials")]
 pub mod trials;
@@ -25,11 +25,11 @@ pub use child::{
     remove, run,
 };
 pub use confined::{MemoryGroup, as_in_docker};
+pub use contains::assert_contains;
 pub use end_signals::{end_signals, ignores};
+pub use fleet::{TestFleet, next_order, run_member};
 pub use member::{Member, send_to_test};
 pub use on_drop::OnDrop;
 pub use pages::assert_page_contains;
-pub use fleet::{TestFleet, run_member, next_order};
 pub use ports::free_port;
-pub use contains::assert_contains;
 pub use table::cases;

@@ -69,7 +69,10 @@ impl Held {
                 .map(|pid| files_in(Path::new(&format!("/proc/{pid}/fd"))))
                 .collect(),
             objects: objects.len(),
-            bytes: objects.iter().map(|path| path.metadata().map_or(0, |metadata| metadata.len())).sum(),
+            bytes: objects
+                .iter()
+                .map(|path| path.metadata().map_or(0, |metadata| metadata.len()))
+                .sum(),
             files: files_in(arena.files()),
         }
     }

@@ -11,11 +11,12 @@ use rustix::fs::{FlockOperation, flock};
 
 fn to_kill(message: &str) -> Vec<i64> {
     let proposed = message.split("`kill ").skip(1);
-    proposed.map(|rest| {
-        let number = rest.split('`').next().unwrap_or_default();
-        number.trim().parse().unwrap_or_else(|_| panic!("{message}"))
-    })
-    .collect()
+    proposed
+        .map(|rest| {
+            let number = rest.split('`').next().unwrap_or_default();
+            number.trim().parse().unwrap_or_else(|_| panic!("{message}"))
+        })
+        .collect()
 }
 
 #[test]

@@ -238,7 +238,8 @@ fn the_recording_of_a_replay_equals_the_original() {
     assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
     assert_eq!(before.samples.len(), after.samples.len());
     assert_eq!(report["samples"], before.samples.len());
-    let starts = |exchange: &Exchange| *exchange.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
+    let starts =
+        |exchange: &Exchange| *exchange.samples.values().min_by_key(|row| row.stamp_ns).unwrap();
     let (one, other) = (starts(&before), starts(&after));
     for (key, row) in &before.samples {
         let again = &after.samples[key];

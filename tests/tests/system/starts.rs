@@ -197,7 +197,10 @@ fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works(
     limited.env("XDG_STATE_HOME", arena.state()).env_remove("STATE_DIRECTORY");
     let mut worker = Child::spawn("worker", limited).at_drop(Child::stop);
     let line = worker.wait_for_line("memory was not locked");
-    assert_contains(&line, "RLIMIT_MEMLOCK is 64 kB | LimitMEMLOCK=infinity | worker.memory".split(" | "));
+    assert_contains(
+        &line,
+        "RLIMIT_MEMLOCK is 64 kB | LimitMEMLOCK=infinity | worker.memory".split(" | "),
+    );
     worker.wait_for_line("ready:");
     let mut source = arena.source("fleet");
     let mut planner = arena.planner();

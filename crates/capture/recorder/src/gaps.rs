@@ -4,7 +4,9 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use joulebus_wire::{Diagnostics, Flow, FrameOrder, FrameRows, Samples, TickHeader, Ticks, tick_flag};
+use joulebus_wire::{
+    Diagnostics, Flow, FrameOrder, FrameRows, Samples, TickHeader, Ticks, tick_flag,
+};
 
 use joulebus_capture_format::{Message, MessageKind};
 

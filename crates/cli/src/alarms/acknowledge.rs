@@ -74,7 +74,8 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
 /// Name of the person who acknowledges: as given, or the user.
 fn name(by: Option<&str>) -> Result<String, UsageError> {
     let variables = ["USER", "LOGNAME"].into_iter();
-    let user = || variables.filter_map(|name| std::env::var(name).ok()).find(|user| !user.is_empty());
+    let user =
+        || variables.filter_map(|name| std::env::var(name).ok()).find(|user| !user.is_empty());
     by.map(str::to_owned)
         .or_else(user)
         .ok_or_else(|| UsageError("the environment has no USER: say who with --by NAME".to_owned()))

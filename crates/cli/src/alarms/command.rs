@@ -50,7 +50,9 @@ impl OnAlarm {
             self.missed += 1;
             if self.missed.is_power_of_two() {
                 let missed = self.missed;
-                log_line(&format!("--on-alarm is too slow: it did not run for {missed} changes so far"));
+                log_line(&format!(
+                    "--on-alarm is too slow: it did not run for {missed} changes so far"
+                ));
             }
         }
     }
@@ -102,7 +104,10 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
         .env("JOULEBUS_LEVEL", line.0.level)
         .env("JOULEBUS_CHANGE", line.0.change)
         .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
-        .env("JOULEBUS_BY", shown(line.0.acknowledged.as_ref().map(|acknowledgement| acknowledgement.by.clone())))
+        .env(
+            "JOULEBUS_BY",
+            shown(line.0.acknowledged.as_ref().map(|acknowledgement| acknowledgement.by.clone())),
+        )
         .env("JOULEBUS_LASTED_S", shown(line.0.lasted_s.map(|s| s.to_string())))
         .stdin(Stdio::null())
         // Results of the verb stay alone on stdout.

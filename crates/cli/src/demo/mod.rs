@@ -312,7 +312,8 @@ impl Demo<'_> {
         let robots = affordable.clamp(1, self.args.robots);
         let ids: Vec<u32> = (0..robots).collect();
         let planted = self.planted.iter().filter(|planted| planted.robot < robots);
-        let faults: Result<Vec<_>, String> = planted.map(|fault| fault.argument().parse()).collect();
+        let faults: Result<Vec<_>, String> =
+            planted.map(|fault| fault.argument().parse()).collect();
         let plant = plant(self.args.seed, &ids, &faults.map_err(anyhow::Error::msg)?)?;
         Ok(run_ahead::run_ahead(board, plant, period_ns))
     }

@@ -92,7 +92,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// Parses the name of a service or its whole topic.
 fn service(text: &str) -> Result<MessageKind, String> {
     let name = text.rsplit('/').next().unwrap_or(text);
-    let played: Vec<MessageKind> = PlayedChannel::all().into_iter().map(|channel| channel.kind).collect();
+    let played: Vec<MessageKind> =
+        PlayedChannel::all().into_iter().map(|channel| channel.kind).collect();
     let found = played.iter().find(|kind| kind.name() == name);
     let names: Vec<&str> = played.iter().map(|kind| kind.name()).collect();
     let wrong = || format!("{text:?} is not one of {}", names.join(", "));

@@ -70,9 +70,12 @@ mod tests {
             start_offset: Duration::from_secs(2),
             playback_duration: Some(Duration::from_secs(3)),
         };
-        for (at_s, position) in
-            [(0, SpanPosition::Before), (2, SpanPosition::Inside), (5, SpanPosition::Inside), (6, SpanPosition::After)]
-        {
+        for (at_s, position) in [
+            (0, SpanPosition::Before),
+            (2, SpanPosition::Inside),
+            (5, SpanPosition::Inside),
+            (6, SpanPosition::After),
+        ] {
             assert_eq!(span.position(at_s * 1_000_000_000), position, "{at_s} s");
         }
     }

@@ -106,8 +106,10 @@ fn every_change_is_shown_passed_to_the_command_and_found_in_the_capture() {
     let history = output(["alarms", "--format", "json", capture.to_str().unwrap()]);
     let history = json(&history);
     let episodes = history["alarms"].as_array().unwrap();
-    let silent: Vec<&Value> = episodes.iter().filter(|episode| episode["alarm"] == "NoData").collect();
-    let robots: BTreeSet<u64> = silent.iter().filter_map(|episode| episode["robot"].as_u64()).collect();
+    let silent: Vec<&Value> =
+        episodes.iter().filter(|episode| episode["alarm"] == "NoData").collect();
+    let robots: BTreeSet<u64> =
+        silent.iter().filter_map(|episode| episode["robot"].as_u64()).collect();
     assert_eq!(robots.len(), ROBOTS, "{history}");
     let ended = |end: &str| silent.iter().filter(|episode| episode["end"] == end).count();
     assert_eq!((ended("cleared"), ended("raised")), (cleared, ROBOTS), "{history}");
@@ -303,7 +305,10 @@ fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verifi
     };
     shown(&mut watcher, &["raised nobody"]);
     let (status, printed) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
-    assert_eq!((status, &*printed), (0, "robot 1: LevelHigh acknowledged as the new normal by ann\n"));
+    assert_eq!(
+        (status, &*printed),
+        (0, "robot 1: LevelHigh acknowledged as the new normal by ann\n")
+    );
     // The load goes on.
     shown(&mut watcher, &["raised nobody", "acknowledged ann", "cleared ann"]);
     let (status, printed) = acknowledge(&fleet, &["1", "LevelHigh", "--new-normal", "--by", "ann"]);
@@ -315,7 +320,8 @@ fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verifi
 
     let history = json(&output(["alarms", "--format", "json", capture.to_str().unwrap()]));
     let mut episodes = history["alarms"].as_array().unwrap().iter();
-    let load = episodes.find(|episode| episode["robot"] == 1 && episode["alarm"] == "LevelHigh").unwrap();
+    let load =
+        episodes.find(|episode| episode["robot"] == 1 && episode["alarm"] == "LevelHigh").unwrap();
     assert_eq!((&load["acknowledged"]["by"], &load["end"]), (&"ann".into(), &"cleared".into()));
     let verified = output(["replay", "--verify", "--format", "json", capture.to_str().unwrap()]);
     let report = json(&verified);

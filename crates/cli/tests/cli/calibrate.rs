@@ -92,7 +92,10 @@ fn too_little_evidence_fails_with_what_would_be_needed() {
     let refused = calibrate(&fleet, &recordings, "--false-alarms 1/day --robots 20").exits(1);
     assert!(stdout(&refused).is_empty());
     let printed = stderr(&refused);
-    assert_contains(&printed, "2875.9 robot-hours | a day for 20 robots | --extrapolate".split(" | "));
+    assert_contains(
+        &printed,
+        "2875.9 robot-hours | a day for 20 robots | --extrapolate".split(" | "),
+    );
     let several = output(
         ["calibrate", "--false-alarms", "1/day", "--config"].map(PathBuf::from).iter().chain([
             &fleet.config(),

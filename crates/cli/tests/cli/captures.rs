@@ -10,7 +10,7 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
-use joulebus_testkit::{eventually, assert_contains};
+use joulebus_testkit::{assert_contains, eventually};
 use rustix::process::Signal;
 
 /// The program with the words of a line.
@@ -150,7 +150,10 @@ fn files_of_an_earlier_release_are_refused_by_name_or_go_on() {
     let earlier = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/earlier");
     let capture = text(&earlier.join("run.mcap"));
     let refused = stderr(&run(format!("replay --verify {capture}")).exits(1));
-    assert_contains(&refused, ["run.mcap", "by rules 1", "with the version that recorded it (0.1.0)"]);
+    assert_contains(
+        &refused,
+        ["run.mcap", "by rules 1", "with the version that recorded it (0.1.0)"],
+    );
     let shown = json(&run(format!("info {capture} --format json")).exits(0));
     assert!(shown.is_object(), "{shown}");
     let fleet = Fleet::new();

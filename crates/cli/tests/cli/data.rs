@@ -64,7 +64,10 @@ fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
     let out = folder.path().join("whole.csv");
     let (from, out) = (format!("{runs}/b.csv"), out.to_str().unwrap());
     let converted = output(["data", "convert", &from, "--whole-rows", "--out", out]).exits(3);
-    assert_contains(&stdout(&converted), ["200 rows", "1 lines that are no whole rows were left out"]);
+    assert_contains(
+        &stdout(&converted),
+        ["200 rows", "1 lines that are no whole rows were left out"],
+    );
     output(["data", "check", out]).exits(0);
 }
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use joulebus_testkit::{eventually, assert_contains};
+use joulebus_testkit::{assert_contains, eventually};
 use rustix::process::Signal;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};

@@ -33,7 +33,7 @@ use std::time::Duration;
 use exits::{below, subcommands};
 use fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
-use joulebus_testkit::{cases, assert_contains};
+use joulebus_testkit::{assert_contains, cases};
 
 #[test]
 fn every_verb_has_help_with_examples() {

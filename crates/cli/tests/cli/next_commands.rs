@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_testkit::{lab_beside, left_behind, assert_contains};
+use joulebus_testkit::{assert_contains, lab_beside, left_behind};
 
 use super::fleet::{Exits as _, Program, code, stderr, stdout};
 
@@ -179,7 +179,10 @@ fn from_one_file_of_several_robots_to_a_trained_model_and_its_skill() {
     home.write("my logs/fleet.csv", header, row, 400 * robots);
     let printed =
         home.walk("joulebus config init --from 'my logs' --train --accept constant -o 'my lab'");
-    assert_contains(&printed, ["models/my_logs.safetensors", "held out, ", "skill ", "against the last reading"]);
+    assert_contains(
+        &printed,
+        ["models/my_logs.safetensors", "held out, ", "skill ", "against the last reading"],
+    );
     let platform = home.folder.path().join("my lab/platforms/my_logs.toml");
     assert_contains(&fs::read_to_string(platform).unwrap(), ["accept = \"constant\""]);
     // Whole robots are held out of one file.

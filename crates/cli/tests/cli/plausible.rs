@@ -72,7 +72,10 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
             let refused = output(&plain);
             let printed = stderr(&refused);
             assert_eq!(code(&refused), 1, "{door}: {printed}");
-            assert!(printed.contains(expected) && printed.contains("--accept"), "{door}: {printed}");
+            assert!(
+                printed.contains(expected) && printed.contains("--accept"),
+                "{door}: {printed}"
+            );
             assert!(!fleet.path(&format!("out-{number}.csv")).exists(), "{door}");
             // Reading it right is enough.
             let read = plain.iter().map(String::as_str).chain(option);

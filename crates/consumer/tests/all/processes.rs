@@ -10,7 +10,9 @@ use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{Config, Event, Feed, Subscriber, WorkerState};
-use joulebus_testkit::{Member, TestFleet, eventually, run_member, assert_contains, send_to_test, next_order};
+use joulebus_testkit::{
+    Member, TestFleet, assert_contains, eventually, next_order, run_member, send_to_test,
+};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
     ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,

@@ -171,9 +171,17 @@ mod tests {
         assert_eq!(refusal(|_| ()), None);
         type Case = (fn(&mut Sample), DropReason, &'static str);
         let cases: [Case; 10] = [
-            (|sample| sample.power_w = 3500.0, DropReason::PowerOutOfRange, "power_w is 3500, allowed are"),
+            (
+                |sample| sample.power_w = 3500.0,
+                DropReason::PowerOutOfRange,
+                "power_w is 3500, allowed are",
+            ),
             (|sample| sample.v_mps = -9e9, DropReason::CommandOutOfRange, "v_mps is -9000000000"),
-            (|sample| sample.omega_radps = 9e9, DropReason::CommandOutOfRange, "omega_radps is 9000000000"),
+            (
+                |sample| sample.omega_radps = 9e9,
+                DropReason::CommandOutOfRange,
+                "omega_radps is 9000000000",
+            ),
             (
                 |sample| sample.soc = 80.0,
                 DropReason::BatteryOutOfRange,
@@ -194,7 +202,8 @@ mod tests {
         // What is no number comes before what is out of range. What is unknown is not looked at.
         let both = refusal(|sample| (sample.power_w, sample.soc) = (3500.0, f32::NAN)).unwrap();
         assert_eq!(both.0, DropReason::NotFinite, "{}", both.1);
-        let unknown = refusal(|sample| (sample.flags, sample.power_w, sample.soc) = (0, f32::NAN, 80.0));
+        let unknown =
+            refusal(|sample| (sample.flags, sample.power_w, sample.soc) = (0, f32::NAN, 80.0));
         assert_eq!(unknown, None);
     }
 }

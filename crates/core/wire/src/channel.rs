@@ -189,38 +189,38 @@ macro_rules! frame_header {
 
 channels! {
     /// Samples of the robots, from their controllers.
-    Samples: "samples", SampleHeader { place: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
+    Samples: "samples", SampleHeader { order: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
         Sample, Flow::Sources, FrameRows::Robots;
     /// Forecasts, of every tick. A planner can keep two frames beside the newest: one in its loop's
     /// variable while it waits for the next, and one more.
     Forecasts: "forecasts", ForecastHeader {
-            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+            order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, Forecast, Flow::Planners { kept: 2, history: 0, on_demand: false }, FrameRows::Robots;
     /// Diagnostics, of every tick.
-    Diagnostics: "diagnostics", DiagnosticHeader { place: worker_epoch, tick; },
+    Diagnostics: "diagnostics", DiagnosticHeader { order: worker_epoch, tick; },
         Diagnostic, Flow::Planners { kept: 0, history: 0, on_demand: false }, FrameRows::Robots;
     /// Budgets: planners need the newest at once, and recorders read all.
-    Budgets: "budgets", BudgetHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
+    Budgets: "budgets", BudgetHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         Budget, Flow::Planners { kept: 0, history: 1, on_demand: false }, FrameRows::Robots;
     /// The state that plans start from: sent while somebody reads it.
     PlanStates: "plan_states", PlanStateHeader {
-            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+            order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, PlanState, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
     /// The energy that robots will draw if they go on as they do: sent while somebody reads it.
     Outlooks: "outlooks", OutlookHeader {
-            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+            order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, Outlook, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
     /// The worker's journal: a second of it is queued at 30 Hz.
-    Ticks: "ticks", TickHeader { place: worker_epoch, tick; sent: sent_ns; },
+    Ticks: "ticks", TickHeader { order: worker_epoch, tick; sent: sent_ns; },
         TakenFrame, Flow::Recorders { queued: 32, history: 0 }, FrameRows::Taken;
     /// Keyframes, in pieces: a reader empties the queue at every tick.
-    State: "state", StateHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
+    State: "state", StateHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
-    Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
+    Queries: "queries", QueriesHeader { order: begun_ns, sent_ns; sent: sent_ns; },
         u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(MAX_RECORD_WORDS);
     /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
     Acknowledgements: "acknowledgements", AcknowledgementHeader {
-            place: server_epoch, number; sent: sent_ns, sent_unix_ns;
+            order: server_epoch, number; sent: sent_ns, sent_unix_ns;
         }, Acknowledgement, Flow::Planners { kept: 0, history: 1, on_demand: false }, FrameRows::UpTo(MAX_ACKNOWLEDGED);
 }

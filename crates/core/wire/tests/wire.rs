@@ -3,8 +3,8 @@
 
 use joulebus_wire::{
     Alarm, AlarmSet, Channel, ChargeState, DiagnosticHeader, DropCounts, DropReason, FieldRole,
-    ForEachChannel, Forecast, ForecastHeader, FrameHeader as _, FrameRows, InvalidReason, Level,
-    FrameOrder, Quality, Row, TickHeader, each_channel,
+    ForEachChannel, Forecast, ForecastHeader, FrameHeader as _, FrameOrder, FrameRows,
+    InvalidReason, Level, Quality, Row, TickHeader, each_channel,
 };
 
 #[test]
@@ -72,7 +72,9 @@ impl ForEachChannel for Fields {
     fn channel<C: Channel>(&mut self) {
         let durations = ["period_ns", "reading_age_ns", "metered_ns", "unmetered_ns"];
         let layouts = [<C::Header as Row>::LAYOUT, <C::Row as Row>::LAYOUT];
-        for (of, field) in layouts.iter().flat_map(|of| of.fields.iter().map(move |field| (of, field))) {
+        for (of, field) in
+            layouts.iter().flat_map(|of| of.fields.iter().map(move |field| (of, field)))
+        {
             let role = match field.name {
                 name if durations.contains(&name) || name.ends_with("_unix_ns") => FieldRole::Value,
                 name if name.ends_with("_ns") => FieldRole::Instant,

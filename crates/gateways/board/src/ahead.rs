@@ -214,7 +214,9 @@ impl Ahead {
     /// The newest outlooks: robot, stamp, ns, and reading, W.
     pub(crate) fn newest(&self) -> impl Iterator<Item = (u32, u64, f64)> {
         let robots = self.robots.iter();
-        robots.filter_map(|(id, robot)| robot.newest.map(|(at_ns, outlook)| (*id, at_ns, outlook.last_w)))
+        robots.filter_map(|(id, robot)| {
+            robot.newest.map(|(at_ns, outlook)| (*id, at_ns, outlook.last_w))
+        })
     }
 
     /// The scores of the newest outlooks, of the robots that draw `drawn_j` over 60 s.

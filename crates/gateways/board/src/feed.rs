@@ -189,7 +189,9 @@ impl Reading {
                 // They are sent right after the budgets. Those of the tick before may be found.
                 match self.outlooks.as_mut().map(consumer::Feed::latest) {
                     None => board.outlooks.clear(),
-                    Some(found) => found?.into_iter().for_each(|outlooks| board.outlooks(outlooks.robots())),
+                    Some(found) => {
+                        found?.into_iter().for_each(|outlooks| board.outlooks(outlooks.robots()))
+                    }
                 }
                 return Ok(());
             }

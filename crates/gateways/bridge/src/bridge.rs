@@ -458,7 +458,8 @@ impl fmt::Display for CheckReport {
         let networks = if *zenoh { "zenoh (RMW_IMPLEMENTATION)".to_owned() } else { networks };
         writeln!(out, "ROS domain {domain_id} on {networks}")?;
         let lists = [("reads", reads), ("writes", writes), ("serves", services)];
-        let mut lines = lists.iter().flat_map(|(verb, all)| all.iter().map(move |topic| (verb, topic)));
+        let mut lines =
+            lists.iter().flat_map(|(verb, all)| all.iter().map(move |topic| (verb, topic)));
         lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
     }
 }

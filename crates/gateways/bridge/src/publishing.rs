@@ -76,7 +76,9 @@ pub(crate) fn run(
         states.clear();
         let mut late_ns = 0;
         for group in &mut groups {
-            if let Some((slot, now_ns)) = now_ns.and_then(|now_ns| Some((group.grid.take(now_ns)?, now_ns))) {
+            if let Some((slot, now_ns)) =
+                now_ns.and_then(|now_ns| Some((group.grid.take(now_ns)?, now_ns)))
+            {
                 late_ns = late_ns.max(now_ns - slot.intended_ns);
                 let mut intake = shared.intake();
                 states

@@ -247,7 +247,11 @@ impl Etcd {
         let holder = holder.map(|entry| {
             let value: HolderValue =
                 serde_json::from_str(&entry.text()?).context("the holder's key")?;
-            Ok::<_, anyhow::Error>(Holder { name: value.name, term: value.term, lease: entry.lease.0 })
+            Ok::<_, anyhow::Error>(Holder {
+                name: value.name,
+                term: value.term,
+                lease: entry.lease.0,
+            })
         });
         let number = |entry: &KeyValue| {
             let term: u64 = entry.text()?.parse().context("the term's key")?;

@@ -84,7 +84,8 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
         args.hosts.iter().map(|text| Host::parse(text)).collect::<Result<_, _>>()?;
     let (worker, others) = hosts.split_first().context("clap requires hosts")?;
     if let Some(twice) = others.iter().find(|host| {
-        host.name == worker.name || others.iter().filter(|other| other.name == host.name).count() > 1
+        host.name == worker.name
+            || others.iter().filter(|other| other.name == host.name).count() > 1
     }) {
         let what = format!("{:?} is named twice: every link needs a name of its own", twice.name);
         return Err(UsageError(what).into());

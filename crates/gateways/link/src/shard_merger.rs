@@ -65,7 +65,8 @@ impl ShardMerger {
         let live = has_worker.iter().enumerate();
         let live = live.map(|(shard, has)| *has && ports.forecasts.is_fresh(shard, now_ns));
         let is_live: Vec<bool> = live.collect();
-        let own = |number| Origin { pid: process_id(), order: FrameOrder { run: self.run, number } };
+        let own =
+            |number| Origin { pid: process_id(), order: FrameOrder { run: self.run, number } };
         let mut round = MergeRound {
             shards: &self.shards,
             has_worker,

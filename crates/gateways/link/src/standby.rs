@@ -239,7 +239,9 @@ impl Rounds<Done, anyhow::Error> for Rivals {
                 }
             }
             Ok(Event::Lost { name }) => {
-                for (_, ingress) in self.others.iter_mut().filter(|(_, ingress)| *ingress.from() == *name) {
+                for (_, ingress) in
+                    self.others.iter_mut().filter(|(_, ingress)| *ingress.from() == *name)
+                {
                     ingress.receiver().lost();
                 }
             }

@@ -167,7 +167,9 @@ mod tests {
     #[test]
     fn a_cause_is_logged_once_and_any_number_of_others_takes_no_memory() {
         let wrong = |number: usize| {
-            assert!(take_message(&format!("odd {number}. Hint: increase the system open file limit.")));
+            assert!(take_message(&format!(
+                "odd {number}. Hint: increase the system open file limit."
+            )));
         };
         wrong(0);
         wrong(0);

@@ -51,8 +51,9 @@ impl WallClock {
     fn query(&mut self, within_ns: u64) {
         let most_ns = within_ns.max(MAX_ERROR_NS);
         let found = clock::synchronisation();
-        let is_kept =
-            |state: &clock::Synchronisation| state.is_synchronised && state.most_error_ns <= most_ns;
+        let is_kept = |state: &clock::Synchronisation| {
+            state.is_synchronised && state.most_error_ns <= most_ns
+        };
         self.is_synchronised = found.as_ref().is_ok_and(is_kept);
         if self.is_synchronised || IS_LOGGED.swap(true, Ordering::Relaxed) {
             return;

@@ -92,9 +92,15 @@ fn a_refusal_states_the_limit_the_capability_and_the_key() {
                 assert!(text.contains(part), "no {part:?} in: {text}");
             }
         };
-        assert_parts(memory, &["RLIMIT_MEMLOCK is 64 kB", "CAP_IPC_LOCK is missing", "`worker.memory"]);
+        assert_parts(
+            memory,
+            &["RLIMIT_MEMLOCK is 64 kB", "CAP_IPC_LOCK is missing", "`worker.memory"],
+        );
         assert_parts(cpu, &["CPU 1023", "`worker.cpus`"]);
-        assert_parts(priority, &["RLIMIT_RTPRIO is 0", "CAP_SYS_NICE is missing", "LimitRTPRIO=20"]);
+        assert_parts(
+            priority,
+            &["RLIMIT_RTPRIO is 0", "CAP_SYS_NICE is missing", "LimitRTPRIO=20"],
+        );
         assert_eq!(try_scheduling(&wanted).unwrap().len(), 3);
         let required = Scheduling { required: true, ..wanted };
         assert!(matches!(schedule_process(&required), Err(SchedulingError::Memory { .. })));

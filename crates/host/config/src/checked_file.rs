@@ -257,7 +257,8 @@ impl<'a> Section<'a> {
             return Vec::new();
         };
         let location = |line| Some(Location { line, ..self.location(name)?.clone() });
-        let text = |(text, line)| Some(Text { text, key: self.shown(name), location: location(line)? });
+        let text =
+            |(text, line)| Some(Text { text, key: self.shown(name), location: location(line)? });
         texts.into_iter().filter_map(text).collect()
     }
 

@@ -63,7 +63,12 @@ pub(crate) fn check(
     }
 }
 
-fn missing(values: &Values, file: &Arc<str>, header: Option<&Location>, problems: &mut Vec<Problem>) {
+fn missing(
+    values: &Values,
+    file: &Arc<str>,
+    header: Option<&Location>,
+    problems: &mut Vec<Problem>,
+) {
     let of_platform = header.is_some();
     let wanted = |key: &&Key| {
         key.default == DefaultValue::Required

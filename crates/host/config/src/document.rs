@@ -68,8 +68,11 @@ impl Source<'_> {
             return FleetFile { cut_short: true, ..FleetFile::default() };
         };
         let platforms = values.children.remove("platform").unwrap_or_default();
-        let listed =
-            |child: Child| Listed { values: child.values, header: child.location, cut_short: false };
+        let listed = |child: Child| Listed {
+            values: child.values,
+            header: child.location,
+            cut_short: false,
+        };
         let platforms = platforms.into_iter().map(listed).collect();
         FleetFile { values, platforms, cut_short: false }
     }

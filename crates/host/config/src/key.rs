@@ -280,7 +280,8 @@ fn quoted(words: &[&str], between: &str) -> String {
 /// The voltages that a text lists, if they are a table of open-circuit voltages.
 pub(crate) fn voltages(text: &str) -> Option<Vec<f64>> {
     let volts: Option<Vec<f64>> = text.split(',').map(|volts| volts.trim().parse().ok()).collect();
-    let inside = |volts: &Vec<f64>| volts.iter().all(|voltage_v| bounds::OPEN_CIRCUIT_V.contains(voltage_v));
+    let inside =
+        |volts: &Vec<f64>| volts.iter().all(|voltage_v| bounds::OPEN_CIRCUIT_V.contains(voltage_v));
     let volts = volts.filter(inside)?;
     // Resistance and deviation are checked as keys of their own.
     OpenCircuit::new(&volts, 0.0, 0.1).map(|_| volts)
@@ -360,14 +361,19 @@ impl TextRule {
             Self::Findings => {
                 text.chars().all(|letter| letter.is_ascii_lowercase() || "-,".contains(letter))
             }
-            Self::Source => made_of(|letter| !letter.is_control() && !"/+#{}".contains(letter), 100),
+            Self::Source => {
+                made_of(|letter| !letter.is_control() && !"/+#{}".contains(letter), 100)
+            }
             Self::Level => made_of(|letter| !letter.is_control() && !"/+#".contains(letter), 200),
             Self::Link => {
                 made_of(|letter| letter.is_ascii_alphanumeric() || "-_.".contains(letter), 64)
             }
             Self::Prefixes => {
                 text.is_empty()
-                    || made_of(|letter| letter.is_ascii_alphanumeric() || "/-_.".contains(letter), 128)
+                    || made_of(
+                        |letter| letter.is_ascii_alphanumeric() || "/-_.".contains(letter),
+                        128,
+                    )
             }
             Self::PlatformFile | Self::Model | Self::File => {
                 !text.is_empty() && !text.contains('\0')

@@ -166,7 +166,8 @@ impl Values {
         };
         let value = self.get(path).map_or_else(|| "not set".to_owned(), |value| value.to_string());
         let unit = if key.unit.is_empty() { String::new() } else { format!(" {}", key.unit) };
-        let location = self.location(path).map_or_else(|| "default".to_owned(), Location::to_string);
+        let location =
+            self.location(path).map_or_else(|| "default".to_owned(), Location::to_string);
         format!("`{}` = {value}{unit} ({location})", key.path_in_file())
     }
 }

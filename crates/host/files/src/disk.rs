@@ -68,5 +68,6 @@ pub type Version = (u64, i64, i64);
 /// # Errors
 /// The system's error.
 pub fn version(path: &Path) -> io::Result<Version> {
-    std::fs::metadata(path).map(|metadata| (metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
+    std::fs::metadata(path)
+        .map(|metadata| (metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
 }

@@ -10,7 +10,7 @@ use joulebus_capture_format::scan::ScanError;
 use joulebus_capture_format::values::{Line, values};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::StdoutClosed;
-use joulebus_program::output::{Output, OutputFormat, printable, log_line};
+use joulebus_program::output::{Output, OutputFormat, log_line, printable};
 use regex::Regex;
 use serde_json::Value;
 

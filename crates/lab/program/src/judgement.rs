@@ -134,7 +134,11 @@ impl AcceptArguments {
     /// Implausible findings of a trial, for [`AcceptArguments::settle`].
     pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
         let notes = trial.notes();
-        self.log_lines_left_out(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
+        self.log_lines_left_out(
+            &trial.path().display(),
+            &notes.left_out,
+            notes.no_final_line_break,
+        );
         judge_from(source, trial, &Limits::default())
     }
 
@@ -150,7 +154,11 @@ impl AcceptArguments {
         let found = trials.map(|(limits, trial)| {
             all.push(trial);
             let notes = trial.notes();
-            self.log_lines_left_out(&trial.path().display(), &notes.left_out, notes.no_final_line_break);
+            self.log_lines_left_out(
+                &trial.path().display(),
+                &notes.left_out,
+                notes.no_final_line_break,
+            );
             let mut found = judge(trial, &limits);
             // The worker refuses such samples and counts them.
             let ranges = found.iter_mut().map(|one| &mut one.finding);

@@ -5,7 +5,7 @@ use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_testkit::{Ended, run, assert_contains};
+use joulebus_testkit::{Ended, assert_contains, run};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
     let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());

@@ -131,9 +131,8 @@ pub(crate) fn open<T: Kind>(value: T) -> Result<*mut T::Handle, Failure> {
     }
     let number = T::table(|table| {
         let mut slots = table.borrow_mut();
-        let usable = |slot: &Slot<T>| {
-            matches!(slot.state, State::Closed) && slot.uses + 1 < 1 << USE_BITS
-        };
+        let usable =
+            |slot: &Slot<T>| matches!(slot.state, State::Closed) && slot.uses + 1 < 1 << USE_BITS;
         let slot = slots.iter().position(usable).unwrap_or(slots.len());
         if slot >= 1 << SLOT_BITS {
             return Err(none_left("places"));

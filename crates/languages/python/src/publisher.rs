@@ -109,7 +109,8 @@ impl PublisherPort {
     /// Judges these states. News wait until they are reported.
     fn judge(&self, robots: &[RobotState]) {
         let now_ns = clock::monotonic_ns();
-        let (Ok(mut judgement), Ok(mut unreported)) = (self.judgement.lock(), self.unreported.lock())
+        let (Ok(mut judgement), Ok(mut unreported)) =
+            (self.judgement.lock(), self.unreported.lock())
         else {
             return;
         };

@@ -321,7 +321,8 @@ impl QueryClient {
         self.bus.check()?;
         let worker = self.worker.as_ref();
         let is_gone = worker.is_some_and(|(_, watch)| watch.is_gone());
-        let connected = |transfer: &Rc<Transfer>| transfer.server.is_open.get() && !transfer.is_dropped.get();
+        let connected =
+            |transfer: &Rc<Transfer>| transfer.server.is_open.get() && !transfer.is_dropped.get();
         let is_closed = !self.pending.as_ref().is_some_and(connected);
         let now_ns = clock::monotonic_ns();
         let polled = match self.receive() {

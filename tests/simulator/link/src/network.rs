@@ -170,7 +170,9 @@ impl Inbox {
 
 impl Drop for Inbox {
     fn drop(&mut self) {
-        SUBSCRIPTIONS.with_borrow_mut(|all| all.retain(|subscription| !Rc::ptr_eq(&subscription.queue, &self.0)));
+        SUBSCRIPTIONS.with_borrow_mut(|all| {
+            all.retain(|subscription| !Rc::ptr_eq(&subscription.queue, &self.0))
+        });
     }
 }
 

@@ -243,7 +243,9 @@ impl Machine {
         let (received, now_ns) = (&mut self.received, time::monotonic_ns());
         for frame in &learned.frames {
             let before = received.newest.replace(*frame);
-            if before.is_some_and(|before| before.0 == frame.0 && (frame.1, frame.2) <= (before.1, before.2)) {
+            if before.is_some_and(|before| {
+                before.0 == frame.0 && (frame.1, frame.2) <= (before.1, before.2)
+            }) {
                 let found = format!("a planner has frame {frame:?} after {before:?}");
                 return Err(failure("planners see runs and ticks in order", found));
             }

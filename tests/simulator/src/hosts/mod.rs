@@ -421,7 +421,8 @@ impl World {
         let frames = self.outcome.ticks - frames;
         let robots = self.newest.map_or(0, |header| header.robots);
         let taken = [1, 2].map(|at| (self.taken[at] - taken[at]) / self.robots as u64);
-        if frames < expected || robots != self.robots || taken.iter().any(|count| *count < expected) {
+        if frames < expected || robots != self.robots || taken.iter().any(|count| *count < expected)
+        {
             let found = format!(
                 "in {WATCH_NS} ns the planner had {frames} frames of {robots} robots, and the \
                  workers {taken:?} frames of samples, expected {expected} of {}",

@@ -8,7 +8,7 @@ use simulated_host::{self as host, disk, memory, time};
 use super::state::World;
 use crate::check::{Checked, failure};
 use crate::grown;
-use crate::process::{self, Outcome, Learned, Stepped};
+use crate::process::{self, Learned, Outcome, Stepped};
 use crate::scenario::Role;
 
 impl World<'_> {

@@ -171,7 +171,8 @@ impl Summary {
         }
         if footer.summary_offset_start != offsets {
             let stated = footer.summary_offset_start;
-            wrong.push(format!("footer: the summary offsets begin at byte {offsets}, not {stated}"));
+            wrong
+                .push(format!("footer: the summary offsets begin at byte {offsets}, not {stated}"));
         }
         for stated in &self.summary_offsets {
             let found = self.groups.get(&stated.group_opcode).copied().unwrap_or_default();
@@ -205,7 +206,8 @@ impl Summary {
             Some(stated) => {
                 let mut counted = counted.clone();
                 // libmcap omits schemas and channels without messages.
-                if (stated.schema_count, stated.channel_count) == used && used.1 < counted.channel_count
+                if (stated.schema_count, stated.channel_count) == used
+                    && used.1 < counted.channel_count
                 {
                     let what = "the statistics omit schemas and channels without messages";
                     wrong.push((Severity::Note, what.to_owned()));
@@ -272,7 +274,8 @@ fn differences(stated: &Statistics, counted: &Statistics) -> Vec<String> {
         .filter(|(stated, counted)| stated != counted)
         .map(|((what, stated), (_, counted))| format!("{what}: {stated} stated, {counted} found"))
         .collect();
-    let channels = stated.channel_message_counts.keys().chain(counted.channel_message_counts.keys());
+    let channels =
+        stated.channel_message_counts.keys().chain(counted.channel_message_counts.keys());
     let mut channels: Vec<u16> = channels.copied().collect();
     channels.sort_unstable();
     channels.dedup();
@@ -283,7 +286,8 @@ fn differences(stated: &Statistics, counted: &Statistics) -> Vec<String> {
         };
         let (stated, counted) = (of(stated), of(counted));
         if stated != counted {
-            differences.push(format!("channel {channel}: {stated} messages stated, {counted} found"));
+            differences
+                .push(format!("channel {channel}: {stated} messages stated, {counted} found"));
         }
     }
     differences

@@ -3,7 +3,8 @@
 use std::sync::LazyLock;
 
 use joulebus_wire::{
-    AnswerHeader, AnswerRow, FrameOrder, QueryHeader, QueryRecord, ROW_WORDS, Record, Row, answer_parts,
+    AnswerHeader, AnswerRow, FrameOrder, QueryHeader, QueryRecord, ROW_WORDS, Record, Row,
+    answer_parts,
 };
 use prost_types::DescriptorProto;
 

@@ -272,9 +272,16 @@ fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_field
         0xff, 0x01,
     ];
     let error_text = Message::decode(kind, &time).unwrap_err().to_string();
-    assert_eq!(error_text, format!("Forecasts.sent_at = -1000000000: allowed are 0 to {}", u64::MAX));
-    let error_text = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2]).unwrap_err().to_string();
-    assert_eq!(error_text, "failed to decode Protobuf message: Forecast.reading_w: buffer underflow");
+    assert_eq!(
+        error_text,
+        format!("Forecasts.sent_at = -1000000000: allowed are 0 to {}", u64::MAX)
+    );
+    let error_text =
+        Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2]).unwrap_err().to_string();
+    assert_eq!(
+        error_text,
+        "failed to decode Protobuf message: Forecast.reading_w: buffer underflow"
+    );
 }
 
 #[test]

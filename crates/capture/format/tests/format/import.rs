@@ -9,8 +9,8 @@ use byteorder::{BigEndian, LittleEndian};
 use cdr_encoding::to_vec;
 use joulebus_capture_format::import::{Mapping, RobotReport, import};
 use joulebus_ros_messages::TwistStamped;
-use joulebus_testkit::recordings::shared;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::shared;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
@@ -542,7 +542,10 @@ fn percentages_are_read_as_such_in_all_readings() {
     assert_contains(&percent.notes.join("\n"), ["0 to 100"]);
     let share = imported(&|step| if step == 7 { 7.0 } else { 0.5 });
     assert!(share.rows[7].soc.is_nan() && share.rows[8].soc == 0.5);
-    assert_contains(&share.notes.join("\n"), ["1 of 60 readings have a percentage outside", "left out"]);
+    assert_contains(
+        &share.notes.join("\n"),
+        ["1 of 60 readings have a percentage outside", "left out"],
+    );
     // The last one is that of mavros. Drivers that measure nothing else leave it at 0.
     for unknown in [-1.0, f32::NAN, -0.01] {
         for (known, expected) in [(0.5, 0.5), (60.0, 0.6), (0.0, f64::NAN)] {
@@ -550,7 +553,10 @@ fn percentages_are_read_as_such_in_all_readings() {
             assert_eq!((robot.row_count, robot.battery.refused.len()), (60, 0));
             let [even, odd] = [robot.rows[8].soc, robot.rows[7].soc];
             assert!(odd.is_nan() && even.total_cmp(&expected).is_eq(), "{unknown} {known}: {even}");
-            assert_contains(&robot.notes.join("\n"), ["30 of 60 readings have a percentage of NaN or −1"]);
+            assert_contains(
+                &robot.notes.join("\n"),
+                ["30 of 60 readings have a percentage of NaN or −1"],
+            );
         }
     }
 }

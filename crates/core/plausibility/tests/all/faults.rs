@@ -281,7 +281,8 @@ fn each_reading_of_a_unit_is_named() {
         });
         let found = judged(known, &rows.collect::<Vec<_>>());
         let units = found.iter().filter(|one| one.kind == Kind::Unit);
-        let remedies: Vec<String> = units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
+        let remedies: Vec<String> =
+            units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
         let is_complete = remedies.len() == expected.len()
             && remedies.iter().zip(expected).all(|(remedies, part)| remedies.contains(part));
         let case = (voltage, current, ampere);

@@ -210,7 +210,9 @@ fn clocks_that_stand_still_or_go_back_are_found() {
         let found = judged(Known::default(), &rows);
         let clock = found.iter().find(|finding| finding.kind == Kind::Clock);
         assert!(
-            clock.is_some_and(|finding| finding.is_error() && finding.found.contains("whole seconds")),
+            clock.is_some_and(
+                |finding| finding.is_error() && finding.found.contains("whole seconds")
+            ),
             "{one:?}: {found:?}"
         );
         let mut rows = one.rows();

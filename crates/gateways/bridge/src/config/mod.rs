@@ -94,8 +94,9 @@ impl Settings {
     pub(crate) fn intake(&self, config: &Config) -> Intake {
         let platforms = &config.settings().platforms;
         let robots = self.robots.iter().filter_map(|(id, _)| {
-            let platform =
-                platforms.iter().find(|platform| platform.robots.iter().any(|ids| ids.contains(&id)))?;
+            let platform = platforms
+                .iter()
+                .find(|platform| platform.robots.iter().any(|ids| ids.contains(&id)))?;
             let reading = platform.battery.map(|battery| battery.charge_reading);
             Some((id, reading.unwrap_or(joulebus_settings::ChargeReading::Load)))
         });
@@ -158,8 +159,9 @@ impl Check<'_> {
             }
         }
         let platforms = &config.settings().platforms;
-        let known =
-            |id: u32| platforms.iter().any(|platform| platform.robots.iter().any(|ids| ids.contains(&id)));
+        let known = |id: u32| {
+            platforms.iter().any(|platform| platform.robots.iter().any(|ids| ids.contains(&id)))
+        };
         let strangers: Vec<u32> =
             robots.iter().map(|(id, _)| id).filter(|id| !known(*id)).collect();
         if let Some(first) = strangers.first() {
@@ -257,7 +259,8 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
+            let lines: Vec<_> =
+                refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
     }
@@ -314,7 +317,8 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
+            let lines: Vec<_> =
+                refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
         let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();

@@ -54,7 +54,9 @@ impl Check<'_> {
         let before = self.problems.len();
         let domain_id = self.domain_id(section);
         let networks = section.texts("networks");
-        let networks = networks.iter().filter_map(|network| self.checked(network, network.parse::<Ipv4Addr>()));
+        let networks = networks
+            .iter()
+            .filter_map(|network| self.checked(network, network.parse::<Ipv4Addr>()));
         let networks = networks.collect();
         let routes: Vec<RosRoute> =
             section.list("read").filter_map(|read| self.ros_route(&read, robots)).collect();

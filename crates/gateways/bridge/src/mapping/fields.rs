@@ -363,7 +363,8 @@ mod tests {
             "velocity": {"vx": 0.3, "vy": 0.4, "omega": -0.2},
             "batteryState": {"batteryCharge": 80.0, "batteryVoltage": 24.5, "charging": false, "reach": 1200},
         });
-        let fields = Fields { robot: Some(ValuePath::at("/serialNumber")), ..Fields::vda5050(true) };
+        let fields =
+            Fields { robot: Some(ValuePath::at("/serialNumber")), ..Fields::vda5050(true) };
         let (seen, refused) = read(&fields, &document);
         assert_eq!(refused, []);
         assert_eq!((seen.v_mps, seen.omega_radps), (Some(0.5), Some(-0.2)));

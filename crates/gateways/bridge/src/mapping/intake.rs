@@ -159,7 +159,8 @@ impl Intake {
         if now_ns.saturating_sub(any_ns) > holds.silent_ns {
             return None;
         }
-        let is_unreported = !known.has_reported && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
+        let is_unreported =
+            !known.has_reported && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
         let charging = known.charging.or(is_unreported.then_some(false));
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);

@@ -94,7 +94,8 @@ impl Reader {
 
     /// The topics to subscribe to, without duplicates.
     pub(crate) fn filters(&self) -> Vec<String> {
-        let mut filters: Vec<String> = self.routes.iter().map(|route| route.pattern.filter()).collect();
+        let mut filters: Vec<String> =
+            self.routes.iter().map(|route| route.pattern.filter()).collect();
         filters.extend(self.vizier.iter().map(|vizier| vizier::response_filter(&vizier.client)));
         filters.sort();
         filters.dedup();
@@ -374,7 +375,8 @@ mod tests {
         reader.read(message, &mut account, |robot, seen| {
             taken.push((robot, seen.power.unwrap().power_w));
         });
-        let refused = account.records().into_iter().map(|record| (record.reason, record.names.join(",")));
+        let refused =
+            account.records().into_iter().map(|record| (record.reason, record.names.join(",")));
         (taken, refused.collect())
     }
 

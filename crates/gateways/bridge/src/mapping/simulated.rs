@@ -37,8 +37,11 @@ pub(crate) struct Allowed {
 impl Allowed {
     pub(crate) fn new(settings: &FleetSettings, tick_period_ns: u64) -> Self {
         let platforms = settings.platforms.iter();
-        let stale_ns = platforms.clone().map(|platform| platform.stale_after_ns).max().unwrap_or_default();
-        let least = platforms.clone().map(|platform| platform.period_ns as f64 / platform.stale_after_ns as f64);
+        let stale_ns =
+            platforms.clone().map(|platform| platform.stale_after_ns).max().unwrap_or_default();
+        let least = platforms
+            .clone()
+            .map(|platform| platform.period_ns as f64 / platform.stale_after_ns as f64);
         let most = f64::from(settings.intake.max_samples_per_tick) / tick_period_ns as f64;
         let most = platforms.map(|platform| platform.period_ns as f64 * most);
         let jump_ns = settings.intake.max_jump_ns;
@@ -92,7 +95,14 @@ impl Now {
 impl SimulatedClock {
     /// A clock at `host_ns` (monotonic), before its first message.
     pub(crate) const fn new(allowed: Allowed, host_ns: u64) -> Self {
-        Self { allowed, began_ns: host_ns, now: None, reported: None, reset_ns: None, reported_rate: 1.0 }
+        Self {
+            allowed,
+            began_ns: host_ns,
+            now: None,
+            reported: None,
+            reset_ns: None,
+            reported_rate: 1.0,
+        }
     }
 
     /// Takes a message of `/clock` that came at `host_ns` (monotonic). Returns whether the
@@ -246,7 +256,10 @@ mod tests {
             assert_eq!(sim_ns, (20.0 * rate * 1e9) as u64);
             assert!(reports[0].contains("goes on at 0"), "{reports:?}");
             assert_eq!(reports.len(), 1 + expected.len(), "{reports:?}");
-            assert!(reports[1..].iter().zip(expected).all(|(line, part)| line.contains(part)), "{reports:?}");
+            assert!(
+                reports[1..].iter().zip(expected).all(|(line, part)| line.contains(part)),
+                "{reports:?}"
+            );
         }
     }
 

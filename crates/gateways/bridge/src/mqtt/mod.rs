@@ -147,7 +147,9 @@ impl Mqtt {
                 let falls_back = self.version == newer && why.is_of_version(self.knows_newer);
                 self.version = if falls_back { older } else { newer };
                 if falls_back {
-                    log_line(&format!("not connected to {broker} by MQTT 5: {why}, trying MQTT 3.1.1"));
+                    log_line(&format!(
+                        "not connected to {broker} by MQTT 5: {why}, trying MQTT 3.1.1"
+                    ));
                     continue;
                 }
             }
@@ -257,7 +259,8 @@ impl Mqtt {
                 }
             }
             Incoming::Packet(Packet::Disconnect(packet)) => {
-                let (code, reason) = (packet.reason_code, reason(packet.reason_code, &packet.properties));
+                let (code, reason) =
+                    (packet.reason_code, reason(packet.reason_code, &packet.properties));
                 return Err(match code {
                     ReasonCode::Success => Lost::Closed,
                     _ => Lost::Ended { code, reason },

@@ -90,7 +90,8 @@ impl Zenoh {
         let name = node_name(&sink.name);
         let node = json!({"domain_id": settings.domain_id, "name": name});
         let served = settings.services.iter();
-        let serve: Vec<Value> = served.map(|(service, name)| topic(name, service.type_name())).collect();
+        let serve: Vec<Value> =
+            served.map(|(service, name)| topic(name, service.type_name())).collect();
         let asked = json!({"node": node, "read": read, "write": write, "serve": serve});
         let (child, input, output) = start(&asked).map_err(Ros2Error::Zenoh)?;
         let input = Arc::new(Mutex::new(input));
@@ -156,8 +157,10 @@ impl Zenoh {
         let mut bytes = [0; 16_384];
         match self.output.read(&mut bytes) {
             Ok(0) => {
-                let ended =
-                    self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
+                let ended = self
+                    .child
+                    .wait()
+                    .map_or_else(|error| error.to_string(), |status| status.to_string());
                 Err(Ros2Error::Zenoh(anyhow::anyhow!("joulebus-link rmw-zenoh has ended: {ended}")))
             }
             Ok(count) => {

@@ -355,7 +355,8 @@ mod tests {
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
+            let lines: Vec<_> =
+                refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
     }
@@ -417,7 +418,8 @@ mod tests {
             let refused = load_with(&shards, text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> = refused.problems().iter().filter_map(|problem| problem.line).collect();
+            let lines: Vec<_> =
+                refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
         for (from, to, expected) in [

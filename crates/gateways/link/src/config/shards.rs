@@ -27,7 +27,8 @@ impl Check {
             let what = "is missing: there is no [[shard]]".to_owned();
             self.add(root.problem("shard", what, "Write [[shard]] with `name` and `workers`"));
         }
-        let all: Vec<Shard> = list.iter().filter_map(|section| self.shard(section, config)).collect();
+        let all: Vec<Shard> =
+            list.iter().filter_map(|section| self.shard(section, config)).collect();
         self.distinct(list.iter().filter_map(|shard| shard.text("name")));
         self.distinct(list.iter().flat_map(|shard| shard.texts("workers")));
         let found = list.len();

@@ -3,9 +3,9 @@
 use bytemuck::Zeroable as _;
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
-    Forecast, ForecastHeader, Forecasts, FrameHeader as _, FrameOrder, InvalidReason, Level, OUTLOOK_HORIZONS,
-    Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader, PlanStates, Quality,
-    SCHEMA_VERSION, combine_hashes, forecast_flag, outlook_flag, plan_state_flag,
+    Forecast, ForecastHeader, Forecasts, FrameHeader as _, FrameOrder, InvalidReason, Level,
+    OUTLOOK_HORIZONS, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader, PlanStates,
+    Quality, SCHEMA_VERSION, combine_hashes, forecast_flag, outlook_flag, plan_state_flag,
 };
 
 /// The origin that a merged frame states.
@@ -255,7 +255,8 @@ impl Merged for Budgets {
 impl Merged for PlanStates {
     /// In settings and models, because a planner computes with one set.
     const AGREE: Option<Agree<Self>> = Some(|part, first| {
-        let by = |header: &PlanStateHeader| (header.settings_hash, header.model_hash, header.models);
+        let by =
+            |header: &PlanStateHeader| (header.settings_hash, header.model_hash, header.models);
         by(part) == by(first)
     });
 

@@ -235,7 +235,8 @@ fn accounts(host: &Host) -> Vec<Account> {
 fn unsampled_s(robots: &mut Child, planner: Reader) -> f64 {
     let skipped = robots.end().json()["ticks_skipped"].as_f64().unwrap();
     let frames = planner.all_frames();
-    let dropped: BTreeMap<u64, u64> = frames.iter().map(|frame| (frame.epoch, frame.dropped)).collect();
+    let dropped: BTreeMap<u64, u64> =
+        frames.iter().map(|frame| (frame.epoch, frame.dropped)).collect();
     let dropped = dropped.values().sum::<u64>() as f64 / f64::from(ROBOTS);
     // From the sample before each missing one to the sample after it.
     2.0 * (skipped + dropped) * PERIOD_S

@@ -42,7 +42,8 @@ impl Acknowledge {
         };
         let client = PlanClient::with_config(config, "page");
         let mut client = client.map_err(|error| ApiError::busy(error.to_string()))?;
-        let taken = client.acknowledge(self.robot, alarm, &self.by, self.new_normal, ANSWER_TIMEOUT);
+        let taken =
+            client.acknowledge(self.robot, alarm, &self.by, self.new_normal, ANSWER_TIMEOUT);
         taken.map(|()| self).map_err(|error| match error {
             ClientError::Refused(refused) => match refused.reason {
                 // Of the latter kind is a new normal on a host without a worker: asking again does

@@ -146,7 +146,8 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
 }
 
 async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer {
-    let accept = headers.get_all(header::ACCEPT).into_iter().filter_map(|value| value.to_str().ok());
+    let accept =
+        headers.get_all(header::ACCEPT).into_iter().filter_map(|value| value.to_str().ok());
     let Some(format) = metrics::TextFormat::accepted(accept) else {
         let what = "neither text/plain nor application/openmetrics-text is accepted. Accept one";
         return Err(ApiError::new(StatusCode::NOT_ACCEPTABLE, what.to_owned()));

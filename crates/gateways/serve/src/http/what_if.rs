@@ -76,7 +76,11 @@ impl Asked {
     }
 }
 
-fn follow(robots: Vec<u32>, waypoints: &[Waypoint], back: Option<&ReturnTo>) -> Result<Plan, String> {
+fn follow(
+    robots: Vec<u32>,
+    waypoints: &[Waypoint],
+    back: Option<&ReturnTo>,
+) -> Result<Plan, String> {
     if !(2..=MAX_POINTS).contains(&waypoints.len()) {
         let found = waypoints.len();
         return Err(format!(
@@ -86,7 +90,10 @@ fn follow(robots: Vec<u32>, waypoints: &[Waypoint], back: Option<&ReturnTo>) -> 
     let point = |waypoint: &Waypoint| Point::new(waypoint.x_m, waypoint.y_m);
     let path = Path {
         points: waypoints.iter().map(point).collect(),
-        speed_mps: waypoints.iter().map(|waypoint| waypoint.speed_mps.unwrap_or(f64::INFINITY)).collect(),
+        speed_mps: waypoints
+            .iter()
+            .map(|waypoint| waypoint.speed_mps.unwrap_or(f64::INFINITY))
+            .collect(),
         heading_rad: None,
     };
     let back_to = back.map(|back| match back {

@@ -176,7 +176,8 @@ impl Abandoned {
             is_empty || !open.contains(&service.identity)
         });
         let now_ns = clock::monotonic_ns();
-        self.seen.retain(|(identity, _)| services.iter().any(|service| service.identity == *identity));
+        self.seen
+            .retain(|(identity, _)| services.iter().any(|service| service.identity == *identity));
         services.retain(|service| {
             let since = self.seen.iter().find(|(identity, _)| *identity == service.identity);
             let since_ns = since.map(|(_, since_ns)| *since_ns);

@@ -94,7 +94,8 @@ mod tests {
     }
 
     #[test]
-    fn realtime_minus_monotonic_lies_between_its_bounds_and_the_kernel_reports_whether_it_is_kept() {
+    fn realtime_minus_monotonic_lies_between_its_bounds_and_the_kernel_reports_whether_it_is_kept()
+    {
         let (lo_ns, hi_ns) = realtime_minus_monotonic_ns().unwrap();
         assert!(lo_ns <= hi_ns);
         // Refused in some containers.

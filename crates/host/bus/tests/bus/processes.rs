@@ -418,7 +418,8 @@ fn memory_that_cannot_be_allocated_is_written_or_the_cause_is_named() {
         let mut member = member_under(&place, "strace", &options);
         member.send_line("join");
         let answer = answer_of(&mut member);
-        let is_named = expected.map_or(answer.starts_with("ok"), |expected| answer.contains(expected));
+        let is_named =
+            expected.map_or(answer.starts_with("ok"), |expected| answer.contains(expected));
         assert!(is_named && !answer.contains(" free"), "{error}: {answer}");
         // strace may fail ("Unexpected wait status") although what it ran has ended well.
         let ended = member.close();

@@ -334,7 +334,10 @@ fn without_a_capacity_there_is_room_for_the_robots_that_are_listed_up_to_a_thous
     let text = WHOLE.replace("capacity = 100\n", "");
     let room = |robots: &str| {
         let config = parse(&text.replace("robots = [\"30-39\"]", robots)).unwrap();
-        (config.settings().capacity, config.warnings().iter().map(|warning| warning.key.clone()).collect())
+        (
+            config.settings().capacity,
+            config.warnings().iter().map(|warning| warning.key.clone()).collect(),
+        )
     };
     let (few, none) = room("robots = [\"30-39\"]");
     assert_eq!(none, Vec::<String>::new());

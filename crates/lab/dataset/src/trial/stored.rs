@@ -37,8 +37,8 @@ impl Stored {
         }
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
-        let each =
-            trials.map(|number| stored(TrialSource::Listed(Arc::clone(&listing), number, map.clone())));
+        let each = trials
+            .map(|number| stored(TrialSource::Listed(Arc::clone(&listing), number, map.clone())));
         Ok(each.collect())
     }
 

@@ -187,8 +187,10 @@ impl<'a> Faulty<'a> {
                 fault,
                 calibrated: by(calibrated)?,
                 textbook: by(textbook)?,
-                power: self.found(fault, |samples, from_ns| Ok(thresholds.by_power(samples, from_ns)))?,
-                voltage: self.found(fault, |samples, from_ns| Ok(thresholds.by_voltage(samples, from_ns)))?,
+                power: self
+                    .found(fault, |samples, from_ns| Ok(thresholds.by_power(samples, from_ns)))?,
+                voltage: self
+                    .found(fault, |samples, from_ns| Ok(thresholds.by_voltage(samples, from_ns)))?,
             })
         };
         Fault::ALL.into_iter().map(row).collect()

@@ -86,7 +86,8 @@ pub fn calibrate(
             alarms: [chosen_on.raised(kind), stated_on.raised(kind)],
         }),
         others: std::array::from_fn(|other| {
-            let count = |half: &Half| half.played.iter().map(|played| played.others[other]).sum::<u64>();
+            let count =
+                |half: &Half| half.played.iter().map(|played| played.others[other]).sum::<u64>();
             (OTHERS[other].name(), count(&chosen_on) + count(&stated_on))
         }),
         textbook_per_robot_h: alone.raised(0) as f64 / alone.evidence().hours,
@@ -153,7 +154,8 @@ impl Half {
     }
 
     fn at_most(&self, confidence: f64) -> f64 {
-        let counts: Vec<u64> = self.played.iter().map(|played| played.raised.iter().sum()).collect();
+        let counts: Vec<u64> =
+            self.played.iter().map(|played| played.raised.iter().sum()).collect();
         let hours: Vec<f64> = self.played.iter().map(|played| played.watched_s / 3600.0).collect();
         upper_rate(&counts, &hours, confidence)
     }

@@ -8,8 +8,8 @@ use joulebus_eval::analyze::{
     AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
 };
 use joulebus_eval::score::Recording;
-use joulebus_testkit::recordings::trials;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::trials;
 use proptest::prelude::*;
 
 /// Uniform on [−1, 1), from a simple reference generator.

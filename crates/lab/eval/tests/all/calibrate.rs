@@ -128,7 +128,8 @@ fn limits_keep_their_rate_on_robots_that_did_not_choose_them_and_find_faults_as_
         let (raised, watched_h) = raised_ns(limits(&found), &samples, 0);
         false_alarms += raised.len() as u64;
         hours += watched_h;
-        let mean_w = samples.iter().map(|sample| sample.power_w).sum::<f32>() / samples.len() as f32;
+        let mean_w =
+            samples.iter().map(|sample| sample.power_w).sum::<f32>() / samples.len() as f32;
         let from_ns = samples[1_200].stamp_ns;
         for sample in &mut samples[1_200..] {
             sample.power_w += mean_w;

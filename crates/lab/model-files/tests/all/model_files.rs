@@ -10,7 +10,7 @@ use joulebus_model_files::{
     StatisticsFrom, to_arrays, to_npz, to_onnx,
 };
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
-use joulebus_testkit::{cases, assert_contains};
+use joulebus_testkit::{assert_contains, cases};
 use joulebus_testkit_networks::random;
 
 const STEP_S: f64 = 1.0 / 30.0;
@@ -200,8 +200,14 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
         |convention| convention.order = LagOrder::Oldest,
         |convention| convention.lags = Lags::First,
         |convention| convention.derivative = Derivative::NormalisedPerStep,
-        |convention| (convention.derivative, convention.magnitude) = (Derivative::RawPerSecond, Magnitude::Raw),
-        |convention| (convention.derivative, convention.magnitude) = (Derivative::RawPerStep, Magnitude::Divided),
+        |convention| {
+            (convention.derivative, convention.magnitude) =
+                (Derivative::RawPerSecond, Magnitude::Raw)
+        },
+        |convention| {
+            (convention.derivative, convention.magnitude) =
+                (Derivative::RawPerStep, Magnitude::Divided)
+        },
     ];
     for change in changes {
         let mut convention = FIXTURES;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::wrapped::{in_legacy, in_npy, in_zip, zipped};
 use joulebus_model_files::{Checkpoint, Container, EntryValue, ReadError};
-use joulebus_testkit::{counting, assert_contains};
+use joulebus_testkit::{assert_contains, counting};
 use zip::write::SimpleFileOptions;
 
 fn everywhere(pickle: &[u8]) -> Vec<Vec<u8>> {

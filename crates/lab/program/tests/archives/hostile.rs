@@ -118,7 +118,10 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
         other[at] = b'V';
     }
     let message = refused(&other);
-    assert_contains(&message, ["found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"]);
+    assert_contains(
+        &message,
+        ["found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"],
+    );
     let mut other = b"PAR1".to_vec();
     other.extend([0; 100]);
     refused(&other);

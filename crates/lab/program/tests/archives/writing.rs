@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::archive::{fields, listings};
 use joulebus_dataset::trial::{Column, ColumnMap, Table};
-use joulebus_testkit::{Child, Ended, run, assert_contains};
+use joulebus_testkit::{Child, Ended, assert_contains, run};
 
 use crate::recordings::{capture, every_kind, full, sparse};
 use crate::{LAB, export, export_as, export_mixed, files, joulebus, parquet};
@@ -171,7 +171,10 @@ fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_m
     ] {
         let before = files(&folder(archive));
         let refused = export(&[other], &folder(archive)).exits(2);
-        assert_contains(&refused.errors(), [expected, "another folder", "--map robot:=NAME", "pandas and Dask"]);
+        assert_contains(
+            &refused.errors(),
+            [expected, "another folder", "--map robot:=NAME", "pandas and Dask"],
+        );
         assert_eq!(files(&folder(archive)), before);
         joulebus("data info", &[&folder(archive)]).exits(0);
     }

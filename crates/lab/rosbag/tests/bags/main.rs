@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use joulebus_capture_format::import::{Imported, Mapping, import, import_files};
-use joulebus_testkit::{eventually, lab_beside, assert_contains};
+use joulebus_testkit::{assert_contains, eventually, lab_beside};
 
 use bag::{Bag, convert, joulebus, text};
 
@@ -346,7 +346,10 @@ fn joulebus_imports_files_and_folders() {
     let ended = import(&folder);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
-    assert_contains(&message, "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "));
+    assert_contains(
+        &message,
+        "office_2.db3: metadata.yaml lists it | zstd -d office_3.db3.zstd".split(" | "),
+    );
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();
     let ended = import(&empty);

@@ -59,7 +59,8 @@ fn readings_are_polled_at_10_hz_and_held_in_between() {
 #[test]
 fn every_command_and_reading_is_within_the_platform_limits() {
     for reading in recorded(Plant::new(6, 10), 3_000).iter().flatten() {
-        let [v, omega] = [reading.v_mps, reading.omega_radps].map(|command| f64::from(command.abs()));
+        let [v, omega] =
+            [reading.v_mps, reading.omega_radps].map(|command| f64::from(command.abs()));
         assert!(v <= V_MAX_MPS + 1e-6, "{reading:?}");
         assert!(omega <= OMEGA_MAX_RADPS + 1e-6, "{reading:?}");
         assert!((2.5..12.0).contains(&reading.power_w), "{reading:?}");

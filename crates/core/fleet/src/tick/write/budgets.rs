@@ -74,7 +74,10 @@ impl<'a> Budgets<'a> {
                 | flag(!remaining.soc.is_nan(), budget_flag::CHARGE)
                 | flag(!remaining.time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY)
                 | flag(battery.is_some_and(|battery| battery.fused), budget_flag::MEASURED)
-                | flag(battery.is_some_and(|battery| battery.is_contradicted()), budget_flag::CONTRADICTED),
+                | flag(
+                    battery.is_some_and(|battery| battery.is_contradicted()),
+                    budget_flag::CONTRADICTED,
+                ),
             charge_state: charge_state.code(),
             battery_changes: battery.map_or(0, |battery| battery.changes),
             drawn_uj: ledger.drawn_uj,

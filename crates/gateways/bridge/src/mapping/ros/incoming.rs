@@ -255,7 +255,8 @@ mod tests {
     ) -> (Option<Observation>, Vec<(&'static str, String)>) {
         let mut account = Account::default();
         let seen = route.read("r1", received, &mut account).map(|(seen, _)| seen);
-        let refused = account.records().into_iter().map(|record| (record.reason, record.names.join(",")));
+        let refused =
+            account.records().into_iter().map(|record| (record.reason, record.names.join(",")));
         (seen, refused.collect())
     }
 

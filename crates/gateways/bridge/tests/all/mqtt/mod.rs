@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use crate::fleet::Fleet;
 use broker::{Broker, Listener, mosquitto};
-use joulebus_testkit::{Child, eventually, assert_contains};
+use joulebus_testkit::{Child, assert_contains, eventually};
 use rumqttc::{Client, QoS};
 use serde_json::{Value, json};
 

@@ -77,7 +77,8 @@ fn a_master_gets_each_state_with_the_energy_forecast_in_its_information() {
     let added = added(&passed).unwrap();
     assert_eq!(added["infoLevel"], "INFO");
     let references = added["infoReferences"].as_array().unwrap().iter();
-    let joules = references.clone().find(|reference| reference["referenceKey"] == "energy_60s_j").unwrap();
+    let joules =
+        references.clone().find(|reference| reference["referenceKey"] == "energy_60s_j").unwrap();
     let joules: f64 = joules["referenceValue"].as_str().unwrap().parse().unwrap();
     assert!((10.0..1_000.0).contains(&joules), "{added}");
     // Without a worker the master gets the states as they are.

@@ -107,8 +107,8 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     // It has come after the bridge, whose node it discovers.
     let graph = json!({"hear": "ros_discovery_info", "type": "ParticipantEntitiesInfo", "transient_local": true});
     peer.order(&graph);
-    let node =
-        peer.wait_for("ros_discovery_info", 0, |graph| graph["node_entities_info_seq"][0].is_object());
+    let node = peer
+        .wait_for("ros_discovery_info", 0, |graph| graph["node_entities_info_seq"][0].is_object());
     let node = &node["node_entities_info_seq"][0];
     assert_eq!(
         (&node["node_namespace"], &node["node_name"]),

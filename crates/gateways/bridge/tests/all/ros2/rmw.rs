@@ -74,7 +74,8 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     assert!(later["number"].as_i64() > first["number"].as_i64(), "{first} {later}");
     assert_eq!((&first["gid"], &first["length"]), (&later["gid"], &json!(16)));
     assert!((-1.0..60.0).contains(&later["age_s"].as_f64().unwrap()), "{later}");
-    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |forecast| forecast["current"].is_number());
+    let forecast =
+        peer.wait_for("/r1/joulebus/forecast", 0, |forecast| forecast["current"].is_number());
     assert!(forecast["current"].as_f64().unwrap() < 0.0, "out of the battery: {forecast}");
     assert_ne!(forecast["attached"]["gid"], later["gid"], "each publisher has an id of its own");
     // Without velocities there would be no forecast, and an alarm.

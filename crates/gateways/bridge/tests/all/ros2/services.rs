@@ -37,7 +37,8 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     peer.publish(battery, "BatteryState", &discharging());
     peer.publish(commands, "Twist", &twist());
     peer.subscribe("/r1/joulebus/outlook", "Outlook");
-    let outlook = peer.wait_for("/r1/joulebus/outlook", 0, |outlook| outlook["energy_j"][3].is_number());
+    let outlook =
+        peer.wait_for("/r1/joulebus/outlook", 0, |outlook| outlook["energy_j"][3].is_number());
     assert_eq!(outlook["horizon_s"], json!([1.0, 10.0, 60.0, 300.0]), "{outlook}");
     assert_eq!(outlook["header"]["frame_id"], "r1", "{outlook}");
     let energy_j = outlook["energy_j"].as_array().unwrap().iter();
@@ -46,7 +47,8 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
     assert!(outlook["usable_j"].as_f64().unwrap() > 0.0, "{outlook}");
 
     let idle = json!({"robots": ["r1"], "idle_s": 60.0});
-    let response = call(peer, ask, &idle, |response| response["answers"][0]["energy_j"].is_number());
+    let response =
+        call(peer, ask, &idle, |response| response["answers"][0]["energy_j"].is_number());
     let answer = &response["answers"][0];
     assert_eq!((&response["refused"], &answer["robot"]), (&json!(""), &json!("r1")));
     assert!(response["tick"].as_u64().unwrap() > 0, "{response}");
@@ -56,14 +58,16 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
         "robots": ["r1"], "path": [point(0.0), point(1.0)], "return_to_start": true, "coverage": 0.8,
     });
     // Responses to earlier calls may come late.
-    let is_other = |response: &Value| response["answers"][0]["duration_s"].as_f64().is_some_and(|s| s < 50.0);
+    let is_other =
+        |response: &Value| response["answers"][0]["duration_s"].as_f64().is_some_and(|s| s < 50.0);
     let response = call(peer, ask, &path, is_other);
     let answer = &response["answers"][0];
     assert!(answer["energy_hi_j"].as_f64() > answer["energy_lo_j"].as_f64(), "{response}");
     let commands_of = json!({
         "robots": ["r1"], "candidates": 2, "period_s": 1.0, "v_mps": [0.0, 0.1], "omega_radps": [0.0, 0.0],
     });
-    let response = call(peer, ask, &commands_of, |response| response["answers"][1]["energy_j"].is_number());
+    let response =
+        call(peer, ask, &commands_of, |response| response["answers"][1]["energy_j"].is_number());
     assert_eq!(response["answers"].as_array().map(Vec::len), Some(2), "{response}");
     let along = |path: Value| json!({"robots": ["r1"], "path": path});
     let far = |x: &str| along(json!([point(0.0), {"x": 1.0, "y": x, "z": 0.0}]));

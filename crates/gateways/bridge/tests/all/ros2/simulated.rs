@@ -37,7 +37,8 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
     bridge.wait_for_line("no message of /clock in 5 s, and without simulated time no samples");
     let is_reported = |array: &Value, text: &str| {
         let worker = status(array, "joulebus: worker of lab");
-        worker["message"].as_str().is_some_and(|message| message.ends_with(text)) && worker["level"] == 1
+        worker["message"].as_str().is_some_and(|message| message.ends_with(text))
+            && worker["level"] == 1
     };
     let early = peer.wait_for("/diagnostics", 0, |array| is_reported(array, ", no /clock"));
     assert_eq!(stamp_s(&early), 0, "{early}");
@@ -47,8 +48,12 @@ fn simulation(peer: &mut Peer, bridge: &mut Child) {
 
     peer.order(&json!({"clock": 3.0, "from_s": 1_000.0, "type": "Clock"}));
     bridge.wait_for_line("the simulated time goes on at 10");
-    peer.wait_for(forecast, 0, |forecast| stamp_s(forecast) >= 1_010 && forecast["current"].is_number());
-    peer.wait_for(metered, 0, |metered| metered["data"].as_f64().is_some_and(|metered_s| metered_s > 5.0));
+    peer.wait_for(forecast, 0, |forecast| {
+        stamp_s(forecast) >= 1_010 && forecast["current"].is_number()
+    });
+    peer.wait_for(metered, 0, |metered| {
+        metered["data"].as_f64().is_some_and(|metered_s| metered_s > 5.0)
+    });
 
     peer.order(&json!({"clock": 0.0, "type": "Clock"}));
     bridge.wait_for_line("the simulated time stands at 1");

@@ -17,7 +17,7 @@ use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_testkit::{
-    MemoryGroup, PATIENCE, as_in_docker, end_signals, eventually, remove, assert_contains,
+    MemoryGroup, PATIENCE, as_in_docker, assert_contains, end_signals, eventually, remove,
 };
 use rustix::process::Signal;
 use serde_json::{Value, json};

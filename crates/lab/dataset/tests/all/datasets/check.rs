@@ -8,8 +8,8 @@ use joulebus_dataset::inspect::{
     self, Check, FindError, FindingKind, Limits, check_files, check_trial, describe, find, holds,
 };
 use joulebus_dataset::trial::{ColumnMap, Trial};
-use joulebus_testkit::recordings::trials;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, csv, npy_f8};
 
 /// Sound rows at 10 Hz: all columns, every reading new, power the product of voltage and current.

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use joulebus_dataset::trial::{Column, Table, Trial, TrialError, WriteError};
-use joulebus_testkit::recordings::trials;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, ROWS, csv, npy_f8, timed};
 use proptest::prelude::*;
 

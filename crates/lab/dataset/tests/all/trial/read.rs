@@ -2,7 +2,7 @@
 
 use joulebus_dataset::trial::{Column, Gap, Trial, TrialError};
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, header, npy, npy_f8, timed};
-use joulebus_testkit::{cases, assert_contains};
+use joulebus_testkit::{assert_contains, cases};
 
 fn assert_is_rows(trial: &Trial, context: &str) {
     assert_eq!(trial.rows(), 5, "{context}");

@@ -3,7 +3,7 @@
 use joulebus_dataset::inspect::{FindingKind, Limits, check_files, judge};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Table, Trial, TrialError};
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
-use joulebus_testkit::{cases, assert_contains};
+use joulebus_testkit::{assert_contains, cases};
 
 fn mapped(columns: &str) -> ColumnMap {
     let columns = columns.split(',').filter(|column| *column != "-");
@@ -74,7 +74,11 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         assert!((times_s[1] - times_s[0] - number(step_s)).abs() < 1e-6, "{text}: {times_s:?}");
         let found = trial.column(Column::Power).unwrap()[1];
         assert!((found - number(power_w)).abs() < 1e-9, "{text}: {found}");
-        assert!(expected == "-" || trial.notes().to_string().contains(expected), "{}", trial.notes());
+        assert!(
+            expected == "-" || trial.notes().to_string().contains(expected),
+            "{}",
+            trial.notes()
+        );
         assert_eq!(
             trial.notes().ignored_columns.iter().filter(|name| !name.contains("stamp")).count(),
             0,
@@ -174,7 +178,10 @@ fn a_quote_that_is_not_closed_is_a_fault_with_its_row() {
             }
             let path = files.write("quote.csv", text.as_bytes());
             let error = Trial::read(&path).unwrap_err().to_string();
-            assert_contains(&error, ["row 31", "a quote that is not closed", &swallowed.to_string()]);
+            assert_contains(
+                &error,
+                ["row 31", "a quote that is not closed", &swallowed.to_string()],
+            );
             let found = check_files(&[path], &ColumnMap::default(), &Limits::default(), 3);
             let finding = found.finding(FindingKind::NoRow);
             assert!(finding.is_some_and(|one| one.fault), "{name}: {found:?}");
@@ -222,7 +229,10 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
         assert_eq!(trial.column(Column::Power), Some([4.5, 4.6, 4.7, 4.8].as_slice()), "{name}");
         assert_eq!(trial.notes().left_out.lines, 1, "{name}");
         assert_eq!(trial.file_row(3), if in_front == 4 { 4 } else { 5 }, "{name}");
-        assert_contains(&trial.notes().to_string(), ["1 lines that are no whole rows were left out", what]);
+        assert_contains(
+            &trial.notes().to_string(),
+            ["1 lines that are no whole rows were left out", what],
+        );
         let asked = check_files(&[path], &whole, &Limits::default(), 3);
         assert!(
             asked.finding(FindingKind::NoRow).is_some_and(|one| one.accepted && !one.fault),

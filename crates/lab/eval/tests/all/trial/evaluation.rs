@@ -7,8 +7,8 @@ use joulebus_dataset::trial::{Column, Playback, Trial, TrialFleet};
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, evaluate_trial};
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, LAGS, Model, features};
-use joulebus_testkit::recordings::trials;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8, timed};
 use joulebus_wire::{
     DropReason, InvalidReason, Quality, SCHEMA_VERSION, SampleHeader, diagnostic_flag,

@@ -18,8 +18,8 @@ use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
-use joulebus_testkit::recordings::trials;
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
@@ -893,5 +893,8 @@ fn references_are_scored_on_the_same_rows_and_other_programs_with_their_interval
     let refused = score(subject(&recordings, &models, &design), &options).unwrap_err();
     assert_contains(&refused.to_string(), ["theirs", "odd_", "have no forecast"]);
     std::fs::write(&file, "recording,row,power_w\na.csv,1,NaN\n").unwrap();
-    assert_contains(&Foreign::read("theirs", &file).unwrap_err().to_string(), ["row 1 of a.csv", "finite"]);
+    assert_contains(
+        &Foreign::read("theirs", &file).unwrap_err().to_string(),
+        ["row 1 of a.csv", "finite"],
+    );
 }
