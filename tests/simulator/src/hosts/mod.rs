@@ -91,7 +91,7 @@ pub(crate) fn run(seed: u64, duration_ns: u64, stop: &AtomicBool) -> (Outcome, V
         };
         let played = world.play(duration_ns, stop);
         let now_ns = world.now_ns;
-        world.outcome.failure = played.err().map(|failure| Failure { at_ns: now_ns, ..it });
+        world.outcome.failure = played.err().map(|failure| Failure { at_ns: now_ns, ..failure });
         world.outcome.is_stopped = stop.load(Ordering::Relaxed);
         world.outcome.simulated_ns = now_ns;
         for host in &world.hosts {
