@@ -132,8 +132,8 @@ impl<C: Channel> Frame<'_, C> {
     }
 }
 
-/// A [`Frame`] that is kept while this value lives, also after its reader. The process is a member of
-/// the domain as long. Belongs to the reader's thread.
+/// A [`Frame`] that is kept while this value lives, also after its reader. The process is a member
+/// of the domain as long. Belongs to the reader's thread.
 #[derive(Debug)]
 pub struct KeptFrame<C: Channel> {
     // Dropped in this order.
