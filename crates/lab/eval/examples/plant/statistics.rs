@@ -125,7 +125,7 @@ impl Figure {
         }
     }
 
-    /// True if the figure lies in its band; true without a band.
+    /// True if the figure lies in its band, or has none.
     pub(crate) fn holds(&self) -> bool {
         self.held.is_none_or(|(low, high)| (low..=high).contains(&self.found))
     }
