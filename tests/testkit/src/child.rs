@@ -90,8 +90,8 @@ pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A
     Child::spawn(program, command).wait()
 }
 
-/// A process. Dropping it ends it as [`Child::at_drop`] requests, else kills it, and waits for it;
-/// if the test fails, its output is printed.
+/// A process. Dropping it ends it as [`Child::at_drop`] requests, else kills it, and waits for it.
+/// If the test fails, its output is printed.
 #[derive(Debug)]
 pub struct Child {
     name: String,

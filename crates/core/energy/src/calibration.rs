@@ -69,7 +69,7 @@ pub struct ErrorCounts<T = i64> {
     /// Numbers of errors in each class.
     pub classes: [[T; CLASSES]; ERRORS],
     /// Growth of the error of outlooks with a larger share of the last reading and of the robot's
-    /// own mean. With it, the larger square of the two, in 1/65536.
+    /// own mean. Also the larger square of the two, in 1/65536.
     pub pulls: [[T; PARTS]; SHADOWS],
 }
 
