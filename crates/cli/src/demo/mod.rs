@@ -35,10 +35,10 @@ const RECORDER: &str = "recorder";
 const PAGE: &str = "page";
 
 /// Timeout of the worker's first frame.
-const START_LIMIT_NS: u64 = 15_000_000_000;
+const START_TIMEOUT_NS: u64 = 15_000_000_000;
 /// Maximum time for the worker to process the last samples, and for its frame to be read. On a busy
 /// machine either may get no processor for more than a second.
-const DRAIN_LIMIT_NS: u64 = 5_000_000_000;
+const DRAIN_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Time for each process to exit.
 const GRACE: Duration = Duration::from_secs(5);
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
@@ -220,14 +220,14 @@ impl Demo<'_> {
 
     /// Waits for the worker's first frame: from then on no sample is lost.
     fn wait_for_worker(&mut self, feed: &Feed, stop: &Stop) -> anyhow::Result<()> {
-        let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
+        let give_up_ns = clock::monotonic_ns() + START_TIMEOUT_NS;
         while feed.board().header().is_none() && !stop.is_asked() {
             self.look_after(feed);
             anyhow::ensure!(feed.is_reading(), "the demo's own planner has ended");
             anyhow::ensure!(
                 clock::monotonic_ns() < give_up_ns,
                 "the worker has sent nothing for {} s. See the output of the processes above",
-                START_LIMIT_NS / 1_000_000_000
+                START_TIMEOUT_NS / 1_000_000_000
             );
             std::thread::sleep(POLL_INTERVAL);
         }
@@ -237,7 +237,7 @@ impl Demo<'_> {
     /// Waits until a process reports that it is ready, and returns the line: so the capture begins
     /// before the first sample, and the page's address is known.
     fn wait_for_line(&mut self, feed: &Feed, stop: &Stop, of: &str, begin: &str) -> Option<String> {
-        let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
+        let give_up_ns = clock::monotonic_ns() + START_TIMEOUT_NS;
         let printed = |event: &Event| match event {
             Event::Output { name, line } if *name == of && line.starts_with(begin) => {
                 Some(line.clone())
@@ -272,7 +272,7 @@ impl Demo<'_> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
         let sent = samples_sent(&source.stdout);
-        let give_up_ns = clock::monotonic_ns() + DRAIN_LIMIT_NS;
+        let give_up_ns = clock::monotonic_ns() + DRAIN_TIMEOUT_NS;
         loop {
             self.look_after(&feed);
             let account = self.account(&feed.board(), sent);

@@ -33,7 +33,7 @@ use joulebus_domain::ACTIVE_QUERIES;
 /// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
 /// Timeout of retries of opening a service, ns.
-const OPEN_LIMIT_NS: u64 = 4_000_000_000;
+const OPEN_TIMEOUT_NS: u64 = 4_000_000_000;
 const OPEN_RETRY_AFTER: Duration = Duration::from_millis(20);
 
 /// The factory of a channel's ports.
@@ -148,7 +148,7 @@ fn retry<S, E: Debug>(
     open: impl Fn() -> Result<S, E>,
     is_transient: impl Fn(&E) -> bool,
 ) -> Result<S, E> {
-    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    let limit_ns = clock::monotonic_ns() + OPEN_TIMEOUT_NS;
     let mut abandoned = Abandoned::default();
     loop {
         // A child has what a thread has locked, and keeps it locked if this process is killed.
@@ -188,7 +188,7 @@ pub(super) fn create<P, E>(
     port: impl Fn() -> Result<P, E>,
     is_full: impl Fn(&E) -> bool,
 ) -> Result<P, E> {
-    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    let limit_ns = clock::monotonic_ns() + OPEN_TIMEOUT_NS;
     loop {
         match port() {
             Err(error) if is_full(&error) => {}
