@@ -190,7 +190,7 @@ impl Reading {
                 match self.outlooks.as_mut().map(consumer::Feed::latest) {
                     None => board.outlooks.clear(),
                     Some(found) => {
-                        found?.into_iter().for_each(|outlooks| board.outlooks(outlooks.robots()))
+                        found?.into_iter().for_each(|outlooks| board.outlooks(outlooks.robots()));
                     }
                 }
                 return Ok(());
