@@ -171,7 +171,7 @@ impl Inbox {
 impl Drop for Inbox {
     fn drop(&mut self) {
         SUBSCRIPTIONS.with_borrow_mut(|all| {
-            all.retain(|subscription| !Rc::ptr_eq(&subscription.queue, &self.0))
+            all.retain(|subscription| !Rc::ptr_eq(&subscription.queue, &self.0));
         });
     }
 }

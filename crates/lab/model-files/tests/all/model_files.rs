@@ -202,11 +202,11 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
         |convention| convention.derivative = Derivative::NormalisedPerStep,
         |convention| {
             (convention.derivative, convention.magnitude) =
-                (Derivative::RawPerSecond, Magnitude::Raw)
+                (Derivative::RawPerSecond, Magnitude::Raw);
         },
         |convention| {
             (convention.derivative, convention.magnitude) =
-                (Derivative::RawPerStep, Magnitude::Divided)
+                (Derivative::RawPerStep, Magnitude::Divided);
         },
     ];
     for change in changes {
