@@ -40,8 +40,8 @@ impl<F: FnMut(&Board) + Send> Sink for Screen<F> {
 }
 
 impl Bridge {
-    /// Starts a bridge of `robots`, whose messages come `every` so often. It gives `show` each board
-    /// that it has read.
+    /// Starts a bridge of `robots`, whose messages come `every` so often. It gives `show` each
+    /// board that it has read.
     ///
     /// # Errors
     /// Those of the program.
