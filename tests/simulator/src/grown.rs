@@ -55,13 +55,13 @@ impl Grown {
 }
 
 /// Maximum growth of a process, however long it works and whatever it is sent, bytes: somewhat more
-/// than 60 seeds needed. A worker that is asked about plans opens plan states, and one whose
+/// than 300 seeds needed. A worker that is asked about plans opens plan states, and one whose
 /// outlooks are read computes them. The recorder has a chunk, and the index of its file.
 pub(crate) const fn max_bytes(program: &Program, setup: &Setup) -> i64 {
     const KIB: i64 = 1_024;
     match program {
         Program::Worker(..) if setup.clients + setup.displays + setup.bridges > 0 => 256 * KIB,
-        Program::Worker(..) => 64 * KIB,
+        Program::Worker(..) => 96 * KIB,
         Program::Recorder(..) => 16 * KIB * KIB,
         // A board has tracks and runs of workers. With a tap it has steps of a source too.
         Program::Display(_) => 2 * KIB * KIB,

@@ -90,13 +90,12 @@ impl Bridge {
         self.publishing.has_ended() || self.telling.has_ended()
     }
 
-    /// Ends the bridge. Returns the number of published samples.
+    /// Ends the bridge.
     ///
     /// # Errors
     /// A thread's error.
-    pub fn finish(self) -> anyhow::Result<u64> {
-        let published = self.publishing.join();
-        self.telling.join()?;
-        Ok(published?.samples)
+    pub fn finish(self) -> anyhow::Result<()> {
+        let published = self.publishing.join().map(drop);
+        self.telling.join().and(published)
     }
 }
