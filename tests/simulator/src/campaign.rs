@@ -111,8 +111,15 @@ impl fmt::Display for Totals {
         let grown = &self.grown_bytes;
         writeln!(
             out,
-            "processes have grown by at most: worker {}, source {}, planner {}, client {}, recorder {} bytes",
-            grown.worker, grown.source, grown.planner, grown.client, grown.recorder
+            "processes have grown by at most: worker {}, source {}, planner {}, client {}, recorder {}, display {}, \
+             bridge {} bytes",
+            grown.worker,
+            grown.source,
+            grown.planner,
+            grown.client,
+            grown.recorder,
+            grown.display,
+            grown.bridge
         )?;
         for failed in &self.failed {
             writeln!(out, "{failed}")?;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
+use bytemuck::bytes_of;
 use joulebus_capture_format::Reader;
 use joulebus_capture_verify::Verifier;
 use joulebus_config::Config;
@@ -18,7 +19,7 @@ use simulated_recorder::{Options, Summary};
 
 use simulated_planner::Answered;
 
-use crate::process::{FALSE_ROBOT, FrameId, Learned, is_constant, is_possible, power_w};
+use crate::process::{FALSE_ROBOT, FrameId, Learned, Shown, is_constant, is_possible, power_w};
 use crate::scenario::Setup;
 
 /// Pid of the process that observes.
@@ -215,7 +216,7 @@ impl Checker {
 
     pub(crate) fn worker_begins(&mut self, pid: u32) {
         self.lives += 1;
-        let _ = bus::taken_frames();
+        let _ = bus::taken_frames(pid);
         self.life = Some(Life {
             pid,
             began_ns: time::now_ns(),
@@ -252,6 +253,21 @@ impl Checker {
         ensure(missing.is_none(), "planners that poll see every frame", || {
             format!("{after:?} after {before:?}: {missing:?} is missing")
         })
+    }
+
+    /// A board has the rows of a frame that the worker has sent.
+    pub(crate) fn is_sent(&self, shown: &Shown) -> Checked {
+        const NAME: &str = "boards show what the worker has sent";
+        let Some(((_, run, tick), _)) = shown.frame else {
+            return ensure(shown.robots.is_empty(), NAME, || format!("{shown:?}"));
+        };
+        let is_old = self.sent.len() == REMEMBERED && self.sent.front() > Some(&(run, tick));
+        let is_sent = is_old || self.sent.contains(&(run, tick));
+        ensure(is_sent, NAME, || format!("{shown:?}"))?;
+        let is_newest = self.sent.back() == Some(&(run, tick));
+        let rows = shown.robots.iter().map(|row| (row.robot, bytes_of(row)));
+        let is_same = || rows.eq(self.newest.values().map(|row| (row.robot, bytes_of(row))));
+        ensure(!is_newest || is_same(), NAME, || format!("{shown:?}, sent was {:?}", self.newest))
     }
 
     /// A planner that polls distinguishes a shutdown of the run `followed` from a death.
@@ -303,7 +319,7 @@ impl Checker {
     /// Looks at what the worker has done in a step.
     pub(crate) fn observe(&mut self) -> Checked {
         if let Some(life) = &mut self.life {
-            for (header, samples) in bus::taken_frames() {
+            for (header, samples) in bus::taken_frames(life.pid) {
                 life.takes(&header, samples);
                 self.newest_of.insert(header.source_id, header);
             }
@@ -516,7 +532,8 @@ impl Checker {
 
     /// The robots of the sources that are always there all have a forecast made from a new reading.
     pub(crate) fn all_answered(&self, also: u32) -> Checked {
-        let robots = (0..self.setup.sources as u32)
+        let sources = (self.setup.sources + self.setup.bridges) as u32;
+        let robots = (0..sources)
             .flat_map(|source| (0..self.setup.robots as u32).map(move |robot| 10 * source + robot));
         for robot in robots.chain([also]) {
             let row = self.newest.get(&robot);

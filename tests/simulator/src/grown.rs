@@ -18,6 +18,10 @@ pub struct Grown {
     pub client: i64,
     /// Recorders.
     pub recorder: i64,
+    /// Displays.
+    pub display: i64,
+    /// Bridges.
+    pub bridge: i64,
 }
 
 impl Grown {
@@ -28,6 +32,8 @@ impl Grown {
             Program::Planner(_) => &mut self.planner,
             Program::Client(_) => &mut self.client,
             Program::Recorder(..) => &mut self.recorder,
+            Program::Display(_) => &mut self.display,
+            Program::Bridge(_) => &mut self.bridge,
         }
     }
 
@@ -43,18 +49,23 @@ impl Grown {
         self.planner = self.planner.max(other.planner);
         self.client = self.client.max(other.client);
         self.recorder = self.recorder.max(other.recorder);
+        self.display = self.display.max(other.display);
+        self.bridge = self.bridge.max(other.bridge);
     }
 }
 
 /// Maximum growth of a process, however long it works and whatever it is sent, bytes: somewhat more
-/// than 60 seeds needed. A worker that is asked about plans opens plan states. The recorder has a
-/// chunk, and the index of its file.
+/// than 300 seeds needed. A worker that is asked about plans opens plan states, and one whose
+/// outlooks are read computes them. The recorder has a chunk, and the index of its file.
 pub(crate) const fn max_bytes(program: &Program, setup: &Setup) -> i64 {
     const KIB: i64 = 1_024;
     match program {
-        Program::Worker(..) if setup.clients > 0 => 256 * KIB,
-        Program::Worker(..) => 64 * KIB,
+        Program::Worker(..) if setup.clients + setup.displays + setup.bridges > 0 => 256 * KIB,
+        Program::Worker(..) => 96 * KIB,
         Program::Recorder(..) => 16 * KIB * KIB,
+        // A board has tracks and runs of workers. With a tap it has steps of a source too.
+        Program::Display(_) => 2 * KIB * KIB,
+        Program::Bridge(_) => 512 * KIB,
         Program::Source(_) | Program::Planner(_) | Program::Client(_) => 4 * KIB,
     }
 }

@@ -1,10 +1,11 @@
 //! Whole fleets in one process, on a simulated host, from one seed.
 //!
-//! Sources, worker with checkpointer, planners and recorder are the shells' own code, compiled
-//! against a simulated bus, clock, disk and threads (`tests/simulator/host`, `bus`, `files`).
-//! Packages like `tests/simulator/predictor-worker` have the sources of `crates/`. They run as
-//! state machines. Between any two of their operations any fault may happen ([`scenario::Fault`]).
-//! After each step the invariants are checked ([`world::run`]).
+//! Sources, worker with checkpointer, planners, recorder, boards and a bridge's threads are the
+//! shells' own code, compiled against a simulated bus, clock, disk and threads
+//! (`tests/simulator/host`, `bus`, `files`). Packages like `tests/simulator/predictor-worker` have
+//! the sources of `crates/`. They run as state machines. Between any two of their operations any
+//! fault may happen ([`scenario::Fault`]). After each step the invariants are checked
+//! ([`world::run`]).
 #![deny(unsafe_code)]
 
 mod allocator;

@@ -1,6 +1,8 @@
 //! The processes of a fleet: the shells' own code, called step by step.
 
+use std::cell::RefCell;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
@@ -10,7 +12,10 @@ use joulebus_wire::{
     Channel, Flow, ForEachChannel, Forecast, ForecastHeader, Forecasts, FrameRows, Sample,
     each_channel,
 };
-use simulated_consumer::{End, Event, Subscriber};
+use simulated_board::{Board, Feed, Link, Reading};
+use simulated_bridge::Bridge;
+use simulated_bus::{Background, Rounds};
+use simulated_consumer::{AlarmFeed, End, Event, ReadError, Subscriber};
 use simulated_host::{self as host, time};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
@@ -26,6 +31,8 @@ pub(crate) enum Program {
     Client(Box<ClientProgram>),
     Source(Box<SourceProgram>),
     Planner(Box<PlannerProgram>),
+    Display(Box<DisplayProgram>),
+    Bridge(Box<BridgeProgram>),
     /// The paths of its files begin so.
     Recorder(Recorder, String),
 }
@@ -36,6 +43,8 @@ pub(crate) enum Stepped {
     On(u64),
     /// A planner that goes on: what it learned.
     Learned(u64, Learned),
+    /// A display or a bridge that goes on: what it shows.
+    Shown(u64, Shown),
     /// A client that goes on, and the outcome.
     Asked(u64, Outcome),
     /// The program has ended by itself, for the reason given.
@@ -87,10 +96,21 @@ impl Program {
             },
             Self::Source(source) => source.step(),
             Self::Planner(planner) => planner.step(),
+            Self::Display(display) => display.step(),
+            Self::Bridge(bridge) => bridge.step(),
             Self::Recorder(recorder, _) if recorder.is_over() => {
                 Stepped::Ended("the recording has failed".to_owned())
             }
             Self::Recorder(..) => Stepped::On(time::now_ns() + 1_000_000_000),
+        }
+    }
+
+    /// What a display or a bridge shows.
+    pub(crate) fn shown(&self) -> Option<Shown> {
+        match self {
+            Self::Display(display) => Some(display.shown()),
+            Self::Bridge(bridge) => Some(bridge.screen.shown()),
+            _ => None,
         }
     }
 
@@ -103,6 +123,15 @@ impl Program {
                 // Its report counts what the frames did.
                 let _ = worker.finish();
                 Finished::Answered(report)
+            }
+            Self::Display(display) => {
+                display.finish();
+                Finished::Nothing
+            }
+            Self::Bridge(bridge) => {
+                // Its files may have been removed.
+                let _ = bridge.bridge.finish();
+                Finished::Nothing
             }
             Self::Source(_) | Self::Planner(_) | Self::Client(_) => Finished::Nothing,
         }
@@ -299,6 +328,170 @@ impl PlannerProgram {
     pub(crate) fn age_ns(&self) -> Option<u64> {
         let frame = self.planner.current()?;
         Some(time::monotonic_ns().saturating_sub(frame.header().sent_ns))
+    }
+}
+
+/// A board as people see it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Shown {
+    /// The newest frame, and when it was sent, monotonic ns.
+    pub frame: Option<(FrameId, u64)>,
+    /// Frames read, and frames counted as missed.
+    pub frames: u64,
+    pub missed: u64,
+    /// The worker serves, and the forecasts may be relied on.
+    pub is_live: bool,
+    pub robots: Vec<Forecast>,
+}
+
+impl Shown {
+    fn new(board: &Board) -> Self {
+        let place = |header: &ForecastHeader| (header.pid, header.worker_epoch, header.tick);
+        Self {
+            frame: board.header().map(|header| (place(header), header.sent_ns)),
+            frames: board.frames,
+            missed: board.frames_missed,
+            is_live: board.link == Link::Live && board.is_reliable,
+            robots: board.rows.values().map(|row| row.forecast).collect(),
+        }
+    }
+}
+
+/// Where a thread shows its board.
+#[derive(Clone, Default)]
+pub(crate) struct Screen(Arc<Mutex<Shown>>);
+
+impl Screen {
+    fn show(&self, board: &Board) {
+        // Whole also after a kill: it is replaced at once.
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Shown::new(board);
+    }
+
+    fn shown(&self) -> Shown {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// Longest time between two looks of a display.
+const SHOW_EVERY: Duration = Duration::from_millis(100);
+
+/// A display of the fleet.
+pub(crate) enum DisplayProgram {
+    /// As that of `joulebus demo`: each tick wakes it.
+    Feed(Feed),
+    /// As the page of `joulebus serve`: it polls, and reads alarms.
+    Page(Background<anyhow::Result<()>>, Screen),
+}
+
+/// The ports of the reading thread of `joulebus serve`. The rest of it needs tokio.
+struct Page {
+    reading: Reading,
+    alarms: AlarmFeed,
+    board: RefCell<Board>,
+    screen: Screen,
+}
+
+impl Rounds<(), anyhow::Error> for Page {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let Self { reading, alarms, board, screen } = self;
+        reading.poll_within(SHOW_EVERY, || board.borrow_mut())?;
+        match alarms.changes(|_| {}) {
+            Ok(()) | Err(ReadError::Receive(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
+        screen.show(&board.borrow());
+        Ok(Duration::ZERO)
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+impl DisplayProgram {
+    /// Display `number` of the fleet: the first one is a feed, the second one a page.
+    pub(crate) fn open(config: &Config, number: usize) -> Option<Self> {
+        if number == 0 {
+            return Some(Self::Feed(Feed::start(config, "display", (true, true)).ok()?));
+        }
+        let screen = Screen::default();
+        let (config, of_thread) = (config.clone(), screen.clone());
+        let opened = Background::repeat("joulebus-reader", move || {
+            let page = Page {
+                reading: Reading::polling(&config, "page", SHOW_EVERY)?,
+                alarms: AlarmFeed::with_config(&config, "page")?,
+                board: RefCell::new(Board::new(time::monotonic_ns())),
+                screen: of_thread,
+            };
+            Ok((page, ()))
+        });
+        Some(Self::Page(opened.ok()?.0, screen))
+    }
+
+    pub(crate) fn shown(&self) -> Shown {
+        match self {
+            Self::Feed(feed) => Shown::new(&feed.board()),
+            Self::Page(_, screen) => screen.shown(),
+        }
+    }
+
+    fn step(&self) -> Stepped {
+        let is_reading = match self {
+            Self::Feed(feed) => feed.is_reading(),
+            Self::Page(thread, _) => !thread.has_ended(),
+        };
+        if is_reading {
+            Stepped::Shown(time::now_ns() + SHOW_EVERY.as_nanos() as u64, self.shown())
+        } else {
+            Stepped::Ended("the thread has ended".to_owned())
+        }
+    }
+
+    /// Its files may have been removed: that is no failure.
+    fn finish(self) {
+        match self {
+            Self::Feed(feed) => drop(feed.finish()),
+            Self::Page(thread, _) => drop(thread.join()),
+        }
+    }
+}
+
+/// A bridge, whose robots each send two messages in every period.
+pub(crate) struct BridgeProgram {
+    bridge: Bridge,
+    screen: Screen,
+    robots: Vec<u32>,
+    every_ns: u64,
+    messages: u64,
+}
+
+impl BridgeProgram {
+    pub(crate) fn open(
+        config: &Config,
+        name: &str,
+        robots: Vec<u32>,
+        setup: &Setup,
+    ) -> Option<Self> {
+        let every_ns = setup.period_ns / 2;
+        let screen = Screen::default();
+        let show = {
+            let screen = screen.clone();
+            move |board: &Board| screen.show(board)
+        };
+        let messages = (&*robots, Duration::from_nanos(every_ns));
+        let bridge = Bridge::start(config, name, messages, show).ok()?;
+        Some(Self { bridge, screen, robots, every_ns, messages: 0 })
+    }
+
+    fn step(&mut self) -> Stepped {
+        if self.bridge.has_ended() {
+            return Stepped::Ended("a thread has ended".to_owned());
+        }
+        for robot in &self.robots {
+            self.bridge.observe(*robot, 0.2, power_w(*robot, self.messages));
+        }
+        self.messages += 1;
+        Stepped::Shown(time::now_ns() + self.every_ns, self.screen.shown())
     }
 }
 

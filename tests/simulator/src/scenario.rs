@@ -19,6 +19,10 @@ pub enum Role {
     Client(usize),
     /// The recorder.
     Recorder,
+    /// A display.
+    Display(usize),
+    /// The bridge.
+    Bridge,
 }
 
 /// A fault.
@@ -90,6 +94,10 @@ pub struct Setup {
     pub poll_every_ns: u64,
     /// Clients that ask the worker about plans.
     pub clients: usize,
+    /// Displays.
+    pub displays: usize,
+    /// Bridges: sources whose robots follow those of the other ones. One at most.
+    pub bridges: usize,
     /// True if there is a recorder.
     pub records: bool,
     /// Period of the samples and of the tick, ns.
@@ -152,7 +160,7 @@ impl Setup {
 
     /// Robots that sources have all the time.
     pub const fn regular(&self) -> usize {
-        self.sources * self.robots
+        (self.sources + self.bridges) * self.robots
     }
 
     fn draw(noise: &mut Noise, is_long: bool) -> Self {
@@ -166,6 +174,8 @@ impl Setup {
             planners: 1 + noise.below(2),
             poll_every_ns: 0,
             clients: 0,
+            displays: 0,
+            bridges: 0,
             records: !is_long && noise.below(3) == 0,
             period_ns,
             by_timer: noise.below(4) == 0,
@@ -202,7 +212,7 @@ impl Setup {
              [queries]\nanswer = \"{}\"\n",
             2 * self.regular() + 4,
             seconds(self.period_ns) * 300.0,
-            self.max_sources,
+            self.max_sources + self.bridges,
             self.buffer_frames,
             seconds(self.leave_after_ns()),
             seconds(self.leave_after_ns()),
@@ -229,10 +239,22 @@ impl Scenario {
         faults.extend(forgeries(&mut Noise::new(seed, 2), &setup, duration_ns));
         let mut asking = Noise::new(seed, 3);
         setup.clients = if is_long { 0 } else { asking.below(4) };
-        faults.extend(faults_of_clients(&mut asking, &setup, duration_ns));
+        let clients: Vec<Role> = (0..setup.clients).map(Role::Client).collect();
+        faults.extend(faults_of(&clients, &mut asking, &setup, duration_ns));
         faults.extend(faults_at_the_disk(&mut Noise::new(seed, 4), &setup, duration_ns));
         faults.extend(hostile_at_starts(&mut Noise::new(seed, 6), &setup, duration_ns));
         faults.extend(standstills(&mut Noise::new(seed, 7), &setup, duration_ns));
+        let mut showing = Noise::new(seed, 9);
+        // Not in the seeds that once found defects.
+        (setup.displays, setup.bridges) = match showing.below(8) {
+            2 if !is_long => (2, 0),
+            4 if !is_long => (2, 1),
+            5 if !is_long => (0, 1),
+            _ => (0, 0),
+        };
+        let displays = (0..setup.displays).map(Role::Display);
+        let shows: Vec<Role> = displays.chain((0..setup.bridges).map(|_| Role::Bridge)).collect();
+        faults.extend(faults_of(&shows, &mut showing, &setup, duration_ns));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
         // The first source that comes owns a robot: source 0, which starts while there is memory,
         // if nothing is to happen to it.
@@ -269,6 +291,7 @@ impl Scenario {
         let mut same = self.clone();
         same.faults.clear();
         (same.setup.sources, same.setup.planners, same.setup.clients) = (1, 0, 0);
+        (same.setup.displays, same.setup.bridges) = (0, 0);
         same.setup.records = false;
         same
     }
@@ -375,13 +398,14 @@ fn polling(noise: &mut Noise, setup: &Setup, is_long: bool) -> u64 {
     [10 * MS, setup.period_ns / 2, setup.period_ns, 10 * SECOND][noise.below(4)]
 }
 
-/// Faults of clients, and questions of strangers, at random times.
-fn faults_of_clients(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+/// Faults of clients, and questions of strangers, or faults of displays and bridges, at random
+/// times.
+fn faults_of(roles: &[Role], noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
     let duration_s = duration_ns as f64 * 1e-9;
     let mean_s = f64::max(60.0 * setup.period_ns as f64 * 1e-9, duration_s / 200.0);
     let mut faults = Vec::new();
     let mut at_s = 0.0;
-    if setup.clients == 0 {
+    if roles.is_empty() {
         return faults;
     }
     loop {
@@ -389,13 +413,14 @@ fn faults_of_clients(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<
         if at_s >= duration_s {
             return faults;
         }
-        let role = Role::Client(noise.below(setup.clients));
+        let role = roles[noise.below(roles.len())];
         let long = (1 + noise.below(100)) as u64 * setup.period_ns;
-        let fault = match noise.below(5) {
-            0 | 1 => Fault::Kill(role, 1 + noise.below(60) as u64),
-            2 => Fault::End(role),
-            3 => Fault::Pause(role, long),
-            _ => Fault::Questions(1 + noise.below(20) as u64),
+        let fault = match (noise.below(5), role) {
+            (0 | 1, _) => Fault::Kill(role, 1 + noise.below(60) as u64),
+            (2, _) => Fault::End(role),
+            (3, _) => Fault::Pause(role, long),
+            (_, Role::Client(_)) => Fault::Questions(1 + noise.below(20) as u64),
+            _ => Fault::NoDescriptors(role, long),
         };
         faults.push(((at_s * 1e9) as u64, fault));
     }

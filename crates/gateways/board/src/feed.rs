@@ -5,7 +5,7 @@ use std::ops::DerefMut;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use joulebus_bus::{Background, Bus, FrameBuf, SampleReader, clock};
+use joulebus_bus::{Background, Bus, FrameBuf, Rounds, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
@@ -195,7 +195,7 @@ impl Reading {
                 }
                 return Ok(());
             }
-            std::thread::sleep(FOLLOW_EVERY);
+            clock::sleep(FOLLOW_EVERY);
         }
     }
 }
@@ -247,6 +247,23 @@ impl Tap {
     }
 }
 
+/// State of the thread of a [`Feed`].
+struct Feeding {
+    reading: Reading,
+    board: Arc<Mutex<Board>>,
+}
+
+impl Rounds<(), FeedError> for Feeding {
+    fn round(&mut self) -> Result<Duration, FeedError> {
+        self.reading.poll(|| lock(&self.board))?;
+        Ok(Duration::ZERO)
+    }
+
+    fn finish(self) -> Result<(), FeedError> {
+        Ok(())
+    }
+}
+
 /// A thread that keeps a board up to date.
 #[derive(Debug)]
 pub struct Feed {
@@ -267,14 +284,10 @@ impl Feed {
     ) -> Result<Self, FeedError> {
         let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())));
         let (shared, config) = (Arc::clone(&board), config.clone());
-        let (thread, ()) = Background::run("joulebus-feed", move |thread| {
+        let (thread, ()) = Background::repeat("joulebus-feed", move || {
             let mut reading = Reading::open(&config, name, taps)?;
             reading.want_outlooks(outlooks)?;
-            thread.joined(());
-            while !thread.is_stopping() {
-                reading.poll(|| lock(&shared))?;
-            }
-            Ok::<_, FeedError>(())
+            Ok((Feeding { reading, board: shared }, ()))
         })?;
         Ok(Self { board, thread })
     }

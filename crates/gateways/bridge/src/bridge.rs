@@ -10,6 +10,7 @@ use std::time::Duration;
 use crate::arguments::BridgeArguments;
 use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
+use joulebus_consumer::FleetAlarms;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
@@ -26,19 +27,17 @@ use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
 use crate::mapping::ros::services::Service;
 use crate::mapping::simulated::{Allowed, SimulatedClock};
-use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
+use crate::mqtt::{AlarmReading, MAX_WAITING, Mqtt, MqttSink, Outlet, Start};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{
     Answering, CLOCK_TOPIC, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh,
 };
-use crate::shared::Shared;
+use crate::shared::{NICE, Shared};
 use crate::usual;
 
 /// Interval between checks for a stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// Nice value of the threads that serve connections, so that the worker and its sources run first.
-const NICE: u8 = 5;
 
 /// The report of a bridge that has ended.
 #[derive(Debug, Serialize)]
@@ -220,11 +219,7 @@ impl Bridge {
         if !settings.is_source() {
             return Ok(());
         }
-        let (config, shared) = (config.clone(), Arc::clone(&self.shared));
-        let (name, robots) = (settings.name.clone(), settings.robots.clone());
-        let (thread, ()) = Background::run("joulebus-publish", move |thread| {
-            publishing::run(&config, &name, &robots, &shared, thread)
-        })?;
+        let thread = publishing::start(config, &settings.name, &settings.robots, &self.shared)?;
         self.publishing = Some(thread);
         Ok(())
     }
@@ -278,7 +273,7 @@ impl Bridge {
             let (thread, ()) = Background::run("joulebus-answer", move |thread| {
                 yield_to_the_worker(NICE);
                 thread.joined(());
-                answering.run(&asked);
+                answering.run(&asked, thread);
                 Ok(())
             })?;
             self.others.push(thread);
@@ -328,11 +323,11 @@ impl Bridge {
         let mut whats = mqtt.writes.iter().map(|write| write.what);
         if whats.any(|what| what == What::AlarmChanges) {
             let (config, name) = (config.clone(), settings.name.clone());
-            let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
-            let (thread, ()) = Background::run("joulebus-alarms", move |thread| {
+            let lost = Arc::clone(&self.lost);
+            let (thread, ()) = Background::repeat("joulebus-alarms", move || {
                 yield_to_the_worker(NICE);
-                thread.joined(());
-                read_alarms(&config, &name, &changes, &shared, &lost)
+                let alarms = FleetAlarms::with_config(&config, &name)?;
+                Ok((AlarmReading { alarms, to: changes, lost }, ()))
             })?;
             self.others.push(thread);
         }
@@ -343,20 +338,13 @@ impl Bridge {
         &mut self,
         config: &Config,
         settings: &Settings,
-        mut sides: Vec<Box<dyn Sink>>,
+        sides: Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
         if sides.is_empty() {
             return Ok(());
         }
-        let (config, name) = (config.clone(), settings.name.clone());
-        let shared = Arc::clone(&self.shared);
-        let every = settings.publish_interval();
-        let outlooks = settings.writes_outlooks();
-        let (thread, ()) = Background::run("joulebus-tell", move |thread| {
-            yield_to_the_worker(NICE);
-            outbound::run(&config, (&name, every, outlooks), &shared, &mut sides, thread)
-        })?;
-        self.others.push(thread);
+        let times = (settings.publish_interval(), settings.writes_outlooks());
+        self.others.push(outbound::start(config, &settings.name, times, sides)?);
         Ok(())
     }
 
@@ -370,7 +358,8 @@ impl Bridge {
     /// Ends all threads. The connections end last, after the messages that the other threads have
     /// handed to them.
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
-        self.shared.stop();
+        self.publishing.iter().for_each(Background::stop);
+        self.others.iter().for_each(Background::stop);
         let published = self.publishing.take().map(Background::join);
         let others = self.others.drain(..).map(Background::join);
         let mut ended: Vec<anyhow::Result<()>> = others.collect();
@@ -401,7 +390,6 @@ impl Bridge {
 /// Threads that run are waited for, also where a later one could not be started.
 impl Drop for Bridge {
     fn drop(&mut self) {
-        self.shared.stop();
         self.shared.close();
     }
 }

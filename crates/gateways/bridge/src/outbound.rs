@@ -1,15 +1,14 @@
 //! The thread that reads the fleet as a planner, and publishes it to all sinks.
 
 use std::cell::RefCell;
-use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_board::{Board, Reading};
-use joulebus_bus::{Running, clock};
+use joulebus_bus::{Background, Rounds, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_consumer::ConnectError;
 
-use crate::shared::Shared;
+use crate::shared::NICE;
 
 /// A topic may be written late by this part of its interval.
 const LATE_PART: u32 = 10;
@@ -45,33 +44,51 @@ fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, Connect
     Reading::polling(config, name, look_every)
 }
 
-/// Reads the fleet and publishes it until the bridge stops. The most frequent topic is due every
-/// `every`. `outlooks`: whether these are among the values. Signals when the fleet is joined.
+/// State of the thread.
+struct Outbound {
+    reading: Reading,
+    board: RefCell<Board>,
+    sides: Vec<Box<dyn Sink>>,
+}
+
+/// Starts the thread that reads the fleet and publishes it to all `sides`, which has joined the
+/// fleet then. The most frequent topic is due every `every`. `outlooks`: whether these are among
+/// the values.
 ///
 /// # Errors
-/// The fleet cannot be joined, or reading fails permanently.
-pub(crate) fn run(
+/// The fleet cannot be joined. Later: reading fails permanently.
+pub(crate) fn start(
     config: &Config,
-    (name, every, outlooks): (&str, Duration, bool),
-    shared: &Arc<Shared>,
-    sides: &mut [Box<dyn Sink>],
-    thread: &Running,
-) -> anyhow::Result<()> {
-    let mut reading = open(config, name, every)?;
-    reading.want_outlooks(outlooks)?;
-    thread.joined(());
-    let board = RefCell::new(Board::new(clock::monotonic_ns()));
-    while !shared.is_stopped() {
+    name: &str,
+    (every, outlooks): (Duration, bool),
+    sides: Vec<Box<dyn Sink>>,
+) -> anyhow::Result<Background<anyhow::Result<()>>> {
+    let (config, name) = (config.clone(), name.to_owned());
+    let open = move || {
+        yield_to_the_worker(NICE);
+        let mut reading = open(&config, &name, every)?;
+        reading.want_outlooks(outlooks)?;
+        let board = RefCell::new(Board::new(clock::monotonic_ns()));
+        Ok((Outbound { reading, board, sides }, ()))
+    };
+    Ok(Background::repeat("joulebus-tell", open)?.0)
+}
+
+impl Rounds<(), anyhow::Error> for Outbound {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let Self { reading, board, sides } = self;
         reading.poll(|| board.borrow_mut())?;
         let (board, times) = (board.borrow(), Times::now());
-        for side in &mut *sides {
+        for side in sides {
             side.publish(&board, times);
         }
+        Ok(Duration::ZERO)
     }
-    for side in sides {
-        side.finish();
+
+    fn finish(mut self) -> anyhow::Result<()> {
+        self.sides.iter_mut().for_each(|side| side.finish());
+        Ok(())
     }
-    Ok(())
 }
 
 /// The present on both clocks.

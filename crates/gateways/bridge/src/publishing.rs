@@ -5,18 +5,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_bus::{Running, clock};
+use joulebus_bus::{Background, Rounds, clock};
 use joulebus_config::Config;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_program::output::log_line;
-use joulebus_publisher::{Grid, PublishError, Publisher};
+use joulebus_publisher::{Grid, PublishError, Publisher, RobotState};
 use serde::Serialize;
 
 use crate::mapping::account::Reason;
 use crate::mapping::robots::Robots;
 use crate::shared::Shared;
 
-/// Maximum sleep: the delay until a stop is noticed.
+/// Maximum sleep: with a simulated clock, the delay until a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 50_000_000;
 
 /// Interval of logging what is implausible.
@@ -45,70 +45,115 @@ struct Group {
     robots: Vec<u32>,
 }
 
-/// Publishes until the bridge stops. Signals when the fleet is joined.
+/// State of the thread.
+struct Publishing {
+    robots: Robots,
+    shared: Arc<Shared>,
+    publisher: Publisher,
+    groups: Vec<Group>,
+    record: PublishedRecord,
+    states: Vec<RobotState>,
+    news_ns: u64,
+    never_came_ns: Option<u64>,
+    refused: BTreeSet<(u32, &'static str)>,
+    findings: FindingsFile,
+}
+
+/// Starts the thread, which has joined the fleet then.
 ///
 /// # Errors
-/// The fleet cannot be joined, or its files were removed.
-pub(crate) fn run(
+/// The fleet cannot be joined. Later: its files were removed.
+pub(crate) fn start(
     config: &Config,
     name: &str,
     robots: &Robots,
     shared: &Arc<Shared>,
-    thread: &Running,
-) -> anyhow::Result<PublishedRecord> {
-    let mut publisher = Publisher::without_judgement(config, name)?;
-    thread.joined(());
-    let mut groups = groups(config, robots, shared.now_ns().unwrap_or_default());
-    let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
-    let mut news_ns = clock::monotonic_ns();
-    let mut never_came_ns = Some(news_ns + NEVER_CAME_NS);
-    let mut refused = BTreeSet::new();
-    let mut findings = FindingsFile::new(config, name);
-    while !shared.is_stopped() {
-        let (host_ns, now_ns) = (clock::monotonic_ns(), shared.now_ns());
-        let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
+) -> anyhow::Result<Background<anyhow::Result<PublishedRecord>>> {
+    let (config, name) = (config.clone(), name.to_owned());
+    let (robots, shared) = (robots.clone(), Arc::clone(shared));
+    let open = move || Ok((Publishing::open(&config, &name, robots, shared)?, ()));
+    Ok(Background::repeat("joulebus-publish", open)?.0)
+}
+
+impl Publishing {
+    fn open(
+        config: &Config,
+        name: &str,
+        robots: Robots,
+        shared: Arc<Shared>,
+    ) -> anyhow::Result<Self> {
+        let publisher = Publisher::without_judgement(config, name)?;
+        let news_ns = clock::monotonic_ns();
+        Ok(Self {
+            publisher,
+            groups: groups(config, &robots, shared.now_ns().unwrap_or_default()),
+            record: PublishedRecord::default(),
+            states: Vec::new(),
+            news_ns,
+            never_came_ns: Some(news_ns + NEVER_CAME_NS),
+            refused: BTreeSet::new(),
+            findings: FindingsFile::new(config, name),
+            robots,
+            shared,
+        })
+    }
+
+    /// Logs what is new.
+    fn log(&mut self, host_ns: u64) {
+        if self.never_came_ns.is_some_and(|at_ns| host_ns >= at_ns) {
+            self.never_came_ns = None;
+            never_came(&self.robots, &self.shared);
+        }
+        self.shared.log_news();
+        let found = self.shared.intake().judgement().records().into_iter();
+        // A monitor that never changes may be of a robot that stands.
+        let found = found.filter(|found| found.finding.is_error());
+        let found = found.map(|found| (found.robot, found.finding.kind));
+        match self.findings.write(found) {
+            Ok(0) => {}
+            Ok(cut) => tracing::warn!(cut, "too many findings: some raise no alarm"),
+            Err(error) => tracing::warn!(%error, "the findings were not written"),
+        }
+    }
+}
+
+impl Rounds<PublishedRecord, anyhow::Error> for Publishing {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        let (host_ns, now_ns) = (clock::monotonic_ns(), self.shared.now_ns());
+        let due_ns = self.groups.iter().map(|group| group.grid.due_ns()).min();
         let wait_ns = due_ns.zip(now_ns).map(|(due_ns, now_ns)| due_ns.saturating_sub(now_ns));
         let wait_ns = wait_ns.unwrap_or(POLL_INTERVAL_NS).min(POLL_INTERVAL_NS);
-        if wait_ns > 0 && host_ns < news_ns {
-            shared.wait(Duration::from_nanos(wait_ns));
-            continue;
+        if wait_ns > 0 && host_ns < self.news_ns {
+            return Ok(self.shared.wait(Duration::from_nanos(wait_ns)));
         }
+        let (states, mut late_ns) = (&mut self.states, 0);
         states.clear();
-        let mut late_ns = 0;
-        for group in &mut groups {
+        for group in &mut self.groups {
             if let Some((slot, now_ns)) =
                 now_ns.and_then(|now_ns| Some((group.grid.take(now_ns)?, now_ns)))
             {
                 late_ns = late_ns.max(now_ns - slot.intended_ns);
-                let mut intake = shared.intake();
+                let mut intake = self.shared.intake();
                 states
                     .extend(group.robots.iter().filter_map(|robot| intake.sample(*robot, now_ns)));
             }
         }
-        if host_ns >= news_ns {
-            news_ns = host_ns + LOG_EVERY_NS;
-            if never_came_ns.is_some_and(|at_ns| host_ns >= at_ns) {
-                never_came_ns = None;
-                never_came(robots, shared);
-            }
-            shared.log_news();
-            let found = shared.intake().judgement().records().into_iter();
-            // A monitor that never changes may be of a robot that stands.
-            let found = found.filter(|found| found.finding.is_error());
-            let found = found.map(|found| (found.robot, found.finding.kind));
-            match findings.write(found) {
-                Ok(0) => {}
-                Ok(cut) => tracing::warn!(cut, "too many findings: some raise no alarm"),
-                Err(error) => tracing::warn!(%error, "the findings were not written"),
-            }
+        if host_ns >= self.news_ns {
+            self.news_ns = host_ns + LOG_EVERY_NS;
+            self.log(host_ns);
         }
-        if let Some(stamp_ns) = now_ns.filter(|_| !states.is_empty()) {
+        if let Some(stamp_ns) = now_ns.filter(|_| !self.states.is_empty()) {
             let intended_ns = host_ns.saturating_sub(late_ns);
-            let sent = publisher.publish_stamped(intended_ns, stamp_ns, states.iter().copied());
-            count(sent, &mut record, &mut refused)?;
+            let states = self.states.iter().copied();
+            let sent = self.publisher.publish_stamped(intended_ns, stamp_ns, states);
+            count(sent, &mut self.record, &mut self.refused)?;
         }
+        Ok(Duration::ZERO)
     }
-    Ok(record)
+
+    fn finish(self) -> anyhow::Result<PublishedRecord> {
+        Ok(self.record)
+    }
 }
 
 /// Names the robots that nothing has come from: a topic is probably misspelt, or they are off.

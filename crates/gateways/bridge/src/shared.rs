@@ -13,10 +13,12 @@ use crate::mapping::intake::Intake;
 use crate::mapping::route::State;
 use crate::mapping::simulated::SimulatedClock;
 
+/// Nice value of the threads that serve connections, so that the worker and its sources run first.
+pub(crate) const NICE: u8 = 5;
 /// Maximum number of states that wait to be passed on.
 pub(crate) const MAX_STATES: usize = 1_000;
 
-/// The newest observations, the account of unmapped messages, and the stop flags.
+/// The newest observations, the account of unmapped messages, and the flag of the connections.
 #[derive(Debug)]
 pub(crate) struct Shared {
     intake: Mutex<Intake>,
@@ -25,7 +27,6 @@ pub(crate) struct Shared {
     simulated: Option<Mutex<SimulatedClock>>,
     /// The simulated clock has moved.
     moved: Condvar,
-    stop: AtomicBool,
     close: AtomicBool,
     messages: AtomicU64,
 }
@@ -39,7 +40,6 @@ impl Shared {
             states: Mutex::default(),
             simulated: simulated.map(Mutex::new),
             moved: Condvar::new(),
-            stop: AtomicBool::new(false),
             close: AtomicBool::new(false),
             messages: AtomicU64::new(0),
         }
@@ -75,13 +75,12 @@ impl Shared {
     }
 
     /// Waits until the simulated clock moves, at most this time. A clock of this host moves by
-    /// itself.
-    pub(crate) fn wait(&self, most: Duration) {
-        match self.simulated() {
-            None => std::thread::sleep(most),
-            // Whether it was the clock or the time that ended it does not matter.
-            Some(simulated) => drop(self.moved.wait_timeout(simulated, most)),
-        }
+    /// itself: returns the time to wait for it.
+    pub(crate) fn wait(&self, most: Duration) -> Duration {
+        let Some(simulated) = self.simulated() else { return most };
+        // The clock or the timeout may have ended the wait: both are fine.
+        drop(self.moved.wait_timeout(simulated, most));
+        Duration::ZERO
     }
 
     /// Logs what is new about the simulated clock.
@@ -126,15 +125,6 @@ impl Shared {
     /// Number of messages received.
     pub(crate) fn messages(&self) -> u64 {
         self.messages.load(Ordering::Relaxed)
-    }
-
-    /// Requests the threads that use shared memory to end.
-    pub(crate) fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
-    }
-
-    pub(crate) fn is_stopped(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
     }
 
     /// Requests the connections to end after they have sent their queues.

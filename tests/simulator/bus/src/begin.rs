@@ -16,7 +16,12 @@ pub fn remove_process(pid: u32) {
     queues::remove_process(pid);
 }
 
+/// Number of open ports of a process, without those for questions.
+pub fn ports_of(pid: u32) -> usize {
+    queues::ports(|of| of == pid)
+}
+
 /// Number of open ports of all services.
 pub fn size() -> usize {
-    queues::size() + query::size()
+    queues::ports(|_| true) + query::size()
 }

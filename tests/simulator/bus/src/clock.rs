@@ -1,5 +1,7 @@
 //! The clocks of the simulated host.
 
+use std::time::Duration;
+
 use joulebus_simulated_host::{operation, time};
 
 /// Time of the monotonic clock, ns.
@@ -12,6 +14,12 @@ pub fn monotonic_ns() -> u64 {
 /// nothing for the others.
 pub fn boot_ns() -> u64 {
     time::boot_ns()
+}
+
+/// Time passes for all processes: the processor is one.
+pub fn sleep(duration: Duration) {
+    operation();
+    time::pass(duration.as_nanos() as u64);
 }
 
 /// Wall-clock time, Unix ns.

@@ -17,7 +17,7 @@ mod queues;
 mod wait;
 
 pub use background::{Background, Rounds, Steps};
-pub use begin::{begin, remove_process, size};
+pub use begin::{begin, ports_of, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
     CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,

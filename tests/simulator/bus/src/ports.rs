@@ -319,19 +319,21 @@ impl<C: Channel> Drop for Reader<C> {
     }
 }
 
-/// A frame that the worker took: its header and length.
+/// A frame that was taken: its header and length.
 pub type Taken = (SampleHeader, u64);
 
 thread_local! {
-    static TAKEN: RefCell<Vec<Taken>> = const { RefCell::new(Vec::new()) };
+    /// Each with the process that took it.
+    static TAKEN: RefCell<Vec<(u32, Taken)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// The frames that workers took since the last call.
-pub fn taken_frames() -> Vec<Taken> {
-    TAKEN.take()
+/// The frames that the worker, process `pid`, took since the last call.
+pub fn taken_frames(pid: u32) -> Vec<Taken> {
+    let all = TAKEN.take().into_iter();
+    all.filter(|(of, _)| *of == pid).map(|(_, taken)| taken).collect()
 }
 
-/// Notes each frame that the worker takes.
+/// Notes each frame that is taken: by the worker, or by a view.
 #[derive(Debug)]
 struct Noted;
 
@@ -341,7 +343,7 @@ impl Noted {
     }
 
     fn note(&mut self, sent: &Received<Samples>) {
-        let taken = (sent.header, sent.payload.len() as u64);
+        let taken = (host::current(), (sent.header, sent.payload.len() as u64));
         outside(|| TAKEN.with_borrow_mut(|all| all.push(taken)));
     }
 }

@@ -96,11 +96,15 @@ pub(crate) fn remove_process(pid: u32) {
     drop(removed);
 }
 
-/// Number of open ports.
-pub(crate) fn size() -> usize {
+/// Number of open ports of processes.
+pub(crate) fn ports(is_counted: impl Fn(u32) -> bool) -> usize {
     STATES.with_borrow(|states| {
-        let ports = |state: &State| state.readers.len() + state.writers.len() + state.waiting.len();
-        states.values().map(ports).sum()
+        let pids = states.values().flat_map(|state| {
+            let readers = state.readers.iter().map(|reader| reader.pid);
+            let writers = state.writers.iter().map(|(_, pid)| *pid);
+            readers.chain(writers).chain(state.waiting.iter().map(|waiting| waiting.pid))
+        });
+        pids.filter(|pid| is_counted(*pid)).count()
     })
 }
 

@@ -188,6 +188,7 @@ impl Poller {
             now_ns
         };
         host::sleep_until(until_ns);
+        woken.interrupted = host::thread() != 0 && woken.is_nothing() && until_ns > now_ns;
         Ok(woken)
     }
 }

@@ -216,7 +216,9 @@ impl Machine {
         slot.program = Some(program);
         match stepped {
             Ok(None) => {}
-            Ok(Some(Stepped::On(wake_ns) | Stepped::Asked(wake_ns, _))) => {
+            Ok(Some(
+                Stepped::On(wake_ns) | Stepped::Asked(wake_ns, _) | Stepped::Shown(wake_ns, _),
+            )) => {
                 slot.wake_ns = deadline_ns.map_or(wake_ns, time::simulated_ns);
             }
             Ok(Some(Stepped::Learned(wake_ns, learned))) => {

@@ -109,6 +109,8 @@ fn setup(noise: &mut Noise) -> Setup {
         planners: 1,
         poll_every_ns: 0,
         clients: 0,
+        displays: 0,
+        bridges: 0,
         records: false,
         period_ns,
         by_timer: noise.below(2) == 0,

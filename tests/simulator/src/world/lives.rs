@@ -9,7 +9,8 @@ use super::state::{PIDS, SECOND, World};
 use crate::check::{Checked, Ending, failure};
 use crate::ledger::newest_whole;
 use crate::process::{
-    self, ClientProgram, Finished, POLL_INTERVAL_NS, PlannerProgram, Program, SourceProgram,
+    self, BridgeProgram, ClientProgram, DisplayProgram, Finished, POLL_INTERVAL_NS, PlannerProgram,
+    Program, SourceProgram,
 };
 use crate::scenario::Role;
 
@@ -21,7 +22,7 @@ impl World<'_> {
         let slot = &mut self.slots[place];
         (slot.pid, slot.last_pid) = (pid, pid);
         slot.cost_ns = host::USUAL_COST_NS;
-        (slot.follows, slot.watched) = (None, None);
+        (slot.follows, slot.watched, slot.shown) = (None, None, None);
         (slot.learn_until_ns, slot.is_warned) = (u64::MAX, false);
         host::begin_life(pid);
         if slot.blind_until_ns > time::now_ns() {
@@ -44,6 +45,12 @@ impl World<'_> {
                 ClientProgram::open(config, setup).map(|client| Program::Client(Box::new(client)))
             }
             Some(Role::Recorder) => process::recorder(config, format!("/sim/captures/{number}-")),
+            Some(Role::Display(number)) => DisplayProgram::open(config, number)
+                .map(|display| Program::Display(Box::new(display))),
+            Some(Role::Bridge) => {
+                BridgeProgram::open(config, &slot.name, slot.robots.clone(), setup)
+                    .map(|bridge| Program::Bridge(Box::new(bridge)))
+            }
             Some(Role::Source(_)) | None => {
                 SourceProgram::open(config, &slot.name, slot.robots.clone(), setup)
                     .map(|source| Program::Source(Box::new(source)))
@@ -171,6 +178,11 @@ impl World<'_> {
     pub(super) fn gone(&mut self, place: usize, ending: Ending) -> Checked {
         let now_ns = time::now_ns();
         let slot = &mut self.slots[place];
+        let (ports, thread) = (bus::ports_of(slot.pid), host::next_thread(slot.pid));
+        if ports > 0 || thread.is_some() {
+            let found = format!("{}: {ports} ports, thread {thread:?}", slot.name);
+            return Err(failure("an end leaves no port and no thread", found));
+        }
         bus::remove_process(slot.pid);
         host::end_life(slot.pid);
         slot.pid = 0;

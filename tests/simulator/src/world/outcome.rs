@@ -20,6 +20,8 @@ pub struct Outcome {
     pub verified_ticks: u64,
     /// Questions that clients were answered.
     pub questions: u64,
+    /// Boards that displays and bridges have shown.
+    pub boards: u64,
     /// Answers compared with those of an undisturbed run.
     pub answers: u64,
     /// By how much processes have grown at most.

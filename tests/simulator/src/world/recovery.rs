@@ -9,7 +9,7 @@ use simulated_host::{self as host, disk, time};
 use super::state::{FOREIGN, SECOND, World};
 use crate::check::{Checked, failure};
 use crate::ledger::LEDGER;
-use crate::process::{POLL_INTERVAL_NS, Program};
+use crate::process::{POLL_INTERVAL_NS, Program, Shown};
 use crate::scenario::Role;
 
 /// The robot of the source that joins last.
@@ -34,6 +34,7 @@ impl World<'_> {
         self.run_until(time::now_ns() + 30 * period_ns + 2 * SECOND)?;
         self.all_answered()?;
         self.planners_are_fresh()?;
+        self.boards_are_fresh()?;
         self.clients_are_answered()?;
         if self.scenario.setup.everything {
             let worker = self.slot(Role::Worker);
@@ -41,6 +42,7 @@ impl World<'_> {
             self.run_until(time::now_ns() + 30 * period_ns + 5 * SECOND)?;
             self.all_answered()?;
             self.planners_are_fresh()?;
+            self.boards_are_fresh()?;
             self.clients_are_answered()?;
         }
         for slot in 0..self.slots.len() {
@@ -73,6 +75,28 @@ impl World<'_> {
             let age_ns = planner.age_ns();
             if age_ns.is_none_or(|age_ns| age_ns > most_ns) {
                 let found = format!("the newest frame of a planner is {age_ns:?} ns old");
+                return Err(failure("everything works again once faults stop", found));
+            }
+        }
+        Ok(())
+    }
+
+    /// Each board shows the worker alive, and forecasts of all robots that are as new.
+    fn boards_are_fresh(&self) -> Checked {
+        let most_ns = 2 * self.scenario.setup.period_ns + 4 * POLL_INTERVAL_NS + SECOND / 10;
+        for slot in &self.slots {
+            if !matches!(slot.role, Some(Role::Display(_) | Role::Bridge)) {
+                continue;
+            }
+            let shown = slot.program.as_ref().and_then(Program::shown);
+            let is_fresh = |shown: &Shown| {
+                let sent_ns = shown.frame.map_or(0, |(_, sent_ns)| sent_ns);
+                shown.is_live
+                    && time::monotonic_ns() <= sent_ns + most_ns
+                    && shown.robots.len() == self.checker.newest.len()
+            };
+            if !shown.as_ref().is_some_and(is_fresh) {
+                let found = format!("{}: {shown:?}; {}", slot.name, slot.last);
                 return Err(failure("everything works again once faults stop", found));
             }
         }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use simulated_host as host;
 
-use crate::process::Program;
+use crate::process::{FrameId, Program};
 use crate::scenario::Role;
 
 /// A place for a process.
@@ -39,8 +39,12 @@ pub(super) struct Slot {
     pub(super) learn_until_ns: u64,
     /// A planner: the run of the worker, if it was running when the planner had its first frame.
     pub(super) watched: Option<u64>,
+    /// A display or a bridge: the frame that it has shown last, its frames, and those it missed.
+    pub(super) shown: Option<(FrameId, u64, u64)>,
     /// When it looked last, simulated ns.
     pub(super) looked_ns: u64,
+    /// A display or a bridge: until then it may miss frames.
+    pub(super) late_until_ns: u64,
     /// A planner: it was warned not to rely on the newest frame.
     pub(super) is_warned: bool,
     /// Reason that it did not start, or ended, the last time.
@@ -71,7 +75,9 @@ impl Slot {
             follows: None,
             learn_until_ns: u64::MAX,
             watched: None,
+            shown: None,
             looked_ns: 0,
+            late_until_ns: 0,
             is_warned: false,
             last: String::new(),
         }

@@ -89,6 +89,14 @@ impl<'a> World<'a> {
         if setup.records {
             world.place(Some(Role::Recorder), "recorder".to_owned(), Vec::new(), SECOND / 20);
         }
+        for display in 0..setup.displays {
+            world.place(Some(Role::Display(display)), "display".to_owned(), Vec::new(), 0);
+        }
+        for bridge in 0..setup.bridges {
+            let robots =
+                (0..setup.robots).map(|robot| (10 * (setup.sources + bridge) + robot) as u32);
+            world.place(Some(Role::Bridge), "bridge".to_owned(), robots.collect(), SECOND / 10);
+        }
         world
     }
 

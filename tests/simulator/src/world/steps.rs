@@ -5,10 +5,10 @@ use std::sync::atomic::Ordering;
 
 use simulated_host::{self as host, disk, memory, time};
 
-use super::state::World;
+use super::state::{SECOND, World};
 use crate::check::{Checked, failure};
 use crate::grown;
-use crate::process::{self, Learned, Outcome, Stepped};
+use crate::process::{self, Learned, Outcome, Shown, Stepped};
 use crate::scenario::Role;
 
 impl World<'_> {
@@ -108,6 +108,10 @@ impl World<'_> {
             Ok(Some(Stepped::Learned(wake_ns, learned))) => {
                 slot.wake_ns = wake_ns;
                 self.learns(place, &learned)?;
+            }
+            Ok(Some(Stepped::Shown(wake_ns, shown))) => {
+                slot.wake_ns = wake_ns;
+                self.shows(place, &shown)?;
             }
             Ok(Some(Stepped::Asked(wake_ns, result))) => {
                 slot.wake_ns = deadline_ns.map_or(wake_ns, time::simulated_ns);
@@ -209,6 +213,37 @@ impl World<'_> {
                 slot.follows, slot.learn_until_ns
             );
             return Err(failure("planners learn of every end", found));
+        }
+        Ok(())
+    }
+
+    /// A board shows what the worker has sent, in order, and counts each tick that it has missed.
+    fn shows(&mut self, place: usize, shown: &Shown) -> Checked {
+        self.outcome.boards += 1;
+        self.checker.is_sent(shown)?;
+        let slot = &mut self.slots[place];
+        let looked_ns = std::mem::replace(&mut slot.looked_ns, time::now_ns());
+        let most_ns = (SECOND / 5).max(2 * self.scenario.setup.period_ns);
+        // A thread whose process was stopped reads after this.
+        if time::now_ns() - looked_ns > most_ns {
+            slot.late_until_ns = time::now_ns() + most_ns;
+        }
+        let is_late = time::now_ns() < slot.late_until_ns;
+        let Some((frame, _)) = shown.frame else { return Ok(()) };
+        let before = slot.shown.replace((frame, shown.frames, shown.missed));
+        let Some(((_, run, tick), frames, missed)) = before else { return Ok(()) };
+        if (frame.1, frame.2) < (run, tick) {
+            let found = format!("{frame:?} after {before:?}");
+            return Err(failure("boards see runs and ticks in order", found));
+        }
+        let counted = (shown.frames - frames) + (shown.missed - missed);
+        if frame.1 == run && counted != frame.2 - tick {
+            let found = format!("{before:?}, then {frame:?}: {counted} ticks are counted");
+            return Err(failure("boards count each tick", found));
+        }
+        if shown.missed > missed && !is_late {
+            let found = format!("{before:?}, then {frame:?}: {} are missed", shown.missed);
+            return Err(failure("boards see every frame", found));
         }
         Ok(())
     }

@@ -25,6 +25,8 @@ fn scenario(seed: u64, faults: &[(u64, Fault)]) -> Scenario {
             planners: 1,
             poll_every_ns: 0,
             clients: 0,
+            displays: 0,
+            bridges: 0,
             records: false,
             period_ns: 500 * MS,
             persistence: true,

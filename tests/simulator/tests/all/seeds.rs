@@ -40,6 +40,20 @@ fn fixed_seeds() {
     });
 }
 
+/// Boards of displays and of a bridge, whose robots are those of a source too, through faults of
+/// theirs and of all others.
+#[test]
+fn boards_show_what_was_sent_count_each_tick_and_are_fresh_after_faults() {
+    keep_panics();
+    let seeds = (1..).map(|seed| Scenario::new(seed, Some(4 * MINUTES_NS)));
+    let of_both = seeds.filter(|seed| seed.setup.displays > 0 && seed.setup.bridges > 0);
+    for scenario in of_both.take(3) {
+        let outcome = whole(&scenario);
+        assert_eq!(outcome.failure, None, "seed {}", scenario.seed);
+        assert!(outcome.boards > 0, "seed {}", scenario.seed);
+    }
+}
+
 /// Seeds that found defects. An account was given up for a robot of which nothing was accepted
 /// (90). Verification took a frame with another one's number, which the recorder missed, for a
 /// difference (65). Accounts of robots that left as a stopped worker continued were not saved

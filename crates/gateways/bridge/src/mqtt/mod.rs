@@ -33,7 +33,7 @@ use inbox::Incoming;
 use transport::Transport;
 
 pub(crate) use outlet::{Outgoing, Outlet};
-pub(crate) use sink::{MAX_WAITING, MqttSink, Start, read_alarms};
+pub(crate) use sink::{AlarmReading, MAX_WAITING, MqttSink, Start};
 
 /// Delay before the next attempt to connect: the first one, and the maximum. It doubles with each
 /// attempt, and begins anew after a connection that lasted as long as the maximum.

@@ -4,9 +4,10 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
+use std::time::Duration;
 
 use joulebus_board::{AlarmRecord, Board};
-use joulebus_config::Config;
+use joulebus_bus::Rounds;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
 use mqtt5_protocol::QoS;
 use serde_json::{Value, json};
@@ -298,27 +299,27 @@ impl Topic {
     }
 }
 
-/// Passes every alarm change to the sink until the bridge stops.
-///
-/// # Errors
-/// The fleet cannot be joined or read.
-pub(crate) fn read_alarms(
-    config: &Config,
-    name: &str,
-    to: &SyncSender<FleetAlarm>,
-    shared: &Shared,
-    lost: &AtomicU64,
-) -> anyhow::Result<()> {
-    let mut alarms = FleetAlarms::with_config(config, name)?;
-    while !shared.is_stopped() {
-        alarms.wait(|change| {
-            if let Err(TrySendError::Full(_)) = to.try_send(change) {
-                lost.fetch_add(1, Ordering::Relaxed);
+/// State of the thread that passes every alarm change to the sink.
+pub(crate) struct AlarmReading {
+    pub(crate) alarms: FleetAlarms,
+    pub(crate) to: SyncSender<FleetAlarm>,
+    pub(crate) lost: Arc<AtomicU64>,
+}
+
+impl Rounds<(), anyhow::Error> for AlarmReading {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        self.alarms.wait(|change| {
+            if let Err(TrySendError::Full(_)) = self.to.try_send(change) {
+                self.lost.fetch_add(1, Ordering::Relaxed);
             }
         })?;
+        Ok(Duration::ZERO)
     }
-    lost.fetch_add(alarms.history().ticks_missed(), Ordering::Relaxed);
-    Ok(())
+
+    fn finish(self) -> anyhow::Result<()> {
+        self.lost.fetch_add(self.alarms.history().ticks_missed(), Ordering::Relaxed);
+        Ok(())
+    }
 }
 
 #[cfg(test)]

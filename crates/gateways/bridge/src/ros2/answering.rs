@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
+use joulebus_bus::Running;
 use joulebus_config::Config;
 use joulebus_planner::{ClientError, PlanClient};
 use joulebus_ros_messages::RosError;
@@ -47,10 +48,10 @@ pub(crate) struct Answering {
 }
 
 impl Answering {
-    /// Answers until the bridge stops.
-    pub(crate) fn run(&self, requests: &Receiver<Asked>) {
+    /// Answers until `thread` is to end.
+    pub(crate) fn run(&self, requests: &Receiver<Asked>, thread: &Running) {
         let (mut worker, mut idle_polls) = (None, 0);
-        while !self.shared.is_stopped() {
+        while !thread.is_stopping() {
             match requests.recv_timeout(POLL_INTERVAL) {
                 Ok(asked) => {
                     self.answer(&asked, &mut worker);

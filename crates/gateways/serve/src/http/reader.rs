@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use joulebus_board::{Board, Platforms, Reading};
-use joulebus_bus::{Background, clock, yield_to_the_worker};
+use joulebus_bus::{Background, Rounds, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmFeed, ReadError, SourceAlarms};
@@ -77,14 +77,9 @@ impl Reader {
         let (asks, asked) = sync_channel(MAX_QUEUED);
         let (recorders, found) = watch::channel(None);
         let config = config.clone();
-        let (thread, snapshots) = Background::run("joulebus-reader", move |thread| {
+        let (thread, snapshots) = Background::repeat("joulebus-reader", move || {
             yield_to_the_worker(NICE);
-            let (mut work, snapshots) = Work::open(&config, asked, found)?;
-            thread.joined(snapshots);
-            while !thread.is_stopping() {
-                work.poll()?;
-            }
-            Ok::<_, ReaderError>(())
+            Work::open(&config, asked, found)
         })?;
         Ok(Self { snapshots, asks, recorders, thread })
     }
@@ -180,37 +175,6 @@ impl Work {
         Ok((work, snapshots))
     }
 
-    /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
-    fn poll(&mut self) -> Result<(), ReaderError> {
-        let Self { reading, board, .. } = self;
-        let are_asked = self.plan_rows.are_asked() || self.outlooks.are_asked();
-        let longest = if are_asked { ANSWER_EVERY } else { SHOW_EVERY };
-        reading.poll_within(longest, || board.borrow_mut())?;
-        let alarms = &mut self.alarms;
-        self.source_alarms.changes(|change| alarms.add(change.into()));
-        match self.alarm_feed.changes(|change| alarms.add(change.into())) {
-            // The next call may succeed, as with forecasts.
-            Ok(()) | Err(ReadError::Receive(_)) => {}
-            Err(error) => return Err(error.into()),
-        }
-        let (now_ns, now_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
-        let unix_of = |at_ns: u64| now_unix_ns.saturating_sub(now_ns.saturating_sub(at_ns));
-        let histories = (self.alarm_feed.history(), &self.source_alarms);
-        self.alarms.update(histories, unix_of);
-        if now_ns >= self.history_at_ns {
-            self.history.add(&self.board.borrow(), now_unix_ns);
-            // After a long pause points are not made up.
-            let next_ns = self.history_at_ns + history::STEP_NS;
-            self.history_at_ns = next_ns.max(now_ns);
-        }
-        if now_ns + EARLY_NS >= self.show_at_ns {
-            self.show_at_ns = now_ns + SHOW_EVERY_NS;
-            self.show(now_ns, now_unix_ns);
-        }
-        self.answer(now_ns);
-        Ok(())
-    }
-
     fn show(&mut self, now_ns: u64, now_unix_ns: u64) {
         let board = self.board.borrow();
         if now_ns >= self.distribute_at_ns {
@@ -249,5 +213,42 @@ impl Work {
         }
         self.plan_rows.poll(self.reading.planner(), now_ns);
         self.outlooks.poll(&mut self.reading, &self.board.borrow(), now_ns);
+    }
+}
+
+impl Rounds<(), ReaderError> for Work {
+    /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
+    fn round(&mut self) -> Result<Duration, ReaderError> {
+        let Self { reading, board, .. } = self;
+        let are_asked = self.plan_rows.are_asked() || self.outlooks.are_asked();
+        let longest = if are_asked { ANSWER_EVERY } else { SHOW_EVERY };
+        reading.poll_within(longest, || board.borrow_mut())?;
+        let alarms = &mut self.alarms;
+        self.source_alarms.changes(|change| alarms.add(change.into()));
+        match self.alarm_feed.changes(|change| alarms.add(change.into())) {
+            // The next call may succeed, as with forecasts.
+            Ok(()) | Err(ReadError::Receive(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let (now_ns, now_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
+        let unix_of = |at_ns: u64| now_unix_ns.saturating_sub(now_ns.saturating_sub(at_ns));
+        let histories = (self.alarm_feed.history(), &self.source_alarms);
+        self.alarms.update(histories, unix_of);
+        if now_ns >= self.history_at_ns {
+            self.history.add(&self.board.borrow(), now_unix_ns);
+            // After a long pause points are not made up.
+            let next_ns = self.history_at_ns + history::STEP_NS;
+            self.history_at_ns = next_ns.max(now_ns);
+        }
+        if now_ns + EARLY_NS >= self.show_at_ns {
+            self.show_at_ns = now_ns + SHOW_EVERY_NS;
+            self.show(now_ns, now_unix_ns);
+        }
+        self.answer(now_ns);
+        Ok(Duration::ZERO)
+    }
+
+    fn finish(self) -> Result<(), ReaderError> {
+        Ok(())
     }
 }

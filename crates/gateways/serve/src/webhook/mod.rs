@@ -20,7 +20,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
 use joulebus_board::AlarmRecord;
-use joulebus_bus::{Background, Running, clock};
+use joulebus_bus::{Background, Rounds, clock};
+use joulebus_capture_format::Clock;
 use joulebus_capture_recorder::host_clock;
 use joulebus_config::Config;
 use joulebus_consumer::FleetAlarms;
@@ -149,11 +150,11 @@ impl Webhooks {
             };
             sending.push((counts, thread));
         }
-        let (of, inside) = (config.clone(), Arc::clone(&shared));
-        let reading = Background::run("joulebus-alarms", move |thread| {
-            let alarms = FleetAlarms::with_config(&of, "webhook")?;
-            thread.joined(());
-            read(thread, alarms, of.fleet(), &outlets, &inside)
+        let (config, inside) = (config.clone(), Arc::clone(&shared));
+        let reading = Background::repeat("joulebus-alarms", move || {
+            let alarms = FleetAlarms::with_config(&config, "webhook")?;
+            let (clock, fleet) = (host_clock(), config.fleet().to_owned());
+            Ok((Reading { alarms, clock, fleet, outlets, shared: inside }, ()))
         });
         // Otherwise the senders would wait for a reader that does not come.
         if reading.is_err() {
@@ -216,34 +217,39 @@ fn locked(alerts: &Mutex<Alerts>) -> MutexGuard<'_, Alerts> {
     alerts.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Passes every change on until a stop is requested.
-fn read(
-    thread: &Running,
-    mut alarms: FleetAlarms,
-    fleet: &str,
-    outlets: &[Outlet],
-    shared: &Shared,
-) -> anyhow::Result<()> {
-    let clock = host_clock();
-    while !thread.is_stopping() {
-        alarms.wait(|change| {
-            let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
-            shared.changes.fetch_add(1, Ordering::Relaxed);
-            for outlet in outlets {
+/// State of the thread that passes every change on.
+struct Reading {
+    alarms: FleetAlarms,
+    clock: Clock,
+    fleet: String,
+    outlets: Vec<Outlet>,
+    shared: Arc<Shared>,
+}
+
+impl Rounds<(), anyhow::Error> for Reading {
+    fn round(&mut self) -> anyhow::Result<Duration> {
+        self.alarms.wait(|change| {
+            let record = AlarmRecord::new(&self.fleet, &change, self.clock.unix_ns(change.at_ns));
+            self.shared.changes.fetch_add(1, Ordering::Relaxed);
+            for outlet in &self.outlets {
                 match outlet {
                     // Without room the change is lost.
                     Outlet::Queue(records) => drop(records.try_send(record.clone())),
                     Outlet::State(alerts) => {
-                        let raised_ns = clock.unix_ns(change.raised_ns);
+                        let raised_ns = self.clock.unix_ns(change.raised_ns);
                         locked(alerts).take(&record, raised_ns, Instant::now());
                     }
                 }
             }
         })?;
+        Ok(Duration::ZERO)
     }
-    let missed = alarms.history().ticks_missed();
-    shared.ticks_missed.store(missed, Ordering::Relaxed);
-    Ok(())
+
+    fn finish(self) -> anyhow::Result<()> {
+        let missed = self.alarms.history().ticks_missed();
+        self.shared.ticks_missed.store(missed, Ordering::Relaxed);
+        Ok(())
+    }
 }
 
 /// The result of a request.

@@ -3,6 +3,7 @@
 
 use std::io;
 use std::mem::MaybeUninit;
+use std::time::Duration;
 
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
@@ -23,6 +24,11 @@ pub fn boot_ns() -> u64 {
 #[must_use]
 pub fn unix_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
+}
+
+/// Lets this thread sleep for `duration`.
+pub fn sleep(duration: Duration) {
+    std::thread::sleep(duration);
 }
 
 /// The id of this boot: monotonic times of different boots are not comparable.
