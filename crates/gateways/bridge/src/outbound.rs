@@ -71,7 +71,7 @@ pub(crate) fn start(
         let board = RefCell::new(Board::new(clock::monotonic_ns()));
         Ok((Outbound { reading, board, sides }, ()))
     };
-    Ok(Background::repeat("joulebus-tell", open)?.0)
+    Ok(Background::repeat("joulebus-output", open)?.0)
 }
 
 impl Rounds<(), anyhow::Error> for Outbound {

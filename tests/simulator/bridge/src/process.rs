@@ -26,7 +26,7 @@ const WRITE_EVERY: Duration = Duration::from_secs(1);
 pub struct Bridge {
     shared: Arc<Shared>,
     publishing: Background<anyhow::Result<PublishedRecord>>,
-    telling: Background<anyhow::Result<()>>,
+    writing: Background<anyhow::Result<()>>,
 }
 
 struct Screen<F>(F);
@@ -69,8 +69,8 @@ impl Bridge {
         let shared = Arc::new(Shared::new(intake, None));
         let publishing = publishing::start(config, name, &named, &shared)?;
         let sides: Vec<Box<dyn Sink>> = vec![Box::new(Screen(show))];
-        let telling = outbound::start(config, name, (WRITE_EVERY, true), sides)?;
-        Ok(Self { shared, publishing, telling })
+        let writing = outbound::start(config, name, (WRITE_EVERY, true), sides)?;
+        Ok(Self { shared, publishing, writing })
     }
 
     /// A message of a robot comes.
@@ -85,9 +85,9 @@ impl Bridge {
         self.shared.intake().take(robot, &seen, now_ns);
     }
 
-    /// Whether a thread has ended by itself.
+    /// True if a thread has ended by itself.
     pub fn has_ended(&self) -> bool {
-        self.publishing.has_ended() || self.telling.has_ended()
+        self.publishing.has_ended() || self.writing.has_ended()
     }
 
     /// Ends the bridge.
@@ -96,6 +96,6 @@ impl Bridge {
     /// A thread's error.
     pub fn finish(self) -> anyhow::Result<()> {
         let published = self.publishing.join().map(drop);
-        self.telling.join().and(published)
+        self.writing.join().and(published)
     }
 }
