@@ -199,9 +199,14 @@ fn address_space() -> Option<u64> {
 }
 
 /// Bytes of the memory that one publisher writes its frames to: a header and up to `max_len` rows.
-pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 {
-    let frame = FRAME_OVERHEAD + size_of::<C::Header>() + size_of::<C::Row>() * max_len;
-    (limits.shape(C::FLOW).frames() * frame + SEGMENT_OVERHEAD) as u64
+pub(crate) fn segment_bytes(
+    limits: &Limits,
+    flow: Flow,
+    (header, row): (usize, usize),
+    max_len: usize,
+) -> u64 {
+    let frame = FRAME_OVERHEAD + header + row * max_len;
+    (limits.shape(flow).frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
 /// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each
@@ -228,7 +233,8 @@ struct Sums<'a> {
 
 impl ForEachChannel for Sums<'_> {
     fn channel<C: Channel>(&mut self) {
-        let bytes = segment_bytes::<C>(self.limits, self.limits.rows(C::ROWS));
+        let sizes = (size_of::<C::Header>(), size_of::<C::Row>());
+        let bytes = segment_bytes(self.limits, C::FLOW, sizes, self.limits.rows(C::ROWS));
         match C::FLOW {
             Flow::Sources => self.bytes.0 += bytes,
             Flow::Planners { .. } | Flow::Recorders { .. } => self.bytes.1 += bytes,

@@ -269,6 +269,18 @@ impl<C: Channel> Reader<C> {
         self.queue.borrow().failed
     }
 
+    const fn queued(&self) -> usize {
+        self.queued
+    }
+
+    const fn worker(&self) -> Option<&WorkerPorts> {
+        self.worker.as_ref()
+    }
+
+    const fn member(&self) -> &Member {
+        &self.member
+    }
+
     fn receive(&mut self) -> Result<Option<Received<C>>, ReceiveError> {
         host::operation();
         self.bus.check()?;

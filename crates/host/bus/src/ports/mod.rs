@@ -1,28 +1,31 @@
 //! Ports of a member.
 
+mod channel;
 mod connection_leak;
 mod degradation;
+mod inlet;
 mod open;
+mod outlet;
 mod places;
 mod poll;
 mod query;
-mod reader;
 mod readiness;
 mod reading;
 mod repair;
 mod samples;
 mod service;
 mod wait;
-mod writer;
 
+use self::channel::Received;
+pub use self::channel::{Loan, Reader, Writer};
+pub use self::inlet::ReceiveError;
+use self::inlet::{Member, Noted};
+pub use self::outlet::{SendError, Sent};
 use self::places::Open;
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
-use self::reader::{Member, Noted, Received};
-pub use self::reader::{Reader, ReceiveError};
 pub use self::readiness::Readiness;
 pub use self::reading::{Frame, KeptFrame};
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
-pub use self::writer::{Loan, SendError, Sent, Writer};

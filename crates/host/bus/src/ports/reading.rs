@@ -28,7 +28,7 @@ impl<C: Channel> Reader<C> {
         &mut self,
         mut each: impl FnMut(&C::Header, &[C::Row]),
     ) -> Result<(), ReceiveError> {
-        for _ in 0..self.queued {
+        for _ in 0..self.queued() {
             let Some(frame) = self.receive()? else {
                 break;
             };
@@ -91,17 +91,17 @@ impl<C: Channel> Reader<C> {
     #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
-        Some(KeptFrame { frame: Frame::new(frame), _member: self.member.clone() })
+        Some(KeptFrame { frame: Frame::new(frame), _member: self.member().clone() })
     }
 
     /// Number of skipped frames on a service of the worker that another process has sent.
     #[must_use]
     pub fn foreign(&self) -> u64 {
-        self.worker.as_ref().map_or(0, WorkerPorts::foreign)
+        self.worker().map_or(0, WorkerPorts::foreign)
     }
 
     fn worker_runs(&self) -> u64 {
-        self.worker.as_ref().map_or(0, WorkerPorts::runs)
+        self.worker().map_or(0, WorkerPorts::runs)
     }
 }
 

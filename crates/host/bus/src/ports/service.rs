@@ -1,4 +1,5 @@
 //! Opens services: the first process creates a service, with limits that all others must share.
+#![allow(unsafe_code)] // iceoryx2 believes what it is given as sizes of a frame's types.
 
 use std::fmt::Debug;
 use std::time::Duration;
@@ -13,11 +14,13 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::builder::request_response::{
     RequestResponseCreateError, RequestResponseOpenError, RequestResponseOpenOrCreateError,
 };
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::PortFactory as PortFactoryOfAny;
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::port_factory::request_response::PortFactory as RequestResponseFactory;
-use joulebus_wire::{AnswerHeader, Channel, QueryHeader, Service, WakeEvent, service_name};
+use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
+use joulebus_wire::{AnswerHeader, Channel, Flow, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{Abandoned, holders, remove_incomplete};
@@ -36,20 +39,46 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_TIMEOUT_NS: u64 = 4_000_000_000;
 const OPEN_RETRY_AFTER: Duration = Duration::from_millis(20);
 
-/// The factory of a channel's ports.
-pub(super) type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+/// The factory of a channel's ports: its types are stated when it is opened. Types that the
+/// compiler knows would be a copy of iceoryx2's ports for each channel, in each crate that has one.
+pub(super) type Factory = PortFactory<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
-pub(super) fn open<C: Channel>(bus: &Bus, limits: &Limits) -> Result<Factory<C>, OpenError> {
-    let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
+/// What the ports of a channel are opened with.
+pub(super) struct FrameTypes {
+    pub(super) service: Service,
+    pub(super) flow: Flow,
+    pub(super) header: TypeDetail,
+    pub(super) row: TypeDetail,
+}
+
+impl FrameTypes {
+    pub(super) fn of<C: Channel>() -> Self {
+        Self {
+            service: C::SERVICE,
+            flow: C::FLOW,
+            header: TypeDetail::new::<C::Header>(TypeVariant::FixedSize),
+            row: TypeDetail::new::<C::Row>(TypeVariant::Dynamic),
+        }
+    }
+}
+
+pub(super) fn open(bus: &Bus, limits: &Limits, types: &FrameTypes) -> Result<Factory, OpenError> {
+    let (service, shape) = (types.service, limits.shape(types.flow));
     bus.member.presence.look()?;
     // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
-        bus.node
-            .service_builder(&name)
-            .publish_subscribe::<[C::Row]>()
-            .user_header::<C::Header>()
+        let builder = bus.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
+        let builder = builder.user_header::<CustomHeaderMarker>();
+        // SAFETY: sizes and alignments are those of the types with which `channel.rs` reads and
+        // writes the frames of the ports.
+        let builder = unsafe {
+            builder
+                .__internal_set_payload_type_details(&types.row)
+                .__internal_set_user_header_type_details(&types.header)
+        };
+        builder
             .max_publishers(shape.publishers)
             .max_subscribers(shape.subscribers)
             .max_nodes(limits.nodes())

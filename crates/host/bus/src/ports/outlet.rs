@@ -1,7 +1,6 @@
-//! Sends frames: a header and a slice, written in place in shared memory.
+//! The port of a writer, compiled once for all channels.
 #![allow(unsafe_code)] // Memory of a frame is lent without being written to first.
 
-use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -10,12 +9,12 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, LoanError};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression};
 use iceoryx2::sample_mut::SampleMut;
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::PortFactory as _;
-use joulebus_wire::Channel;
 
 use super::degradation::Failures;
 use super::repair::Repair;
-use super::service::{self, Factory, OpenError};
+use super::service::{self, Factory, FrameTypes, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -24,26 +23,34 @@ use crate::os::memory;
 use crate::preflight::{check_memory, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
 
-type Port<C> = (Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>, Factory<C>);
+type Port = Publisher<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+/// Memory of a frame to send.
+pub(super) type OutFrame = SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
-/// Sends frames of a channel, written in place in shared memory.
+/// Sends frames of one channel.
 #[derive(Debug)]
-pub struct Writer<C: Channel> {
+pub(super) struct Outlet {
     // Dropped in this order: port, factory, membership.
-    port: Kept<Port<C>>,
+    port: Kept<(Port, Factory)>,
     max_len: usize,
     failures: Arc<Failures>,
     repair: Repair,
     member: Rc<Membership>,
 }
 
-impl<C: Channel> Writer<C> {
-    pub(super) fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
-        let service = C::SERVICE;
-        let needed = segment_bytes::<C>(limits, max_len);
+impl Outlet {
+    pub(super) fn open(
+        bus: &Bus,
+        limits: &Limits,
+        types: &FrameTypes,
+        max_len: usize,
+    ) -> Result<Self, OpenError> {
+        let service = types.service;
+        let sizes = (types.header.size(), types.row.size());
+        let needed = segment_bytes(limits, types.flow, sizes, max_len);
         check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let failures = Failures::new();
-        let factory = service::open::<C>(bus, limits)?;
+        let factory = service::open(bus, limits, types)?;
         let create = || {
             factory
                 .publisher_builder()
@@ -69,84 +76,43 @@ impl<C: Channel> Writer<C> {
         })
     }
 
-    /// Sends a frame of `len` elements, element `i` being `element(i)`, written directly to shared
-    /// memory. Returns the number of readers reached. iceoryx2 allocates once.
-    ///
-    /// # Errors
-    /// [`SendError`]. Nothing was sent.
-    pub fn send(
-        &mut self,
-        header: C::Header,
-        len: usize,
-        element: impl FnMut(usize) -> C::Row,
-    ) -> Result<usize, SendError> {
-        self.check(len)?;
-        let mut loan = self.port.0.loan_slice_uninit(len).map_err(SendError::loan)?;
-        *loan.user_header_mut() = header;
-        loan.write_from_fn(element).send().map_err(SendError::send)
-    }
-
-    /// Borrows memory for a frame of `len` elements, all default, to compute into. [`Loan::send`]
-    /// sends the frame, dropping it discards it. iceoryx2 allocates once.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn loan(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
-        self.check(len)?;
-        let mut sample = self.port.0.loan_slice(len).map_err(SendError::loan)?;
-        *sample.user_header_mut() = C::Header::default();
-        Ok(Loan { sample, writer: PhantomData })
-    }
-
-    /// As [`Writer::loan`], for a caller that writes every element: until then they contain those
-    /// of an earlier frame, or zeros. Saves a pass over memory that fits into no cache.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
-        self.check(len)?;
-        let mut sample = self.port.0.loan_slice_uninit(len).map_err(SendError::loan)?;
-        *sample.user_header_mut() = C::Header::default();
+    /// Borrows memory for a frame of `len` rows. It contains an earlier frame, or zeros. iceoryx2
+    /// allocates once.
+    pub(super) fn lend(&mut self, len: usize) -> Result<OutFrame, SendError> {
+        self.member.presence.check()?;
+        self.reconnect();
+        if len > self.max_len {
+            return Err(SendError::TooLong { found: len, allowed: self.max_len });
+        }
+        // SAFETY: the service has rows of a dynamic number, of the size that `open` stated.
+        let lent = unsafe { self.port.0.loan_custom_payload(len) }.map_err(SendError::loan)?;
         // SAFETY: the memory is a mapping of a shared memory object: the kernel provides zeroed
         // pages, and all other bytes in it are those of an earlier frame. So all of it is
-        // initialised, and every bit pattern is a valid payload.
-        let sample = unsafe { sample.assume_init() };
-        Ok(Loan { sample, writer: PhantomData })
+        // initialised, and every bit pattern is a valid byte.
+        Ok(unsafe { lent.assume_init() })
     }
 
     /// Connects to readers that have joined since the last frame: they receive the history. Cheap
     /// if there are none.
-    pub fn update(&mut self) {
+    pub(super) fn update(&mut self) {
         self.reconnect();
         // The degradation handler counts failures.
         let _ = self.port.0.update_connections();
     }
 
     /// Number of readers of the service. A killed one counts until the cleanup.
-    #[must_use]
-    pub fn readers(&self) -> usize {
+    pub(super) fn readers(&self) -> usize {
         self.port.1.dynamic_config().number_of_subscribers()
     }
 
     /// Maximum number of elements per frame.
-    #[must_use]
-    pub const fn max_len(&self) -> usize {
+    pub(super) const fn max_len(&self) -> usize {
         self.max_len
     }
 
     /// Number of failed or broken connections to readers: these miss frames.
-    #[must_use]
-    pub fn degraded(&self) -> u64 {
+    pub(super) fn degraded(&self) -> u64 {
         self.failures.count()
-    }
-
-    fn check(&mut self, len: usize) -> Result<(), SendError> {
-        self.member.presence.check()?;
-        self.reconnect();
-        if len > self.max_len {
-            return Err(SendError::TooLong { found: len, allowed: self.max_len });
-        }
-        Ok(())
     }
 
     /// Retries failed connections to readers. iceoryx2 does so when the list of readers has
@@ -177,33 +143,6 @@ impl<C: Channel> Writer<C> {
         if is_whole {
             self.failures.forget();
         }
-    }
-}
-
-/// Memory of a frame to send.
-#[derive(Debug)]
-pub struct Loan<'a, C: Channel> {
-    sample: SampleMut<Ipc, [C::Row], C::Header>,
-    writer: PhantomData<&'a mut Writer<C>>,
-}
-
-impl<C: Channel> Loan<'_, C> {
-    /// The frame's header.
-    pub fn header_mut(&mut self) -> &mut C::Header {
-        self.sample.user_header_mut()
-    }
-
-    /// The frame's slice.
-    pub fn payload_mut(&mut self) -> &mut [C::Row] {
-        self.sample.payload_mut()
-    }
-
-    /// Sends the frame. Returns the number of readers reached.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn send(self) -> Result<usize, SendError> {
-        self.sample.send().map_err(SendError::send)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Reads frames in place.
+//! The port of a reader, compiled once for all channels.
 
 use std::rc::Rc;
 use std::sync::Arc;
@@ -6,13 +6,15 @@ use std::sync::Arc;
 use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::PortFactory as _;
-use joulebus_wire::{Channel, Flow, Samples};
+use joulebus_wire::{Flow, Samples};
 
+use super::Received;
 use super::degradation::Failures;
 use super::places::{Open, Places};
 use super::repair::Repair;
-use super::service::{self, Factory, OpenError};
+use super::service::{self, Factory, FrameTypes, OpenError};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
@@ -23,11 +25,9 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MAX_PASSED_OVER: u32 = 4_096;
 
-type Port<C> = (Inlet<C>, Factory<C>);
-/// The port itself.
-type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 /// A frame that was received.
-pub(super) type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+pub(super) type InFrame = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
 /// Membership that keeps the domain as long as a frame.
 pub(super) type Member = Rc<Membership>;
@@ -46,7 +46,7 @@ impl Noted {
 
     /// Maps the memory of the frame's source.
     pub(super) fn note(&mut self, received: &Received<Samples>) {
-        let source = received.header().publisher_id().value();
+        let source = received.writer();
         if self.0.contains(&source) {
             return;
         }
@@ -59,26 +59,26 @@ impl Noted {
     }
 }
 
-/// Reads frames in place. On the worker's channels, only those of the holder of the worker's lock.
+/// Receives frames of one channel. On the worker's channels, only those of the holder of the
+/// worker's lock.
 #[derive(Debug)]
-pub struct Reader<C: Channel> {
-    // Dropped in this order: held frame, port, factory, membership.
-    pub(super) held: Option<Received<C>>,
-    port: Kept<Port<C>>,
+pub(super) struct Inlet {
+    // Dropped in this order: port, factory, membership.
+    port: Kept<(Port, Factory)>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
-    pub(super) queued: usize,
+    queued: usize,
     failures: Arc<Failures>,
     repair: Repair,
     /// None for services on which every process may send.
-    pub(super) worker: Option<WorkerPorts>,
-    pub(super) member: Rc<Membership>,
+    worker: Option<WorkerPorts>,
+    member: Rc<Membership>,
 }
 
-impl<C: Channel> Reader<C> {
-    pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
-        let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
-        let factory = service::open::<C>(bus, limits)?;
+impl Inlet {
+    pub(super) fn open(bus: &Bus, limits: &Limits, types: &FrameTypes) -> Result<Self, OpenError> {
+        let (service, shape) = (types.service, limits.shape(types.flow));
+        let factory = service::open(bus, limits, types)?;
         let failures = Failures::new();
         let is_full =
             |error: &_| matches!(error, SubscriberCreateError::ExceedsMaxSupportedSubscribers);
@@ -90,11 +90,11 @@ impl<C: Channel> Reader<C> {
             });
             nodes
         };
-        let open = Open::new(limits, C::FLOW);
+        let open = Open::new(limits, types.flow);
         let places = Places { bus, service, open: Some(open), nodes };
         let create = || {
             places.enter(
-                || subscribe::<C>(&factory, shape.buffer, &failures),
+                || subscribe(&factory, shape.buffer, &failures),
                 || SubscriberCreateError::ExceedsMaxSupportedSubscribers,
             )
         };
@@ -107,26 +107,38 @@ impl<C: Channel> Reader<C> {
         service::check_shortage()?;
         let need = service::need(bus, &factory, None);
         Ok(Self {
-            held: None,
             port: Kept::new((subscriber, factory), need),
             buffer: shape.buffer,
             queued: shape.buffer * shape.publishers,
             failures,
             repair: Repair::default(),
-            worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(bus.domain())),
+            worker: (types.flow != Flow::Sources).then(|| WorkerPorts::new(bus.domain())),
             member: Rc::clone(&bus.member),
         })
     }
 
     /// Number of failed or broken connections to writers.
-    #[must_use]
-    pub fn degraded(&self) -> u64 {
+    pub(super) fn degraded(&self) -> u64 {
         self.failures.count()
+    }
+
+    /// Frames that can be queued at once, of all writers.
+    pub(super) const fn queued(&self) -> usize {
+        self.queued
+    }
+
+    /// None for services on which every process may send.
+    pub(super) const fn worker(&self) -> Option<&WorkerPorts> {
+        self.worker.as_ref()
+    }
+
+    pub(super) const fn member(&self) -> &Member {
+        &self.member
     }
 
     /// A writer that dies while its connection is established leaves a failed connection, which is
     /// not an error: only one to a writer that is still there three seconds later is.
-    pub(super) fn receive(&mut self) -> Result<Option<Received<C>>, ReceiveError> {
+    pub(super) fn receive(&mut self) -> Result<Option<InFrame>, ReceiveError> {
         self.member.presence.check()?;
         let mut passed_over = 0;
         loop {
@@ -171,7 +183,7 @@ impl<C: Channel> Reader<C> {
     fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
         let before = self.failures.count();
-        let created = subscribe::<C>(&self.port.1, self.buffer, &self.failures);
+        let created = subscribe(&self.port.1, self.buffer, &self.failures);
         let connections = self.failures.count();
         let is_whole = created.is_ok() && connections == before;
         self.repair.retried(connections, is_whole);
@@ -185,11 +197,11 @@ impl<C: Channel> Reader<C> {
     }
 }
 
-fn subscribe<C: Channel>(
-    factory: &Factory<C>,
+fn subscribe(
+    factory: &Factory,
     buffer: usize,
     failures: &Arc<Failures>,
-) -> Result<Inlet<C>, SubscriberCreateError> {
+) -> Result<Port, SubscriberCreateError> {
     factory
         .subscriber_builder()
         .buffer_size(buffer)
