@@ -1,10 +1,58 @@
 //! Ports and nodes of this process, and when they may be dropped.
 #![allow(unsafe_code)] // A value is dropped, or not.
 
+use std::fmt;
 use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
 
 use super::presence::Need;
+
+/// A value of iceoryx2 that another crate may own. Each crate compiles the code that drops what it
+/// owns, and that of a port is most of iceoryx2. So it is behind a pointer.
+pub(crate) struct DropsHere<T> {
+    value: ManuallyDrop<T>,
+    drop: unsafe fn(&mut ManuallyDrop<T>),
+}
+
+impl<T> DropsHere<T> {
+    /// To be called in this crate, by what is not generic: the code that drops `T` is compiled here.
+    pub(crate) const fn new(value: T) -> Self {
+        Self { value: ManuallyDrop::new(value), drop: ManuallyDrop::drop }
+    }
+
+    pub(crate) fn into_inner(self) -> T {
+        let mut this = ManuallyDrop::new(self);
+        // SAFETY: the value is taken once, and `this` is not dropped.
+        unsafe { ManuallyDrop::take(&mut this.value) }
+    }
+}
+
+impl<T> Drop for DropsHere<T> {
+    fn drop(&mut self) {
+        // SAFETY: the value is dropped once, and not used afterwards.
+        unsafe { (self.drop)(&mut self.value) };
+    }
+}
+
+impl<T> Deref for DropsHere<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+impl<T> DerefMut for DropsHere<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.value
+    }
+}
+
+impl<T> fmt::Debug for DropsHere<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(std::any::type_name::<T>())
+    }
+}
 
 /// A port or node with the files it needs. Dropping it removes its files by name. If ours were
 /// removed, these may be another process's by then: in that case the value is leaked. The process
@@ -12,12 +60,13 @@ use super::presence::Need;
 #[derive(Debug)]
 pub(crate) struct Kept<T> {
     need: Option<Need>,
-    value: ManuallyDrop<T>,
+    value: ManuallyDrop<DropsHere<T>>,
 }
 
 impl<T> Kept<T> {
+    /// As [`DropsHere::new`].
     pub(crate) const fn new(value: T, need: Need) -> Self {
-        Self { need: Some(need), value: ManuallyDrop::new(value) }
+        Self { need: Some(need), value: ManuallyDrop::new(DropsHere::new(value)) }
     }
 }
 

@@ -4,7 +4,6 @@
 
 use std::marker::PhantomData;
 
-use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use joulebus_wire::Channel;
 
 use super::inlet::{InFrame, Inlet, Member};
@@ -63,23 +62,21 @@ pub(super) struct Received<C: Channel> {
 
 impl<C: Channel> Received<C> {
     pub(super) fn user_header(&self) -> &C::Header {
-        let header: *const CustomHeaderMarker = self.frame.user_header();
         // SAFETY: only a port that was opened with the types of `C` makes this value. So there is a
         // header of `C` at this address, aligned, and mapped as long as the frame is borrowed. Every
         // bit pattern of it is valid.
-        unsafe { &*header.cast() }
+        unsafe { &*self.frame.header().cast() }
     }
 
     pub(super) fn payload(&self) -> &[C::Row] {
-        let bytes: *const [CustomPayloadMarker] = self.frame.payload();
         // SAFETY: a marker is a byte, and every bit pattern of it is valid.
-        let bytes = unsafe { &*(bytes as *const [u8]) };
+        let bytes = unsafe { &*(self.frame.bytes() as *const [u8]) };
         bytemuck::pod_align_to(bytes).1
     }
 
     /// The port that sent it.
     pub(super) fn writer(&self) -> u128 {
-        self.frame.header().publisher_id().value()
+        self.frame.writer()
     }
 }
 
@@ -172,16 +169,14 @@ pub struct Loan<'a, C: Channel> {
 impl<C: Channel> Loan<'_, C> {
     /// The frame's header.
     pub fn header_mut(&mut self) -> &mut C::Header {
-        let header: *mut CustomHeaderMarker = self.frame.user_header_mut();
         // SAFETY: as of `Received::user_header`. Nobody else has the memory until it is sent.
-        unsafe { &mut *header.cast() }
+        unsafe { &mut *self.frame.header_mut().cast() }
     }
 
     /// The frame's slice.
     pub fn payload_mut(&mut self) -> &mut [C::Row] {
-        let bytes: *mut [CustomPayloadMarker] = self.frame.payload_mut();
         // SAFETY: a marker is a byte, and every bit pattern of it is valid.
-        let bytes = unsafe { &mut *(bytes as *mut [u8]) };
+        let bytes = unsafe { &mut *(self.frame.bytes_mut() as *mut [u8]) };
         bytemuck::pod_align_to_mut(bytes).1
     }
 
@@ -190,6 +185,6 @@ impl<C: Channel> Loan<'_, C> {
     /// # Errors
     /// [`SendError`].
     pub fn send(self) -> Result<usize, SendError> {
-        self.frame.send().map_err(SendError::send)
+        self.frame.send()
     }
 }

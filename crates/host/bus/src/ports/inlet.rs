@@ -16,7 +16,7 @@ use super::places::{Open, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use crate::ipc::Ipc;
-use crate::liveness::kept::Kept;
+use crate::liveness::kept::{DropsHere, Kept};
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::os::memory;
@@ -27,7 +27,25 @@ const MAX_PASSED_OVER: u32 = 4_096;
 
 type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 /// A frame that was received.
-pub(super) type InFrame = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+#[derive(Debug)]
+pub(super) struct InFrame(DropsHere<Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
+
+impl InFrame {
+    /// Address of its header.
+    pub(super) fn header(&self) -> *const CustomHeaderMarker {
+        self.0.user_header()
+    }
+
+    /// Its rows.
+    pub(super) fn bytes(&self) -> *const [CustomPayloadMarker] {
+        self.0.payload()
+    }
+
+    /// The port that sent it.
+    pub(super) fn writer(&self) -> u128 {
+        self.0.header().publisher_id().value()
+    }
+}
 
 /// Membership that keeps the domain as long as a frame.
 pub(super) type Member = Rc<Membership>;
@@ -150,7 +168,7 @@ impl Inlet {
             if let Some(frame) = received {
                 let worker = self.worker.as_mut();
                 if worker.is_none_or(|worker| worker.admits(frame.origin().value())) {
-                    return Ok(Some(frame));
+                    return Ok(Some(InFrame(DropsHere::new(frame))));
                 }
                 passed_over += 1;
                 // A process that sends without end must not block the reader.

@@ -17,7 +17,7 @@ use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
-use crate::liveness::kept::Kept;
+use crate::liveness::kept::{DropsHere, Kept};
 use crate::membership::Membership;
 use crate::os::memory;
 use crate::preflight::{check_memory, segment_bytes};
@@ -25,7 +25,26 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 
 type Port = Publisher<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 /// Memory of a frame to send.
-pub(super) type OutFrame = SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+#[derive(Debug)]
+pub(super) struct OutFrame(DropsHere<SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
+
+impl OutFrame {
+    /// Address of its header.
+    pub(super) fn header_mut(&mut self) -> *mut CustomHeaderMarker {
+        self.0.user_header_mut()
+    }
+
+    /// Its rows.
+    pub(super) fn bytes_mut(&mut self) -> *mut [CustomPayloadMarker] {
+        self.0.payload_mut()
+    }
+
+    /// Sends it. Returns the number of readers reached.
+    pub(super) fn send(self) -> Result<usize, SendError> {
+        let sent = self.0.into_inner().send();
+        sent.map_err(|reason| SendError::Send { reason: reason.to_string() })
+    }
+}
 
 /// Sends frames of one channel.
 #[derive(Debug)]
@@ -89,7 +108,7 @@ impl Outlet {
         // SAFETY: the memory is a mapping of a shared memory object: the kernel provides zeroed
         // pages, and all other bytes in it are those of an earlier frame. So all of it is
         // initialised, and every bit pattern is a valid byte.
-        Ok(unsafe { lent.assume_init() })
+        Ok(OutFrame(DropsHere::new(unsafe { lent.assume_init() })))
     }
 
     /// Connects to readers that have joined since the last frame: they receive the history. Cheap

@@ -11,8 +11,9 @@ use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString, ipc};
-use joulebus_bus::{Bus, Domain, inspect, sweep};
+use joulebus_bus::{Bus, Domain, WorkerLock, inspect, sweep};
 use joulebus_testkit::eventually;
+use joulebus_wire::{Channel, ForEachChannel, Payload, each_channel, service_name};
 
 use crate::harness::{Place, limits, must};
 
@@ -221,4 +222,61 @@ fn one_process_reads_two_fleets_and_cleans_up_in_both() {
         }
     }
     drop((readers, buses));
+}
+
+/// Its bytes are those of a counter that begins at `from`.
+fn counted<P: Payload>(from: u8) -> P {
+    let mut payload = P::default();
+    for (at, byte) in bytemuck::bytes_of_mut(&mut payload).iter_mut().enumerate() {
+        *byte = from.wrapping_add(at as u8);
+    }
+    payload
+}
+
+fn bytes<C: Channel>(header: &C::Header, rows: &[C::Row]) -> (Vec<u8>, Vec<u8>) {
+    (bytemuck::bytes_of(header).to_vec(), bytemuck::cast_slice(rows).to_vec())
+}
+
+#[test]
+fn iceoryx2_with_the_types_of_a_channel_reads_and_writes_its_frames() {
+    struct Typed<'a> {
+        bus: &'a Bus,
+        node: &'a Node<ipc::Service>,
+    }
+    impl ForEachChannel for Typed<'_> {
+        fn channel<C: Channel>(&mut self) {
+            let mut writer = self.bus.writer::<C>(&limits()).unwrap();
+            let mut reader = self.bus.reader::<C>(&limits()).unwrap();
+            let name = service_name(self.bus.domain().fleet(), C::SERVICE);
+            let service = self.node.service_builder(&name.as_str().try_into().unwrap());
+            let service = service.publish_subscribe::<[C::Row]>().user_header::<C::Header>();
+            let service = service.open().unwrap();
+            let subscriber = service.subscriber_builder().create().unwrap();
+            let (header, rows) = (counted(1), [counted(2), counted(3), counted(4)]);
+            let sent = bytes::<C>(&header, &rows);
+            assert_eq!(writer.send(header, 3, |at| rows[at]).unwrap(), 2, "{name}");
+            let frame = subscriber.receive().unwrap().unwrap();
+            assert_eq!(bytes::<C>(frame.user_header(), frame.payload()), sent, "{name}");
+            let frame = reader.take_next().unwrap().unwrap();
+            assert_eq!(bytes::<C>(frame.header(), frame.payload()), sent, "{name}");
+            drop((frame, writer));
+            let publisher = service.publisher_builder().initial_max_slice_len(3).create().unwrap();
+            let mut loan = publisher.loan_slice(2).unwrap();
+            *loan.user_header_mut() = header;
+            loan.payload_mut().copy_from_slice(&rows[1..]);
+            loan.send().unwrap();
+            let frame = reader.take_next().unwrap().unwrap();
+            let sent = bytes::<C>(&header, &rows[1..]);
+            assert_eq!(bytes::<C>(frame.header(), frame.payload()), sent, "{name}");
+        }
+    }
+    let place = Place::new();
+    let _lock = WorkerLock::acquire(&place.domain).unwrap();
+    let bus = Bus::join(&place.domain, "worker").unwrap();
+    let file = place.domain.config_file();
+    let file = FilePath::new(file.as_os_str().as_encoded_bytes()).unwrap();
+    let config = Config::from_file(&file).unwrap();
+    let node = NodeBuilder::new().config(&config).create::<ipc::Service>().unwrap();
+    each_channel(&mut Typed { bus: &bus, node: &node });
+    drop(node);
 }
