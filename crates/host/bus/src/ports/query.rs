@@ -35,7 +35,7 @@ use super::wait::{WaitError, Waiter, Waker};
 use super::{ReceiveError, SendError, Sent};
 use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
-use crate::liveness::kept::Kept;
+use crate::liveness::kept::{DropsHere, Kept};
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
@@ -46,7 +46,8 @@ use crate::{Bus, Domain, FilesRemoved, Limits, PeerWatch, clock};
 type ServerPort = (Server<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFactory);
 type ClientPort = (Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFactory);
 
-type Pending = PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
+type Pending = DropsHere<PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
+type Request = DropsHere<ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
 
 /// A worker may take this long to open its port, ns.
 const OPENS_WITHIN_NS: u64 = 1_000_000_000;
@@ -69,7 +70,7 @@ pub struct QueryServer {
 /// A question that was received. Its client could still change it: copy it before checking it.
 #[derive(Debug)]
 pub struct OpenQuery {
-    request: ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
+    request: Request,
     // Dropped after the request.
     _member: Rc<Membership>,
 }
@@ -139,7 +140,10 @@ impl QueryServer {
                 received.map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?
             }
         };
-        Ok(received.map(|request| OpenQuery { request, _member: Rc::clone(&self.member) }))
+        Ok(received.map(|request| OpenQuery {
+            request: DropsHere::new(request),
+            _member: Rc::clone(&self.member),
+        }))
     }
 
     /// Answers a question and wakes its client. The words beyond [`MAX_ANSWER_WORDS`] are not sent.
@@ -340,7 +344,7 @@ impl QueryClient {
         if pending.number_of_server_connections() == 0 {
             return Err(self.not_taken());
         }
-        self.pending = Some(pending);
+        self.pending = Some(DropsHere::new(pending));
         self.asked.wake(WakeEvent::Frame)?;
         Ok(())
     }
