@@ -15,7 +15,7 @@ pub(crate) struct DropsHere<T> {
 }
 
 impl<T> DropsHere<T> {
-    /// To be called in this crate, by what is not generic: the code that drops `T` is compiled here.
+    /// To be called in this crate, by what is not generic: what drops `T` is compiled there.
     pub(crate) const fn new(value: T) -> Self {
         Self { value: ManuallyDrop::new(value), drop: ManuallyDrop::drop }
     }

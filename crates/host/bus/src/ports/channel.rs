@@ -63,8 +63,8 @@ pub(super) struct Received<C: Channel> {
 impl<C: Channel> Received<C> {
     pub(super) fn user_header(&self) -> &C::Header {
         // SAFETY: only a port that was opened with the types of `C` makes this value. So there is a
-        // header of `C` at this address, aligned, and mapped as long as the frame is borrowed. Every
-        // bit pattern of it is valid.
+        // header of `C` at this address, aligned, and mapped as long as the frame is borrowed.
+        // Every bit pattern of it is valid.
         unsafe { &*self.frame.header().cast() }
     }
 

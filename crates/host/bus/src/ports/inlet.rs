@@ -8,9 +8,8 @@ use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::PortFactory as _;
-use joulebus_wire::{Flow, Samples};
+use joulebus_wire::Flow;
 
-use super::Received;
 use super::degradation::Failures;
 use super::places::{Open, Places};
 use super::repair::Repair;
@@ -19,7 +18,6 @@ use crate::ipc::Ipc;
 use crate::liveness::kept::{DropsHere, Kept};
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
-use crate::os::memory;
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// Maximum number of frames of other processes than the worker that one call skips.
@@ -49,33 +47,6 @@ impl InFrame {
 
 /// Membership that keeps the domain as long as a frame.
 pub(super) type Member = Rc<Membership>;
-
-/// Number of sources that [`Noted`] remembers.
-const MAX_NOTED: usize = 256;
-
-/// Ports of sources whose memory is completely mapped.
-#[derive(Debug)]
-pub(super) struct Noted(Vec<u128>);
-
-impl Noted {
-    pub(super) fn new() -> Self {
-        Self(Vec::with_capacity(MAX_NOTED))
-    }
-
-    /// Maps the memory of the frame's source.
-    pub(super) fn note(&mut self, received: &Received<Samples>) {
-        let source = received.writer();
-        if self.0.contains(&source) {
-            return;
-        }
-        // Bounded, because sources are replaced over months. Forgetting one costs one more scan.
-        if self.0.len() == MAX_NOTED {
-            self.0.clear();
-        }
-        self.0.push(source);
-        memory::map(&source.to_string());
-    }
-}
 
 /// Receives frames of one channel. On the worker's channels, only those of the holder of the
 /// worker's lock.

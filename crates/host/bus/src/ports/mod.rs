@@ -4,6 +4,7 @@ mod channel;
 mod connection_leak;
 mod degradation;
 mod inlet;
+mod noted;
 mod open;
 mod outlet;
 mod places;
@@ -18,8 +19,9 @@ mod wait;
 
 use self::channel::Received;
 pub use self::channel::{Loan, Reader, Writer};
+use self::inlet::Member;
 pub use self::inlet::ReceiveError;
-use self::inlet::{Member, Noted};
+use self::noted::Noted;
 pub use self::outlet::{SendError, Sent};
 use self::places::Open;
 pub use self::poll::Poller;
