@@ -1,5 +1,6 @@
 //! The port of a reader, compiled once for all channels.
 
+use std::ptr;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -29,9 +30,10 @@ type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 pub(super) struct InFrame(DropsHere<Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
 
 impl InFrame {
-    /// Address of its header.
+    /// Address of its header. A reference to a value of size 0 leads to no memory behind it, so the
+    /// pointer is made anew: iceoryx2 exposes that to its memory.
     pub(super) fn header(&self) -> *const CustomHeaderMarker {
-        self.0.user_header()
+        ptr::with_exposed_provenance(ptr::from_ref(self.0.user_header()).addr())
     }
 
     /// Its rows.

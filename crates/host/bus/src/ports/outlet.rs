@@ -1,6 +1,7 @@
 //! The port of a writer, compiled once for all channels.
 #![allow(unsafe_code)] // Memory of a frame is lent without being written to first.
 
+use std::ptr;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -29,9 +30,10 @@ type Port = Publisher<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 pub(super) struct OutFrame(DropsHere<SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
 
 impl OutFrame {
-    /// Address of its header.
+    /// Address of its header. A reference to a value of size 0 leads to no memory behind it, so the
+    /// pointer is made anew: iceoryx2 exposes that to its memory.
     pub(super) fn header_mut(&mut self) -> *mut CustomHeaderMarker {
-        self.0.user_header_mut()
+        ptr::with_exposed_provenance_mut(ptr::from_mut(self.0.user_header_mut()).addr())
     }
 
     /// Its rows.
@@ -65,8 +67,7 @@ impl Outlet {
         max_len: usize,
     ) -> Result<Self, OpenError> {
         let service = types.service;
-        let sizes = (types.header.size(), types.row.size());
-        let needed = segment_bytes(limits, types.flow, sizes, max_len);
+        let needed = segment_bytes(limits, types.flow, types.sizes(), max_len);
         check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let failures = Failures::new();
         let factory = service::open(bus, limits, types)?;

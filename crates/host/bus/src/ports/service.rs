@@ -47,8 +47,8 @@ pub(super) type Factory = PortFactory<Ipc, [CustomPayloadMarker], CustomHeaderMa
 pub(super) struct FrameTypes {
     pub(super) service: Service,
     pub(super) flow: Flow,
-    pub(super) header: TypeDetail,
-    pub(super) row: TypeDetail,
+    header: TypeDetail,
+    row: TypeDetail,
 }
 
 impl FrameTypes {
@@ -59,6 +59,11 @@ impl FrameTypes {
             header: TypeDetail::new::<C::Header>(TypeVariant::FixedSize),
             row: TypeDetail::new::<C::Row>(TypeVariant::Dynamic),
         }
+    }
+
+    /// Bytes of a header, and of a row.
+    pub(super) fn sizes(&self) -> (usize, usize) {
+        (self.header.size(), self.row.size())
     }
 }
 
@@ -71,8 +76,8 @@ pub(super) fn open(bus: &Bus, limits: &Limits, types: &FrameTypes) -> Result<Fac
     let open = || {
         let builder = bus.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
         let builder = builder.user_header::<CustomHeaderMarker>();
-        // SAFETY: sizes and alignments are those of the types with which `channel.rs` reads and
-        // writes the frames of the ports.
+        // SAFETY: only `FrameTypes::of` makes these. So sizes and alignments are those of the types
+        // with which `channel.rs` reads and writes the frames of the ports.
         let builder = unsafe {
             builder
                 .__internal_set_payload_type_details(&types.row)
