@@ -236,6 +236,8 @@ fn repeat<J>(mut step: impl FnMut(bool) -> Option<Duration>, running: &Running<J
 mod tests {
     use std::sync::Mutex;
 
+    use joulebus_testkit::eventually;
+
     use super::*;
 
     struct Counted {
@@ -306,6 +308,7 @@ mod tests {
     #[test]
     fn rounds_are_repeated_until_one_fails_or_the_thread_is_to_end() {
         let (background, ()) = Background::repeat("fails", || Ok((Failing(0), ()))).unwrap();
+        eventually("a round fails", || background.has_ended());
         assert_eq!(background.join().unwrap_err().to_string(), "not today");
         let (background, joined) = Background::repeat("ends", || Ok((Failing(3), 7))).unwrap();
         assert!(joined == 7 && background.join().unwrap() >= 3);
