@@ -20,6 +20,11 @@ impl<T> DropsHere<T> {
         Self { value: ManuallyDrop::new(value), drop: ManuallyDrop::drop }
     }
 
+    /// From now on the value stays when this is dropped.
+    fn leak(&mut self) {
+        self.drop = |_| ();
+    }
+
     pub(crate) fn into_inner(self) -> T {
         let mut this = ManuallyDrop::new(self);
         // SAFETY: the value is taken once, and `this` is not dropped.
@@ -60,13 +65,13 @@ impl<T> fmt::Debug for DropsHere<T> {
 #[derive(Debug)]
 pub(crate) struct Kept<T> {
     need: Option<Need>,
-    value: ManuallyDrop<DropsHere<T>>,
+    value: DropsHere<T>,
 }
 
 impl<T> Kept<T> {
     /// As [`DropsHere::new`].
     pub(crate) const fn new(value: T, need: Need) -> Self {
-        Self { need: Some(need), value: ManuallyDrop::new(DropsHere::new(value)) }
+        Self { need: Some(need), value: DropsHere::new(value) }
     }
 }
 
@@ -75,9 +80,8 @@ impl<T> Drop for Kept<T> {
         let is_whole = self.need.as_ref().is_some_and(Need::is_met);
         // From here on the files may be removed.
         self.need = None;
-        if is_whole {
-            // SAFETY: the value is dropped once, and not used afterwards.
-            unsafe { ManuallyDrop::drop(&mut self.value) };
+        if !is_whole {
+            self.value.leak();
         }
     }
 }

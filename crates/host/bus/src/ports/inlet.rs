@@ -25,6 +25,7 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 const MAX_PASSED_OVER: u32 = 4_096;
 
 type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+
 /// A frame that was received.
 #[derive(Debug)]
 pub(super) struct InFrame(DropsHere<Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
@@ -71,8 +72,6 @@ impl Inlet {
         let (service, shape) = (types.service, limits.shape(types.flow));
         let factory = service::open(bus, limits, types)?;
         let failures = Failures::new();
-        let is_full =
-            |error: &_| matches!(error, SubscriberCreateError::ExceedsMaxSupportedSubscribers);
         let nodes = || {
             let mut nodes = Vec::new();
             factory.dynamic_config().list_subscribers(|reader| {
@@ -83,17 +82,10 @@ impl Inlet {
         };
         let open = Open::new(limits, types.flow);
         let places = Places { bus, service, open: Some(open), nodes };
-        let create = || {
-            places.enter(
-                || subscribe(&factory, shape.buffer, &failures),
-                || SubscriberCreateError::ExceedsMaxSupportedSubscribers,
-            )
-        };
-        let subscriber =
-            service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
-                true => places.refused(reason),
-                false => OpenError::port(service, reason),
-            })?;
+        let subscriber = places.create(
+            || subscribe(&factory, shape.buffer, &failures),
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers,
+        )?;
         // A failed connection is only counted, above.
         service::check_shortage()?;
         let need = service::need(bus, &factory, None);

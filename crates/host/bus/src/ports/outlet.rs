@@ -25,6 +25,7 @@ use crate::preflight::{check_memory, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 type Port = Publisher<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+
 /// Memory of a frame to send.
 #[derive(Debug)]
 pub(super) struct OutFrame(DropsHere<SampleMut<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
@@ -43,8 +44,7 @@ impl OutFrame {
 
     /// Sends it. Returns the number of readers reached.
     pub(super) fn send(self) -> Result<usize, SendError> {
-        let sent = self.0.into_inner().send();
-        sent.map_err(|reason| SendError::Send { reason: reason.to_string() })
+        self.0.into_inner().send().map_err(SendError::send)
     }
 }
 

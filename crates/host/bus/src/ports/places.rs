@@ -8,7 +8,7 @@ use iceoryx2::node::{Node, NodeState, NodeView as _};
 use iceoryx2::prelude::CallbackProgression;
 use joulebus_wire::{Flow, Service};
 
-use super::service::OpenError;
+use super::service::{self, OpenError};
 use crate::bus::OWN;
 use crate::ipc::Ipc;
 use crate::{Bus, Limits, clock};
@@ -40,13 +40,27 @@ pub(super) struct Places<'a, N> {
 }
 
 impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
-    /// Makes a port that may stay, else `full`. Who comes where all are taken makes none, and who
-    /// was one too many gives it back.
-    pub(super) fn enter<P, E>(
+    /// Creates a port as [`service::create`] does, where there is a place for it. `full`: the error
+    /// of iceoryx2 that all places are taken.
+    ///
+    /// # Errors
+    /// [`OpenError::Places`] if all are, or else [`OpenError::Port`].
+    pub(super) fn create<P, E: Copy + Display + PartialEq>(
         &self,
         make: impl Fn() -> Result<P, E>,
-        full: impl Fn() -> E,
-    ) -> Result<P, E> {
+        full: E,
+    ) -> Result<P, OpenError> {
+        let is_full = |reason: &E| *reason == full;
+        let created = service::create(self.bus, || self.enter(&make, full), is_full);
+        created.map_err(|reason| match is_full(&reason) {
+            true => self.refused(reason),
+            false => OpenError::port(self.service, reason),
+        })
+    }
+
+    /// Makes a port that may stay, else `full`. Who comes where all are taken makes none, and who
+    /// was one too many gives it back.
+    fn enter<P, E>(&self, make: impl Fn() -> Result<P, E>, full: E) -> Result<P, E> {
         let Some(Open { places: open, own }) = self.limit() else {
             return make();
         };
@@ -68,11 +82,11 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
             let apart_us = clock::monotonic_ns() % 4_096;
             std::thread::sleep(Duration::from_micros((number + 1) * apart_us));
         }
-        Err(full())
+        Err(full)
     }
 
     /// The error that no place is left, with the processes that have them.
-    pub(super) fn refused(&self, reason: impl Display) -> OpenError {
+    fn refused(&self, reason: impl Display) -> OpenError {
         let Some(Open { places: allowed, own }) = self.limit() else {
             return OpenError::port(self.service, reason);
         };

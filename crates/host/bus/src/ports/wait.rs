@@ -129,8 +129,6 @@ impl Waiter {
         open: Option<Open>,
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
-        let is_full =
-            |error: &_| matches!(error, ListenerCreateError::ExceedsMaxSupportedListeners);
         let nodes = || {
             let mut nodes = Vec::new();
             factory.dynamic_config().list_listeners(|listener| {
@@ -140,17 +138,10 @@ impl Waiter {
             nodes
         };
         let places = Places { bus, service, open, nodes };
-        let create = || {
-            places.enter(
-                || factory.listener_builder().create(),
-                || ListenerCreateError::ExceedsMaxSupportedListeners,
-            )
-        };
-        let listener =
-            service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
-                true => places.refused(reason),
-                false => OpenError::port(service, reason),
-            })?;
+        let listener = places.create(
+            || factory.listener_builder().create(),
+            ListenerCreateError::ExceedsMaxSupportedListeners,
+        )?;
         let need = need(bus, &factory, Some(listener.id().value()));
         Ok(Self { listener: Kept::new(listener, need), member: Rc::clone(&bus.member) })
     }
