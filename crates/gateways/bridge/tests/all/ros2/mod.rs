@@ -279,7 +279,9 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
         status(document, "joulebus: worker of lab")["level"] == 2
     });
     let robot = status(&document, "joulebus: r1");
-    assert_eq!((&robot["level"], &robot["message"]), (&json!(3), &json!("worker gone")));
+    // On a busy machine the same reading may have come for so long that it is reported as well.
+    let message = robot["message"].as_str().unwrap();
+    assert!(robot["level"] == 3 && message.starts_with("worker gone"), "{robot}");
     let from = listener.received();
     let mut worker = fleet.worker();
     listener.wait_for("/r1/joulebus/reading_w", from, is_read);
