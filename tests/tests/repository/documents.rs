@@ -84,7 +84,7 @@ fn documents() -> Vec<(String, String)> {
 fn commands(text: &str) -> Vec<&str> {
     let mut found = Vec::new();
     // The last number of bytes belongs to the arguments.
-    for (begin, kept) in [("cargo ", 0), ("`… ", 0), ("`--", 2), ("busy.sh ", 0)] {
+    for (begin, kept) in [("cargo ", 0), ("`… ", 0), ("`--", 2), ("busy.py ", 0)] {
         for (place, _) in text.match_indices(begin) {
             let (before, rest) = text.split_at(place + begin.len() - kept);
             let line = before.rsplit('\n').next().unwrap();
