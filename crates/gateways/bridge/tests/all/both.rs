@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, unmapped};
 use crate::mqtt::broker::{Broker, mosquitto};
 use crate::ros2::peer::{Peer, RosDomain, cyclonedds};
 use rumqttc::QoS;
@@ -92,7 +92,7 @@ fn power_of_a_broker_and_commands_of_ros_2_make_one_robot_that_is_published_to_b
     stop.store(true, Ordering::Relaxed);
     robots.join().unwrap();
     let report = bridge.stop().json();
-    assert_eq!(report["unmapped"], json!([]), "{report}");
+    assert!(unmapped(&report).is_empty(), "{report}");
     assert_eq!(report["robots"], 3, "{report}");
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());

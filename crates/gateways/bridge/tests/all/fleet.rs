@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
 use joulebus_testkit::{Child, joulebus_beside, left_behind};
+use serde_json::Value;
 
 /// The `joulebus` program of the same build.
 fn joulebus() -> &'static Path {
@@ -84,4 +85,11 @@ impl Fleet {
         let domain = Config::load(self.config()).unwrap().domain().unwrap();
         left_behind(domain.shm_prefix(), domain.root())
     }
+}
+
+/// Messages of a bridge's report that it did not map. Robots that sent nothing for 30 s are left
+/// out: on a busy machine a test takes that long.
+pub(crate) fn unmapped(report: &Value) -> Vec<&Value> {
+    let all = report["unmapped"].as_array().unwrap();
+    all.iter().filter(|line| line["reason"] != "never_came").collect()
 }

@@ -24,6 +24,7 @@ pub(crate) fn member() {
     let server = PlanServer::start(&config, None).unwrap();
     let mut worker = Worker::open(&config).unwrap();
     server.serve();
+    server.wait_until_open();
     send_to_test("ready");
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {

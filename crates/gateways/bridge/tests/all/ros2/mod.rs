@@ -10,7 +10,7 @@ mod simulated;
 use std::net::UdpSocket;
 use std::path::PathBuf;
 
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, unmapped};
 use joulebus_testkit::Child;
 use peer::{Peer, RosDomain, cyclonedds, ros2};
 use rustix::process::Signal;
@@ -203,7 +203,7 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
         });
     }
     let report = bridge.stop().json();
-    assert_eq!(report["unmapped"], json!([]), "{report}");
+    assert!(unmapped(&report).is_empty(), "{report}");
     worker.stop();
 }
 
@@ -298,7 +298,7 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     talker.publish("/fleet/r1/battery_state", "BatteryState", &other);
     listener.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4_800.0));
     let report = bridge.stop().json();
-    assert_eq!(report["unmapped"], json!([]), "{report}");
+    assert!(unmapped(&report).is_empty(), "{report}");
     worker.stop();
     assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::peer::{Peer, RosDomain, cyclonedds, hash, ros2};
 use super::{BATTERY, COMMANDS, discharging, file_with, keys, rmw, twist};
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, unmapped};
 
 /// A bridge's file with services and outlooks.
 fn file(keys: &str) -> String {
@@ -102,8 +102,7 @@ fn outlook_questions_and_acknowledgement(peer: &mut Peer) {
 /// Ends a bridge. It has counted the request that was too long, and nothing else.
 fn end(bridge: &mut Child) {
     let report = bridge.end().exits(3).json();
-    let unmapped = report["unmapped"].as_array().unwrap();
-    let reasons: Vec<Value> = unmapped.iter().map(|message| message["reason"].clone()).collect();
+    let reasons: Vec<&Value> = unmapped(&report).iter().map(|message| &message["reason"]).collect();
     assert_eq!(json!([report["not_written"], reasons]), json!([0, ["too_long"]]), "{report}");
 }
 
