@@ -48,7 +48,7 @@ def key_of(arguments: list[str]) -> str:
 
 
 def note(folder: Path, command: list[str]) -> None:
-    """Called by Cargo in place of a test program: writes down what it would have run."""
+    """Writes down the test program that Cargo would have run."""
     program = {"command": command, "folder": os.getcwd(), "variables": dict(os.environ)}
     name = re.sub("-[0-9a-f]{16}$", "", Path(command[0]).name)
     (folder / f"{name}.{os.getpid()}.json").write_text(json.dumps(program))
@@ -62,11 +62,10 @@ def programs_of(records: Path, arguments: list[str]) -> list[tuple[str, dict]]:
         old.unlink()
     target = re.search("host: (.*)", output("rustc", "-vV"))[1]
     variable = f"CARGO_TARGET_{target.upper().replace('-', '_')}_RUNNER"
-    runner = f"{sys.executable} {Path(__file__).resolve()} --note {folder}"
+    runner = f"{sys.executable} {Path(__file__).resolve()}"
     subprocess.run(["cargo", "test", "--locked", "--no-run", *arguments], cwd=ROOT, check=True)
     command = ["cargo", "test", "--locked", "--quiet", *arguments]
-    # The blocks of the documentation are compiled as they are run, so by Cargo itself, later.
-    subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {variable: runner, "RUSTDOC": "true"})
+    subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {variable: f"{runner} --note {folder}", "RUSTDOC": "true"})
     found = {}
     for path in sorted(folder.iterdir()):
         program = json.loads(path.read_text())
@@ -74,9 +73,10 @@ def programs_of(records: Path, arguments: list[str]) -> list[tuple[str, dict]]:
             program["variables"].pop(changed, None)
         package = program["variables"]["CARGO_PKG_NAME"].removeprefix("joulebus-")
         found[f"{package}.{path.name.split('.')[0]}"] = program
-    if not {"--test", "--lib", "--bins", "--bin"}.intersection(arguments):
-        command = ["cargo", "test", "--locked", "--doc", *arguments]
-        found["documentation"] = {"command": command, "folder": str(ROOT), "variables": dict(os.environ)}
+    # The blocks of the documentation are compiled as they run, so by Cargo. `cargo test --doc` would
+    # run those of packages, too, that have none.
+    variables = dict(os.environ) | {variable: f"{runner} --blocks"}
+    found["documentation"] = {"command": command, "folder": str(ROOT), "variables": variables}
     return list(found.items())
 
 
@@ -106,8 +106,13 @@ def run(records: Path, name: str, program: dict, number: int) -> dict:
 
 
 def main() -> int:
+    # Cargo calls this in place of a test program.
     if sys.argv[1:2] == ["--note"]:
         note(Path(sys.argv[2]), sys.argv[3:])
+        return 0
+    if sys.argv[1:2] == ["--blocks"]:
+        if Path(sys.argv[2]).parent.name != "deps":
+            os.execv(sys.argv[2], sys.argv[2:])
         return 0
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", type=int, help="times that each program runs")
