@@ -20,6 +20,7 @@ import hashlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -80,16 +81,34 @@ def programs_of(records: Path, arguments: list[str]) -> list[tuple[str, dict]]:
     return list(found.items())
 
 
+# Process groups of the programs that run, and whether they have to end.
+RUNNING: set[int] = set()
+STOPPED = threading.Event()
+
+
+def stop() -> None:
+    """Ends the programs that run. They leave no record."""
+    STOPPED.set()
+    for group in list(RUNNING):
+        os.killpg(group, signal.SIGKILL)
+
+
 def run(records: Path, name: str, program: dict, number: int) -> dict:
     """Runs one program once, unless it has a record."""
     path = records / f"{name}.{number}.json"
     if path.exists():
         return json.loads(path.read_text())
+    if STOPPED.is_set():
+        raise KeyboardInterrupt
     begun = time.monotonic()
     log = path.with_suffix(".log")
     with log.open("w") as stream:
-        ended = subprocess.Popen(program["command"], cwd=program["folder"], env=program["variables"], stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT)
+        ended = subprocess.Popen(program["command"], cwd=program["folder"], env=program["variables"], stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True)
+        RUNNING.add(ended.pid)
         _, status, usage = os.wait4(ended.pid, 0)
+        RUNNING.remove(ended.pid)
+    if STOPPED.is_set():
+        raise KeyboardInterrupt
     text = log.read_text(errors="replace")
     results = re.findall(r"^test result: .* (\d+) passed; (\d+) failed; (\d+) ignored", text, re.M)
     counts = [sum(int(result[index]) for result in results) for index in range(3)]
@@ -99,7 +118,7 @@ def run(records: Path, name: str, program: dict, number: int) -> dict:
     part = path.with_suffix(".part")
     part.write_text(json.dumps(row))
     part.rename(path)
-    failures = re.findall("^test (.*) \\.\\.\\. FAILED$", text, re.M)
+    failures = re.findall(r"^(?:test )?(.*) (?:\.\.\.|---) FAILED$", text, re.M)
     if row["failed"]:
         print(f"{name}, run {number}: FAILED, see {log}", *failures, sep="\n    ", flush=True)
     return row
@@ -127,6 +146,7 @@ def main() -> int:
     if known.processes:
         programs = [(name, program) for name, program in programs if program["variables"].get("CARGO_PKG_NAME") in PROCESSES]
 
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     loops = [subprocess.Popen([sys.executable, "-c", LOOP, str(os.getpid())]) for _ in range(8)]
     # The longest first, as far as is known.
     took = {}
@@ -144,8 +164,12 @@ def main() -> int:
     try:
         with concurrent.futures.ThreadPoolExecutor(known.side_by_side) as lanes:
             turns = [lanes.submit(lane, name, program, number) for number in range(1, known.runs + 1) for name, program in programs]
-            for turn in concurrent.futures.as_completed(turns):
-                turn.result()
+            try:
+                for turn in concurrent.futures.as_completed(turns):
+                    turn.result()
+            except BaseException:
+                stop()
+                raise
     finally:
         for loop in loops:
             loop.kill()
