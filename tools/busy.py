@@ -74,8 +74,8 @@ def programs_of(records: Path, arguments: list[str]) -> list[tuple[str, dict]]:
             program["variables"].pop(changed, None)
         package = program["variables"]["CARGO_PKG_NAME"].removeprefix("joulebus-")
         found[f"{package}.{path.name.split('.')[0]}"] = program
-    # The blocks of the documentation are compiled as they run, so by Cargo. `cargo test --doc` would
-    # run those of packages, too, that have none.
+    # The blocks of the documentation are compiled as they run, so by Cargo. `cargo test --doc`
+    # would run those of packages, too, that have none.
     variables = dict(os.environ) | {variable: f"{runner} --blocks"}
     found["documentation"] = {"command": command, "folder": str(ROOT), "variables": variables}
     return list(found.items())

@@ -182,8 +182,8 @@ pub(crate) const ATTEMPTS: usize = 5;
 
 /// Repeats a scene that allows no lost message until it had none. `scene` returns its
 /// [`disturbances`]. A link that gets no processor for a second counts as gone, and its messages in
-/// flight are lost. A message that finds the queue full for 50 ms is lost as well. Both are counted,
-/// as promised.
+/// flight are lost. A message that finds the queue full for 50 ms is lost as well. Both are
+/// counted, as promised.
 pub(crate) fn undisturbed(mut scene: impl FnMut() -> u64) {
     let is_undisturbed = (0..ATTEMPTS).any(|_| scene() == 0);
     assert!(is_undisturbed, "messages were lost, {ATTEMPTS} times");

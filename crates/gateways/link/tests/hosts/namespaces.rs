@@ -141,7 +141,7 @@ fn a_partition_is_reported_within_its_bound_and_after_it_all_goes_on_by_itself()
     let sent = robots.end().json()["samples_sent"].as_u64().unwrap();
     std::thread::sleep(Duration::from_millis(500));
     let edge = edge.end();
-    assert!(edge.json()["taken"][0]["disturbances"].as_u64() >= Some(1), "{edge:?}");
+    assert!(edge.json()["taken"][0]["silences"].as_u64() >= Some(1), "{edge:?}");
     base.end();
     let report = worker.end().json();
     let dropped = report["samples_dropped"].as_object().unwrap().values();
