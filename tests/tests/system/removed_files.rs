@@ -191,7 +191,8 @@ fn doctor_names_processes_that_use_removed_files() {
         assert_eq!(worker.wait().code(), Some(1), "{what}");
         controller.finish();
         planner.child.end();
-        assert_eq!(arena.run(&["doctor", "--fix"]).code(), Some(0), "{what}");
+        let fixed = arena.run(&["doctor", "--fix"]);
+        assert_eq!(fixed.code(), Some(0), "{what}: {fixed:?}");
         assert_eq!(arena.stale_files(), Vec::<PathBuf>::new(), "{what}");
     }
 }
