@@ -274,8 +274,8 @@ fn row_24_memory_of_dead_processes_is_freed_for_the_next_start() {
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
     worker.wait_for_line("ready:");
     worker.kill();
-    // A fraction of what a worker needs. The dead one holds the rest, without what its log of alarms
-    // had not opened yet: the worker is ready before.
+    // A fraction of what a worker needs. The dead one holds the rest, but not what its log of
+    // alarms had not opened yet.
     shm.leave(Left::Bytes(6 << 20));
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
     worker.wait_for_line("ready:");
