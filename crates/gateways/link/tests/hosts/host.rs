@@ -172,9 +172,14 @@ pub(crate) fn has_lost_edge(link: &Child) -> bool {
     logged.iter().any(|text| errors.contains(text))
 }
 
-/// Times that nothing came from a link, and messages lost, of an entry of `taken` of its report.
+/// Times that nothing came from a link, of an entry of `taken` of its report.
+pub(crate) fn silences(taken: &Value) -> u64 {
+    taken["silences"].as_u64().unwrap()
+}
+
+/// The silences and the messages lost of an entry of `taken`.
 pub(crate) fn disturbances(taken: &Value) -> u64 {
-    ["silences", "lost"].iter().map(|key| taken[key].as_u64().unwrap()).sum()
+    silences(taken) + taken["lost"].as_u64().unwrap()
 }
 
 /// Maximum number of attempts at a scene.
