@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::Domain;
+use crate::cleanup::objects::{is_of, is_of_node, list, list_own};
 use crate::marker::Marked;
 use crate::os::files::{filesystem, is_memory};
 use crate::private::{check_own, check_private};
@@ -34,12 +35,13 @@ pub fn prepare_domain(domain: &Domain) -> Result<Vec<DomainWarning>, RootError> 
     warnings(domain)
 }
 
-/// Removes other users' rights from those of the directories that joulebus created. Returns the
-/// changed ones with their previous modes.
+/// Removes other users' rights from those of the directories that joulebus created, or iceoryx2 in
+/// their place. Returns the changed ones with their previous modes.
 ///
 /// # Errors
 /// [`RootError`] if a directory accessible to others was not created by joulebus.
 pub fn restrict_domain(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
+    let adopted = adopt(domain)?;
     let root = match Marked::root(domain).restrict() {
         // Created by its owner, who gets a message.
         Err(RootError::Unmarked { .. }) => check_private(domain.root()).map(|()| None)?,
@@ -48,7 +50,53 @@ pub fn restrict_domain(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError
     let root = root.map(|mode| (domain.root().to_owned(), mode));
     let fleet = Marked::fleet(domain).restrict()?;
     let fleet = fleet.map(|mode| (domain.directory(), mode));
-    Ok(root.into_iter().chain(fleet).collect())
+    Ok(adopted.into_iter().chain(root).chain(fleet).collect())
+}
+
+/// Marks directories that iceoryx2 has made in place of removed ones, so that they can be used and
+/// cleaned up. It makes missing directories for each file, readable for the group: without this,
+/// a process that opens a port while the root is removed would keep every other one out. Returns
+/// those that other users could read, with their modes.
+fn adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
+    let directory = domain.directory();
+    if !is_missing(&domain.members_file()) || !is_made_by_iceoryx(domain) {
+        return Ok(Vec::new());
+    }
+    let root = domain.root();
+    let mut adopted = Vec::new();
+    // A private root may be used without a marker.
+    if check_private(root).is_err() && list(root).iter().all(|fleet| holds_only_inner(fleet)) {
+        adopted.push((root.to_owned(), Marked::root(domain).adopt()?));
+    }
+    adopted.push((directory, Marked::fleet(domain).adopt()?));
+    tracing::warn!(?adopted, "iceoryx2 has made removed directories again. They are used");
+    adopted.retain(|(_, mode)| mode & 0o077 != 0);
+    Ok(adopted)
+}
+
+/// True if the fleet's directory contains files of iceoryx2 for this domain, and nothing else.
+fn is_made_by_iceoryx(domain: &Domain) -> bool {
+    let directory = domain.directory();
+    if !holds_only_inner(&directory) {
+        return false;
+    }
+    let inner = [NODES, SERVICES].map(|inner| list_own(&directory.join(inner)));
+    let mut files = Vec::new();
+    for path in inner.into_iter().flatten() {
+        if is_of_node(&path) {
+            files.extend(list_own(&path));
+        } else {
+            files.push(path);
+        }
+    }
+    !files.is_empty() && files.iter().all(|path| is_of(domain, path))
+}
+
+/// True if a directory of this user contains no other names than those of iceoryx2's directories.
+fn holds_only_inner(directory: &Path) -> bool {
+    let found = list_own(directory);
+    let is_inner = |path: &PathBuf| [NODES, SERVICES].iter().any(|inner| path.ends_with(inner));
+    !found.is_empty() && found.iter().all(is_inner)
 }
 
 /// Conditions that work with reduced performance.
@@ -64,6 +112,7 @@ pub(crate) fn warnings(domain: &Domain) -> Result<Vec<DomainWarning>, RootError>
 
 /// Like [`prepare_domain`], for the root only.
 pub(crate) fn prepare_root(domain: &Domain) -> Result<(), RootError> {
+    adopt(domain)?;
     let root = domain.root();
     if is_missing(root) {
         let parent = root.parent().unwrap_or(Path::new("/"));

@@ -103,6 +103,19 @@ impl Marked {
         Ok(Some(mode))
     }
 
+    /// Makes a directory without a marker one of joulebus: private, then marked. Returns its
+    /// previous mode. The caller knows that it is of this domain.
+    pub(crate) fn adopt(&self) -> Result<u32, RootError> {
+        let found = check_own(&self.path)?;
+        let failed = |error| RootError::io(&self.path, error);
+        let directory = open_directory(&self.path).map_err(failed)?;
+        if directory.metadata().map_err(failed)?.ino() == found.ino() {
+            fchmod(&directory, Mode::RWXU).map_err(|error| failed(error.into()))?;
+            self.restore(&directory);
+        }
+        Ok(found.mode() & 0o7777)
+    }
+
     /// Removes the directory if it is ours and contains only its marker. The caller knows that no
     /// process uses it. Atomic for other processes.
     pub(crate) fn remove(&self) {

@@ -4,14 +4,16 @@
 //! object from one that is being created (#1771, #364). The kernel can: a process that creates or
 //! uses an object has its file open.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use super::objects::{
     Identity, OWNER_READ, Object, is_of, is_of_node, list, list_own, objects, open_files,
 };
+use super::removed::SETTLES_WITHIN;
 use crate::directory::{NODES, SERVICES};
 use crate::os::memory::SHM_DIR;
 use crate::os::process::lock_holders;
@@ -24,14 +26,45 @@ const OWNER_WRITE: u32 = 0o200;
 const MONITOR: &str = ".node_monitor";
 /// Time for which a service must have looked abandoned, ns.
 const ABANDONED_AFTER_NS: u64 = 250_000_000;
+/// Time between two searches for objects that their creators may complete.
+const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(50);
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
-/// Objects in shared memory not completed in time. Their creators may be alive.
+/// Objects in shared memory not completed in time. One that a process has open may be completed
+/// within [`SETTLES_WITHIN`], for which this waits: a creator waits for a processor like others.
 pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
-    let incomplete = |object: &Object| object.is_incomplete() && object.is_old();
-    let found = objects(domain)?.into_iter().filter(incomplete);
-    Ok(found.map(|object| object.path).collect())
+    let begin = Instant::now();
+    let search = || {
+        let mut found = objects(domain)?;
+        found.retain(|object| object.is_incomplete() && object.is_old());
+        Ok(found)
+    };
+    let wait = || {
+        std::thread::sleep(LOOK_AGAIN_AFTER);
+        begin.elapsed() < SETTLES_WITHIN
+    };
+    let found = not_completed(search, open_files, wait)?;
+    Ok(found.into_iter().map(|object| object.path).collect())
+}
+
+/// What `search` finds, and finds again as long as `open` has any of it and `wait` returns true.
+fn not_completed(
+    search: impl Fn() -> Result<Vec<Object>, RootError>,
+    open: impl Fn() -> HashSet<Identity>,
+    wait: impl Fn() -> bool,
+) -> Result<Vec<Object>, RootError> {
+    let mut found = search()?;
+    while !found.is_empty() {
+        let open = open();
+        if !found.iter().any(|object| open.contains(&object.identity)) || !wait() {
+            break;
+        }
+        let again: HashSet<Identity> =
+            search()?.into_iter().map(|object| object.identity).collect();
+        found.retain(|object| again.contains(&object.identity));
+    }
+    Ok(found)
 }
 
 /// Removes incomplete objects, services and nodes: opening an object of size 0 blocks forever, an
@@ -295,9 +328,9 @@ fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
     use std::os::unix::fs::PermissionsExt as _;
     use std::thread::sleep;
-    use std::time::Duration;
 
     use super::*;
 
@@ -375,6 +408,47 @@ mod tests {
         let removed = (0..=MAX_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
         assert_eq!(removed.sum::<u64>(), 1);
         fs::remove_dir_all(domain.root()).unwrap();
+    }
+
+    #[test]
+    fn an_object_counts_as_incomplete_if_its_creator_is_gone_or_does_not_complete_it_in_time() {
+        let object = |name: &str| {
+            let path = std::env::temp_dir().join(format!("joulebus-{name}-{}", std::process::id()));
+            fs::write(&path, "").unwrap();
+            Object::new(path).unwrap()
+        };
+        let [slow, dead] = ["slow", "dead"].map(object);
+        let both = HashSet::from([slow.identity, dead.identity]);
+        // Found at first, open, the search after which `slow` is complete, and what is reported.
+        let cases = [
+            (vec![], &both, 0, vec![]),
+            (vec![&slow], &both, 1, vec![]),
+            (vec![&slow], &both, 3, vec![]),
+            (vec![&slow], &both, 4, vec![&slow]),
+            (vec![&slow, &dead], &both, 1, vec![&dead]),
+            (vec![&dead], &HashSet::new(), 0, vec![&dead]),
+        ];
+        for (at_first, open, completed_after, reported) in cases {
+            let (searches, waits) = (Cell::new(0), Cell::new(0));
+            let search = || {
+                searches.set(searches.get() + 1);
+                let is_complete = |object: &Object| {
+                    object.identity == slow.identity && searches.get() > completed_after
+                };
+                let found = at_first.iter().map(|object| (*object).clone());
+                Ok(found.filter(|object| !is_complete(object)).collect())
+            };
+            let wait = || {
+                waits.set(waits.get() + 1);
+                waits.get() < 4
+            };
+            let found = not_completed(search, || open.clone(), wait).unwrap();
+            assert_eq!(found.iter().collect::<Vec<_>>(), reported, "{at_first:?}");
+            assert_eq!(waits.get() > 0, !at_first.is_empty() && !open.is_empty());
+        }
+        for object in [slow, dead] {
+            fs::remove_file(object.path).unwrap();
+        }
     }
 
     #[test]

@@ -111,7 +111,7 @@ pub(crate) fn named(domain: &Domain, id: &str, suffixes: &[&str]) -> Vec<PathBuf
 
 /// The entries of a directory of this user, which must not be a symbolic link and must be on the
 /// same file system as its parent.
-pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
+pub(crate) fn list_own(directory: &Path) -> Vec<PathBuf> {
     let found = fs::symlink_metadata(directory);
     let above = directory.parent().map(fs::symlink_metadata);
     match (found, above) {
@@ -125,18 +125,18 @@ pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
 }
 
 /// True if iceoryx2 uses such a name for a file of `domain`.
-pub(super) fn is_of(domain: &Domain, path: &Path) -> bool {
+pub(crate) fn is_of(domain: &Domain, path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().as_encoded_bytes();
     name.starts_with(domain.shm_prefix().as_bytes())
 }
 
 /// True if iceoryx2 uses such a name for a node's directory.
-pub(super) fn is_of_node(path: &Path) -> bool {
+pub(crate) fn is_of_node(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().as_encoded_bytes();
     !name.is_empty() && name.iter().all(u8::is_ascii_digit)
 }
 
-pub(super) fn list(directory: &Path) -> Vec<PathBuf> {
+pub(crate) fn list(directory: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(directory).into_iter().flatten().flatten();
     entries.map(|entry| entry.path()).collect()
 }

@@ -5,7 +5,9 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_bus::{CapacityError, Domain, Limits, Ports, RootError, WorkerLock, check_capacity};
+use joulebus_bus::{
+    Bus, CapacityError, Domain, Limits, Ports, RootError, WorkerLock, check_capacity,
+};
 
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
@@ -41,6 +43,68 @@ fn a_root_accessible_to_others_is_refused_with_its_mode() {
         assert!(error.to_string().contains("chmod 700"), "{error}");
         assert!(WorkerLock::acquire(&root.domain()).is_err());
     }
+}
+
+/// What iceoryx2 leaves if a process opens a port while the root is removed.
+fn make_again(domain: &Domain) {
+    let node = domain.directory().join("nodes/12");
+    fs::create_dir_all(&node).unwrap();
+    for directory in [domain.root(), &domain.directory()] {
+        fs::set_permissions(directory, fs::Permissions::from_mode(0o750)).unwrap();
+    }
+    fs::write(node.join(format!("{}34.port_tag", domain.shm_prefix())), "").unwrap();
+}
+
+#[test]
+fn directories_that_iceoryx2_has_made_again_are_used_and_removed() {
+    let root = Root::new();
+    let domain = root.domain();
+    make_again(&domain);
+    // As a worker does.
+    let lock = WorkerLock::acquire(&domain).unwrap();
+    drop(Bus::join(&domain, "test").unwrap());
+    drop(lock);
+    assert!(!domain.directory().exists());
+    assert_eq!(joulebus_bus::sweep(&domain).unwrap().files, 0);
+    assert!(!root.0.exists());
+
+    make_again(&domain);
+    let changed = joulebus_bus::restrict_domain(&domain).unwrap();
+    assert_eq!(changed, [(root.0.clone(), 0o750), (domain.directory(), 0o750)]);
+    assert_eq!(joulebus_bus::sweep(&domain).unwrap().files, 1);
+    assert!(!root.0.exists());
+
+    // Beside the directory of another fleet, removed in the same way.
+    make_again(&domain);
+    let other = Domain::new("other", &root.0, "jbt_").unwrap();
+    make_again(&other);
+    for domain in [domain, other] {
+        drop(Bus::join(&domain, "test").unwrap());
+    }
+    assert!(!root.0.exists());
+}
+
+#[test]
+fn directories_with_anything_that_iceoryx2_does_not_make_for_the_fleet_stay_as_they_are() {
+    let another = format!("nodes/{}34.port_tag", "jbt_00000000_");
+    let fleets = [("test/mine", false), ("test/nodes/mine", false), (&*another, true)];
+    for (file, below) in fleets {
+        let root = Root::new();
+        make_again(&root.domain());
+        let above = if below { root.domain().directory() } else { root.0.clone() };
+        fs::write(above.join(file), "").unwrap();
+        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
+        assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{file}: {error}");
+        fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
+        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
+        assert!(matches!(error, RootError::Unmarked { .. }), "{file}: {error}");
+    }
+    // A root with anything else keeps its mode.
+    let root = Root::new();
+    make_again(&root.domain());
+    fs::write(root.0.join("mine"), "").unwrap();
+    let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
+    assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{error}");
 }
 
 #[test]
