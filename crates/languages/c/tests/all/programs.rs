@@ -11,6 +11,7 @@ use joulebus_plan_server::PlanServer;
 use joulebus_predictor::{INPUTS, Model, Network};
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{Child, Ended, Member, PATIENCE, eventually, send_to_test};
+use rustix::process::Signal;
 use tempfile::TempDir;
 
 const CONFIG: &str = "JOULEBUS_MEMBER_CONFIG";
@@ -282,7 +283,10 @@ fn the_examples_run_and_a_killed_worker_is_reported() {
         until(&reader, &mut read, wanted);
         worker.kill();
         until(&reader, &mut read, "the worker has ended");
+        // It ends after ten seconds without a frame, within which a worker may not start.
+        reader.signal(Signal::STOP);
         let mut again = fleet.worker();
+        reader.signal(Signal::CONT);
         until(&reader, &mut read, "tick ");
         source.stop();
         let printed_text = reader.stop().text();
