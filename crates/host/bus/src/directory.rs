@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::Domain;
-use crate::cleanup::objects::{is_of, is_of_node, list, list_own};
+use crate::cleanup::objects::{NODES, SERVICES, is_of, is_of_node, list, list_own};
 use crate::marker::Marked;
 use crate::os::files::{filesystem, is_memory};
 use crate::private::{check_own, check_private};
@@ -15,9 +15,6 @@ use crate::{DomainWarning, RootError};
 
 /// Timeout of retries while other processes create or remove the directories.
 pub(crate) const RETRY_TIMEOUT: Duration = Duration::from_secs(5);
-/// The directories that iceoryx2 creates in that of a fleet.
-pub(crate) const NODES: &str = "nodes";
-pub(crate) const SERVICES: &str = "services";
 
 /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
 /// Both must be private, and the fleet's must contain the marker that joulebus writes at its

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::objects::{
-    Identity, OWNER_READ, Object, is_of, is_of_node, list, list_own, objects, open_files,
+    Identity, NODES, OWNER_READ, Object, SERVICES, is_of, is_of_node, list, list_own, objects,
+    open_files,
 };
 use super::removed::SETTLES_WITHIN;
-use crate::directory::{NODES, SERVICES};
 use crate::os::memory::SHM_DIR;
 use crate::os::process::lock_holders;
 use crate::{Domain, RootError, clock};

@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use super::claim::Claim;
-use crate::directory::{NODES, SERVICES};
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError};
 
+/// The directories that iceoryx2 creates in that of a fleet.
+pub(crate) const NODES: &str = "nodes";
+pub(crate) const SERVICES: &str = "services";
 /// Age at which an incomplete object counts as stale. Creating one takes microseconds.
 const OLD: Duration = Duration::from_millis(250);
 /// An object and a node's context get this permission once complete.

@@ -21,8 +21,8 @@ pub struct RemovedFiles {
     pub count: usize,
 }
 
-/// Time within which the processes of a fleet settle. They hold the events of a reader that has left
-/// until their next look at who is there.
+/// Time within which the processes of a fleet settle. They hold the events of a reader that has
+/// left until their next look at who is there.
 pub(super) const SETTLES_WITHIN: Duration = Duration::from_millis(2_500);
 
 /// Processes of this user with open files of the domain that no longer exist, so that processes

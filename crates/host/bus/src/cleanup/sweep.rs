@@ -8,9 +8,9 @@ use std::time::Instant;
 
 use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
-use super::objects::{is_of, is_of_node, list_own, objects};
+use super::objects::{NODES, SERVICES, is_of, is_of_node, list_own, objects};
 use super::report::SweepReport;
-use crate::directory::{NODES, RETRY_TIMEOUT, SERVICES};
+use crate::directory::RETRY_TIMEOUT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
