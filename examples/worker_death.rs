@@ -27,7 +27,7 @@ fn main() -> anyhow::Result<()> {
     let mut worker = start(fleet.config())?;
     let mut killed = false;
     loop {
-        match subscriber.wait_next(Duration::from_secs(10))? {
+        match subscriber.wait_next(Duration::from_secs(60))? {
             Event::Frame(frame) if frame.arrival().restarted => {
                 println!("tick {} of a new worker", frame.header().tick);
                 break;
@@ -44,7 +44,7 @@ fn main() -> anyhow::Result<()> {
             }
             Event::TimedOut => {
                 worker.kill()?;
-                anyhow::bail!("no event for ten seconds");
+                anyhow::bail!("no event for a minute");
             }
             // Frames sent before the end, and `Stale` before it is reported: nothing to do.
             _ => {}

@@ -44,16 +44,22 @@ fn printed(output: Output) -> Vec<String> {
     printed.lines().map(str::to_owned).collect()
 }
 
-/// Same as [`lines`], of an example that records: one whose recorder gets no processor in time
-/// loses messages and reports that, and is run again.
-fn recorded(start: impl Fn() -> Child) -> Vec<String> {
+/// Same as [`lines`], of an example that reports `late` if a thread gets no processor in time, and
+/// is run again then.
+fn in_time(late: &str, start: impl Fn() -> Child) -> Vec<String> {
     for _ in 0..5 {
         let output = start().wait_with_output().unwrap();
-        if !String::from_utf8_lossy(&output.stderr).contains("the recorder lost ") {
+        let is_late = |text: &[u8]| String::from_utf8_lossy(text).contains(late);
+        if !is_late(&output.stdout) && !is_late(&output.stderr) {
             return printed(output);
         }
     }
-    panic!("the recorder lost messages each time");
+    panic!("each time: {late}");
+}
+
+/// Same as [`lines`], of an example that records.
+fn recorded(start: impl Fn() -> Child) -> Vec<String> {
+    in_time("the recorder lost ", start)
 }
 
 fn run(name: &str) -> Vec<String> {
@@ -81,7 +87,7 @@ fn ask_answers_for_every_robot() {
 
 #[test]
 fn ask_worker_is_answered_and_refused() {
-    let printed = run("ask_worker");
+    let printed = in_time("it is just starting", || start("ask_worker", &[]));
     assert_eq!(printed.len(), 5, "{printed:#?}");
     assert_eq!(printed[2].split(':').next(), Some("robot 1"), "{printed:#?}");
     assert_eq!(printed[3].split(':').next(), Some("refused (UnknownRobot)"));
