@@ -35,7 +35,7 @@ const RECORDER: &str = "recorder";
 const PAGE: &str = "page";
 
 /// Timeout of the worker's first frame.
-const START_TIMEOUT_NS: u64 = 15_000_000_000;
+const START_TIMEOUT_NS: u64 = 30_000_000_000;
 /// Maximum time for the worker to process the last samples, and for its frame to be read. On a busy
 /// machine either may get no processor for more than a second.
 const DRAIN_TIMEOUT_NS: u64 = 5_000_000_000;

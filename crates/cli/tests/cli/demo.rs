@@ -214,19 +214,20 @@ fn a_signal_at_any_time_during_the_start_leaves_no_files() {
 #[test]
 fn a_killed_worker_is_restarted_and_the_summary_adds_up() {
     let run = |_| {
-        let (demo, summary) = killed_worker();
+        let (demo, summary) = killed_worker()?;
         // The backoff alone is longer than two frames. A source may get no processor meanwhile.
         let is_lost = count(&summary["samples"]["lost_between_workers"]) >= 4;
         is_lost.then_some((demo, summary))
     };
-    let (demo, summary) = (0..5).find_map(run).expect("no frame was lost");
+    let (demo, summary) = (0..5).find_map(run).expect("no frame was lost between two workers");
     let deaths = summary["deaths"].as_array().unwrap();
     assert!(deaths[0].as_str().unwrap().contains("again in 100 ms"), "{deaths:?}");
     assert_nothing_left(&summary, &demo);
 }
 
-/// A demonstration whose worker is killed once, and its summary, in which all adds up.
-fn killed_worker() -> (Run, Value) {
+/// A demonstration whose worker is killed once, and its summary, in which all adds up. `None` if
+/// it was ended before the second worker had sent anything.
+fn killed_worker() -> Option<(Run, Value)> {
     let mut demo = Run::demo(&["--duration", "600", "--robots", "4"]);
     let worker = demo.pid_of("worker");
     let samples = demo.wait_for_samples(0);
@@ -235,13 +236,17 @@ fn killed_worker() -> (Run, Value) {
     demo.wait_for_samples(samples);
     demo.0.signal(Signal::TERM);
     let (code, summary) = demo.summary();
+    // The samples that were waited for may be of the killed one: read late.
+    if count(&summary["planner"]["workers"]) < 2 {
+        return None;
+    }
     assert_eq!(code, 0, "{summary:#}");
     assert_eq!(count(&summary["workers"]), 2, "{summary:#}");
     let samples = &summary["samples"];
     let counted = count(&samples["accepted"]) + dropped(&summary);
     let lost = count(&samples["lost_between_workers"]);
     assert_eq!(count(&samples["sent"]), counted + lost);
-    (demo, summary)
+    Some((demo, summary))
 }
 
 #[test]

@@ -49,8 +49,8 @@ type ClientPort = (Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFa
 type Pending = DropsHere<PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
 type Request = DropsHere<ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
 
-/// A worker may take this long to open its port, ns.
-const OPENS_WITHIN_NS: u64 = 1_000_000_000;
+/// A worker may take this long to open its port, ns: it waits for a processor like others.
+const OPENS_WITHIN_NS: u64 = 3_000_000_000;
 /// Pause before a question is sent again.
 const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
 
@@ -231,8 +231,8 @@ pub struct QueryClient {
     workers: WorkerPorts,
     domain: Domain,
     worker: Option<(Owner, PeerWatch)>,
-    /// The worker that answered last.
-    answered_by: Option<u32>,
+    /// The worker whose port has taken a question last.
+    taken_by: Option<u32>,
     number: u64,
     /// When the question in transfer was sent, monotonic ns.
     sent_ns: u64,
@@ -274,7 +274,7 @@ impl QueryClient {
             workers: WorkerPorts::new(bus.domain()),
             domain: bus.domain().clone(),
             worker: None,
-            answered_by: None,
+            taken_by: None,
             number: 0,
             sent_ns: 0,
             member: Rc::clone(&bus.member),
@@ -287,7 +287,7 @@ impl QueryClient {
     ///
     /// # Errors
     /// [`QueryError`]: at once if there is no worker, or it has ended since.
-    /// [`QueryError::NotServed`] after a second if this worker has not answered so far.
+    /// [`QueryError::NotServed`] after 3 s if this worker has taken no question so far.
     pub fn ask(
         &mut self,
         header: QueryHeader,
@@ -296,19 +296,18 @@ impl QueryClient {
         let opens_ns = clock::monotonic_ns().saturating_add(OPENS_WITHIN_NS);
         loop {
             let sent = self.send(header, values);
-            let asked = sent.and_then(|()| self.wait(header.deadline_ns));
             let worker = self.worker.as_ref().map(|(owner, _)| owner.pid);
-            match &asked {
-                Ok(_) => self.answered_by = worker,
-                Err(QueryError::NotServed) => {
-                    let has_answered = worker.is_some() && self.answered_by == worker;
-                    let until_ns = if has_answered { u64::MAX } else { opens_ns };
-                    if clock::monotonic_ns() < header.deadline_ns.min(until_ns) {
-                        std::thread::sleep(SEND_RETRY_AFTER);
-                        continue;
-                    }
+            if sent.is_ok() {
+                self.taken_by = worker;
+            }
+            let asked = sent.and_then(|()| self.wait(header.deadline_ns));
+            if matches!(asked, Err(QueryError::NotServed)) {
+                let has_taken = worker.is_some() && self.taken_by == worker;
+                let until_ns = if has_taken { u64::MAX } else { opens_ns };
+                if clock::monotonic_ns() < header.deadline_ns.min(until_ns) {
+                    std::thread::sleep(SEND_RETRY_AFTER);
+                    continue;
                 }
-                Err(_) => {}
             }
             return asked;
         }
