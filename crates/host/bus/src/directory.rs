@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::Domain;
-use crate::cleanup::objects::{NODES, SERVICES, is_of, is_of_node, list, list_own};
+use crate::adopt::adopt;
+use crate::cleanup::objects::{NODES, SERVICES};
 use crate::marker::Marked;
 use crate::os::files::{filesystem, is_memory};
 use crate::private::{check_own, check_private};
@@ -18,7 +19,7 @@ pub(crate) const RETRY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
 /// Both must be private, and the fleet's must contain the marker that joulebus writes at its
-/// creation: others are not changed. Called by [`crate::Bus::join`]. Idempotent.
+/// creation: others are not changed, unless iceoryx2 alone made them. Called by [`crate::Bus::join`]. Idempotent.
 ///
 /// # Errors
 /// [`RootError`] if one cannot be created, is not a private directory of this user, or was not
@@ -32,7 +33,7 @@ pub fn prepare_domain(domain: &Domain) -> Result<Vec<DomainWarning>, RootError> 
     warnings(domain)
 }
 
-/// Removes other users' rights from those of the directories that joulebus created, or iceoryx2 in
+/// Removes other users' rights from the directories that joulebus created, or that iceoryx2 made in
 /// their place. Returns the changed ones with their previous modes.
 ///
 /// # Errors
@@ -48,52 +49,6 @@ pub fn restrict_domain(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError
     let fleet = Marked::fleet(domain).restrict()?;
     let fleet = fleet.map(|mode| (domain.directory(), mode));
     Ok(adopted.into_iter().chain(root).chain(fleet).collect())
-}
-
-/// Marks directories that iceoryx2 has made in place of removed ones, so that they can be used and
-/// cleaned up. It makes missing directories for each file, readable for the group: without this,
-/// a process that opens a port while the root is removed would keep every other one out. Returns
-/// those that other users could read, with their modes.
-fn adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
-    let directory = domain.directory();
-    if !is_missing(&domain.members_file()) || !is_made_by_iceoryx(domain) {
-        return Ok(Vec::new());
-    }
-    let root = domain.root();
-    let mut adopted = Vec::new();
-    // A private root may be used without a marker.
-    if check_private(root).is_err() && list(root).iter().all(|fleet| holds_only_inner(fleet)) {
-        adopted.push((root.to_owned(), Marked::root(domain).adopt()?));
-    }
-    adopted.push((directory, Marked::fleet(domain).adopt()?));
-    tracing::warn!(?adopted, "iceoryx2 has made removed directories again. They are used");
-    adopted.retain(|(_, mode)| mode & 0o077 != 0);
-    Ok(adopted)
-}
-
-/// True if the fleet's directory contains files of iceoryx2 for this domain, and nothing else.
-fn is_made_by_iceoryx(domain: &Domain) -> bool {
-    let directory = domain.directory();
-    if !holds_only_inner(&directory) {
-        return false;
-    }
-    let inner = [NODES, SERVICES].map(|inner| list_own(&directory.join(inner)));
-    let mut files = Vec::new();
-    for path in inner.into_iter().flatten() {
-        if is_of_node(&path) {
-            files.extend(list_own(&path));
-        } else {
-            files.push(path);
-        }
-    }
-    !files.is_empty() && files.iter().all(|path| is_of(domain, path))
-}
-
-/// True if a directory of this user contains no other names than those of iceoryx2's directories.
-fn holds_only_inner(directory: &Path) -> bool {
-    let found = list_own(directory);
-    let is_inner = |path: &PathBuf| [NODES, SERVICES].iter().any(|inner| path.ends_with(inner));
-    !found.is_empty() && found.iter().all(is_inner)
 }
 
 /// Conditions that work with reduced performance.

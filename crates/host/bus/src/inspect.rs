@@ -29,7 +29,8 @@ pub struct Inspection {
     pub nodes: Vec<NodeInfo>,
     /// Holder of the worker's lock, if a worker runs.
     pub worker: Option<WorkerOwner>,
-    /// Incomplete objects on which a process may be blocked.
+    /// Incomplete objects on which a process may be blocked. Those that a process has open were
+    /// given 2.5 s.
     pub incomplete: Vec<PathBuf>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
@@ -73,7 +74,8 @@ pub struct RootInfo {
     pub in_memory: bool,
 }
 
-/// Reads the state of a domain without joining it. May be called from any thread.
+/// Reads the state of a domain without joining it. May be called from any thread. Waits up to 2.5 s
+/// while a process makes an object.
 ///
 /// # Errors
 /// [`InspectError`] if a system call fails. Defects of the domain itself are in the result.

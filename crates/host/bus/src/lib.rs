@@ -48,6 +48,7 @@
 //! [5]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/waiting.md
 #![deny(unsafe_code)]
 
+mod adopt;
 mod bus;
 mod cleanup;
 mod description;

@@ -1,13 +1,14 @@
 //! Directories created by joulebus. Each contains a marker. Those without one belong to others and
-//! are neither changed nor removed.
+//! are neither changed nor removed, unless iceoryx2 alone made them (`adopt.rs`).
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
+use std::os::fd::AsRawFd as _;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use rustix::fs::{CWD, Mode, OFlags, RenameFlags, fchmod, openat, renameat_with};
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, fchmod, linkat, openat, renameat_with};
 use rustix::io::Errno;
 
 use crate::os::files::{draft_number, effective_uid, is_same};
@@ -106,14 +107,14 @@ impl Marked {
     /// Makes a directory without a marker one of joulebus: private, then marked. Returns its
     /// previous mode. The caller knows that it is of this domain.
     pub(crate) fn adopt(&self) -> Result<u32, RootError> {
-        let found = check_own(&self.path)?;
+        let mode = check_own(&self.path)?.mode() & 0o7777;
         let failed = |error| RootError::io(&self.path, error);
         let directory = open_directory(&self.path).map_err(failed)?;
-        if directory.metadata().map_err(failed)?.ino() == found.ino() {
+        if is_same(&directory, &self.path).map_err(failed)? {
             fchmod(&directory, Mode::RWXU).map_err(|error| failed(error.into()))?;
-            self.restore(&directory);
+            self.restore(&directory).map_err(failed)?;
         }
-        Ok(found.mode() & 0o7777)
+        Ok(mode)
     }
 
     /// Removes the directory if it is ours and contains only its marker. The caller knows that no
@@ -137,12 +138,19 @@ impl Marked {
     }
 
     /// Restores a removed marker in `directory`, so that the directory can be cleaned up. Locks on
-    /// the removed marker have no effect any more.
-    pub(crate) fn restore(&self, directory: &File) {
-        let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::CLOEXEC;
-        // Fails if it exists, or if the directory is gone.
-        if let Ok(file) = openat(directory, self.marker, flags, Mode::RUSR | Mode::WUSR) {
-            let _ = self.write(File::from(file));
+    /// the removed marker have no effect any more. It appears complete, or not at all. Nothing
+    /// changes if there is a marker.
+    ///
+    /// # Errors
+    /// The directory is gone, or the file cannot be written.
+    pub(crate) fn restore(&self, directory: &File) -> io::Result<()> {
+        let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
+        let file = File::from(openat(directory, ".", flags, Mode::RUSR | Mode::WUSR)?);
+        self.write(&file)?;
+        let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
+        match linkat(CWD, unnamed, directory, self.marker, AtFlags::SYMLINK_FOLLOW) {
+            Ok(()) | Err(Errno::EXIST) => Ok(()),
+            Err(error) => Err(error.into()),
         }
     }
 
@@ -152,10 +160,10 @@ impl Marked {
             .create_new(true)
             .mode(0o600)
             .open(directory.join(self.marker))?;
-        self.write(file)
+        self.write(&file)
     }
 
-    fn write(&self, mut file: File) -> io::Result<()> {
+    fn write(&self, mut file: &File) -> io::Result<()> {
         file.write_all(format!("{}boot {}\n", self.contents, this_boot()).as_bytes())?;
         file.sync_all()
     }

@@ -73,7 +73,7 @@ pub enum RootError {
     },
     /// Not created by joulebus, or its marker is damaged.
     #[error(
-        "{path:?} was not made by joulebus: it has no file {marker} that says so. Nothing in it is read, \
+        "{path:?} was not made by joulebus: it has no file {marker} that says so. No file in it is read, \
          changed or removed. Set another `fleet.name` or `domain.root`, or move it away. If an older \
          release made it, end that release's processes, look at what is in it, and remove it by hand"
     )]

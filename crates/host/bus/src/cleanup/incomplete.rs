@@ -27,12 +27,12 @@ const MONITOR: &str = ".node_monitor";
 /// Time for which a service must have looked abandoned, ns.
 const ABANDONED_AFTER_NS: u64 = 250_000_000;
 /// Time between two searches for objects that their creators may complete.
-const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(50);
+const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(250);
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
 /// Objects in shared memory not completed in time. One that a process has open may be completed
-/// within [`SETTLES_WITHIN`], for which this waits: a creator waits for a processor like others.
+/// within [`SETTLES_WITHIN`], for which this waits: its creator may be waiting for a processor.
 pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
     let begin = Instant::now();
     let search = || {
@@ -55,11 +55,11 @@ fn not_completed(
     wait: impl Fn() -> bool,
 ) -> Result<Vec<Object>, RootError> {
     let mut found = search()?;
-    while !found.is_empty() {
+    let mut is_settled = false;
+    while !found.is_empty() && !is_settled {
         let open = open();
-        if !found.iter().any(|object| open.contains(&object.identity)) || !wait() {
-            break;
-        }
+        is_settled = !found.iter().any(|object| open.contains(&object.identity)) || !wait();
+        // Also at the end: it may have been completed, and closed, before `open` was asked.
         let again: HashSet<Identity> =
             search()?.into_iter().map(|object| object.identity).collect();
         found.retain(|object| again.contains(&object.identity));
@@ -424,7 +424,9 @@ mod tests {
             (vec![], &both, 0, vec![]),
             (vec![&slow], &both, 1, vec![]),
             (vec![&slow], &both, 3, vec![]),
-            (vec![&slow], &both, 4, vec![&slow]),
+            (vec![&slow], &both, 5, vec![&slow]),
+            // Completed and closed after it was found.
+            (vec![&slow], &HashSet::new(), 1, vec![]),
             (vec![&slow, &dead], &both, 1, vec![&dead]),
             (vec![&dead], &HashSet::new(), 0, vec![&dead]),
         ];

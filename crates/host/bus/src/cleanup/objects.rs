@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 use super::claim::Claim;
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
-use crate::{Domain, RootError};
+use crate::{Domain, RootError, STANDBY_FILES};
 
 /// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";
@@ -113,7 +113,7 @@ pub(crate) fn named(domain: &Domain, id: &str, suffixes: &[&str]) -> Vec<PathBuf
 
 /// The entries of a directory of this user, which must not be a symbolic link and must be on the
 /// same file system as its parent.
-pub(crate) fn list_own(directory: &Path) -> Vec<PathBuf> {
+pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
     let found = fs::symlink_metadata(directory);
     let above = directory.parent().map(fs::symlink_metadata);
     match (found, above) {
@@ -130,6 +130,13 @@ pub(crate) fn list_own(directory: &Path) -> Vec<PathBuf> {
 pub(crate) fn is_of(domain: &Domain, path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().as_encoded_bytes();
     name.starts_with(domain.shm_prefix().as_bytes())
+}
+
+/// True if a link or a worker that stands by uses such a name for a file in a fleet's directory.
+pub(crate) fn is_of_standby(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let name = name.map(|name| name.strip_suffix(".new").unwrap_or(name));
+    name.is_some_and(|name| STANDBY_FILES.contains(&name))
 }
 
 /// True if iceoryx2 uses such a name for a node's directory.

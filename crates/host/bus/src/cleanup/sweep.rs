@@ -8,13 +8,13 @@ use std::time::Instant;
 
 use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
-use super::objects::{NODES, SERVICES, is_of, is_of_node, list_own, objects};
+use super::objects::{NODES, SERVICES, is_of, is_of_node, is_of_standby, list_own, objects};
 use super::report::SweepReport;
 use crate::directory::RETRY_TIMEOUT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
-use crate::{Domain, RootError, STANDBY_FILES, WorkerLock};
+use crate::{Domain, RootError, WorkerLock};
 
 /// Removes stale files of dead processes in `domain`: all files if no member is alive, otherwise
 /// dead nodes and incomplete objects. For a supervisor that has waited for its children, and for
@@ -101,12 +101,6 @@ fn remove_contents(domain: &Domain, report: &mut SweepReport) -> Result<(), Swee
     remove_files(&directory, report, |path| {
         is_of(domain, path) || iceoryx_config::is_config(domain, path) || is_of_standby(path)
     })
-}
-
-fn is_of_standby(path: &Path) -> bool {
-    let name = path.file_name().and_then(|name| name.to_str());
-    let name = name.map(|name| name.strip_suffix(".new").unwrap_or(name));
-    name.is_some_and(|name| STANDBY_FILES.contains(&name))
 }
 
 fn remove_files(

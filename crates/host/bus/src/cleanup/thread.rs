@@ -108,7 +108,8 @@ impl Steps for Rounds {
         {
             // The files at the domain's paths now belong to another fleet or program.
             tracing::error!("{error}");
-            Marked::fleet(&self.domain).restore(&self.directory);
+            // Fails if the directory is gone as well.
+            let _ = Marked::fleet(&self.domain).restore(&self.directory);
             return None;
         }
         self.round += 1;

@@ -2,7 +2,8 @@
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
-use std::path::PathBuf;
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_bus::{
@@ -45,14 +46,24 @@ fn a_root_accessible_to_others_is_refused_with_its_mode() {
     }
 }
 
-/// What iceoryx2 leaves if a process opens a port while the root is removed.
+/// What iceoryx2 leaves if a process opens a port while the root is removed: the tag of a port, and
+/// the socket of its event.
 fn make_again(domain: &Domain) {
-    let node = domain.directory().join("nodes/12");
+    let (node, prefix) = (domain.directory().join("nodes/12"), domain.shm_prefix());
     fs::create_dir_all(&node).unwrap();
     for directory in [domain.root(), &domain.directory()] {
-        fs::set_permissions(directory, fs::Permissions::from_mode(0o750)).unwrap();
+        set_mode(directory, 0o750);
     }
-    fs::write(node.join(format!("{}34.port_tag", domain.shm_prefix())), "").unwrap();
+    fs::write(node.join(format!("{prefix}34.port_tag")), "").unwrap();
+    drop(UnixListener::bind(domain.directory().join(format!("{prefix}34.event"))).unwrap());
+}
+
+fn set_mode(path: &Path, mode: u32) {
+    fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::symlink_metadata(path).unwrap().permissions().mode() & 0o7777
 }
 
 #[test]
@@ -71,40 +82,75 @@ fn directories_that_iceoryx2_has_made_again_are_used_and_removed() {
     make_again(&domain);
     let changed = joulebus_bus::restrict_domain(&domain).unwrap();
     assert_eq!(changed, [(root.0.clone(), 0o750), (domain.directory(), 0o750)]);
-    assert_eq!(joulebus_bus::sweep(&domain).unwrap().files, 1);
+    assert_eq!(joulebus_bus::sweep(&domain).unwrap().files, 2);
     assert!(!root.0.exists());
 
-    // Beside the directory of another fleet, removed in the same way.
+    // Ended before it had made a file.
+    fs::create_dir_all(domain.directory().join("services")).unwrap();
+    set_mode(&root.0, 0o750);
+    drop(Bus::join(&domain, "test").unwrap());
+    assert!(!root.0.exists());
+
+    // A fleet in the same root, of which nothing is there, and the one that is.
     make_again(&domain);
     let other = Domain::new("other", &root.0, "jbt_").unwrap();
-    make_again(&other);
-    for domain in [domain, other] {
+    for domain in [other, domain] {
         drop(Bus::join(&domain, "test").unwrap());
+        assert!(!domain.directory().exists());
     }
     assert!(!root.0.exists());
 }
 
 #[test]
-fn directories_with_anything_that_iceoryx2_does_not_make_for_the_fleet_stay_as_they_are() {
-    let another = format!("nodes/{}34.port_tag", "jbt_00000000_");
-    let fleets = [("test/mine", false), ("test/nodes/mine", false), (&*another, true)];
-    for (file, below) in fleets {
+fn all_of_many_processes_that_start_at_once_use_what_iceoryx2_has_made_again() {
+    for _ in 0..20 {
         let root = Root::new();
         make_again(&root.domain());
-        let above = if below { root.domain().directory() } else { root.0.clone() };
-        fs::write(above.join(file), "").unwrap();
-        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
-        assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{file}: {error}");
-        fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
-        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
-        assert!(matches!(error, RootError::Unmarked { .. }), "{file}: {error}");
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| drop(joulebus_bus::prepare_domain(&root.domain()).unwrap()));
+            }
+        });
+        let marker = fs::read_to_string(root.domain().members_file()).unwrap();
+        assert!(marker.contains("fleet test\n"), "{marker}");
     }
-    // A root with anything else keeps its mode.
-    let root = Root::new();
+}
+
+#[test]
+fn directories_with_anything_that_iceoryx2_does_not_make_for_the_fleet_stay_as_they_are() {
+    let another = "test/nodes/jbt_00000000_34.port_tag";
+    for file in ["mine", "test/mine", "test/nodes/mine", "test/nodes/12/mine", another] {
+        let root = Root::new();
+        let domain = root.domain();
+        make_again(&domain);
+        fs::write(root.0.join(file), "").unwrap();
+        let error = joulebus_bus::prepare_domain(&domain).unwrap_err();
+        assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{file}: {error}");
+        assert_eq!((mode(&root.0), mode(&domain.directory())), (0o750, 0o750), "{file}");
+        assert!(!domain.members_file().exists(), "{file}");
+        if file != "mine" {
+            set_mode(&root.0, 0o700);
+            let error = joulebus_bus::prepare_domain(&domain).unwrap_err();
+            assert!(matches!(error, RootError::Unmarked { .. }), "{file}: {error}");
+        }
+    }
+    // Others could have written into them.
+    for directory in ["", "test", "test/nodes", "test/nodes/12"] {
+        let root = Root::new();
+        make_again(&root.domain());
+        set_mode(&root.0.join(directory), 0o770);
+        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
+        assert!(matches!(error, RootError::Mode { .. }), "{directory}: {error}");
+        assert!(!root.domain().members_file().exists(), "{directory}");
+    }
+    // A directory elsewhere, through a link.
+    let (root, elsewhere) = (Root::new(), Root::new());
     make_again(&root.domain());
-    fs::write(root.0.join("mine"), "").unwrap();
+    fs::rename(&root.0, &elsewhere.0).unwrap();
+    symlink(&elsewhere.0, &root.0).unwrap();
     let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
-    assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{error}");
+    assert!(matches!(error, RootError::Symlink { .. }), "{error}");
+    assert_eq!(mode(&elsewhere.0.join("test")), 0o750);
 }
 
 #[test]
