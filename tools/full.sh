@@ -179,7 +179,9 @@ if [ -z "$here" ]; then
     clean || echo 'full: uncommitted changes are not in the clone' >&2
     place=$root/target/full/clone
     [ -d "$place" ] || git clone --quiet --no-checkout "$root" "$place" || exit 1
-    [ ! -d ../shared ] || ln -sfn "$(realpath ../shared)" "$root/target/full/shared"
+    # A copy: who removes the folder must not remove them.
+    rm -rf "$root/target/full/shared"
+    [ ! -d ../shared ] || cp -r --no-preserve=mode ../shared "$root/target/full/shared"
     git -C "$place" fetch --quiet "$root" "$commit" || exit 1
 elif ! clean; then
     records=$root/target/full/uncommitted
