@@ -19,7 +19,8 @@ pub(crate) const RETRY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
 /// Both must be private, and the fleet's must contain the marker that joulebus writes at its
-/// creation: others are not changed, unless iceoryx2 alone made them. Called by [`crate::Bus::join`]. Idempotent.
+/// creation: others are not changed, unless iceoryx2 alone made them. Called by
+/// [`crate::Bus::join`]. Idempotent.
 ///
 /// # Errors
 /// [`RootError`] if one cannot be created, is not a private directory of this user, or was not
