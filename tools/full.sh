@@ -179,7 +179,7 @@ if [ -z "$here" ]; then
     clean || echo 'full: uncommitted changes are not in the clone' >&2
     place=$root/target/full/clone
     [ -d "$place" ] || git clone --quiet --no-checkout "$root" "$place" || exit 1
-    # A copy: who removes the folder must not remove them.
+    # Recordings that some tests read. A copy: who empties the folder keeps the originals.
     rm -rf "$root/target/full/shared"
     [ ! -d ../shared ] || cp -r --no-preserve=mode ../shared "$root/target/full/shared"
     git -C "$place" fetch --quiet "$root" "$commit" || exit 1

@@ -79,8 +79,9 @@ def prepare(commit):
     if not CLONE.exists():
         subprocess.run(["git", "clone", "--quiet", "--no-checkout", ROOT, CLONE], check=True)
     shared = ROOT.parent / "shared"
-    if shared.is_dir() and not (FOLDER / "shared").exists():
-        # Recordings that some tests read. A copy: who removes FOLDER must not remove them.
+    subprocess.run(["rm", "-rf", FOLDER / "shared"], check=True)
+    if shared.is_dir():
+        # Recordings that some tests read. A copy: who empties FOLDER keeps the originals.
         subprocess.run(["cp", "-r", "--no-preserve=mode", shared, FOLDER / "shared"], check=True)
     git("fetch", "--quiet", str(ROOT), commit, folder=CLONE)
     git("reset", "--quiet", "--hard", commit, folder=CLONE)

@@ -60,9 +60,13 @@ fn is_root_made_again(domain: &Domain) -> bool {
     !list(root).is_empty() && holds_only(root, is_fleet)
 }
 
-/// True if the fleet's directory contains nothing but what iceoryx2 makes for this domain, and what
-/// a worker that stands by and a link write there. So it has no marker.
+/// True if the fleet's directory has no marker, and contains nothing but what iceoryx2 makes for
+/// this domain, and what a worker that stands by and a link write there.
 fn is_made_again(domain: &Domain) -> bool {
+    // First: each start looks here, and a running fleet has many files.
+    if domain.members_file().symlink_metadata().is_ok() {
+        return false;
+    }
     let directory = domain.directory();
     let [nodes, services] = [NODES, SERVICES].map(|inner| directory.join(inner));
     let is_file = |path: &Path, found: &Metadata| !found.is_dir() && is_of(domain, path);

@@ -49,7 +49,7 @@ type ClientPort = (Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>, QueryFa
 type Pending = DropsHere<PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
 type Request = DropsHere<ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>>;
 
-/// A worker may take this long to open its port, ns: it waits for a processor like others.
+/// A worker may take this long to open its port, ns: it may be waiting for a processor.
 const OPENS_WITHIN_NS: u64 = 3_000_000_000;
 /// Pause before a question is sent again.
 const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
