@@ -8,6 +8,7 @@ use joulebus_config::Config;
 use joulebus_wire::{Flow, FrameRows};
 
 use crate::channel::{Intake, RecordedChannel};
+use crate::gaps::is_of_tick;
 use crate::item::Item;
 use crate::shared::Shared;
 use joulebus_capture_format::{Clock, Message, MessageKind, Times};
@@ -60,12 +61,21 @@ impl Drain {
         // At most a quarter of the buffered frames arrives between two drains.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
-        let ports = channels.map(|channel| (channel.open)(&bus, &limits));
+        let (mut ports, mut opened_ns) = (Vec::new(), clock::monotonic_ns());
+        for channel in channels {
+            ports.push((channel.open)(&bus, &limits)?);
+            // The ticks after a keyframe must be complete, so its port does not count.
+            if channel.kind.flow() == Flow::Sources || is_of_tick(channel.kind) {
+                opened_ns = clock::monotonic_ns();
+            }
+        }
+        let fleet = Arc::from(config.fleet());
+        shared.opened(Arc::clone(&fleet), opened_ns);
         Ok(Self {
-            ports: ports.collect::<Result<_, OpenError>>()?,
+            ports,
             bus,
             shared,
-            fleet: Arc::from(config.fleet()),
+            fleet,
             clock,
             look_every: POLL_INTERVAL.min(Duration::from_nanos(most_ns)),
             // What was sent before is logged now: a false time long ago would begin the file there,
@@ -77,8 +87,15 @@ impl Drain {
     }
 
     fn look(&mut self) {
-        if let Err(error) = self.take_all() {
-            self.complain(&error);
+        // Once more if there was something: the journals of the ticks before it, from which on
+        // frames count as missing, were sent before it, maybe after their port was asked.
+        for _ in 0..2 {
+            if let Err(error) = self.take_all() {
+                self.complain(&error);
+            }
+            if self.batch.is_empty() {
+                break;
+            }
         }
         let now_ns = self.clock.unix_ns(clock::monotonic_ns());
         self.batch.sort_by_cached_key(sort_key);

@@ -5,15 +5,16 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 use joulebus_wire::{
-    Diagnostics, Flow, FrameOrder, FrameRows, Samples, TickHeader, Ticks, tick_flag,
+    Diagnostics, Flow, FrameOrder, FrameRows, Outlooks, PlanStates, Samples, TakenFrame,
+    TickHeader, Ticks, tick_flag,
 };
 
-use joulebus_capture_format::{Message, MessageKind};
+use joulebus_capture_format::{Frame, Message, MessageKind};
 
 /// Maximum number of tracked runs of sources and workers. Beyond it those silent longest are
 /// dropped.
 const MAX_RUNS: usize = 4_096;
-/// Maximum number of ticks without diagnostics stored per run.
+/// Maximum number of ticks without a frame stored per run.
 const MAX_UNSENT: usize = 4_096;
 
 #[derive(Debug, Default)]
@@ -21,6 +22,11 @@ pub(crate) struct Gaps {
     /// Runs that began later are tracked from their first frame, monotonic ns. Start of the
     /// recording, or of the newest dropped run if that is later.
     known_since_ns: u64,
+    /// The fleet whose shared memory is read, and since when, monotonic ns.
+    opened: Option<(Arc<str>, u64)>,
+    /// Of that fleet, the newest run of the worker whose journal is read, and its first tick there
+    /// that began since then.
+    begun: Option<FrameOrder>,
     runs: HashMap<Key, Run>,
     /// Number of messages processed.
     looked: u64,
@@ -32,6 +38,8 @@ type Key = (Arc<str>, MessageKind, u64, u64);
 /// State of a numbered stream.
 #[derive(Debug, Default)]
 struct Run {
+    /// Smaller numbers are not counted as missing.
+    from: u64,
     next: u64,
     last: u64,
     /// Numbers from `next` on that were not sent.
@@ -44,12 +52,17 @@ struct Run {
 }
 
 /// Loss as shown by a message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct Found {
     /// Messages missing between the previous one of its kind and this one.
     pub(crate) missing: u64,
-    /// Diagnostics counted as missing before that were never sent.
-    pub(crate) never_sent: u64,
+    /// Kinds of which one was counted as missing before that was never sent.
+    pub(crate) never_sent: Vec<MessageKind>,
+    /// Frames of samples that a tick took, missing before the first one of their source.
+    pub(crate) samples: u64,
+    /// True if it is the journal of a tick that began before all ports were open. The tick cannot
+    /// be verified, because what other channels lack of it is counted by nobody.
+    pub(crate) is_before: bool,
 }
 
 impl Gaps {
@@ -57,33 +70,80 @@ impl Gaps {
         Self { known_since_ns: began_ns, ..Self::default() }
     }
 
+    /// The ports of the fleet are open: what is sent from now on is received, or missing.
+    pub(crate) fn opened(&mut self, fleet: Arc<str>, opened_ns: u64) {
+        self.known_since_ns = opened_ns;
+        self.opened = Some((fleet, opened_ns));
+    }
+
     /// Determines the loss before a message of a fleet.
     pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
         self.looked += 1;
-        let journal = message.frame::<Ticks>();
-        let never_sent = journal.map_or(0, |journal| self.left_out(fleet, &journal.header));
-        Found { missing: self.missing_before(fleet, message), never_sent }
+        let mut found = Found::default();
+        if let Some(journal) = message.frame::<Ticks>() {
+            found.is_before = !self.begin(fleet, &journal.header);
+            found.never_sent = self.left_out(fleet, &journal.header);
+            found.samples = self.samples_before(fleet, journal);
+        }
+        found.missing = self.missing_before(fleet, message);
+        found
     }
 
-    /// A worker whose ticks take too long omits diagnostics, and reports so in its journal, which
-    /// may arrive before or after the next diagnostics. Returns how many were counted as missing.
-    fn left_out(&mut self, fleet: &Arc<str>, header: &TickHeader) -> u64 {
-        if header.flags & tick_flag::NO_DIAGNOSTICS == 0 {
-            return 0;
-        }
-        let epoch = header.worker_epoch;
-        let key = (Arc::clone(fleet), MessageKind::of::<Diagnostics>(), 0, epoch);
-        let Some(run) = self.runs.get_mut(&key) else {
-            return 0;
+    /// Queues differ in length. A recorder that got no processor just after its start finds older
+    /// ticks in the journal than in other channels, so the first tick of a channel alone does not
+    /// show what was overwritten before it. Returns false if the tick began before the ports were
+    /// open.
+    fn begin(&mut self, fleet: &Arc<str>, header: &TickHeader) -> bool {
+        let Some((_, opened_ns)) = self.opened.as_ref().filter(|(opened, _)| opened == fleet)
+        else {
+            return true;
         };
-        if header.tick < run.next {
-            return 1;
+        let order = FrameOrder { run: header.worker_epoch, number: header.tick };
+        let is_since = order.run > *opened_ns || header.start_ns >= *opened_ns;
+        if is_since && self.begun.is_none_or(|begun| begun.run < order.run) {
+            self.begun = Some(order);
         }
-        if run.unsent.len() == MAX_UNSENT {
-            run.unsent.pop_front();
+        is_since
+    }
+
+    /// The first tick of a worker's run that counts, if its journal shows it.
+    fn first_tick(&self, fleet: &Arc<str>, run: u64) -> Option<u64> {
+        let is_opened = self.opened.as_ref().is_some_and(|(opened, _)| opened == fleet);
+        self.begun.filter(|begun| is_opened && begun.run == run).map(|begun| begun.number)
+    }
+
+    /// A worker sends some kinds only while somebody reads them, or while its ticks do not take too
+    /// long, and reports so in its journal, which may arrive before or after the next frame.
+    /// Returns the kinds of which the tick was counted as missing.
+    fn left_out(&mut self, fleet: &Arc<str>, header: &TickHeader) -> Vec<MessageKind> {
+        let order = FrameOrder { run: header.worker_epoch, number: header.tick };
+        let has = |flag| header.flags & flag != 0;
+        let kinds = [
+            (MessageKind::of::<Diagnostics>(), has(tick_flag::NO_DIAGNOSTICS)),
+            (MessageKind::of::<PlanStates>(), !has(tick_flag::PLAN_STATES)),
+            (MessageKind::of::<Outlooks>(), !has(tick_flag::OUTLOOKS)),
+        ];
+        let left_out = kinds.into_iter().filter(|(_, is_left_out)| *is_left_out);
+        let was_counted =
+            |(kind, _)| self.run(fleet, kind, 0, order).leave_out(header.tick).then_some(kind);
+        left_out.filter_map(was_counted).collect()
+    }
+
+    /// Frames that the tick took and that are older than the first one received of their source.
+    /// The first two ticks that count may have taken what was sent before.
+    fn samples_before(&self, fleet: &Arc<str>, journal: &Frame<Ticks>) -> u64 {
+        let TickHeader { worker_epoch, tick, .. } = journal.header;
+        let first = self.first_tick(fleet, worker_epoch);
+        if first.is_none_or(|first| tick <= first.saturating_add(1)) {
+            return 0;
         }
-        run.unsent.push_back(header.tick);
-        0
+        let kind = MessageKind::of::<Samples>();
+        let is_missing = |taken: &&TakenFrame| {
+            let key = (Arc::clone(fleet), kind, taken.source_id, taken.source_epoch);
+            taken.new_normal_of().is_none()
+                && self.runs.get(&key).is_some_and(|run| taken.frame_seq < run.from)
+        };
+        journal.rows.iter().filter(is_missing).count() as u64
     }
 
     fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
@@ -94,31 +154,53 @@ impl Gaps {
         if kind.rows() == FrameRows::Bytes {
             return 0;
         }
-        let FrameOrder { run: epoch, number } = order;
         let samples = message.frame::<Samples>();
         let source = samples.map_or(0, |samples| samples.header.source_id);
-        // Sources count from 0, and ticks are numbered from 1.
-        let first = u64::from(kind.flow() != Flow::Sources);
-        let key = (Arc::clone(fleet), kind, source, epoch);
-        if !self.runs.contains_key(&key) {
-            self.forget_silent();
-            let is_on_demand = kind.flow().is_on_demand();
-            let read_from_the_start = epoch > self.known_since_ns && !is_on_demand;
-            let next = if read_from_the_start { first } else { number };
-            let run = Run { next, last: next, unknown_gap: is_on_demand, ..Run::default() };
-            self.runs.insert(key.clone(), run);
+        let run = self.run(fleet, kind, source, order);
+        if samples.is_some() {
+            // The first one may have stated a false number.
+            run.from = run.from.min(order.number);
         }
-        let Some(run) = self.runs.get_mut(&key) else {
-            return 0;
-        };
-        run.looked = self.looked;
-        let is_later = number > run.last;
-        let missing = run.missing_before(number);
+        let is_later = order.number > run.last;
+        let missing = run.missing_before(order.number);
         if run.unknown_gap && is_later {
             run.unknown_gap = false;
+            run.from = run.next;
             return 0;
         }
         missing
+    }
+
+    /// The numbered stream that a frame belongs to.
+    fn run(
+        &mut self,
+        fleet: &Arc<str>,
+        kind: MessageKind,
+        source: u64,
+        order: FrameOrder,
+    ) -> &mut Run {
+        let FrameOrder { run: epoch, number } = order;
+        let key = (Arc::clone(fleet), kind, source, epoch);
+        if !self.runs.contains_key(&key) {
+            self.forget_silent();
+        }
+        let first_tick = self.first_tick(fleet, epoch).filter(|_| is_of_tick(kind));
+        let read_from_the_start = epoch > self.known_since_ns && !kind.flow().is_on_demand();
+        let looked = self.looked;
+        let run = self.runs.entry(key).or_insert_with(|| {
+            // Sources count from 0, and ticks are numbered from 1.
+            let from_the_start = u64::from(kind.flow() != Flow::Sources);
+            let from = first_tick.map_or(number, |first| number.min(first));
+            let from = if read_from_the_start { from_the_start } else { from };
+            let unknown_gap = kind.flow().is_on_demand();
+            Run { from, next: from, last: from, unknown_gap, ..Run::default() }
+        });
+        if let Some(first) = first_tick.filter(|_| !read_from_the_start) {
+            (run.from, run.next) = (run.from.max(first), run.next.max(first));
+            run.unknown_gap = false;
+        }
+        run.looked = looked;
+        run
     }
 
     /// Frees space for other runs: drops the half that was silent longest.
@@ -133,13 +215,32 @@ impl Gaps {
             if !stays {
                 // If it sends again, its earlier messages do not count as missing.
                 self.known_since_ns = self.known_since_ns.max(*epoch);
+                self.begun = None;
             }
             stays
         });
     }
 }
 
+/// True if the worker sends a frame of it in every tick, or states that it did not.
+pub(crate) fn is_of_tick(kind: MessageKind) -> bool {
+    let is_of_tick = matches!(kind.rows(), FrameRows::Robots | FrameRows::Taken);
+    is_of_tick && kind.flow() != Flow::Sources
+}
+
 impl Run {
+    /// The number was not sent. Returns true if it was counted as missing.
+    fn leave_out(&mut self, number: u64) -> bool {
+        if number < self.next {
+            return self.from <= number;
+        }
+        if self.unsent.len() == MAX_UNSENT {
+            self.unsent.pop_front();
+        }
+        self.unsent.push_back(number);
+        false
+    }
+
     fn missing_before(&mut self, number: u64) -> u64 {
         // A sender numbers its frames in order: two in a row below what is expected mean that a
         // number in between was false.
@@ -161,8 +262,7 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use joulebus_wire::{
-        Channel, DiagnosticHeader, ForecastHeader, Forecasts, FrameHeader as _, Outlooks,
-        PlanStates, SampleHeader,
+        Channel, DiagnosticHeader, ForecastHeader, Forecasts, FrameHeader as _, SampleHeader,
     };
 
     use super::*;
@@ -221,6 +321,84 @@ mod tests {
             // Fleets are independent.
             let other = Arc::from("yard");
             assert_eq!(gaps.look(&other, &frame(1, 5, 999)), Found::default());
+        }
+    }
+
+    /// Run 5 ran before the ports were open at 100 ns. Its tick n begins at 90 + 10n ns.
+    #[test]
+    fn what_a_worker_that_ran_before_sends_counts_from_the_first_tick_since_the_ports_are_open() {
+        fn of_tick<C: Channel>(run: u64, number: u64) -> Message {
+            let mut header = C::Header::default();
+            header.set_order(1, FrameOrder { run, number });
+            Message::of::<C>(header, Vec::new())
+        }
+        let journal = |tick: u64, flags: u32, rows: Vec<TakenFrame>| {
+            let start_ns = 90 + 10 * tick;
+            let header =
+                TickHeader { worker_epoch: 5, tick, start_ns, flags, ..TickHeader::default() };
+            Message::of::<Ticks>(header, rows)
+        };
+        let tick = |tick: u64| journal(tick, 0, Vec::new());
+        let with_states = |tick: u64| journal(tick, tick_flag::PLAN_STATES, Vec::new());
+        let taking = |tick: u64, numbers: &[u64]| {
+            let row = |number: &u64| {
+                let (source_id, source_epoch, frame_seq) = (1, 5, *number);
+                TakenFrame { source_id, source_epoch, frame_seq, ..TakenFrame::default() }
+            };
+            journal(tick, 0, numbers.iter().map(row).collect())
+        };
+        let (forecasts, states) = (of_tick::<Forecasts>, of_tick::<PlanStates>);
+        for (messages, missing, samples) in [
+            // The queue of forecasts is shorter than the journal's.
+            (vec![tick(4), tick(5), forecasts(5, 6)], 2, 0),
+            (vec![tick(4), forecasts(5, 9), tick(10)], 5 + 5, 0),
+            (vec![tick(4), forecasts(5, 4), forecasts(5, 5), forecasts(5, 7)], 1, 0),
+            // Began before the ports were open, or was sent to a reader before.
+            (vec![tick(0), forecasts(5, 3), tick(4), forecasts(5, 4)], 0, 0),
+            (vec![states(5, 2), with_states(4), states(5, 4)], 0, 0),
+            // Another run.
+            (vec![tick(4), forecasts(6, 9)], 0, 0),
+            // The journal states whether plan states were sent.
+            (vec![with_states(4), with_states(5), states(5, 5)], 1, 0),
+            (vec![tick(4), with_states(5), states(5, 5), tick(6), states(5, 7)], 0, 0),
+            (vec![states(5, 2), with_states(4), tick(5), states(5, 6)], 1, 0),
+            // Ticks 4 and 5 may have taken samples that were sent before.
+            (vec![frame(1, 5, 8), taking(4, &[6]), taking(5, &[7]), taking(6, &[8])], 0, 0),
+            (vec![frame(1, 5, 8), tick(4), tick(5), taking(6, &[6, 7, 8])], 0, 2),
+            // Of another run of the source, nothing is known.
+            (vec![frame(1, 6, 8), tick(4), tick(5), taking(6, &[7])], 0, 0),
+            // A false number.
+            (vec![frame(1, 5, u64::MAX), frame(1, 5, 8), tick(4), tick(5), taking(6, &[8])], 0, 0),
+            (
+                vec![
+                    frame(1, 5, 8),
+                    tick(4),
+                    tick(5),
+                    journal(6, 0, vec![TakenFrame::new_normal(0, 0)]),
+                ],
+                0,
+                0,
+            ),
+        ] {
+            let (fleet, mut gaps) = (Arc::from("lab"), Gaps::new(0));
+            gaps.opened(Arc::clone(&fleet), 100);
+            let mut sums = (0, 0);
+            for message in &messages {
+                let found = gaps.look(&fleet, message);
+                sums = (sums.0 + found.missing, sums.1 + found.samples);
+                assert_eq!(found.never_sent, [], "{messages:?}");
+                let journal = message.frame::<Ticks>();
+                assert_eq!(
+                    found.is_before,
+                    journal.is_some_and(|journal| journal.header.tick == 0)
+                );
+            }
+            assert_eq!(sums, (missing, samples), "{messages:?}");
+            // Other fleets are read from captures, which begin at any tick.
+            let (other, mut gaps) = (Arc::from("yard"), Gaps::new(100));
+            gaps.opened(fleet, 100);
+            assert_eq!(gaps.look(&other, &messages[0]), Found::default());
+            assert_eq!(gaps.look(&other, &forecasts(5, 90)), Found::default());
         }
     }
 
@@ -285,6 +463,9 @@ mod tests {
             (vec![sent(1), none(2), sent(4), none(3)], 0),
             (vec![sent(1), none(3), sent(4)], 1),
             (vec![sent(1), none(2), sent(3), sent(5)], 1),
+            // The first one that is received follows ticks without any.
+            (vec![none(1), none(2), sent(3), sent(4)], 0),
+            (vec![none(1), sent(3)], 1),
         ] {
             let (fleet, mut gaps) = (Arc::from("lab"), Gaps::new(100));
             let mut sum = 0_i64;
@@ -292,7 +473,7 @@ mod tests {
                 let found = gaps.look(&fleet, message);
                 let of_diagnostics = message.frame::<Diagnostics>().is_some();
                 sum += if of_diagnostics { found.missing as i64 } else { 0 };
-                sum -= found.never_sent as i64;
+                sum -= found.never_sent.len() as i64;
             }
             assert_eq!(sum, lost, "{messages:?}");
         }

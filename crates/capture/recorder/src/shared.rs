@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use joulebus_bus::clock;
 
@@ -13,7 +13,7 @@ use crate::item::Item;
 use crate::options::Options;
 use crate::queue::Queue;
 use joulebus_capture_format::{Message, MessageKind, Written};
-use joulebus_wire::{Diagnostics, PlanStates};
+use joulebus_wire::{PlanStates, Samples};
 
 /// Losses of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -90,6 +90,11 @@ impl Shared {
         }
     }
 
+    /// The ports of the fleet are open since then, monotonic ns.
+    pub(crate) fn opened(&self, fleet: Arc<str>, opened_ns: u64) {
+        self.gaps.lock().unwrap_or_else(PoisonError::into_inner).0.opened(fleet, opened_ns);
+    }
+
     /// Compares the worker of the joined fleet with the attachments.
     pub(crate) fn compare(&self, message: &Message) {
         let Some(suits) = &self.options.suits else { return };
@@ -102,26 +107,28 @@ impl Shared {
         }
     }
 
-    /// Puts the item into the queue. Counts the messages missing before it, and itself if it is
-    /// dropped.
+    /// Puts the item into the queue, unless the recording begins after it. Counts the messages
+    /// missing before it, and itself if it is dropped.
     pub(crate) fn hand_on(&self, item: Item) {
         let found = {
             let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
             gaps.0.look(&item.fleet, &item.message)
         };
-        let topic = item.topic();
-        let diagnostics = MessageKind::of::<Diagnostics>().topic(&item.fleet, 0);
-        let unwritten = (!self.queue.push(item)).into();
+        let (fleet, topic) = (Arc::clone(&item.fleet), item.topic());
+        let unwritten = (!found.is_before && !self.queue.push(item)).into();
         self.count(topic, found.missing, unwritten);
-        if found.never_sent > 0 {
-            self.forgive(&diagnostics, found.never_sent);
+        if found.samples > 0 {
+            self.count(MessageKind::of::<Samples>().topic(&fleet, 0), found.samples, 0);
+        }
+        for kind in found.never_sent {
+            self.forgive(&kind.topic(&fleet, 0));
         }
     }
 
-    fn forgive(&self, topic: &str, never_sent: u64) {
+    fn forgive(&self, topic: &str) {
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(lost) = gaps.1.get_mut(topic) {
-            lost.overwritten = lost.overwritten.saturating_sub(never_sent);
+            lost.overwritten = lost.overwritten.saturating_sub(1);
             if *lost == Lost::default() {
                 gaps.1.remove(topic);
             }

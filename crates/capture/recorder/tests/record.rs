@@ -21,7 +21,7 @@ use joulebus_config::Config;
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameOrder, Outlooks, PlanStates,
-    SCHEMA_VERSION, Sample, SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
+    SCHEMA_VERSION, Sample, SampleHeader, Samples, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 const ROBOTS: usize = 10;
@@ -140,6 +140,7 @@ impl Stage {
             tick,
             start_ns: now_ns,
             sent_ns: clock::monotonic_ns(),
+            flags: tick_flag::PLAN_STATES | tick_flag::OUTLOOKS,
             ..TickHeader::default()
         };
         let taken = TakenFrame {
@@ -243,6 +244,27 @@ fn messages_are_written_in_order_causes_before_effects() {
             let frame = (frame.source_id, frame.source_epoch, frame.frame_seq);
             assert!(frames.contains(&frame), "{frame:?} is taken before it is sent");
         }
+    }
+}
+
+#[test]
+fn what_is_overwritten_before_the_first_look_of_a_recording_is_counted() {
+    let mut stage = Stage::new();
+    stage.play(3);
+    let path = stage.path("late.mcap");
+    let recorder = stage.record(Target::File(path.clone()), &Options::default());
+    // As many as the journal queues, and more than the other channels do.
+    (0..30).for_each(|_| stage.tick(0));
+    let summary = recorder.finish();
+    let found = entries(&path);
+    let is_since = |entry: &&Entry| entry.message.order().is_some_and(|order| order.number > 3);
+    let of_ticks = found.iter().filter(is_since).cloned().collect::<Vec<_>>();
+    let written = counts(&of_ticks);
+    for service in SERVICES.into_iter().filter(|service| *service != "samples") {
+        let topic = format!("joulebus/rec/{service}");
+        let (written, lost) = (written[&topic], lost(&summary, &topic));
+        assert_eq!(written + lost, 30, "{topic}: {written} + {lost}");
+        assert!(lost == 0 || service != "ticks", "{lost} lost");
     }
 }
 
