@@ -127,7 +127,11 @@ pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
         root.mode,
         root.filesystem
     );
-    if root.in_memory {
+    if root.mode & 0o077 != 0 {
+        let remedy = "iceoryx2 made it again after it was removed. The next process that starts \
+                      makes it private, and so does `joulebus doctor --fix`";
+        Check::new(name, Status::Warn, found, remedy)
+    } else if root.in_memory {
         Check::ok(name, found)
     } else {
         Check::new(name, Status::Warn, found, slow)

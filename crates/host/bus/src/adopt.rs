@@ -31,22 +31,26 @@ pub(crate) fn adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
 }
 
 fn try_adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
-    let mut adopted = Vec::new();
-    // A private root may be used without a marker.
-    if check_private(domain.root()).is_err() {
-        if !is_root_made_again(domain) {
-            return Ok(adopted);
-        }
-        adopted.push((domain.root().to_owned(), Marked::root(domain).adopt()?));
-    }
-    if is_made_again(domain) {
-        adopted.push((domain.directory(), Marked::fleet(domain).adopt()?));
-    }
+    let made = made_again(domain).into_iter();
+    let marked = made.map(|made| Ok((made.path().to_owned(), made.adopt()?)));
+    let mut adopted = marked.collect::<Result<Vec<_>, RootError>>()?;
     if !adopted.is_empty() {
         tracing::warn!(?adopted, "iceoryx2 has made removed directories again. They are used");
     }
     adopted.retain(|(_, mode)| mode & 0o077 != 0);
     Ok(adopted)
+}
+
+/// The directories that [`adopt`] marks: root and fleet's directory, as far as iceoryx2 has made
+/// them again. None below a root that remains refused.
+pub(crate) fn made_again(domain: &Domain) -> Vec<Marked> {
+    // A private root may be used without a marker.
+    let is_refused = check_private(domain.root()).is_err();
+    if is_refused && !is_root_made_again(domain) {
+        return Vec::new();
+    }
+    let root = is_refused.then(|| Marked::root(domain));
+    root.into_iter().chain(is_made_again(domain).then(|| Marked::fleet(domain))).collect()
 }
 
 /// True if the root contains only directories that iceoryx2 has made for fleets, of any name.
@@ -57,7 +61,8 @@ fn is_root_made_again(domain: &Domain) -> bool {
         let fleet = Domain::new(name, root, domain.prefix());
         found.is_dir() && fleet.is_ok_and(|fleet| is_made_again(&fleet))
     };
-    !list(root).is_empty() && holds_only(root, is_fleet)
+    let has_entries = root.read_dir().is_ok_and(|mut entries| entries.next().is_some());
+    has_entries && holds_only(root, is_fleet)
 }
 
 /// True if the fleet's directory has no marker, and contains nothing but what iceoryx2 makes for

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use iceoryx2::node::{Node, NodeState, NodeView};
 use iceoryx2::prelude::CallbackProgression;
 
+use crate::adopt::made_again;
 use crate::cleanup::incomplete::incomplete_objects;
 use crate::cleanup::objects::objects;
 use crate::iceoryx_config::{self, IceoryxConfigError};
@@ -86,7 +87,6 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let (mine, others): (Vec<_>, Vec<_>) =
         objects.into_iter().partition(|object| object.owner == effective_uid());
     Ok(Inspection {
-        // Files of other users are not read.
         nodes: if root_error.is_none() { nodes(domain)? } else { Vec::new() },
         worker: WorkerLock::owner(domain).unwrap_or_default(),
         incomplete: incomplete_objects(domain)?,
@@ -104,8 +104,8 @@ fn directory_error(domain: &Domain) -> Option<RootError> {
     check_private(domain.root())
         .and_then(|()| crate::directory::check(domain).map(drop))
         .err()
-        // The fleet's directory is created when a process joins.
-        .filter(|error| !error.vanished())
+        // The fleet's directory is created when a process joins, and marked if iceoryx2 made it.
+        .filter(|error| !error.vanished() && made_again(domain).is_empty())
 }
 
 fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
@@ -126,7 +126,15 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
     }))
 }
 
-fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
+/// The nodes of a domain, without joining it. May be called from any thread.
+///
+/// # Errors
+/// [`InspectError`] if the directory cannot be used, or a system call fails.
+pub fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
+    // Files of other users are not read.
+    if let Some(error) = directory_error(domain) {
+        return Err(error.into());
+    }
     let config = iceoryx_config::config_for(domain)?;
     let mut found = Vec::new();
     Node::<Ipc>::list(&config, |node| {

@@ -57,6 +57,10 @@ impl Marked {
         }
     }
 
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Creates the directory, unless its path exists. It appears there with its marker atomically:
     /// a process killed in the meantime leaves a temporary directory under another name.
     pub(crate) fn create(&self) -> Result<(), RootError> {

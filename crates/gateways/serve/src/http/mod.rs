@@ -47,7 +47,7 @@ use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use joulebus_bus::{inspect, yield_to_the_worker};
+use joulebus_bus::{nodes, yield_to_the_worker};
 use joulebus_capture_recorder::RECORDER;
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
@@ -430,9 +430,9 @@ async fn look_for_recorders(config: Config, found: watch::Sender<Option<Vec<Reco
 
 /// The processes that record now. `None` if that cannot be determined.
 fn recorders(config: &Config) -> Option<Vec<Recorder>> {
-    let inspection = inspect(&config.domain().ok()?).ok()?;
-    let nodes = inspection.nodes.into_iter();
-    let recorders = nodes.filter(|node| node.alive != Some(false) && node.name == RECORDER);
+    let nodes = nodes(&config.domain().ok()?).ok()?;
+    let recorders =
+        nodes.into_iter().filter(|node| node.alive != Some(false) && node.name == RECORDER);
     let recorders = recorders.map(|node| Recorder { name: node.name, pid: node.pid });
     Some(recorders.collect())
 }

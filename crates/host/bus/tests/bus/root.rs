@@ -71,6 +71,10 @@ fn directories_that_iceoryx2_has_made_again_are_used_and_removed() {
     let root = Root::new();
     let domain = root.domain();
     make_again(&domain);
+    // Nothing is wrong that the next start does not mend.
+    let found = joulebus_bus::inspect(&domain).unwrap();
+    assert!(found.root_error.is_none(), "{:?}", found.root_error);
+    assert_eq!(found.root.unwrap().mode, 0o750);
     // As a worker does.
     let lock = WorkerLock::acquire(&domain).unwrap();
     drop(Bus::join(&domain, "test").unwrap());
@@ -126,6 +130,8 @@ fn directories_with_anything_that_iceoryx2_does_not_make_for_the_fleet_stay_as_t
         fs::write(root.0.join(file), "").unwrap();
         let error = joulebus_bus::prepare_domain(&domain).unwrap_err();
         assert!(matches!(error, RootError::Mode { found: 0o750, .. }), "{file}: {error}");
+        let found = joulebus_bus::inspect(&domain).unwrap();
+        assert!(matches!(found.root_error, Some(RootError::Mode { .. })), "{file}");
         assert_eq!((mode(&root.0), mode(&domain.directory())), (0o750, 0o750), "{file}");
         assert!(!domain.members_file().exists(), "{file}");
         if file != "mine" {
