@@ -154,6 +154,15 @@ impl Host {
     }
 }
 
+/// Removes what killed processes have left.
+impl Drop for Host {
+    fn drop(&mut self) {
+        for path in self.stale_files() {
+            let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+        }
+    }
+}
+
 /// Waits until the named link has requested frames of `link`, which sends them from then on.
 pub(crate) fn is_asked_by(link: &Child, name: &str) {
     let expected = format!("link {name} asks for ");
