@@ -34,8 +34,9 @@ fn try_adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
     let made = made_again(domain).into_iter();
     let marked = made.map(|made| Ok((made.path().to_owned(), made.adopt()?)));
     let mut adopted = marked.collect::<Result<Vec<_>, RootError>>()?;
-    if !adopted.is_empty() {
-        tracing::warn!(?adopted, "iceoryx2 has made removed directories again. They are used");
+    for (path, mode) in &adopted {
+        let (path, mode) = (path.display(), format_args!("{mode:04o}"));
+        tracing::warn!(%path, %mode, "iceoryx2 made a removed directory again. It is used");
     }
     adopted.retain(|(_, mode)| mode & 0o077 != 0);
     Ok(adopted)
