@@ -62,8 +62,9 @@ pub(crate) fn get(address: &str, path: &str) -> Response {
     send(address, &format!("GET {path} HTTP/1.1\r\nHost: {address}"), b"")
 }
 
+/// The answer to a question. Asks again if the server has not answered in time.
 pub(crate) fn get_json(address: &str, path: &str) -> Value {
-    let response = get(address, path);
+    let response = answered(path, || get(address, path));
     assert_eq!(response.status, 200, "{path}: {}", response.text());
     response.json()
 }
