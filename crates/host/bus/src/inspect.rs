@@ -87,7 +87,8 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let (mine, others): (Vec<_>, Vec<_>) =
         objects.into_iter().partition(|object| object.owner == effective_uid());
     Ok(Inspection {
-        nodes: if root_error.is_none() { nodes(domain)? } else { Vec::new() },
+        // Files of other users are not read.
+        nodes: if root_error.is_none() { list_nodes(domain)? } else { Vec::new() },
         worker: WorkerLock::owner(domain).unwrap_or_default(),
         incomplete: incomplete_objects(domain)?,
         foreign: others.into_iter().map(|object| object.path).collect(),
@@ -131,10 +132,13 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
 /// # Errors
 /// [`InspectError`] if the directory cannot be used, or a system call fails.
 pub fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
-    // Files of other users are not read.
-    if let Some(error) = directory_error(domain) {
-        return Err(error.into());
+    match directory_error(domain) {
+        Some(error) => Err(error.into()),
+        None => list_nodes(domain),
     }
+}
+
+fn list_nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
     let config = iceoryx_config::config_for(domain)?;
     let mut found = Vec::new();
     Node::<Ipc>::list(&config, |node| {

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_testkit::{Child, eventually, free_port, joulebus_beside, left_behind};
+use joulebus_testkit::{Child, eventually, free_port, joulebus_beside, left_behind, remove};
 use serde_json::Value;
 
 use crate::planner::Reader;
@@ -157,9 +157,7 @@ impl Host {
 /// Removes what killed processes have left.
 impl Drop for Host {
     fn drop(&mut self) {
-        for path in self.stale_files() {
-            let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
-        }
+        self.stale_files().iter().for_each(|path| remove(path));
     }
 }
 
