@@ -234,7 +234,7 @@ const LIMITS: &[(&str, &[&str])] = &[
 fn a_limit_of_address_space_or_stack_is_named_and_nobody_is_aborted() {
     let fleet = Fleet::new();
     let new = fleet.path("new");
-    let rows = ["run", "publish sim --robots 2", "record -o NEW", "serve --foxglove"];
+    let rows = ["run", "publish sim --robots 2", "record -o NEW", "serve --http"];
     for row in rows.into_iter().filter(|row| is_built(row)) {
         let whole = format!("{row} --config FLEET");
         let mut words = whole.split(' ').map(|word| file(&fleet, word, &new));

@@ -55,13 +55,13 @@ fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and
     write_program(&in_path, "serve", "exit 9");
     write_program(installed.0.path(), "serve", "exit 3");
     let path = format!("{}:/usr/bin:/bin", in_path.display());
-    let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0").exits(3);
+    let ended = installed.joulebus(&path, "-v --format json serve --http").exits(3);
     let beside = installed.0.path().join("joulebus-serve");
-    let command_line = format!("{} -v --format json --foxglove --port 0\n", beside.display());
+    let command_line = format!("{} -v --format json --http\n", beside.display());
     assert_eq!(stdout(&ended), command_line);
 
     write_program(installed.0.path(), "serve", "kill -TERM $$");
-    let killed = installed.joulebus(&path, "serve --foxglove");
+    let killed = installed.joulebus(&path, "serve --http");
     assert_eq!(killed.status.signal(), Some(15), "{killed:?}");
 }
 
@@ -106,16 +106,16 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
 fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, expected) in [
-        ("help serve", 0, "--foxglove"),
+        ("help serve", 0, "--webhook"),
         ("bench --help", 0, "--fail-above"),
         ("mission --help", 0, "--battery-wh"),
         ("help train trials", 0, "--hold-out"),
         ("publish --help", 0, "trial"),
         ("publish trial", 2, "PATH"),
         ("config init", 2, "--from"),
-        ("serve", 2, "--foxglove"),
+        ("serve", 2, "--http"),
         ("bench abacus", 2, "kernel"),
-        ("serve --foxglove --format csv", 2, "--format json"),
+        ("serve --http --format csv", 2, "--format json"),
     ] {
         let ended = installed.joulebus("", words);
         assert_eq!(code(&ended), exit, "{words}");

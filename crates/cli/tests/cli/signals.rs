@@ -15,7 +15,7 @@ use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, std
 
 /// Subcommands that go on until a signal, and a line that they print once they run. Their exit code
 /// is 0, but for training: the model is not made, the checkpoint is. Words in capitals are files.
-const RUNS: [(&str, &str); 18] = [
+const RUNS: [(&str, &str); 17] = [
     ("demo --robots 2 --no-capture --format json", "  samples "),
     ("run --config FLEET", "ready:"),
     ("run --record FILE --config FLEET", "ready:"),
@@ -29,7 +29,6 @@ const RUNS: [(&str, &str); 18] = [
     ("alarms --config FLEET", "alarms of fleet cli"),
     ("replay CAPTURE --config FLEET", "waiting for one"),
     ("serve --http 127.0.0.1:0 --config FLEET", "serving fleet cli"),
-    ("serve --foxglove --port 0 --config FLEET", "serving fleet"),
     ("bridge BRIDGE --config FLEET", "bridging 1 robots"),
     ("link LINK --config FLEET", "is open"),
     ("train trials LONG --split time -o NEW", "epoch   1"),

@@ -1,9 +1,7 @@
-//! The program of `joulebus serve`: a fleet's page, API and metrics, and its messages in Foxglove.
+//! The program of `joulebus serve`: a fleet's page, API and metrics, and its alarms.
 #![forbid(unsafe_code)]
 
 mod arguments;
-mod foxglove;
-mod guard;
 mod http;
 mod serve;
 mod webhook;

@@ -1,4 +1,4 @@
-//! `joulebus serve`: runs the page, Foxglove and the webhooks in one process.
+//! `joulebus serve`: runs the page and the webhooks in one process.
 
 use std::fmt;
 use std::time::Duration;
@@ -9,7 +9,6 @@ use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
-use crate::foxglove::{Foxglove, FoxgloveReport};
 use crate::http::{HttpReport, HttpServer, Options};
 use crate::webhook::{WebhookReport, Webhooks};
 
@@ -19,8 +18,6 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 #[derive(Debug, Serialize)]
 struct ServeReport {
     fleet: String,
-    #[serde(flatten)]
-    foxglove: Option<FoxgloveReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
     http: Option<HttpReport>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -43,8 +40,6 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         HttpServer::start(&config, &options)
     });
     let http = http.transpose()?;
-    let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
-    let foxglove = foxglove.transpose()?;
     let (to, listed) = (args.webhook.as_deref(), args.webhooks.as_deref());
     let webhooks = (to.is_some() || listed.is_some())
         .then(|| Webhooks::start(&config, to, args.webhook_ca.as_deref(), listed));
@@ -53,36 +48,26 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     for place in http.iter().flat_map(HttpServer::places) {
         log_line(&format!("serving fleet {fleet} at {place}"));
     }
-    if let Some(foxglove) = &foxglove {
-        log_line(&format!("serving fleet {fleet} at {}", foxglove.address()));
-    }
     if let Some(webhooks) = &webhooks {
         log_line(&format!("telling {} of alarms of fleet {fleet}", webhooks.hosts()));
     }
     let is_over = || {
         webhooks.as_ref().is_some_and(Webhooks::is_over)
             || http.as_ref().is_some_and(HttpServer::is_over)
-            || foxglove.as_ref().is_some_and(Foxglove::is_over)
     };
     while !stop.is_asked() && !is_over() {
         std::thread::sleep(POLL_INTERVAL);
     }
-    let foxglove = foxglove.map(Foxglove::finish).transpose()?;
     let http = http.map(HttpServer::finish).transpose()?;
     let webhooks = webhooks.map(Webhooks::finish).transpose()?.unwrap_or_default();
-    let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0)
-        || webhooks.iter().any(|webhook| webhook.lost > 0);
-    output.report(&ServeReport { fleet: fleet.to_owned(), foxglove, http, webhooks })?;
+    let lost = webhooks.iter().any(|webhook| webhook.lost > 0);
+    output.report(&ServeReport { fleet: fleet.to_owned(), http, webhooks })?;
     Ok(Outcome::unless_lost(lost))
 }
 
 impl fmt::Display for ServeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let fleet = &self.fleet;
-        if let Some(foxglove) = &self.foxglove {
-            let FoxgloveReport { address, messages, lost } = foxglove;
-            writeln!(out, "served fleet {fleet} at {address}: {messages} messages, {lost} lost")?;
-        }
         if let Some(http) = &self.http {
             let HttpReport { address, socket, requests, refused, messages } = http;
             let socket = socket.as_ref().map(|socket| socket.display().to_string());

@@ -148,16 +148,10 @@ pub(crate) const LINK: &[Key] = &[
 /// Every key of a file of webhooks.
 #[rustfmt::skip]
 pub(crate) const WEBHOOKS: &[Key] = &[
-    hook("webhook.address", WEB, Unset, "Address that alarms are posted to. Alertmanager's is given without /api/v2/alerts."),
-    hook("webhook.address_file", FILE, Unset, "Instead of address: file with it, mode 0600. Addresses of Slack and Teams are secret."),
+    hook("webhook.address", WEB, Unset, "Address that alarms are posted to."),
+    hook("webhook.address_file", FILE, Unset, "Instead of address: file with it, mode 0600. Addresses of chats are secret."),
     hook("webhook.ca", FILE, Unset, "Authorities that the receiver's certificate may be of, PEM. Without it Mozilla's."),
-    hook("webhook.format", ValueKind::Choice(&["joulebus", "slack", "teams", "alertmanager"]), Text("joulebus"),
-        "Body of a request: the changes as JSON, a message for people, or alerts of Alertmanager's API v2."),
-    hook("webhook.template", any("JSON with names like {robot} in its texts"), Unset,
-        "Instead of format: body of one change, in which {name} stands for its values."),
-    hook("webhook.page", WEB, Unset, "Address of the page of joulebus serve --http, as its readers reach it: messages link to it."),
+    hook("webhook.page", WEB, Unset, "Address of the page of joulebus serve --http, as its readers reach it: texts link to it."),
     hook("webhook.secret_file", FILE, Unset,
         "File with a secret, mode 0600: requests are signed with it as Standard Webhooks says. Base64 of 24 to 64 bytes."),
-    of(Webhooks, key("webhook.repeat_s", num(1.0..=3_600.0), "s", Number(60.0),
-        "With alertmanager: time after which raised alarms are sent again. They end there after four times it without.")),
 ];

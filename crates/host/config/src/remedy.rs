@@ -179,6 +179,9 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
     best + same_section + 0.01 * whole
 }
 
+/// The replacement of bodies for single receivers.
+const ONE_BODY: &str = "It went: each request has one body, whose `text` Slack and Mattermost show. For another form, run curl by `joulebus alarms --on-alarm` (docs/how-to/webhook.md)";
+
 /// Keys and words of earlier versions, with their replacements.
 const REPLACED: &[(&str, &str)] = &[
     (
@@ -186,6 +189,12 @@ const REPLACED: &[(&str, &str)] = &[
         "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
     ),
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
+    ("webhook.format", ONE_BODY),
+    ("webhook.template", ONE_BODY),
+    (
+        "webhook.repeat_s",
+        "It went: Prometheus repeats alerts to Alertmanager, by the rules in configs/prometheus (docs/how-to/webhook.md)",
+    ),
 ];
 
 /// The replacement of a key.

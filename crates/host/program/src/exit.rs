@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use joulebus_config::{ConfigError, UnknownKey};
 
+use crate::gone;
 use crate::output::{self, StdoutClosed};
 
 /// The run failed, or a check found a fault.
@@ -70,7 +71,9 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
 /// The exit code of arguments that clap did not accept: a request for help, or wrong usage.
 #[must_use]
 pub fn refused(arguments: &clap::Error) -> ExitCode {
-    if arguments.use_stderr() {
+    if let Some(instead) = gone::instead(arguments) {
+        output::log_line(&format!("error: {instead}"));
+    } else if arguments.use_stderr() {
         // The message quotes the arguments, which may contain escape sequences.
         output::log_line(arguments.render().to_string().trim_end());
     } else if let Err(error) = arguments.print().and_then(|()| io::stdout().flush())

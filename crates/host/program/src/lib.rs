@@ -32,6 +32,7 @@ pub mod described;
 pub mod exit;
 pub mod exit_with_parent;
 pub mod file;
+mod gone;
 pub mod installed;
 pub mod logging;
 pub mod model_range;

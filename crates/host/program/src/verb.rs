@@ -49,7 +49,7 @@ mod tests {
     #[derive(Debug, clap::Args)]
     struct Arguments {
         #[arg(long, required = true)]
-        foxglove: bool,
+        http: bool,
     }
 
     fn parsed(words: &[&str]) -> Result<(Arguments, Output), clap::Error> {
@@ -58,9 +58,9 @@ mod tests {
 
     #[test]
     fn global_options_are_accepted_before_and_after_those_of_the_verb() {
-        for words in [["--format", "json", "--foxglove"], ["--foxglove", "--format", "json"]] {
+        for words in [["--format", "json", "--http"], ["--http", "--format", "json"]] {
             let (arguments, output) = parsed(&words).expect("both are allowed");
-            assert!(arguments.foxglove);
+            assert!(arguments.http);
             assert_eq!(output.asked(), OutputFormat::Json);
         }
     }
@@ -72,7 +72,7 @@ mod tests {
         let refused = parsed(&[]).expect_err("an option is missing");
         assert_eq!(refused.exit_code(), i32::from(exit::USAGE));
         assert!(refused.to_string().contains("Usage: joulebus serve"));
-        let rows = parsed(&["--foxglove", "--format", "csv"]).expect_err("no rows");
+        let rows = parsed(&["--http", "--format", "csv"]).expect_err("no rows");
         assert_eq!(rows.exit_code(), i32::from(exit::USAGE));
     }
 }

@@ -1,40 +1,35 @@
-//! Bodies of requests: as JSON, and as messages for people.
+//! The body of a request: the changes as JSON, with a text for people.
 
-use anyhow::{Context as _, anyhow};
 use joulebus_board::AlarmRecord;
 use joulebus_plan::report::Lasting;
-use joulebus_program::utc::Utc;
-use joulebus_wire::AlarmCard;
 use serde_json::{Value, json};
 
-/// Names that a template may have in braces.
-pub(super) const PLACEHOLDERS: [&str; 12] = [
-    "fleet", "robot", "alarm", "level", "change", "time", "lasted_s", "by", "meaning", "check",
-    "link", "text",
-];
-
-/// Time as in RFC 3339, to the millisecond.
-pub(super) fn rfc3339(unix_ns: u64) -> String {
-    let utc = Utc::new(unix_ns);
-    let Utc { hour, minute, second, millisecond, .. } = utc;
-    format!("{}T{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z", utc.date())
+/// The body with these changes. Slack and Mattermost show its `text`.
+pub(super) fn body(fleet: &str, changes: &[AlarmRecord], page: Option<&str>) -> Value {
+    json!({ "fleet": fleet, "text": lines(changes, page).join("\n"), "changes": changes })
 }
 
 /// Address of a robot on the page, or of the page.
-pub(super) fn link(page: &str, robot: Option<u32>) -> String {
+fn link(page: &str, robot: Option<u32>) -> String {
     robot.map_or_else(|| format!("{page}/"), |robot| format!("{page}/?robot={robot}"))
 }
 
 /// The robot or worker that has the alarm.
-pub(super) fn of(robot: Option<u32>) -> String {
+fn subject(robot: Option<u32>) -> String {
     robot.map_or_else(|| "worker".to_owned(), |robot| format!("robot {robot}"))
+}
+
+/// A person's name without characters that are markup or a mention in a chat.
+fn plain(name: &str) -> String {
+    let is_plain = |letter: char| letter.is_alphanumeric() || " .,'-".contains(letter);
+    name.chars().map(|letter| if is_plain(letter) { letter } else { '?' }).collect()
 }
 
 /// A change in one line.
 fn line(change: &AlarmRecord) -> String {
     let AlarmRecord { fleet, alarm, change: changed, level, .. } = change;
-    let mut line = format!("fleet {fleet}, {}: {alarm} {changed}", of(change.robot));
-    let by = change.acknowledged.as_ref().map(|row| &row.by);
+    let mut line = format!("fleet {fleet}, {}: {alarm} {changed}", subject(change.robot));
+    let by = change.acknowledged.as_ref().map(|row| plain(&row.by));
     match (change.lasted_s, by) {
         (None, None) => line += &format!(" ({level})"),
         (None, Some(by)) => line += &format!(" by {by}"),
@@ -62,115 +57,10 @@ fn lines(changes: &[AlarmRecord], page: Option<&str>) -> Vec<String> {
     lines
 }
 
-/// The changes as JSON.
-pub(super) fn changes(fleet: &str, changes: &[AlarmRecord]) -> Value {
-    json!({ "fleet": fleet, "changes": changes })
-}
-
-/// A message to an incoming webhook of Slack. Only these characters have a meaning there that
-/// `mrkdwn` does not switch off.
-pub(super) fn slack(changes: &[AlarmRecord], page: Option<&str>) -> Value {
-    let text = lines(changes, page).join("\n");
-    let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-    json!({ "text": text, "mrkdwn": false })
-}
-
-/// An Adaptive Card for a workflow of Teams, "When a Teams webhook request is received". Runs of a
-/// rich text block are plain text: they have no markup that a name could contain.
-pub(super) fn teams(changes: &[AlarmRecord], page: Option<&str>) -> Value {
-    let paragraph =
-        |text| json!({ "type": "RichTextBlock", "inlines": [{ "type": "TextRun", "text": text }] });
-    let blocks: Vec<Value> = lines(changes, None).into_iter().map(paragraph).collect();
-    let mut card = json!({
-        "$schema": "http://adaptivecards.io/schemas/adaptive-card.json",
-        "type": "AdaptiveCard",
-        "version": "1.4",
-        "body": blocks,
-    });
-    if let (Some(page), Some(first)) = (page, changes.first()) {
-        // Several changes may be of several robots.
-        let url = link(page, first.robot.filter(|_| changes.len() == 1));
-        card["actions"] = json!([{ "type": "Action.OpenUrl", "title": "Open", "url": url }]);
-    }
-    let kind = "application/vnd.microsoft.card.adaptive";
-    let attachment = json!({ "contentType": kind, "contentUrl": null, "content": card });
-    json!({ "type": "message", "attachments": [attachment] })
-}
-
-/// Reads a template: JSON in whose texts `{name}` stands for a value.
-pub(super) fn template(text: &str) -> anyhow::Result<Value> {
-    let document: Value = serde_json::from_str(text).context("is no JSON")?;
-    let mut unknown = None;
-    fill(&document, &mut |name| {
-        if !PLACEHOLDERS.contains(&name) {
-            unknown.get_or_insert_with(|| name.to_owned());
-        }
-        String::new()
-    });
-    let allowed = || PLACEHOLDERS.map(|name| format!("{{{name}}}")).join(", ");
-    match unknown {
-        Some(name) => Err(anyhow!("has {{{name}}}. Allowed are {}", allowed())),
-        None => Ok(document),
-    }
-}
-
-/// A template's document with the values of a change.
-pub(super) fn filled(template: &Value, change: &AlarmRecord, page: Option<&str>) -> Value {
-    let card = AlarmCard::named(change.alarm);
-    fill(template, &mut |name| match name {
-        "fleet" => change.fleet.clone(),
-        "robot" => change.robot.map_or_else(|| "worker".to_owned(), |robot| robot.to_string()),
-        "alarm" => change.alarm.to_owned(),
-        "level" => change.level.to_owned(),
-        "change" => change.change.to_owned(),
-        "time" => rfc3339(change.stamp_ns),
-        "lasted_s" => change.lasted_s.map_or_else(String::new, |lasted_s| lasted_s.to_string()),
-        "by" => change.acknowledged.as_ref().map_or_else(String::new, |row| row.by.clone()),
-        "meaning" => card.map_or("", |card| card.meaning).to_owned(),
-        "check" => card.map_or("", |card| card.check).to_owned(),
-        "link" => page.map_or_else(String::new, |page| link(page, change.robot)),
-        _ => line(change),
-    })
-}
-
-/// Replaces the names in all texts of a document. It is JSON again, whatever the values contain.
-fn fill(document: &Value, value: &mut dyn FnMut(&str) -> String) -> Value {
-    match document {
-        Value::String(text) => Value::String(fill_text(text, value)),
-        Value::Array(items) => items.iter().map(|item| fill(item, value)).collect(),
-        Value::Object(members) => {
-            let filled = members.iter().map(|(key, member)| (key.clone(), fill(member, value)));
-            Value::Object(filled.collect())
-        }
-        other => other.clone(),
-    }
-}
-
-/// Replaces `{name}`. Braces around anything but lower-case letters and `_` stay.
-fn fill_text(text: &str, value: &mut dyn FnMut(&str) -> String) -> String {
-    let (mut filled, mut rest) = (String::new(), text);
-    while let Some((before, after)) = rest.split_once('{') {
-        filled += before;
-        let is_name = |name: &str| {
-            !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
-        };
-        match after.split_once('}') {
-            Some((name, behind)) if is_name(name) => {
-                filled += &value(name);
-                rest = behind;
-            }
-            _ => {
-                filled.push('{');
-                rest = after;
-            }
-        }
-    }
-    filled + rest
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use joulebus_board::AcknowledgedRecord;
+    use joulebus_wire::AlarmCard;
 
     use super::*;
 
@@ -197,7 +87,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_message_has_a_line_for_each_change_and_what_an_alarm_means_once() {
+    fn a_text_has_a_line_for_each_change_and_what_an_alarm_means_once() {
         let mut other = raised("BiasHigh");
         other.robot = Some(8);
         let ended = AlarmRecord {
@@ -215,28 +105,38 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_name_is_no_markup() {
-        let text = slack(&[acknowledged("<!channel> & co")], None)["text"].to_string();
-        assert!(text.contains("by &lt;!channel&gt; &amp; co"), "{text}");
-        let card = teams(&[acknowledged("[a](http://x)")], Some("http://page"));
-        let content = &card["attachments"][0]["content"];
-        let run = &content["body"][0]["inlines"][0];
-        assert_eq!(run["type"], "TextRun");
-        assert!(run["text"].as_str().unwrap().ends_with("by [a](http://x)"), "{run}");
-        assert_eq!(content["actions"][0]["url"], "http://page/?robot=7");
+    fn a_name_is_neither_markup_nor_a_mention_in_the_text_and_whole_in_the_changes() {
+        for (name, shown) in [
+            ("<!channel> & co", "??channel? ? co"),
+            ("@all", "?all"),
+            ("[a](http://x)", "?a??http???x?"),
+            ("*ann* `x` ~y~ _z_ |", "?ann? ?x? ?y? ?z? ?"),
+            ("Zoë O'Hara-Åberg, jr.", "Zoë O'Hara-Åberg, jr."),
+        ] {
+            let body = body("lab", &[acknowledged(name)], None);
+            assert_eq!(
+                body["text"],
+                format!("fleet lab, robot 7: BiasHigh acknowledged by {shown}")
+            );
+            assert_eq!(body["changes"][0]["acknowledged"]["by"], name);
+        }
     }
 
     #[test]
-    fn a_template_is_json_whatever_its_values_contain() {
-        let document = r#"{"{robot}": ["{alarm} {by} {no name} {", 5, null, {"at": "{time}"}]}"#;
-        let filled = filled(&template(document).unwrap(), &acknowledged("\"}]{alarm}\\"), None);
-        let expected = json!({"{robot}": [
-            "BiasHigh \"}]{alarm}\\ {no name} {", 5, null, {"at": "2025-11-24T16:00:00.250Z"},
-        ]});
-        assert_eq!(filled, expected);
-        for name in PLACEHOLDERS {
-            let whole = json!(format!("{{{name}}}"));
-            assert!(template(&whole.to_string()).is_ok(), "{name}");
+    fn the_cards_of_alarms_have_no_character_that_slack_reads_as_markup() {
+        for card in AlarmCard::all() {
+            let text = format!("{} {} {}", card.name, card.meaning, card.check);
+            assert!(!text.contains(['<', '>', '&', '@']), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_keys_that_cards_name_can_be_configured() {
+        for card in AlarmCard::all() {
+            for key in card.keys {
+                let is_known = joulebus_config::KEYS.iter().any(|known| known.path == *key);
+                assert!(is_known, "{}: {key}", card.name);
+            }
         }
     }
 }

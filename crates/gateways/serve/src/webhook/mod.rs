@@ -3,18 +3,16 @@
 //!
 //! One thread reads, and each receiver has one that sends, with a bounded queue between them. A
 //! receiver that does not answer costs neither the reader nor the fleet anything. All queued
-//! changes are sent in one request. Alertmanager gets the state of the alarms instead, so that
-//! nothing can be lost on the way to it.
+//! changes are sent in one request.
 
-mod alertmanager;
 mod body;
 mod receiver;
 mod signature;
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver as Queue, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -27,10 +25,8 @@ use joulebus_config::Config;
 use joulebus_consumer::FleetAlarms;
 use joulebus_program::exit::UsageError;
 use serde::Serialize;
-use serde_json::Value;
 
-use alertmanager::Alerts;
-use receiver::{Format, Receiver};
+use receiver::Receiver;
 
 /// Maximum number of queued changes. Further ones are lost.
 const MAX_WAITING: usize = 10_000;
@@ -75,8 +71,6 @@ pub(crate) struct Webhooks {
 struct Shared {
     /// Deadline of what waits, set when the program ends.
     end_by: OnceLock<Instant>,
-    /// True once the reader has ended.
-    has_read: AtomicBool,
     /// Number of changes seen. Those that are not delivered are lost.
     changes: AtomicU64,
     /// Ticks without diagnostics.
@@ -89,14 +83,6 @@ struct Counts {
     host: String,
     delivered: AtomicU64,
     failed: AtomicU64,
-}
-
-/// Queue of changes for a receiver.
-enum Outlet {
-    /// Every change, in order.
-    Queue(SyncSender<AlarmRecord>),
-    /// The state of the alarms.
-    State(Arc<Mutex<Alerts>>),
 }
 
 impl Shared {
@@ -132,34 +118,21 @@ impl Webhooks {
         let mut receivers = listed.map_or(Ok(Vec::new()), Receiver::read)?;
         receivers.extend(named);
         let shared = Arc::<Shared>::default();
-        let (mut outlets, mut sending) = (Vec::new(), Vec::new());
+        let (mut queues, mut sending) = (Vec::new(), Vec::new());
         for receiver in receivers {
-            let fleet = config.fleet().to_owned();
-            let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
-            let sender = Sending::new(fleet.clone(), receiver, Arc::clone(&shared));
+            let sender = Sending::new(config.fleet().to_owned(), receiver, Arc::clone(&shared));
             let counts = Arc::clone(&sender.counts);
-            let thread = if let Format::Alertmanager(repeat) = sender.receiver.format {
-                let alerts = Alerts::new(fleet, sender.receiver.page.clone(), repeat);
-                let alerts = Arc::new(Mutex::new(alerts));
-                outlets.push(Outlet::State(Arc::clone(&alerts)));
-                thread.spawn(move || sender.run_state(&alerts))?
-            } else {
-                let (records, waiting) = sync_channel(MAX_WAITING);
-                outlets.push(Outlet::Queue(records));
-                thread.spawn(move || sender.run(&waiting))?
-            };
-            sending.push((counts, thread));
+            let (records, waiting) = sync_channel(MAX_WAITING);
+            queues.push(records);
+            let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
+            sending.push((counts, thread.spawn(move || sender.run(&waiting))?));
         }
         let (config, inside) = (config.clone(), Arc::clone(&shared));
         let reading = Background::repeat("joulebus-alarms", move || {
             let alarms = FleetAlarms::with_config(&config, "webhook")?;
             let (clock, fleet) = (host_clock(), config.fleet().to_owned());
-            Ok((Reading { alarms, clock, fleet, outlets, shared: inside }, ()))
+            Ok((Reading { alarms, clock, fleet, queues, shared: inside }, ()))
         });
-        // Otherwise the senders would wait for a reader that does not come.
-        if reading.is_err() {
-            shared.has_read.store(true, Ordering::Relaxed);
-        }
         let (reading, ()) = reading?;
         Ok(Self { shared, reading, sending })
     }
@@ -185,7 +158,6 @@ impl Webhooks {
         // No other call sets it.
         let _ = shared.end_by.set(Instant::now() + END_TIMEOUT);
         let read = self.reading.join();
-        shared.has_read.store(true, Ordering::Relaxed);
         let (changes, ticks_missed) =
             (shared.changes.load(Ordering::Relaxed), shared.ticks_missed.load(Ordering::Relaxed));
         let mut reports = Vec::new();
@@ -212,17 +184,13 @@ impl Webhooks {
     }
 }
 
-fn locked(alerts: &Mutex<Alerts>) -> MutexGuard<'_, Alerts> {
-    // A panicking thread leaves whole alerts.
-    alerts.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// State of the thread that passes every change on.
 struct Reading {
     alarms: FleetAlarms,
     clock: Clock,
     fleet: String,
-    outlets: Vec<Outlet>,
+    /// One for each receiver.
+    queues: Vec<SyncSender<AlarmRecord>>,
     shared: Arc<Shared>,
 }
 
@@ -231,15 +199,9 @@ impl Rounds<(), anyhow::Error> for Reading {
         self.alarms.wait(|change| {
             let record = AlarmRecord::new(&self.fleet, &change, self.clock.unix_ns(change.at_ns));
             self.shared.changes.fetch_add(1, Ordering::Relaxed);
-            for outlet in &self.outlets {
-                match outlet {
-                    // Without room the change is lost.
-                    Outlet::Queue(records) => drop(records.try_send(record.clone())),
-                    Outlet::State(alerts) => {
-                        let raised_ns = self.clock.unix_ns(change.raised_ns);
-                        locked(alerts).take(&record, raised_ns, Instant::now());
-                    }
-                }
+            for records in &self.queues {
+                // Without room the change is lost.
+                drop(records.try_send(record.clone()));
             }
         })?;
         Ok(Duration::ZERO)
@@ -281,10 +243,6 @@ impl Sending {
 
     /// Sends changes until the reader has ended and nothing waits, or the time is over.
     fn run(self, waiting: &Queue<AlarmRecord>) {
-        let most = match self.receiver.format {
-            Format::Template(_) => 1,
-            _ => MAX_CHANGES,
-        };
         let mut changes = Vec::new();
         loop {
             match waiting.recv_timeout(POLL_INTERVAL) {
@@ -292,61 +250,29 @@ impl Sending {
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            while changes.len() < most
+            while changes.len() < MAX_CHANGES
                 && let Ok(change) = waiting.try_recv()
             {
                 changes.push(change);
             }
-            if self.deliver(changes.len(), || self.body(&changes)) {
+            if self.deliver(&changes) {
                 self.counts.delivered.fetch_add(changes.len() as u64, Ordering::Relaxed);
             }
             changes.clear();
         }
     }
 
-    /// Sends alerts until the reader has ended and no change waits, or the time is over.
-    fn run_state(self, alerts: &Mutex<Alerts>) {
-        loop {
-            let has_read = self.shared.has_read.load(Ordering::Relaxed);
-            let due = locked(alerts).due(Instant::now(), MAX_CHANGES);
-            if due.is_empty() {
-                if has_read {
-                    return;
-                }
-                thread::sleep(POLL_INTERVAL);
-                continue;
-            }
-            let body = || locked(alerts).body(&due, clock::unix_ns());
-            let taken = self.deliver(due.len(), body);
-            let taken_changes = locked(alerts).settle(&due, Instant::now());
-            if taken {
-                self.counts.delivered.fetch_add(taken_changes, Ordering::Relaxed);
-            }
-        }
-    }
-
-    fn body(&self, changes: &[AlarmRecord]) -> Value {
-        let page = self.receiver.page.as_deref();
-        match &self.receiver.format {
-            Format::Slack => body::slack(changes, page),
-            Format::Teams => body::teams(changes, page),
-            Format::Template(template) => {
-                let filled = changes.first().map(|change| body::filled(template, change, page));
-                filled.unwrap_or_default()
-            }
-            Format::Joulebus | Format::Alertmanager(_) => body::changes(&self.fleet, changes),
-        }
-    }
-
-    /// Sends a body of so many changes until the receiver has taken or refused it, or the time is
-    /// over. Whether it was taken.
-    fn deliver(&self, count: usize, body: impl Fn() -> Value) -> bool {
+    /// Sends the changes until the receiver has taken or refused them, or the time is over. Whether
+    /// they were taken.
+    fn deliver(&self, changes: &[AlarmRecord]) -> bool {
+        let body = body::body(&self.fleet, changes, self.receiver.page.as_deref()).to_string();
+        let count = changes.len();
         let number = self.requests.fetch_add(1, Ordering::Relaxed);
         let id = format!("msg_{:x}_{number}", self.start_ns);
         let host = &self.counts.host;
         let mut pause = RETRY_DELAYS.0;
         while let Some(timeout) = self.shared.timeout(Instant::now()) {
-            let (why, asked) = match self.send(&id, body().to_string().as_bytes(), timeout) {
+            let (why, asked) = match self.send(&id, body.as_bytes(), timeout) {
                 Answer::Taken => return true,
                 Answer::Refused(why) => {
                     self.counts.failed.fetch_add(1, Ordering::Relaxed);

@@ -2,41 +2,24 @@
 
 use std::path::Path;
 use std::str::FromStr;
-use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_config::{CheckedFile, ConfigError, File, Problem, Section};
-use serde_json::Value;
 use ureq::Agent;
 use ureq::http::Uri;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
-use super::body;
 use super::signature::Signer;
 
 /// Maximum size of a file with certificates, bytes. All of Mozilla's take a quarter of it.
 const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
 
-/// Body of a request.
-#[derive(Debug)]
-pub(super) enum Format {
-    /// The changes as JSON.
-    Joulebus,
-    Slack,
-    Teams,
-    /// A document whose texts have placeholders: one change a request.
-    Template(Value),
-    /// Alerts of Alertmanager's API v2, sent again after this time.
-    Alertmanager(Duration),
-}
-
-/// Destination of alarms, and the form in which they are sent.
+/// Destination of alarms.
 #[derive(Debug)]
 pub(super) struct Receiver {
     pub(super) address: Uri,
     pub(super) agent: Agent,
-    pub(super) format: Format,
-    /// Address of the page that messages link to.
+    /// Address of the page to which the text links.
     pub(super) page: Option<String>,
     pub(super) signer: Option<Signer>,
 }
@@ -58,7 +41,6 @@ impl Receiver {
         Ok(Self {
             address: address(&text).context("--webhook")?,
             agent: agent(roots?),
-            format: Format::Joulebus,
             page: None,
             signer: None,
         })
@@ -105,54 +87,22 @@ impl Receiver {
             }
         };
         let remedy = "Give an address such as https://host.example/path";
-        let mut address = address(&named).map_err(broken(key, remedy))?;
+        let address = address(&named).map_err(broken(key, remedy))?;
         let roots = section.text("ca").map_or(Ok(RootCerts::WebPki), |file| {
             certificates(&file.file()).map_err(broken("ca", "Name a PEM file with certificates"))
         });
-        let format = match (section.text("template"), section.text("format")) {
-            (Some(_), Some(_)) if section.has("format") => {
-                let what = "stands beside format".to_owned();
-                return Err(refuse("template", what, "Set either format or template"));
-            }
-            (Some(template), _) => {
-                let remedy = "Write JSON in which names such as \"{robot}\" stand in quotes";
-                Format::Template(body::template(&template).map_err(broken("template", remedy))?)
-            }
-            (None, format) => match format.as_deref() {
-                Some("slack") => Format::Slack,
-                Some("teams") => Format::Teams,
-                Some("alertmanager") => {
-                    address = api_v2(&address).map_err(broken(key, remedy))?;
-                    let repeat_s = section.number("repeat_s").unwrap_or(60.0);
-                    Format::Alertmanager(Duration::from_secs_f64(repeat_s))
-                }
-                _ => Format::Joulebus,
-            },
-        };
-        if section.has("repeat_s") && !matches!(format, Format::Alertmanager(_)) {
-            let what = "is of no use with this format".to_owned();
-            return Err(refuse("repeat_s", what, "Set it with format = \"alertmanager\" alone"));
-        }
         let signer = section.text("secret_file").map(|file| {
             let remedy = "Make one: (umask 077; openssl rand -base64 32 >FILE)";
             Signer::read(&file.file()).map_err(broken("secret_file", remedy))
         });
         let page = section.text("page").map(|page| page.trim_end_matches('/').to_owned());
-        Ok(Self { address, agent: agent(roots?), format, page, signer: signer.transpose()? })
+        Ok(Self { address, agent: agent(roots?), page, signer: signer.transpose()? })
     }
 
     /// Host of the address. The rest may be secret.
     pub(super) fn host(&self) -> &str {
         self.address.host().unwrap_or_default()
     }
-}
-
-/// Alertmanager's address for alerts, from its own.
-fn api_v2(own: &Uri) -> anyhow::Result<Uri> {
-    const PATH: &str = "/api/v2/alerts";
-    let whole = own.to_string();
-    let own = whole.trim_end_matches('/').trim_end_matches(PATH);
-    Ok(Uri::from_str(&format!("{own}{PATH}"))?)
 }
 
 /// An address of the web.
@@ -230,18 +180,6 @@ mod tests {
     }
 
     #[test]
-    fn alertmanagers_own_address_is_enough() {
-        for (own, alerts) in [
-            ("http://am:9093", "http://am:9093/api/v2/alerts"),
-            ("http://am:9093/", "http://am:9093/api/v2/alerts"),
-            ("https://host.example/am/", "https://host.example/am/api/v2/alerts"),
-            ("http://am:9093/api/v2/alerts", "http://am:9093/api/v2/alerts"),
-        ] {
-            assert_eq!(api_v2(&address(own).unwrap()).unwrap().to_string(), alerts);
-        }
-    }
-
-    #[test]
     fn a_files_problems_name_line_and_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("hooks.toml");
@@ -267,12 +205,10 @@ mod tests {
             ),
             ("[[webhook]]\naddress = \"ftp://host\"\n", vec!["hooks.toml:2", "http://host/path"]),
             (&*format!("{at}address_file = \"secret\"\n"), vec!["stands beside address"]),
-            (&format!("{at}formet = \"slack\"\n"), vec!["hooks.toml:3", "webhook.format"]),
-            (&format!("{at}format = \"irc\"\n"), vec!["hooks.toml:3", "\"slack\""]),
-            (&format!("{at}format = \"slack\"\ntemplate = '{{}}'\n"), vec!["stands beside format"]),
-            (&format!("{at}template = '{{\"a\": {{robot}}}}'\n"), vec!["JSON", "in quotes"]),
-            (&format!("{at}template = '\"{{rob}}\"'\n"), vec!["{rob}", "{robot}, {alarm}"]),
-            (&format!("{at}repeat_s = 5\n"), vec!["hooks.toml:3", "of no use", "alertmanager"]),
+            (&format!("{at}pages = \"http://x\"\n"), vec!["hooks.toml:3", "webhook.page"]),
+            (&format!("{at}format = \"slack\"\n"), vec!["hooks.toml:3", "text", "--on-alarm"]),
+            (&format!("{at}template = '{{}}'\n"), vec!["hooks.toml:3", "text", "--on-alarm"]),
+            (&format!("{at}repeat_s = 5\n"), vec!["hooks.toml:3", "configs/prometheus"]),
             (&format!("{at}ca = \"secret\"\n"), vec!["webhook.ca", "BEGIN CERTIFICATE"]),
             (
                 &format!("{at}secret_file = \"short\"\n"),
@@ -285,8 +221,7 @@ mod tests {
                 assert!(refused.contains(words), "{text}: {refused} lacks {words}");
             }
         }
-        let template = "template = '{\"text\": \"{robot}\"}'\n";
-        let both = format!("{at}secret_file = \"secret\"\n{at}{template}");
+        let both = format!("{at}secret_file = \"secret\"\n{at}page = \"http://page/\"\n");
         assert_eq!(read(&both).unwrap().len(), 2);
     }
 }

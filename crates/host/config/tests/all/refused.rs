@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_config::{Config, ConfigError, KEYS, Problem, ValueKind};
+use joulebus_config::{CheckedFile, Config, ConfigError, File, KEYS, Problem, ValueKind};
 use proptest::prelude::*;
 
 /// A complete fleet in one text; each table below changes one line of it.
@@ -138,6 +138,20 @@ fn what_replaced_mixture_and_adapt_is_named() {
     ] {
         let before = format!("{line}\nresidual_std_w = 0.1");
         assert_refused("residual_std_w = 0.1", &before, key, &["\"online\", the default"]);
+    }
+}
+
+#[test]
+fn a_key_of_a_webhook_that_is_gone_is_refused_with_what_takes_its_place() {
+    for (line, instead) in [
+        ("format = \"slack\"", "`text`"),
+        ("template = '{}'", "--on-alarm"),
+        ("repeat_s = 60", "configs/prometheus"),
+    ] {
+        let text = format!("[[webhook]]\naddress = \"http://host/\"\n{line}\n");
+        let file = CheckedFile::parse(&text, Path::new("hooks.toml"), File::Webhooks).unwrap();
+        let [problem] = file.problems.as_slice() else { panic!("{line}: {:?}", file.problems) };
+        assert!(problem.remedy.contains(instead), "{line}: {problem}");
     }
 }
 

@@ -1,5 +1,7 @@
 //! The OpenAPI document and the answers describe each other.
 
+use std::collections::BTreeSet;
+
 use joulebus_testkit::eventually;
 use serde_json::Value;
 
@@ -109,4 +111,24 @@ fn every_answer_is_as_the_document_states() {
             assert_eq!(response.status, 200, "{path}");
         }
     }
+}
+
+#[test]
+fn the_document_has_every_route_of_the_router_and_no_other() {
+    let document: Value =
+        serde_json::from_str(include_str!("../../../src/http/openapi.json")).unwrap();
+    let described: BTreeSet<String> = document["paths"]
+        .as_object()
+        .unwrap()
+        .iter()
+        .flat_map(|(path, methods)| {
+            methods.as_object().unwrap().keys().map(move |method| format!("{method} {path}"))
+        })
+        .collect();
+    let router = include_str!("../../../src/http/api.rs");
+    let routes = router.split(".route(\"").skip(1).map(|route| {
+        let (path, rest) = route.split_once("\", ").unwrap();
+        format!("{} {path}", rest.split('(').next().unwrap())
+    });
+    assert_eq!(routes.collect::<BTreeSet<_>>(), described);
 }

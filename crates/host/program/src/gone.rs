@@ -1,0 +1,74 @@
+//! Options and values that are gone, and what takes their place.
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+
+/// Foxglove without a server of joulebus.
+const FOXGLOVE: &str =
+    "captures open in Foxglove, and the ROS 2 bridge publishes: docs/how-to/foxglove.md";
+
+/// The verb of an option, or the argument of a value, with what is gone and what takes its place.
+const GONE: [(&str, &str, &str); 6] = [
+    ("serve", "--foxglove", FOXGLOVE),
+    ("serve", "--host", FOXGLOVE),
+    ("serve", "--port", FOXGLOVE),
+    ("serve", "--allow-origin", FOXGLOVE),
+    ("serve", "--per-robot", FOXGLOVE),
+    (
+        "<BENCHMARK>",
+        "wait",
+        "docs/decisions/waiting.md states how the worker waits, and `bench latency` measures it",
+    ),
+];
+
+/// The refusal of arguments of which clap did not know one that is gone.
+pub(crate) fn instead(arguments: &clap::Error) -> Option<String> {
+    let text = |kind| match arguments.get(kind) {
+        Some(ContextValue::String(text)) => text.clone(),
+        Some(other) => other.to_string(),
+        None => String::new(),
+    };
+    let is_of: &dyn Fn(&str) -> bool = match arguments.kind() {
+        ErrorKind::UnknownArgument => {
+            &|verb| text(ContextKind::Usage).contains(&format!("joulebus {verb} "))
+        }
+        ErrorKind::InvalidValue => &|argument| text(ContextKind::InvalidArg) == argument,
+        _ => return None,
+    };
+    let unknown = match arguments.kind() {
+        ErrorKind::UnknownArgument => text(ContextKind::InvalidArg),
+        _ => text(ContextKind::InvalidValue),
+    };
+    let mut gone = GONE.iter().filter(|(of, ..)| is_of(of));
+    let (_, word, instead) = gone.find(|(_, word, _)| *word == unknown)?;
+    Some(format!("{word} went: {instead}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(verb: &'static str, word: &str) -> Option<String> {
+        let known = clap::Arg::new("http").long("http").action(clap::ArgAction::SetTrue);
+        let chosen = clap::Arg::new("benchmark").value_name("BENCHMARK").value_parser(["kernel"]);
+        let verb_of = clap::Command::new(verb).arg(known).arg(chosen);
+        let program = clap::Command::new("joulebus").subcommand(verb_of);
+        let refused = program.try_get_matches_from(["joulebus", verb, word]);
+        instead(&refused.expect_err("the word is unknown"))
+    }
+
+    #[test]
+    fn what_is_gone_is_refused_by_name_with_what_takes_its_place() {
+        for (of, word, instead) in GONE {
+            let expected = Some(format!("{word} went: {instead}"));
+            if word.starts_with("--") {
+                assert_eq!(refused(of, word), expected);
+                assert_eq!(refused(of, &format!("{word}=1")), expected);
+                assert_eq!(refused("new", word), None, "of another verb");
+            } else {
+                assert_eq!(refused("bench", word), expected);
+            }
+        }
+        assert_eq!(refused("serve", "--colour"), None);
+        assert_eq!(refused("bench", "abacus"), None);
+    }
+}
