@@ -18,8 +18,6 @@ pub(crate) enum Benchmark {
     Questions,
     /// From sample due to forecast readable, between separate processes
     Latency,
-    /// Overshoot of a wait for a deadline, by system call
-    Wait,
     /// All of them, one after the other
     All,
 }
@@ -72,7 +70,7 @@ pub(crate) struct BenchOptions {
     /// Sizes: robots per batch or fleet, separated by commas [default: those of the benchmark]
     #[arg(long, value_name = "N,N,…", value_delimiter = ',', value_parser = size)]
     pub(crate) robots: Vec<usize>,
-    /// Rounds, in each of which every measurement runs once [default: 1000, of waits 300]
+    /// Rounds, in each of which every measurement runs once [default: 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) repetitions: Option<u32>,
     /// Time per measurement, s [default: 2 at most, and 10 for each size of a paced one]
@@ -93,10 +91,10 @@ pub(crate) struct BenchOptions {
     /// Only this kernel, such as avx2 [default: all that the processor supports]
     #[arg(long, value_name = "NAME")]
     pub(crate) kernel: Option<String>,
-    /// CPUs of the worker's tick thread (latency), or of the waiting thread (wait)
+    /// Latency: CPUs of the worker's tick thread
     #[arg(long, value_name = "CPU,…", value_delimiter = ',')]
     pub(crate) worker_cpus: Vec<usize>,
-    /// Real-time priority of that thread, 0 for none
+    /// Latency: real-time priority of that thread, 0 for none
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=99))]
     pub(crate) worker_priority: u8,
     /// Latency: lock the worker's memory

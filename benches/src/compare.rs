@@ -4,31 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::report::significant;
+use crate::report::{Facts, shown, significant};
 use crate::{Better, Distribution, Figure, SCHEMA, Suite};
-
-/// Errors of a comparison.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-pub enum CompareError {
-    /// The old figures have another layout.
-    #[error(
-        "the old figures have the layout {found:?}, allowed is {SCHEMA:?}: measure again with this version"
-    )]
-    Schema {
-        /// The layout in the file.
-        found: String,
-    },
-    /// The runs have no figure in common.
-    #[error(
-        "none of the {new} new figures is among the {old} old ones: compare the same benchmark with the same sizes"
-    )]
-    NothingInCommon {
-        /// Figures of the earlier run.
-        old: usize,
-        /// Figures of this run.
-        new: usize,
-    },
-}
 
 /// Change of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -45,20 +22,14 @@ pub enum Verdict {
 /// One figure in both runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Change {
-    /// The benchmark.
-    pub benchmark: String,
-    /// The figure.
+    /// Benchmark, name and case.
     pub name: String,
-    /// Its case.
-    pub case: String,
     /// Its unit.
     pub unit: String,
     /// The earlier run.
     pub old: Distribution,
     /// This run.
     pub new: Distribution,
-    /// Median of the earlier run over that of this one.
-    pub old_over_new: f64,
     /// Factor by which this run is worse: above 1 is worse, whichever direction is better.
     pub times_worse: f64,
     /// Verdict whether the change exceeds noise.
@@ -68,176 +39,114 @@ pub struct Change {
 /// Comparison with an earlier run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Differences of machine and build.
+    /// Differences of machine, build and inputs.
     pub differing: Vec<String>,
     /// Figures in both.
     pub changes: Vec<Change>,
-    /// Figures that only the earlier run has.
-    pub only_old: Vec<String>,
-    /// Figures that only this run has.
-    pub only_new: Vec<String>,
+    /// Figures in one run only, with that run.
+    pub missing: Vec<String>,
 }
 
 impl Comparison {
     /// Compares figures of the same benchmark, name, case and unit.
     ///
     /// # Errors
-    /// [`CompareError`]: another layout, or nothing in common.
-    pub fn new(old: &Suite, new: &Suite) -> Result<Self, CompareError> {
-        if old.schema != new.schema {
-            return Err(CompareError::Schema { found: old.schema.clone() });
+    /// The earlier run has another layout, or nothing in common.
+    pub fn new(old: &Suite, new: &Suite) -> anyhow::Result<Self> {
+        anyhow::ensure!(
+            old.schema == new.schema,
+            "the old figures have the layout {:?}, allowed is {SCHEMA:?}: measure again with this version",
+            old.schema
+        );
+        let (before, now) = (named(old), named(new));
+        let same = |name: &str, unit: &str, among: &[(String, &Figure)]| {
+            among.iter().position(|(other, figure)| other == name && figure.unit == unit)
+        };
+        let (mut changes, mut missing) = (Vec::new(), Vec::new());
+        for (name, figure) in &now {
+            match same(name, &figure.unit, &before) {
+                Some(place) => changes.push(Change::new(name, before[place].1, figure)),
+                None => missing.push(format!("only now: {name}")),
+            }
         }
-        let (before, now) = (keyed(old), keyed(new));
-        let changes: Vec<Change> = now
-            .iter()
-            .filter_map(|(key, figure)| {
-                let (_, old) = before.iter().find(|(other, _)| other == key)?;
-                Some(change(key, old, figure))
-            })
-            .collect();
-        if changes.is_empty() {
-            return Err(CompareError::NothingInCommon { old: before.len(), new: now.len() });
-        }
-        Ok(Self {
-            differing: differing(old, new),
-            changes,
-            only_old: missing(&before, &now),
-            only_new: missing(&now, &before),
-        })
+        let gone = before.iter().filter(|(name, figure)| same(name, &figure.unit, &now).is_none());
+        missing.extend(gone.map(|(name, _)| format!("only before: {name}")));
+        anyhow::ensure!(
+            !changes.is_empty(),
+            "none of the {} new figures is among the {} old ones: compare the same benchmark with the same sizes",
+            now.len(),
+            before.len()
+        );
+        Ok(Self { differing: differing(old, new), changes, missing })
     }
 
     /// Figures that are more than `ratio` times worse, beyond noise.
     pub fn worse_than(&self, ratio: f64) -> impl Iterator<Item = &Change> {
-        self.changes
-            .iter()
-            .filter(move |change| change.verdict == Verdict::Worse && change.times_worse > ratio)
+        let worse = self.changes.iter().filter(|change| change.verdict == Verdict::Worse);
+        worse.filter(move |change| change.times_worse > ratio)
     }
 }
 
-/// Benchmark, name, case, unit: identify a measurement.
-type Key<'a> = [&'a str; 4];
-
-fn keyed(suite: &Suite) -> Vec<(Key<'_>, &Figure)> {
-    suite
+fn named(suite: &Suite) -> Vec<(String, &Figure)> {
+    let figures = suite
         .reports
         .iter()
-        .flat_map(|report| {
-            report.figures.iter().map(|figure| {
-                let Figure { name, case, unit, .. } = figure;
-                ([report.benchmark.as_str(), name, case, unit], figure)
-            })
-        })
-        .collect()
+        .flat_map(|report| report.figures.iter().map(|figure| (report.benchmark.as_str(), figure)));
+    figures.map(|(of, figure)| (format!("{of} {}, {}", figure.name, figure.case), figure)).collect()
 }
 
-fn change(key: &Key<'_>, old: &Figure, new: &Figure) -> Change {
-    let [benchmark, name, case, unit] = key.map(str::to_owned);
-    let old_over_new = old.spread.p50 / new.spread.p50;
-    let times_worse = match new.better {
-        Better::Less => 1.0 / old_over_new,
-        Better::More => old_over_new,
-    };
-    let verdict = match new.spread.differs_from(&old.spread) {
-        false => Verdict::WithinNoise,
-        true if times_worse > 1.0 => Verdict::Worse,
-        true => Verdict::Better,
-    };
-    Change {
-        benchmark,
-        name,
-        case,
-        unit,
-        old: old.spread,
-        new: new.spread,
-        old_over_new,
-        times_worse,
-        verdict,
+impl Change {
+    fn new(name: &str, old: &Figure, new: &Figure) -> Self {
+        let (unit, old, better, new) = (new.unit.clone(), old.spread, new.better, new.spread);
+        let times_worse = match better {
+            Better::Less => new.p50 / old.p50,
+            Better::More => old.p50 / new.p50,
+        };
+        let verdict = match new.differs_from(&old) {
+            false => Verdict::WithinNoise,
+            true if times_worse > 1.0 => Verdict::Worse,
+            true => Verdict::Better,
+        };
+        Self { name: name.to_owned(), unit, old, new, times_worse, verdict }
     }
-}
-
-fn missing(these: &[(Key<'_>, &Figure)], those: &[(Key<'_>, &Figure)]) -> Vec<String> {
-    let in_those = |key: &Key<'_>| those.iter().any(|(other, _)| other == key);
-    these
-        .iter()
-        .filter(|(key, _)| !in_those(key))
-        .map(|([benchmark, name, case, _], _)| format!("{benchmark} {name}, {case}"))
-        .collect()
 }
 
 fn differing(old: &Suite, new: &Suite) -> Vec<String> {
-    let mut differing = Vec::new();
-    if old.machine != new.machine {
-        differing.push(format!("machine: {} before, now {}", old.machine, new.machine));
+    let mut of = vec![("machine", &old.machine, &new.machine), ("build", &old.build, &new.build)];
+    for now in &new.reports {
+        let before = old.reports.iter().find(|before| before.benchmark == now.benchmark);
+        of.extend(before.map(|before| (now.benchmark.as_str(), &before.input, &now.input)));
     }
-    if old.build != new.build {
-        differing.push(format!("build: {} before, now {}", old.build, new.build));
-    }
-    for report in &new.reports {
-        let same = |other: &&crate::Report| other.benchmark == report.benchmark;
-        let Some(before) = old.reports.iter().find(same) else {
-            continue;
-        };
-        for (name, value) in &report.input {
-            let was = before.input.get(name);
-            if was.is_some_and(|was| was != value) {
-                let benchmark = &report.benchmark;
-                let was = was.map_or("", String::as_str);
-                differing.push(format!("{benchmark}: {name} {was} before, now {value}"));
-            }
-        }
-    }
-    differing
+    let changed = |(of, before, now): (&str, &Facts, &Facts)| {
+        let both = now.iter().filter_map(|(name, value)| Some((name, before.get(name)?, value)));
+        let changed = both.filter(|(_, was, value)| was != value).map(|(name, was, value)| {
+            format!("{of}: {name} {} before, now {}", shown(was), shown(value))
+        });
+        changed.collect::<Vec<_>>()
+    };
+    of.into_iter().flat_map(changed).collect()
 }
 
 impl fmt::Display for Comparison {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for line in &self.differing {
-            writeln!(out, "differs, {line}")?;
+        self.differing.iter().try_for_each(|line| writeln!(out, "differs, {line}"))?;
+        let width = self.changes.iter().map(|change| change.name.len()).max().unwrap_or(0);
+        let [old, new, worse] = ["old", "new", "worse"];
+        writeln!(out, "{:<width$} {old:>10} {new:>10} {worse:>8}  interquartile ranges", "")?;
+        for Change { name, old, new, times_worse, verdict, .. } in &self.changes {
+            let [p50, now] = [old.p50, new.p50].map(significant);
+            let [a, b, c, d] = [old.p25, old.p75, new.p25, new.p75].map(significant);
+            let verdict = match verdict {
+                Verdict::WithinNoise => "",
+                Verdict::Better => "  better",
+                Verdict::Worse => "  WORSE",
+            };
+            writeln!(
+                out,
+                "{name:<width$} {p50:>10} {now:>10} {times_worse:>7.3}×  {a}–{b}, {c}–{d}{verdict}"
+            )?;
         }
-        let titles: Vec<String> = self
-            .changes
-            .iter()
-            .map(|change| format!("{} {}, {}", change.benchmark, change.name, change.case))
-            .collect();
-        let width = titles.iter().map(String::len).max().unwrap_or(0);
-        writeln!(
-            out,
-            "{:<width$} {:>10} {:>10} {:>8}  interquartile range, old and new",
-            "", "old", "new", "old/new"
-        )?;
-        for (title, change) in titles.iter().zip(&self.changes) {
-            write_change(out, title, width, change)?;
-        }
-        for (when, names) in [("before", &self.only_old), ("now", &self.only_new)] {
-            for name in names {
-                writeln!(out, "only {when}: {name}")?;
-            }
-        }
+        self.missing.iter().try_for_each(|line| writeln!(out, "{line}"))?;
         writeln!(out, "noise: the interquartile ranges of both runs overlap. Medians are compared")
     }
-}
-
-fn write_change(
-    out: &mut fmt::Formatter<'_>,
-    title: &str,
-    width: usize,
-    change: &Change,
-) -> fmt::Result {
-    let Change { old, new, .. } = change;
-    let verdict = match change.verdict {
-        Verdict::WithinNoise => "",
-        Verdict::Better => "  better",
-        Verdict::Worse => "  WORSE",
-    };
-    writeln!(
-        out,
-        "{title:<width$} {:>10} {:>10} {:>8.3}  {}–{}, {}–{}{verdict}",
-        significant(old.p50),
-        significant(new.p50),
-        change.old_over_new,
-        significant(old.p25),
-        significant(old.p75),
-        significant(new.p25),
-        significant(new.p75),
-    )
 }

@@ -8,7 +8,7 @@ use crate::Distribution;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
-    /// Times, bytes, instructions.
+    /// Times, bytes.
     Less,
     /// Throughputs, shares of a peak, speed-ups.
     More,
@@ -33,30 +33,20 @@ pub struct Figure {
 impl Figure {
     /// A figure for which less is better, such as a time.
     pub fn less(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
-        Self::new(name, case, unit, Better::Less, spread)
+        let [name, case, unit] = [name, case, unit].map(str::to_owned);
+        Self { name, case, unit, better: Better::Less, spread }
     }
 
     /// A figure for which more is better, such as a throughput.
     pub fn more(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
-        Self::new(name, case, unit, Better::More, spread)
-    }
-
-    fn new(name: &str, case: &str, unit: &str, better: Better, spread: Distribution) -> Self {
-        Self { name: name.to_owned(), case: case.to_owned(), unit: unit.to_owned(), better, spread }
+        Self { better: Better::More, ..Self::less(name, case, unit, spread) }
     }
 }
 
 /// A count with thousands separators: `100,000`.
 pub(crate) fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
+    let (rest, last) = (count / 1000, count % 1000);
+    if rest == 0 { last.to_string() } else { format!("{},{last:03}", grouped(rest)) }
 }
 
 /// The case of a fleet or batch size.
@@ -71,16 +61,9 @@ mod tests {
 
     #[test]
     fn counts_are_grouped_by_thousands() {
-        for (count, text) in [
-            (0, "0"),
-            (999, "999"),
-            (1_000, "1,000"),
-            (300_000, "300,000"),
-            (1_234_567, "1,234,567"),
-        ] {
+        for (count, text) in [(0, "0"), (1_000, "1,000"), (1_034_507, "1,034,507")] {
             assert_eq!(grouped(count), text);
         }
-        assert_eq!(robots(1), "1 robot");
-        assert_eq!(robots(7), "7 robots");
+        assert_eq!((robots(1), robots(700)), ("1 robot".to_owned(), "700 robots".to_owned()));
     }
 }

@@ -6,9 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod arguments;
-mod callgrind;
 mod compare;
-mod counted;
 mod distribution;
 mod figure;
 mod input;
@@ -24,16 +22,14 @@ mod rounds;
 mod run;
 mod threads;
 mod tick;
-mod wait;
 mod world;
 
 pub use joulebus_latency::{Spread, histogram};
 
-pub use compare::{Change, CompareError, Comparison, Verdict};
+pub use compare::{Change, Comparison, Verdict};
 pub use distribution::Distribution;
 pub use figure::{Better, Figure};
-pub use machine::{Build, Machine};
-pub use report::{Report, SCHEMA, Suite};
+pub use report::{Facts, Report, SCHEMA, Suite};
 pub use run::main;
 
 #[cfg(test)]

@@ -1,124 +1,61 @@
 //! The machine and the build of a measurement.
 
-use std::fmt;
 use std::fs;
 
-use serde::{Deserialize, Serialize};
+use crate::report::Facts;
 
 /// The version pinned in the workspace.
 const ICEORYX2: &str = "0.10.0";
 /// Value of unknown properties.
 const UNKNOWN: &str = "unknown";
 
-/// The machine.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Machine {
-    /// Model name of the processor.
-    pub processor: String,
-    /// Processors that this process may use.
-    pub processors: usize,
-    /// Kernel of the operating system.
-    pub kernel: String,
-    /// Frequency governor, if known.
-    pub governor: String,
-    /// State of frequency boost, if known: `on`, `off`.
-    pub turbo: String,
-    /// True if it is a virtual machine, whose figures are noisy.
-    pub virtual_machine: bool,
+/// This machine, as far as Linux reports it.
+pub(crate) fn machine() -> Facts {
+    let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let field = |name: &str| {
+        let line = cpuinfo.lines().find(|line| line.starts_with(name));
+        line.and_then(|line| line.split_once(':')).map_or(UNKNOWN, |(_, value)| value.trim())
+    };
+    let setting = |path: &str| {
+        fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
+    };
+    let cpu = "/sys/devices/system/cpu";
+    let boost = setting(&format!("{cpu}/cpufreq/boost"));
+    let turbo = turbo(&boost, &setting(&format!("{cpu}/intel_pstate/no_turbo")));
+    let is_virtual = field("flags").split_whitespace().any(|flag| flag == "hypervisor");
+    Facts::from([
+        ("processor".to_owned(), field("model name").into()),
+        (
+            "processors".to_owned(),
+            std::thread::available_parallelism().map_or(1, usize::from).into(),
+        ),
+        ("kernel".to_owned(), setting("/proc/sys/kernel/osrelease").into()),
+        ("governor".to_owned(), setting(&format!("{cpu}/cpu0/cpufreq/scaling_governor")).into()),
+        ("turbo".to_owned(), turbo.into()),
+        ("virtual_machine".to_owned(), is_virtual.into()),
+    ])
 }
 
-/// The build.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Build {
-    /// Version of joulebus.
-    pub joulebus: String,
-    /// Version of the compiler.
-    pub rustc: String,
-    /// Version of iceoryx2.
-    pub iceoryx2: String,
-    /// `release` or `dev`, with the optimisation level.
-    pub profile: String,
-    /// Target triple.
-    pub target: String,
-    /// CPU features enabled for the whole program. Kernels are dispatched at run time.
-    pub target_features: String,
-}
-
-impl Machine {
-    /// This machine, as far as Linux reports it.
-    pub fn here() -> Self {
-        let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-        let field = |name: &str| {
-            let line = cpuinfo.lines().find(|line| line.starts_with(name))?;
-            Some(line.split_once(':')?.1.trim().to_owned())
-        };
-        let flags = field("flags").unwrap_or_default();
-        let cpu = "/sys/devices/system/cpu";
-        Self {
-            processor: field("model name").unwrap_or_else(|| UNKNOWN.to_owned()),
-            processors: std::thread::available_parallelism().map_or(1, usize::from),
-            kernel: setting("/proc/sys/kernel/osrelease"),
-            governor: setting(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
-            turbo: turbo(
-                &setting(&format!("{cpu}/cpufreq/boost")),
-                &setting(&format!("{cpu}/intel_pstate/no_turbo")),
-            ),
-            virtual_machine: flags.split_whitespace().any(|flag| flag == "hypervisor"),
-        }
-    }
-}
-
-impl Build {
-    /// This program.
-    pub fn here() -> Self {
-        let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
-        Self {
-            joulebus: env!("CARGO_PKG_VERSION").to_owned(),
-            rustc: env!("BENCH_RUSTC").to_owned(),
-            iceoryx2: ICEORYX2.to_owned(),
-            profile: format!("{profile}, opt-level {}", env!("BENCH_OPT_LEVEL")),
-            target: env!("BENCH_TARGET").to_owned(),
-            target_features: env!("BENCH_TARGET_FEATURES").to_owned(),
-        }
-    }
-}
-
-fn setting(path: &str) -> String {
-    fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
+/// This program. Its target's CPU features are those of the whole program: kernels are dispatched
+/// at run time.
+pub(crate) fn build() -> Facts {
+    let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
+    Facts::from([
+        ("joulebus".to_owned(), env!("CARGO_PKG_VERSION").into()),
+        ("rustc".to_owned(), env!("BENCH_RUSTC").into()),
+        ("iceoryx2".to_owned(), ICEORYX2.into()),
+        ("profile".to_owned(), format!("{profile}, opt-level {}", env!("BENCH_OPT_LEVEL")).into()),
+        ("target".to_owned(), env!("BENCH_TARGET").into()),
+        ("target_features".to_owned(), env!("BENCH_TARGET_FEATURES").into()),
+    ])
 }
 
 /// The two drivers report it with opposite meanings.
-fn turbo(boost: &str, no_turbo: &str) -> String {
+fn turbo(boost: &str, no_turbo: &str) -> &'static str {
     match (boost, no_turbo) {
         ("1", _) | (_, "0") => "on",
         ("0", _) | (_, "1") => "off",
         _ => UNKNOWN,
-    }
-    .to_owned()
-}
-
-impl fmt::Display for Machine {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { processor, processors, kernel, governor, turbo, virtual_machine } = self;
-        write!(
-            out,
-            "{processor}, {processors} processors, Linux {kernel}, governor {governor}, turbo {turbo}"
-        )?;
-        if *virtual_machine {
-            write!(out, ", virtual machine")?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for Build {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { joulebus, rustc, iceoryx2, profile, target, target_features } = self;
-        write!(
-            out,
-            "joulebus {joulebus}, {rustc}, iceoryx2 {iceoryx2}, {profile}, {target} \
-             ({target_features})"
-        )
     }
 }
 
@@ -135,24 +72,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_drivers_are_supported() {
-        for (boost, no_turbo, found) in [
-            ("1", UNKNOWN, "on"),
-            ("0", UNKNOWN, "off"),
-            (UNKNOWN, "0", "on"),
-            (UNKNOWN, "1", "off"),
-            (UNKNOWN, UNKNOWN, UNKNOWN),
-        ] {
-            assert_eq!(turbo(boost, no_turbo), found);
-        }
-    }
-
-    #[test]
-    fn the_build_names_its_compiler() {
-        let build = Build::here();
-        assert!(build.rustc.starts_with("rustc 1."), "{}", build.rustc);
-        assert!(build.target.contains('-'), "{}", build.target);
+    fn the_build_names_the_compiler_and_the_pinned_iceoryx2() {
+        let build = build();
+        assert!(build["rustc"].as_str().is_some_and(|text| text.starts_with("rustc 1.")));
         let manifest = include_str!("../../Cargo.toml");
-        assert!(manifest.contains(&format!("iceoryx2 = {{ version = \"={}\"", build.iceoryx2)));
+        assert!(manifest.contains(&format!("iceoryx2 = {{ version = \"={ICEORYX2}\"")));
     }
 }

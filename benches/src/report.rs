@@ -4,11 +4,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use crate::{Build, Distribution, Figure, Machine};
+use crate::{Distribution, Figure, machine};
 
 /// Version of the layout: figures of other versions are not comparable.
 pub const SCHEMA: &str = "joulebus-bench/1";
+
+/// Properties of a machine, a build or an input, by name.
+pub type Facts = BTreeMap<String, Value>;
 
 /// One run: a machine, a build, and the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -16,20 +20,20 @@ pub struct Suite {
     /// [`SCHEMA`].
     pub schema: String,
     /// The machine.
-    pub machine: Machine,
+    pub machine: Facts,
     /// The build.
-    pub build: Build,
+    pub build: Facts,
     /// The measurements, in their order.
     pub reports: Vec<Report>,
 }
 
 /// One measurement.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// `kernel`, `tick`, `rollout`, `latency`.
     pub benchmark: String,
     /// Inputs: model, seed, repetitions, sizes.
-    pub input: BTreeMap<String, String>,
+    pub input: Facts,
     /// Notes on the figures.
     pub notes: Vec<String>,
     /// The figures.
@@ -39,19 +43,15 @@ pub struct Report {
 impl Suite {
     /// Reports of this machine and this build.
     pub fn here(reports: Vec<Report>) -> Self {
-        Self { schema: SCHEMA.to_owned(), machine: Machine::here(), build: Build::here(), reports }
+        let (machine, build) = (machine::machine(), machine::build());
+        Self { schema: SCHEMA.to_owned(), machine, build, reports }
     }
 }
 
 impl Report {
     /// A report without figures.
     pub fn new(benchmark: &str) -> Self {
-        Self {
-            benchmark: benchmark.to_owned(),
-            input: BTreeMap::new(),
-            notes: Vec::new(),
-            figures: Vec::new(),
-        }
+        Self { benchmark: benchmark.to_owned(), ..Self::default() }
     }
 
     /// Adds a figure, unless a value is missing or not finite.
@@ -70,43 +70,41 @@ impl Report {
     /// Adds an input.
     #[must_use]
     pub fn with_input(mut self, name: &str, value: impl fmt::Display) -> Self {
-        self.input.insert(name.to_owned(), value.to_string());
+        self.input.insert(name.to_owned(), value.to_string().into());
         self
     }
 }
 
+/// A property without the quotes of JSON.
+pub(crate) fn shown(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+fn listed(facts: &Facts) -> String {
+    let facts: Vec<_> =
+        facts.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect();
+    facts.join(", ")
+}
+
 impl fmt::Display for Suite {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{}\n{}", self.machine, self.build)?;
+        writeln!(out, "{}\n{}", listed(&self.machine), listed(&self.build))?;
         self.reports.iter().try_for_each(|report| write!(out, "\n{report}"))
     }
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let input: Vec<String> =
-            self.input.iter().map(|(name, value)| format!("{name} {value}")).collect();
-        writeln!(out, "{}: {}", self.benchmark, input.join("; "))?;
-        let width = |text: fn(&Figure) -> &str| {
-            let widths = self.figures.iter().map(|figure| text(figure).len());
-            widths.max().unwrap_or(0)
-        };
-        let (name_width, case_width) = (width(|figure| &figure.name), width(|figure| &figure.case));
-        write!(out, "{:<name_width$}  {:<case_width$}", "", "")?;
-        for column in ["p50", "p99", "p99.9", "max"] {
-            write!(out, " {column:>10}")?;
-        }
-        writeln!(out, " {:>6}", "n")?;
-        let mut name = "";
+        writeln!(out, "{}: {}", self.benchmark, listed(&self.input))?;
+        let title = |figure: &Figure| format!("{}  {}", figure.name, figure.case);
+        let width = self.figures.iter().map(|figure| title(figure).len()).max().unwrap_or(0);
+        let [p50, p99, p999, max, n] = ["p50", "p99", "p99.9", "max", "n"];
+        writeln!(out, "{:<width$} {p50:>10} {p99:>10} {p999:>10} {max:>10} {n:>6}", "")?;
         for figure in &self.figures {
-            let shown = if figure.name == name { "" } else { &figure.name };
-            write!(out, "{shown:<name_width$}  {:<case_width$}", figure.case)?;
-            let spread = &figure.spread;
-            for value in [spread.p50, spread.p99, spread.p999, spread.max] {
-                write!(out, " {:>10}", significant(value))?;
-            }
-            writeln!(out, " {:>6}", spread.count)?;
-            name = &figure.name;
+            let Distribution { p50, p99, p999, max, count, .. } = figure.spread;
+            let [p50, p99, p999, max] = [p50, p99, p999, max].map(significant);
+            let title = title(figure);
+            writeln!(out, "{title:<width$} {p50:>10} {p99:>10} {p999:>10} {max:>10} {count:>6}")?;
         }
         self.notes.iter().try_for_each(|note| writeln!(out, "{note}"))
     }
@@ -123,58 +121,30 @@ pub(crate) fn significant(value: f64) -> String {
 mod tests {
     use super::*;
 
-    fn suite() -> Suite {
+    #[test]
+    fn json_round_trips_and_the_text_names_machine_build_input_and_every_figure() {
         let spread = Distribution::new(&[150.0, 151.0, 180.0]).expect("there are values");
         let mut report = Report::new("kernel").with_input("seed", 7);
-        report.figures = vec![
-            Figure::less("avx512_ns_per_robot", "1 robot", "ns", spread),
-            Figure::less("avx512_ns_per_robot", "100 robots", "ns", spread),
-        ];
+        report.figures = vec![Figure::less("avx512_ns_per_robot", "100 robots", "ns", spread)];
         report.notes.push("Hot: the same rows in every repetition.".to_owned());
-        Suite::here(vec![report])
-    }
-
-    #[test]
-    fn json_round_trips() {
-        let suite = suite();
-        let json = serde_json::to_string(&suite).expect("it is plain data");
-        let back: Suite = serde_json::from_str(&json).expect("it was written so");
-        assert_eq!(back, suite);
-        let value: serde_json::Value = serde_json::from_str(&json).expect("it is JSON");
+        let suite = Suite::here(vec![report]);
+        let value = serde_json::to_value(&suite).expect("it is plain data");
         let figure = &value["reports"][0]["figures"][0];
-        assert_eq!(value["schema"], SCHEMA);
-        assert_eq!(figure["p50"], 151.0);
-        assert_eq!(figure["unit"], "ns");
-        assert_eq!(figure["better"], "less");
-    }
-
-    #[test]
-    fn text_names_machine_build_input_and_every_figure() {
-        let suite = suite();
+        assert_eq!((&value["schema"], &figure["p50"]), (&SCHEMA.into(), &151.0.into()));
+        assert_eq!((&figure["unit"], &figure["better"]), (&"ns".into(), &"less".into()));
         let text = suite.to_string();
-        for needed in [
-            suite.machine.processor.as_str(),
-            &suite.build.rustc,
-            "seed 7",
-            "p99.9",
-            "100 robots",
-            "151.0",
-            "Hot:",
-        ] {
+        let (processor, rustc) = (shown(&suite.machine["processor"]), shown(&suite.build["rustc"]));
+        for needed in [&processor, &rustc, "seed 7", "p99.9", "100 robots", "151.0", "Hot:"] {
             assert!(text.contains(needed), "{needed:?} is missing from\n{text}");
         }
-        assert_eq!(text.matches("avx512_ns_per_robot").count(), 1);
+        assert_eq!(serde_json::from_value::<Suite>(value).expect("it was written so"), suite);
     }
 
     #[test]
     fn figures_are_shown_in_four_digits() {
-        for (value, text) in [
-            (0.0, "0.000"),
-            (0.01234, "0.01234"),
-            (1.98765, "1.988"),
-            (150.26, "150.3"),
-            (23_433.4, "23433"),
-        ] {
+        for (value, text) in
+            [(0.0, "0.000"), (0.01234, "0.01234"), (150.26, "150.3"), (23_433.4, "23433")]
+        {
             assert_eq!(significant(value), text);
         }
     }

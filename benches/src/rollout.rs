@@ -9,7 +9,6 @@ use joulebus_predictor::{
     FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
 
-use crate::callgrind::collected;
 use crate::figure::grouped;
 use crate::rounds::{Measurement, interleave};
 use crate::{Distribution, Figure, Report, input, kernel, threads};
@@ -190,12 +189,4 @@ fn shared(
     report.push(Figure::less, &format!("pinned_{name}_us"), &case, "µs", &pinned.several_us);
     let title = format!("pinned_{name}_over_1_speed_up");
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
-}
-
-/// One call with candidates of one robot, counted. Returns the number of steps.
-pub(crate) fn count(network: &Network, candidates: usize) -> usize {
-    let mut work = Work::new(network, (1, candidates, 50), 7);
-    work.call();
-    collected(&mut || work.call());
-    work.forecasts()
 }

@@ -9,40 +9,29 @@ use crate::arguments::{BenchArguments, BenchOptions, Benchmark};
 use anyhow::Context as _;
 use clap::Parser;
 use joulebus_program::exit::{self, Outcome};
-use joulebus_program::output::{Output, log_line, text};
+use joulebus_program::output::{Output, log_line};
 use joulebus_program::verb;
 use serde::Serialize;
 
-use crate::counted::Count;
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Report, Suite, kernel, plan, questions, rollout, tick, wait};
+use crate::{Comparison, Report, Suite, kernel, plan, questions, rollout, tick};
 
 /// First argument of the latency benchmark's child processes.
 const ROLE: &str = "role";
-/// First argument under callgrind.
-const COUNT: &str = "count";
 
-/// The program: measures, runs a role of the latency benchmark, or runs work to be counted.
+/// The program: measures, or runs a role of the latency benchmark.
 pub fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
     let arguments = || std::env::args_os().skip(1);
     let first = arguments().next();
     match first.as_ref().and_then(|first| first.to_str()) {
         Some(ROLE) => exit::code(play(&RoleArguments::parse_from(arguments()))),
-        Some(COUNT) => exit::code(count(&Count::parse_from(arguments()))),
         _ => verb::main("bench", joulebus_bus::check_stack(), run),
     }
 }
 
 fn play(arguments: &RoleArguments) -> anyhow::Result<Outcome> {
     latency::play(&arguments.role)?;
-    Ok(Outcome::Done)
-}
-
-/// Prints the kernel and the number of forecasts.
-fn count(arguments: &Count) -> anyhow::Result<Outcome> {
-    let (kernel, forecasts) = arguments.run()?;
-    text(&format!("{kernel} {forecasts}"))?;
     Ok(Outcome::Done)
 }
 
@@ -67,10 +56,7 @@ fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     let allowed = arguments.fail_above.unwrap_or(f64::INFINITY);
     let worse = comparison.iter().flat_map(|all| all.worse_than(allowed));
     let worse: Vec<String> = worse
-        .map(|change| {
-            let times = change.times_worse;
-            format!("{} {}, {}: {times:.3} times worse", change.benchmark, change.name, change.case)
-        })
+        .map(|change| format!("{}: {:.3} times worse", change.name, change.times_worse))
         .collect();
     let is_worse = !worse.is_empty();
     output.report(&Measured { suite, comparison, worse })?;
@@ -96,7 +82,6 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
         Benchmark::Plan => vec![plan::measure(options)?],
         Benchmark::Questions => vec![questions::measure(options, &Launcher::this(&[ROLE])?)?],
         Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
-        Benchmark::Wait => vec![wait::measure(options)?],
         Benchmark::All => {
             let each = [
                 Benchmark::Kernel,
@@ -105,7 +90,6 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
                 Benchmark::Plan,
                 Benchmark::Questions,
                 Benchmark::Latency,
-                Benchmark::Wait,
             ];
             let reports = each.map(|benchmark| measure(benchmark, options));
             let reports: anyhow::Result<Vec<_>> = reports.into_iter().collect();

@@ -10,12 +10,9 @@ use clap::ValueEnum as _;
 use joulebus_predictor::Network;
 use joulebus_settings::FleetSettings;
 
-use crate::callgrind::collected;
 use crate::figure::robots;
 use crate::{Figure, Report, input, kernel};
 use bench::{Bench, Round};
-
-pub(crate) use bench::Part;
 
 /// Fleets measured by default.
 const ROBOTS: [usize; 5] = [100, 1_000, 10_000, 100_000, 300_000];
@@ -24,8 +21,6 @@ const ROBOTS: [usize; 5] = [100, 1_000, 10_000, 100_000, 300_000];
 const WARM_UP: usize = 40;
 /// Maximum number of back-to-back rounds.
 const MAX_REPETITIONS: usize = 1_000;
-/// Seed of counted work.
-const SEED: u64 = 7;
 /// Minimum fleet size whose memory is reported. Smaller ones are lost in that of the process.
 const LEAST_WEIGHED: usize = 10_000;
 
@@ -199,25 +194,4 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOpt
     less("paced_due_to_done_us", "µs", &paced.due_to_done_us);
     less("paced_share_of_period", "1", &shard);
     less("paced_missed_ticks", "ticks", &[paced.missed as f64]);
-}
-
-/// One tick of which `part` is counted, the accounts maybe with `outlooks`. Returns the number of
-/// forecasts.
-pub(crate) fn count(
-    network: &Network,
-    robots: usize,
-    (part, outlooks): (Part, bool),
-) -> anyhow::Result<usize> {
-    let mut bench = Bench::new(network, (TickFleet::Uniform, robots), 1, SEED)?;
-    for _ in 0..WARM_UP {
-        bench.tick_in_two(outlooks, &mut |_, work| work());
-    }
-    bench.tick_in_two(outlooks, &mut |done, work| {
-        if done == part {
-            collected(work);
-        } else {
-            work();
-        }
-    });
-    Ok(robots)
 }

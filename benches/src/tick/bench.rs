@@ -19,17 +19,6 @@ use crate::machine::anonymous_bytes;
 use crate::world::World;
 use crate::{input, threads};
 
-/// Parts of a tick in two passes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Part {
-    /// Ingest.
-    Take,
-    /// Forecasts.
-    Forecast,
-    /// Scoring, diagnostics and budgets.
-    Account,
-}
-
 /// Durations of the parts of one round, ns.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Round {
@@ -159,16 +148,7 @@ impl Bench {
             stages: std::array::from_fn(|stage| (after[stage] - before[stage]) as f64),
             ..Round::default()
         };
-        self.tick_in_two(false, &mut |part, work| {
-            let start = Instant::now();
-            work();
-            let ns = start.elapsed().as_nanos() as f64;
-            match part {
-                Part::Take => round.take_in_two = ns,
-                Part::Forecast => round.forecast = ns,
-                Part::Account => round.account = ns,
-            }
-        });
+        [round.take_in_two, round.forecast, round.account] = self.tick_in_two();
         round
     }
 
@@ -217,35 +197,30 @@ impl Bench {
         (ns(start, taken), ns(taken, done))
     }
 
-    /// On the calling thread, forecasts first. `around` must run each part's work once. Reads no
-    /// clock: under valgrind the clock used by the pool aborts the program.
-    pub(super) fn tick_in_two(
-        &mut self,
-        outlooks: bool,
-        around: &mut dyn FnMut(Part, &mut dyn FnMut()),
-    ) {
+    /// ns of ingest, of the forecasts, and of scoring, diagnostics and budgets, on the calling
+    /// thread.
+    fn tick_in_two(&mut self) -> [f64; 3] {
         let now_ns = self.world.now_ns();
         let Self { fleet, batch, .. } = self;
         let (header, samples) = self.world.frame();
-        around(Part::Take, &mut || {
-            fleet.take(black_box(header), black_box(samples), now_ns);
-        });
-        around(Part::Forecast, &mut || {
-            fleet.begin(now_ns, false);
-            let mut shard = fleet.shard();
-            shard.forecast(batch, &mut self.forecasts, &mut |_| {});
-        });
-        around(Part::Account, &mut || {
-            let accounts = Accounts {
-                diagnostics: &mut self.diagnostics,
-                budgets: &mut self.budgets,
-                plan_states: &mut [],
-                outlooks: if outlooks { &mut self.outlooks } else { &mut [] },
-            };
-            fleet.shard().account(batch, accounts, &mut |_| {});
-        });
+        let start = Instant::now();
+        fleet.take(black_box(header), black_box(samples), now_ns);
+        let taken = Instant::now();
+        fleet.begin(now_ns, false);
+        fleet.shard().forecast(batch, &mut self.forecasts, &mut |_| {});
+        let forecast = Instant::now();
+        let accounts = Accounts {
+            diagnostics: &mut self.diagnostics,
+            budgets: &mut self.budgets,
+            plan_states: &mut [],
+            outlooks: &mut [],
+        };
+        fleet.shard().account(batch, accounts, &mut |_| {});
+        let done = Instant::now();
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
         self.world.advance();
+        let times = [(start, taken), (taken, forecast), (forecast, done)];
+        times.map(|(from, to)| to.duration_since(from).as_nanos() as f64)
     }
 
     /// Ticks on a time grid, with a sleep before each.
