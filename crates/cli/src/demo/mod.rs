@@ -3,7 +3,6 @@
 mod account;
 mod capture;
 mod directory;
-mod run_ahead;
 mod show;
 mod summary;
 
@@ -18,14 +17,12 @@ use joulebus_program::installed::find_program;
 use joulebus_program::output::{Format, Output, log_line};
 use joulebus_program::stop::Stop;
 
-use crate::publish::plant;
 use crate::supervisor::{Event, Supervisor, Task};
 use crate::watch::PlannerReport;
 
-use account::{Account, SourceRun, WorkerAccount};
+use account::Account;
 use capture::Captured;
 use directory::DemoDirectory;
-use run_ahead::RunAhead;
 use summary::{Planted, Summary};
 
 const WORKER: &str = "worker";
@@ -172,12 +169,12 @@ impl Demo<'_> {
         let feed = Feed::start(directory.config(), "demo", (true, true))?;
         self.wait_for_worker(&feed, stop)?;
         if self.capture.is_some() {
-            self.wait_for_line(&feed, stop, RECORDER, "recording ");
+            self.wait_for_line(&feed, stop, RECORDER, "recording ")?;
         }
         if self.lines_to_stdout && find_program("joulebus-serve").is_ok() {
             let verb = ["serve", "--http", "127.0.0.1:0"];
             self.supervisor.add(task(PAGE, directory, &verb));
-            if let Some(line) = self.wait_for_line(&feed, stop, PAGE, "serving fleet ") {
+            if let Some(line) = self.wait_for_line(&feed, stop, PAGE, "serving fleet ")? {
                 log_line(&line);
                 feed.board().note(line, clock::monotonic_ns());
             }
@@ -188,8 +185,7 @@ impl Demo<'_> {
         if !stop.is_asked() {
             self.show(directory.config(), &feed, stop, began_ns)?;
         }
-        let platform = directory.config().settings().platforms.first();
-        self.finish(feed, platform.map_or(0, |platform| platform.period_ns))
+        self.finish(feed)
     }
 
     fn source(&self, directory: &DemoDirectory) -> Task {
@@ -206,7 +202,10 @@ impl Demo<'_> {
     }
 
     /// Supervises the processes. Events are shown on the board.
-    fn look_after(&mut self, feed: &Feed) {
+    ///
+    /// # Errors
+    /// A process has died: the demo ends.
+    fn look_after(&mut self, feed: &Feed) -> anyhow::Result<()> {
         let now_ns = clock::monotonic_ns();
         let events = self.supervisor.poll();
         for event in &events {
@@ -216,13 +215,19 @@ impl Demo<'_> {
             }
         }
         self.events.extend(events);
+        let died = self.events.iter().find(|event| matches!(event, Event::Exited { .. }));
+        died.map_or(Ok(()), |died| {
+            Err(anyhow::anyhow!(
+                "{died}, and the demo with it. See the output of the processes above"
+            ))
+        })
     }
 
     /// Waits for the worker's first frame: from then on no sample is lost.
     fn wait_for_worker(&mut self, feed: &Feed, stop: &Stop) -> anyhow::Result<()> {
         let give_up_ns = clock::monotonic_ns() + START_TIMEOUT_NS;
         while feed.board().header().is_none() && !stop.is_asked() {
-            self.look_after(feed);
+            self.look_after(feed)?;
             anyhow::ensure!(feed.is_reading(), "the demo's own planner has ended");
             anyhow::ensure!(
                 clock::monotonic_ns() < give_up_ns,
@@ -236,7 +241,13 @@ impl Demo<'_> {
 
     /// Waits until a process reports that it is ready, and returns the line: so the capture begins
     /// before the first sample, and the page's address is known.
-    fn wait_for_line(&mut self, feed: &Feed, stop: &Stop, of: &str, begin: &str) -> Option<String> {
+    fn wait_for_line(
+        &mut self,
+        feed: &Feed,
+        stop: &Stop,
+        of: &str,
+        begin: &str,
+    ) -> anyhow::Result<Option<String>> {
         let give_up_ns = clock::monotonic_ns() + START_TIMEOUT_NS;
         let printed = |event: &Event| match event {
             Event::Output { name, line } if *name == of && line.starts_with(begin) => {
@@ -244,16 +255,15 @@ impl Demo<'_> {
             }
             _ => None,
         };
-        let died = |event: &Event| matches!(event, Event::Exited { name, .. } if *name == of);
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
-            self.look_after(feed);
+            self.look_after(feed)?;
             let line = self.events.iter().find_map(printed);
-            if line.is_some() || self.events.iter().any(died) {
-                return line;
+            if line.is_some() {
+                return Ok(line);
             }
             std::thread::sleep(POLL_INTERVAL);
         }
-        None
+        Ok(None)
     }
 
     /// Stops the recorder. Returns its report on the capture.
@@ -268,16 +278,14 @@ impl Demo<'_> {
     }
 
     /// Stops the source first, drains, then stops planner and recorder, then the worker.
-    fn finish(&mut self, feed: Feed, period_ns: u64) -> anyhow::Result<Summary> {
+    fn finish(&mut self, feed: Feed) -> anyhow::Result<Summary> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
         let sent = samples_sent(&source.stdout);
         let give_up_ns = clock::monotonic_ns() + DRAIN_TIMEOUT_NS;
         loop {
-            self.look_after(&feed);
-            let account = self.account(&feed.board(), sent);
-            // Samples in transit when a worker dies wait for the next one.
-            let drained = account.difference == 0 && self.supervisor.is_running(WORKER);
+            self.look_after(&feed)?;
+            let drained = account(&feed.board(), sent).adds_up();
             if drained || clock::monotonic_ns() >= give_up_ns {
                 break;
             }
@@ -293,64 +301,21 @@ impl Demo<'_> {
         if let (None, Some(status)) = (&report, planner.status) {
             log_line(&format!("the planner left no report: {status}"));
         }
-        let mut summary = Summary::new(
+        Ok(Summary::new(
             &board,
-            self.account(&board, sent),
+            account(&board, sent),
             report,
             &self.planted,
             (self.args.seed, duration_s),
-            self.deaths(),
             captured,
-        );
-        summary.run_ahead = Some(self.run_ahead(&board, period_ns)?);
-        Ok(summary)
+        ))
     }
+}
 
-    /// Runs the source's robots again, as many as time allows, and ahead.
-    fn run_ahead(&self, board: &Board, period_ns: u64) -> anyhow::Result<RunAhead> {
-        let affordable = run_ahead::affordable(board.steps.len(), period_ns);
-        let robots = affordable.clamp(1, self.args.robots);
-        let ids: Vec<u32> = (0..robots).collect();
-        let planted = self.planted.iter().filter(|planted| planted.robot < robots);
-        let faults: Result<Vec<_>, String> =
-            planted.map(|fault| fault.argument().parse()).collect();
-        let plant = plant(self.args.seed, &ids, &faults.map_err(anyhow::Error::msg)?)?;
-        Ok(run_ahead::run_ahead(board, plant, period_ns))
-    }
-
-    /// `sent`: number of samples sent, reported by the last run of the source.
-    fn account(&self, board: &Board, sent: Option<u64>) -> Account {
-        let frame = u64::from(self.args.robots);
-        let mut sources: Vec<SourceRun> = board
-            .sent
-            .iter()
-            .map(|(epoch, sent)| SourceRun { epoch: *epoch, sent: *sent, unsure: frame })
-            .collect();
-        match (sources.last_mut(), sent) {
-            (Some(last), Some(sent)) => (last.sent, last.unsure) = (sent, 0),
-            // The reporting run was not observed by any worker.
-            (None, Some(sent)) if sent > 0 => {
-                sources.push(SourceRun { epoch: 0, sent, unsure: 0 });
-            }
-            _ => {}
-        }
-        let workers: Vec<WorkerAccount> = board
-            .runs
-            .iter()
-            .map(|run| WorkerAccount {
-                accepted: run.header.samples_accepted,
-                dropped: run.dropped(),
-                first_source_epoch: run.first_source_epoch,
-            })
-            .collect();
-        Account::new(&sources, &workers)
-    }
-
-    /// Processes that died and were restarted.
-    fn deaths(&self) -> Vec<String> {
-        let died = |event: &&Event| matches!(event, Event::Exited { .. });
-        self.events.iter().filter(died).map(ToString::to_string).collect()
-    }
+/// `sent`: number of samples sent, reported by the source. Without a report, as many as were seen.
+fn account(board: &Board, sent: Option<u64>) -> Account {
+    let sent = sent.unwrap_or_else(|| board.sent.values().sum());
+    Account::new(sent, board.accepted(), board.dropped())
 }
 
 /// A process of the demo.
@@ -361,9 +326,9 @@ fn task(name: &'static str, directory: &DemoDirectory, verb: &[&str]) -> Task {
     Task { name, arguments }
 }
 
-/// The recorder. After a crash it continues in another file.
+/// The recorder.
 fn recorder(directory: &DemoDirectory, capture: &Path) -> Task {
-    let mut task = task(RECORDER, directory, &["record", "--resume"]);
+    let mut task = task(RECORDER, directory, &["record"]);
     let arguments = ["--out".into(), capture.as_os_str().to_owned()];
     task.arguments.extend(arguments);
     task

@@ -41,7 +41,7 @@ impl Demo<'_> {
         let selected = self.planted.first().map(|planted| planted.robot);
         let mut screen = Screen::new("demo", Platforms::new(config.settings()), selected);
         show(feed, &mut screen, stop, || {
-            self.look_after(feed);
+            self.look_after(feed)?;
             let seconds = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
             let whole = self.args.duration;
             Ok((seconds < whole).then(|| format!("{seconds:.1} of {whole:.0} s")))
@@ -53,9 +53,9 @@ impl Demo<'_> {
         let mut next_ns = began_ns + LINE_EVERY_NS;
         let mut printed = 0;
         while !stop.is_asked() && feed.is_reading() {
-            self.look_after(feed);
+            self.look_after(feed)?;
             for event in self.events.iter().skip(printed) {
-                if matches!(event, Event::Started { .. } | Event::Exited { .. }) {
+                if matches!(event, Event::Started { .. }) {
                     log_line(&event.to_string());
                 }
             }

@@ -9,7 +9,6 @@ use serde::Serialize;
 use super::account::Account;
 use super::capture::Captured;
 use super::directory::LeftBehind;
-use super::run_ahead::RunAhead;
 use crate::view::count;
 use crate::watch::PlannerReport;
 
@@ -53,7 +52,7 @@ struct Reason {
     at_s: f64,
 }
 
-/// Ticks of all workers.
+/// Ticks of the worker.
 #[derive(Debug, Clone, Serialize)]
 struct Ticks {
     done: u64,
@@ -67,8 +66,6 @@ pub(super) struct Summary {
     seed: u64,
     /// Time from the start of the source to its end, s.
     duration_s: f64,
-    /// Runs of the worker: more than one if it died.
-    workers: usize,
     ticks: Ticks,
     samples: Account,
     /// True if every sample is accounted for.
@@ -77,15 +74,11 @@ pub(super) struct Summary {
     planner: Option<PlannerReport>,
     /// Scores of the outlooks, by horizon. `None` if no second was metered.
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
-    /// Scores of the newest outlooks over 60 s, by the same robots run ahead.
-    pub(super) run_ahead: Option<RunAhead>,
-    /// Scores of the last worker.
+    /// Scores of the forecasts.
     scores: Scores,
     stand_out: Vec<StandsOut>,
     /// Faults that began but raised no alarm.
     unnoticed: Vec<Planted>,
-    /// Processes that died and were restarted.
-    deaths: Vec<String>,
     /// The capture. `None` if there is none, or the recorder did not report it.
     capture: Option<Captured>,
     pub(super) left_behind: LeftBehind,
@@ -98,7 +91,6 @@ impl Summary {
         planner: Option<PlannerReport>,
         planted: &[Planted],
         (seed, duration_s): (u64, f64),
-        deaths: Vec<String>,
         capture: Option<Captured>,
     ) -> Self {
         let (done, skipped, late) = board.ticks();
@@ -116,17 +108,14 @@ impl Summary {
             robots: board.rows.len(),
             seed,
             duration_s,
-            workers: board.workers(),
             ticks: Ticks { done, skipped, late },
             adds_up: samples.adds_up(),
             samples,
             planner,
             ahead: board.ahead(),
-            run_ahead: None,
             scores: board.scores(),
             unnoticed: planted.iter().filter(unnoticed).cloned().collect(),
             stand_out,
-            deaths,
             capture,
             left_behind: LeftBehind::default(),
         }
@@ -147,23 +136,12 @@ impl Summary {
             count(samples.accepted),
             count(dropped)
         )?;
-        if samples.lost_between_workers > 0 {
-            write!(out, " + {} lost", count(samples.lost_between_workers))?;
-        }
-        match (self.adds_up, samples.difference) {
-            (true, 0) => writeln!(out, "   adds up")?,
-            (true, off) => writeln!(out, "   {off} off: a killed source could not report")?,
-            (false, off) => writeln!(out, "   DOES NOT ADD UP: {off} unaccounted for")?,
+        match samples.difference {
+            0 => writeln!(out, "   adds up")?,
+            off => writeln!(out, "   DOES NOT ADD UP: {off} unaccounted for")?,
         }
         for (reason, dropped) in &samples.dropped {
             writeln!(out, "             {reason}: {}", count(*dropped))?;
-        }
-        if samples.lost_between_workers > 0 {
-            writeln!(
-                out,
-                "             lost: sent while no worker ran, or taken by one that was killed \
-                 before it reported"
-            )?;
         }
         Ok(())
     }
@@ -197,33 +175,23 @@ impl Summary {
         writeln!(out, "energy     ahead, if each robot goes on as now: error of the energy, %")?;
         writeln!(
             out,
-            "  {:<22}{:>7}{:>13}{:>12}{:>8}{:>16}",
+            "  {:<7}{:>7}{:>13}{:>12}{:>8}{:>16}",
             "over", "outlook", "last reading", "mean of 5 s", "inside", "interval score"
         )?;
         let percent = |share: Option<f64>| {
             share.map_or_else(|| "–".to_owned(), |share| format!("{:.1}", 100.0 * share))
         };
-        let mut row = |scores: &AheadScores, label: &str| {
+        for scores in ahead.iter().filter(|scores| scores.compared > 0) {
             writeln!(
                 out,
-                "  {:<22}{:>7}{:>13}{:>12}{:>8}{:>16}",
-                format!("{} s{label}", scores.horizon_s),
+                "  {:<7}{:>7}{:>13}{:>12}{:>8}{:>16}",
+                format!("{} s", scores.horizon_s),
                 percent(scores.error),
                 percent(scores.last_reading_error),
                 percent(scores.mean_5s_error),
                 percent(scores.coverage),
                 percent(scores.interval_score)
-            )
-        };
-        for scores in ahead.iter().filter(|scores| scores.compared > 0) {
-            row(scores, "")?;
-        }
-        match &self.run_ahead {
-            Some(RunAhead::Scores(scores)) => row(scores, ", simulated ahead")?,
-            Some(RunAhead::NotScored(why)) => {
-                writeln!(out, "  60 s, simulated ahead: not scored, {why}")?;
-            }
-            None => {}
+            )?;
         }
         writeln!(
             out,
@@ -236,12 +204,7 @@ impl Summary {
         let number = |value: Option<f64>| {
             value.map_or_else(|| format!("{:>9}", "–"), |value| format!("{value:>9.4}"))
         };
-        writeln!(
-            out,
-            "forecasts  {} readings scored{}",
-            count(scores.scored),
-            if self.workers > 1 { " by the last worker" } else { "" }
-        )?;
+        writeln!(out, "forecasts  {} readings scored", count(scores.scored),)?;
         let line = "persistence";
         writeln!(out, "  {:<18}{:>9} {line:>12}", "", "forecast")?;
         for (name, ours, theirs) in [
@@ -337,9 +300,6 @@ impl fmt::Display for Summary {
         }
         self.scores_text(out)?;
         self.robots_text(out)?;
-        for death in &self.deaths {
-            writeln!(out, "died       {death}")?;
-        }
         self.capture_text(out)?;
         let left = &self.left_behind;
         if left.is_nothing() {

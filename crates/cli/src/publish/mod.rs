@@ -9,8 +9,6 @@ use joulebus_program::output::Output;
 
 use crate::external;
 
-pub(crate) use sim::plant;
-
 /// Publish samples of a simulated fleet or of recorded trials, as a fleet controller would
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \

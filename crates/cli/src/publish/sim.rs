@@ -119,7 +119,7 @@ impl Args {
 }
 
 /// The simulated robots of some ids, at least one.
-pub(crate) fn plant(seed: u64, ids: &[u32], faults: &[FaultArgument]) -> anyhow::Result<Plant> {
+fn plant(seed: u64, ids: &[u32], faults: &[FaultArgument]) -> anyhow::Result<Plant> {
     let mut plant = Plant::new(seed, ids.len());
     for FaultArgument { robot, fault, from_s } in faults {
         let place = ids.iter().position(|id| id == robot).ok_or_else(|| {

@@ -1,24 +1,21 @@
 //! Starts the processes of a fleet, reaps them (a zombie counts as alive, and its shared memory
-//! stays), restarts those that crash, and stops them all.
+//! stays), and stops them all.
 //!
 //! Each child has its own process group, so that Ctrl-C reaches only the supervisor, which stops
 //! the children in order. Their stdin is a pipe that is closed when the supervisor exits for any
 //! reason ([`joulebus_program::exit_with_parent`]).
 
 mod child;
-mod restart_policy;
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use joulebus_bus::clock;
 
 use child::Child;
-use restart_policy::{RestartPolicy, Step};
 
 /// Hidden flag of every subcommand: exit when stdin is closed.
 const EXIT_WITH_STDIN: &str = "--exit-with-stdin";
@@ -47,15 +44,13 @@ pub(crate) enum Event {
         name: &'static str,
         line: String,
     },
-    /// The process exited unexpectedly or could not be started. It is restarted after a backoff.
+    /// The process exited unexpectedly or could not be started.
     Exited {
         name: &'static str,
         /// Its pid. None if it could not be started.
         pid: Option<u32>,
         /// Exit status or error.
         how: String,
-        /// Backoff before the restart.
-        backoff: Duration,
     },
 }
 
@@ -64,10 +59,9 @@ impl std::fmt::Display for Event {
         match self {
             Self::Started { name, pid } => write!(out, "{name} runs as process {pid}"),
             Self::Output { name, line } => write!(out, "{name}: {line}"),
-            Self::Exited { name, pid, how, backoff } => {
+            Self::Exited { name, pid, how } => {
                 let pid = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
-                let backoff_ms = backoff.as_millis();
-                write!(out, "{name}{pid} {how}, starts again in {backoff_ms} ms")
+                write!(out, "{name}{pid} {how}")
             }
         }
     }
@@ -83,9 +77,16 @@ pub(crate) struct Ended {
 
 struct Job {
     task: Task,
-    policy: RestartPolicy,
-    child: Option<Child>,
-    ended: Option<Ended>,
+    phase: Phase,
+}
+
+/// State of a process.
+enum Phase {
+    Added,
+    Running(Child),
+    /// The process was asked to stop. It is killed at this time.
+    Stopping(Child, Instant),
+    Ended(Ended),
 }
 
 /// The processes of a fleet. Dropping it stops them all and waits for them.
@@ -110,39 +111,18 @@ impl Supervisor {
 
     /// Adds a task. [`Supervisor::poll`] starts it.
     pub(crate) fn add(&mut self, task: Task) {
-        self.jobs.push(Job {
-            task,
-            policy: RestartPolicy::new(clock::monotonic_ns()),
-            child: None,
-            ended: None,
-        });
+        self.jobs.push(Job { task, phase: Phase::Added });
     }
 
-    /// Reaps the processes that have exited, starts those that are due, and returns the events.
+    /// Reaps the processes that have exited, starts those that were added, and returns the events.
     /// Must be called often.
     pub(crate) fn poll(&mut self) -> Vec<Event> {
-        let now_ns = clock::monotonic_ns();
         let mut events = Vec::new();
         for job in &mut self.jobs {
-            job.reap(now_ns, &mut events);
-            match job.policy.step(now_ns) {
-                Step::Nothing => {}
-                Step::Start => job.start(&self.program, &self.line_sender, now_ns, &mut events),
-                Step::Kill => {
-                    if let Some(child) = &mut job.child {
-                        child.kill();
-                    }
-                }
-            }
+            events.extend(job.step(&self.program, &self.line_sender));
         }
         events.extend(self.lines.try_iter().map(|(name, line)| Event::Output { name, line }));
         events
-    }
-
-    /// True if the task's process runs.
-    pub(crate) fn is_running(&self, name: &str) -> bool {
-        let job = self.jobs.iter().find(|job| job.task.name == name);
-        job.is_some_and(|job| job.policy.is_running())
     }
 
     /// Asks the task's process to stop, kills it after `grace`, reaps it, and returns its result.
@@ -152,9 +132,9 @@ impl Supervisor {
         loop {
             events.extend(self.poll());
             let job = self.jobs.iter_mut().find(|job| job.task.name == name);
-            match job {
-                Some(job) if !job.policy.is_stopped() => std::thread::sleep(POLL_INTERVAL),
-                Some(job) => return job.ended.take().unwrap_or(Ended::NEVER),
+            match job.map(|job| &mut job.phase) {
+                Some(Phase::Ended(ended)) => return std::mem::replace(ended, Ended::NEVER),
+                Some(_) => std::thread::sleep(POLL_INTERVAL),
                 None => return Ended::NEVER,
             }
         }
@@ -164,7 +144,7 @@ impl Supervisor {
     pub(crate) fn end_all(&mut self) -> Vec<Event> {
         let mut events = Vec::new();
         self.request_stop(|_| true, GRACE);
-        while !self.jobs.iter().all(|job| job.policy.is_stopped()) {
+        while !self.jobs.iter().all(|job| matches!(job.phase, Phase::Ended(_))) {
             events.extend(self.poll());
             std::thread::sleep(POLL_INTERVAL);
         }
@@ -173,14 +153,15 @@ impl Supervisor {
     }
 
     fn request_stop(&mut self, which: impl Fn(&str) -> bool, grace: Duration) {
-        let (now_ns, grace_ns) = (clock::monotonic_ns(), grace.as_nanos() as u64);
-        for job in &mut self.jobs {
-            if which(job.task.name) {
-                if let Some(child) = job.child.as_mut().filter(|_| job.policy.is_running()) {
+        for job in self.jobs.iter_mut().filter(|job| which(job.task.name)) {
+            job.phase = match std::mem::replace(&mut job.phase, Phase::Ended(Ended::NEVER)) {
+                Phase::Added => Phase::Ended(Ended::NEVER),
+                Phase::Running(mut child) => {
                     child.terminate();
+                    Phase::Stopping(child, Instant::now() + grace)
                 }
-                job.policy.request_stop(now_ns, grace_ns);
-            }
+                other => other,
+            };
         }
     }
 }
@@ -196,55 +177,44 @@ impl Ended {
 }
 
 impl Job {
-    fn start(
-        &mut self,
-        program: &std::path::Path,
-        lines: &Sender<(&'static str, String)>,
-        now_ns: u64,
-        events: &mut Vec<Event>,
-    ) {
+    /// Starts the process, kills it when it is time, or reaps it.
+    fn step(&mut self, program: &Path, lines: &Sender<(&'static str, String)>) -> Option<Event> {
         let name = self.task.name;
-        match Child::start(program, &self.task, lines.clone()) {
-            Ok(child) => {
-                let pid = child.pid();
-                self.child = Some(child);
-                self.policy.started(now_ns);
-                events.push(Event::Started { name, pid });
-            }
-            Err(error) => {
-                let how = format!("could not be started: {error}");
-                self.died(None, how, now_ns, events);
-            }
-        }
-    }
-
-    fn reap(&mut self, now_ns: u64, events: &mut Vec<Event>) {
-        let Some(status) = self.child.as_mut().and_then(Child::try_wait) else {
-            return;
+        let mut event = None;
+        self.phase = match std::mem::replace(&mut self.phase, Phase::Ended(Ended::NEVER)) {
+            Phase::Added => match Child::start(program, &self.task, lines.clone()) {
+                Ok(child) => {
+                    event = Some(Event::Started { name, pid: child.pid() });
+                    Phase::Running(child)
+                }
+                Err(error) => {
+                    let how = format!("could not be started: {error}");
+                    event = Some(Event::Exited { name, pid: None, how });
+                    Phase::Ended(Ended::NEVER)
+                }
+            },
+            Phase::Running(mut child) => match child.try_wait() {
+                Some(status) => {
+                    let how = format!("ended with {status}");
+                    event = Some(Event::Exited { name, pid: Some(child.pid()), how });
+                    Phase::Ended(Ended { status: Some(status), stdout: child.stdout() })
+                }
+                None => Phase::Running(child),
+            },
+            Phase::Stopping(mut child, kill_at) => match child.try_wait() {
+                Some(status) => {
+                    Phase::Ended(Ended { status: Some(status), stdout: child.stdout() })
+                }
+                None => {
+                    if Instant::now() >= kill_at {
+                        child.kill();
+                    }
+                    Phase::Stopping(child, kill_at)
+                }
+            },
+            ended @ Phase::Ended(_) => ended,
         };
-        // `try_wait` has just returned its status, so there is one.
-        let Some(child) = self.child.take() else {
-            return;
-        };
-        let pid = child.pid();
-        let stdout = child.stdout();
-        if self.policy.is_running() {
-            self.died(Some(pid), format!("ended with {status}"), now_ns, events);
-        } else {
-            self.ended = Some(Ended { status: Some(status), stdout });
-            self.policy.ended(now_ns);
-        }
-    }
-
-    fn died(&mut self, pid: Option<u32>, how: String, now_ns: u64, events: &mut Vec<Event>) {
-        if let Some(backoff_ns) = self.policy.ended(now_ns) {
-            events.push(Event::Exited {
-                name: self.task.name,
-                pid,
-                how,
-                backoff: Duration::from_nanos(backoff_ns),
-            });
-        }
+        event
     }
 }
 
@@ -280,19 +250,25 @@ mod tests {
     }
 
     #[test]
-    fn a_crashed_process_is_reaped_and_restarted() {
-        let mut supervisor = shell("echo up >&2; exit 7");
-        let events = poll_until(&mut supervisor, |events| printed(events, "up") >= 2);
-        let died = events
-            .iter()
-            .find_map(|event| match event {
-                Event::Exited { pid, how, backoff, .. } => Some((pid.unwrap(), how, backoff)),
-                _ => None,
-            })
-            .unwrap();
-        assert!(died.1.contains('7'), "{}", died.1);
-        assert_eq!(*died.2, Duration::from_millis(100));
-        assert!(!std::path::Path::new(&format!("/proc/{}", died.0)).exists());
+    fn a_process_that_ends_by_itself_is_reaped_once_and_told() {
+        let mut supervisor = shell("exit 7");
+        let died = |event: &Event| matches!(event, Event::Exited { .. });
+        let mut events = poll_until(&mut supervisor, |events| events.iter().any(died));
+        events.extend(supervisor.poll());
+        let died: Vec<&Event> = events.iter().filter(|event| died(event)).collect();
+        let [Event::Exited { pid: Some(pid), how, .. }] = died[..] else { panic!("{events:?}") };
+        assert!(how.contains('7'), "{how}");
+        assert!(!Path::new(&format!("/proc/{pid}")).exists());
+        assert_eq!(supervisor.end("shell", GRACE, &mut events).status.unwrap().code(), Some(7));
+    }
+
+    #[test]
+    fn a_process_that_cannot_be_started_is_told() {
+        let mut supervisor = shell("");
+        supervisor.program = PathBuf::from("/nowhere");
+        let events = supervisor.poll();
+        assert!(events[0].to_string().starts_with("shell could not be started: "), "{events:?}");
+        assert!(supervisor.end_all().is_empty(), "it is not started again");
     }
 
     #[test]
@@ -303,7 +279,6 @@ mod tests {
         let ended = supervisor.end("shell", Duration::from_secs(10), &mut events);
         assert!(ended.status.unwrap().success());
         assert_eq!(ended.stdout, "bye\n");
-        assert!(!supervisor.is_running("shell"));
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! outlook, from its last reading, and from its mean power over 5 s. As soon as the ledger has
 //! metered the horizon without a gap, the energy that was drawn is known to the µJ.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
 use joulebus_wire::{
     Budget, Forecast, OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, budget_flag, forecast_flag,
@@ -17,8 +17,6 @@ use crate::scores::known;
 const MEAN_NS: u64 = 5_000_000_000;
 /// Interval of the points that it is computed from, ns.
 const POINT_NS: u64 = 250_000_000;
-/// Place of the horizon of 60 s.
-const MINUTE: usize = 2;
 /// Share of errors outside the interval.
 const MISSES: f64 = 0.1;
 
@@ -63,8 +61,6 @@ struct Shadow {
 struct Robot {
     shadows: [Option<Shadow>; OUTLOOK_HORIZONS],
     points: VecDeque<Metered>,
-    /// The newest forecast over 60 s, and its stamp, ns.
-    newest: Option<(u64, Shadow)>,
 }
 
 impl Robot {
@@ -203,31 +199,11 @@ impl Ahead {
             }
             *shadow = open(place);
         }
-        robot.newest = open(MINUTE).map(|shadow| (outlook.stamp_ns, shadow)).or(robot.newest);
     }
 
     /// The scores of every horizon.
     pub(crate) fn scores(&self) -> [AheadScores; OUTLOOK_HORIZONS] {
         std::array::from_fn(|place| self.sums[place].scores(OUTLOOK_S[place]))
-    }
-
-    /// The newest outlooks: robot, stamp, ns, and reading, W.
-    pub(crate) fn newest(&self) -> impl Iterator<Item = (u32, u64, f64)> {
-        let robots = self.robots.iter();
-        robots.filter_map(|(id, robot)| {
-            robot.newest.map(|(at_ns, outlook)| (*id, at_ns, outlook.last_w))
-        })
-    }
-
-    /// The scores of the newest outlooks, of the robots that draw `drawn_j` over 60 s.
-    pub(crate) fn score_minute(&self, drawn_j: &BTreeMap<u32, f64>) -> AheadScores {
-        let mut sums = Sums::default();
-        for (robot, drawn_j) in drawn_j {
-            if let Some((_, shadow)) = self.robots.get(robot).and_then(|robot| robot.newest) {
-                sums.add(&shadow, (OUTLOOK_S[MINUTE].into(), *drawn_j));
-            }
-        }
-        sums.scores(OUTLOOK_S[MINUTE])
     }
 
     /// Forgets robots that have left.

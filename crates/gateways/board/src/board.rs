@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
     Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, OUTLOOK_HORIZONS,
-    Outlook, QueryCounts, Sample, budget_flag, forecast_flag,
+    Outlook, QueryCounts, budget_flag,
 };
 
 use crate::ahead::{Ahead, AheadScores};
@@ -19,8 +19,6 @@ const MAX_TRACKED_ROBOTS: usize = 512;
 const NOTES: usize = 200;
 /// Maximum number of separate runs of workers and of sources. Beyond it the two oldest are merged.
 const MAX_RUNS: usize = 1_024;
-/// Maximum number of steps of a source: half an hour at 30 Hz.
-const MAX_STEPS: usize = 54_000;
 /// Departed robots whose alarms are kept.
 const RAISED_ROBOTS: usize = 16_384;
 
@@ -58,8 +56,6 @@ impl Link {
 pub struct WorkerRun {
     /// The newest header.
     pub header: ForecastHeader,
-    /// Run of the source of its first samples. `None` before the first sample.
-    pub first_source_epoch: Option<u64>,
 }
 
 impl WorkerRun {
@@ -77,7 +73,6 @@ impl WorkerRun {
         ] {
             *sum = sum.saturating_add(count);
         }
-        self.first_source_epoch = earlier.first_source_epoch.or(self.first_source_epoch);
     }
 
     /// Samples of this run that were dropped.
@@ -161,9 +156,6 @@ pub struct Board {
     pub recent_us: VecDeque<u64>,
     /// Samples that each run of a source has sent, by its epoch. It is empty without a tap.
     pub sent: BTreeMap<u64, u64>,
-    /// Stamp, ns, and power, W, of the first sample of each frame of the newest run of a source.
-    /// Oldest first, and none after the first half an hour. Empty without a tap.
-    pub steps: Vec<(u64, f32)>,
     /// Frames seen.
     pub frames: u64,
     /// Frames overwritten before this planner read them.
@@ -192,7 +184,6 @@ impl Board {
             stages: Stages::new(),
             recent_us: VecDeque::new(),
             sent: BTreeMap::new(),
-            steps: Vec::new(),
             frames: 0,
             frames_missed: 0,
             queries: None,
@@ -266,15 +257,6 @@ impl Board {
             self.rows.retain(|_, row| row.frame == self.frames);
             self.ahead.keep(|robot| self.rows.contains_key(&robot));
         }
-        let sampled = forecasts
-            .iter()
-            .filter(|forecast| forecast.flags & forecast_flag::SAMPLE != 0)
-            .map(|forecast| forecast.source_epoch);
-        if let Some(run) = self.runs.last_mut()
-            && run.first_source_epoch.is_none()
-        {
-            run.first_source_epoch = sampled.min();
-        }
     }
 
     /// Processes a header. Returns whether the previous frame was of the same run.
@@ -287,7 +269,7 @@ impl Board {
             run.header = *header;
             return true;
         }
-        self.runs.push(WorkerRun { header: *header, first_source_epoch: None });
+        self.runs.push(WorkerRun { header: *header });
         if self.runs.len() > MAX_RUNS {
             let oldest = self.runs.remove(0);
             self.runs[0].add(&oldest);
@@ -380,19 +362,6 @@ impl Board {
         Some(self.ahead.scores()).filter(|[shortest, ..]| shortest.compared > 0)
     }
 
-    /// The newest outlook of each robot: robot, the stamp from which on it applies, ns, and the
-    /// reading at that time, W.
-    pub fn newest_outlooks(&self) -> impl Iterator<Item = (u32, u64, f64)> {
-        self.ahead.newest()
-    }
-
-    /// Scores of the newest outlooks over 60 s, of the robots whose energy over that time is given,
-    /// J.
-    #[must_use]
-    pub fn score_minute(&self, drawn_j: &BTreeMap<u32, f64>) -> AheadScores {
-        self.ahead.score_minute(drawn_j)
-    }
-
     /// Scores of the forecasts.
     #[must_use]
     pub fn scores(&self) -> Scores {
@@ -406,16 +375,8 @@ impl Board {
         self.runs.len() + self.merged_runs
     }
 
-    /// Run `epoch` of a source has sent `samples`, the last ones in a frame that begins with
-    /// `first`.
-    pub fn source_sent(&mut self, epoch: u64, samples: u64, first: Option<&Sample>) {
-        let newest = self.sent.last_key_value().map(|(newest, _)| *newest);
-        if newest.is_none_or(|newest| newest < epoch) {
-            self.steps.clear();
-        }
-        if newest.is_none_or(|newest| newest <= epoch) && self.steps.len() < MAX_STEPS {
-            self.steps.extend(first.map(|first| (first.stamp_ns, first.power_w)));
-        }
+    /// Run `epoch` of a source has sent `samples`.
+    pub fn source_sent(&mut self, epoch: u64, samples: u64) {
         let sent = self.sent.entry(epoch).or_default();
         *sent = samples.max(*sent);
         if self.sent.len() > MAX_RUNS
@@ -544,7 +505,7 @@ fn keep<T>(track: &mut VecDeque<T>, value: T) {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{AlarmSet, DropReason};
+    use joulebus_wire::{AlarmSet, DropReason, forecast_flag};
 
     use super::*;
 
@@ -589,7 +550,6 @@ mod tests {
         let track = &board.rows[&4].track;
         assert_eq!(track.len(), 1);
         assert_eq!((track[0].reading_w, track[0].forecast_w), (4.0, 3.5));
-        assert_eq!(board.runs[0].first_source_epoch, Some(3));
         // A forecast of another worker was not made for the next reading.
         board.forecasts(&header(2, 1), &[output(4, 2, 5.0, 5.0)], 0);
         assert!(board.rows[&4].track[1].forecast_w.is_nan());
@@ -610,20 +570,14 @@ mod tests {
                 ..Diagnostic::default()
             };
             board.diagnostics(&[raising], 0);
-            board.source_sent(epoch, 4, Some(&Sample::new(0, 0, epoch)));
+            board.source_sent(epoch, 4);
             assert!(board.runs.len() <= MAX_RUNS && board.sent.len() <= MAX_RUNS);
-            assert!(board.steps.iter().map(|(stamp_ns, _)| *stamp_ns).eq([epoch]));
             assert!(board.raised.len() <= RAISED_ROBOTS && board.rows.len() == 1);
         }
         assert_eq!(board.workers(), 100_000);
         assert_eq!((board.accepted(), board.ticks().0), (300_000, 200_000));
         assert_eq!(board.dropped().get(DropReason::Backlog), 100_000);
         assert_eq!(board.sent.values().sum::<u64>(), 400_000);
-        for stamp_ns in 0..=MAX_STEPS as u64 {
-            board.source_sent(100_001, stamp_ns, Some(&Sample::new(0, stamp_ns, stamp_ns)));
-            board.source_sent(7, 4, Some(&Sample::new(0, 0, stamp_ns)));
-        }
-        assert_eq!((board.steps.len(), board.steps[1].0), (MAX_STEPS, 1));
     }
 
     #[test]

@@ -242,7 +242,7 @@ impl Tap {
             let header = self.frame.header();
             let here = self.frame.samples().len() + self.frame.truncated();
             let samples = header.samples_before.saturating_add(here as u64);
-            board.source_sent(header.source_epoch, samples, self.frame.samples().first());
+            board.source_sent(header.source_epoch, samples);
         }
     }
 }
