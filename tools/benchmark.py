@@ -112,7 +112,6 @@ def main():
     if not given.tasks and not given.forecasts:
         with open(ROOT / "docs/measured/benchmark.csv", "w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(table)
-        subprocess.run([sys.executable, ROOT / "tools/page_figures.py", "--write"], check=True)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ only this host: Linux namespaces give them, and end what still runs. So the comm
 | console | `$ command` runs. The words of the other lines must be in what was printed, numbers apart |
 | python | runs, all blocks of a page in one interpreter (JOULEBUS_PYTHON, or target/python, with the package) |
 | toml | is put into the shipped file that has its section, and checked |
-| c, cpp | compiles against the headers. tools/snippets.py runs the whole programs |
-| rust | nothing: tools/readme_projects.py builds and runs the whole programs |
+| c, cpp | compiles against the headers |
+| rust | a whole program: is built as a project with the [dependencies] above it, and runs beside a worker |
 | json | is read |
 
 A comment before a block changes that:
@@ -23,6 +23,7 @@ A comment before a block changes that:
     <!-- not run: REASON -->      it cannot run here, or another program runs it. The reason is printed
     <!-- before: LINES -->        lines in the block's language that run first: what the page takes for granted
     <!-- ends with 2: REASON -->  the exit code that the page promises, or that prepared data give
+    <!-- prints: PATTERN -->      what a Rust program prints once it works
     <!-- needs: PROGRAM -->       programs without which the block is skipped aloud. With CI=true that is a failure
 
 What pages take for granted in common is in PREPARED. Where there are no namespaces, nothing runs, and that is said.
@@ -46,8 +47,10 @@ NAMESPACES = ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", 
 # Without root. Where this is not allowed, root can do without.
 USER = ["--user", "--map-root-user"]
 BLOCK = re.compile(r"((?:^<!--(?:(?!-->)[\s\S])*-->\n+)*)^```([^\n`]*)\n([\s\S]*?)^```$", re.MULTILINE)
-# Languages without a program here: another tool takes them, or nobody can.
-ELSEWHERE = {"rust,no_run": "tools/readme_projects.py builds and runs it"}
+# Projects of the Rust programs of pages.
+PROJECTS = ROOT / "target/blocks"
+# Where a program without [dependencies] on its page has them.
+DEPENDENCIES = "docs/how-to/ask.md"
 # What a page takes for granted if its text names it: how it is made.
 PREPARED = {
     r"\bsimulated/": "joulebus data simulate simulated --steps 1500",
@@ -116,7 +119,7 @@ WHOLE = {
     "battery": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "clock": ("configs/links/worker.toml", "joulebus link configs/links/worker.toml --check"),
-    "webhook": ("configs/webhooks/people.toml", "joulebus config check configs/webhooks/people.toml"),
+    "webhook": ("configs/webhooks/receivers.toml", "joulebus config check configs/webhooks/receivers.toml"),
     "shard": ("configs/links/standby-shards.toml", "joulebus link configs/links/standby.toml --check"),
 }
 
@@ -140,7 +143,11 @@ class Block:
         return int(re.match(r"\d+", self.comment("ends with") or "0")[0])
 
     def not_run(self):
-        return self.comment("not run:") or ELSEWHERE.get(self.language)
+        return self.comment("not run:")
+
+    def project(self):
+        """Name of the project of a Rust program."""
+        return re.sub(r"\W+", "-", f"{self.page}-{self.line}").lower()
 
 
 def blocks(page):
@@ -239,10 +246,28 @@ class Page:
             self.printed += line
         return f"Python has ended\n{self.printed[-3000:]}"
 
+    def rust(self, block):
+        """Runs a program until it ends well. One that goes on stays beside the next blocks."""
+        program, prints = ROOT / "target/debug" / block.project(), block.comment("prints:") or ""
+        # Two sources of the same robots exclude each other.
+        ended = "replaced publish none\n" if "Publisher::connect" in block.text else ""
+        return self.shell(f"""joulebus run --config configs/fleet.toml
+{ended}{block.comment("before:") or ""}
+code=1
+for _ in $(seq {PATIENCE_S}); do
+    code=0
+    timeout 3 {program} >said 2>&1 || code=$?
+    [ $code != 0 ] && [ $code != 124 ] || break
+done
+cat said
+[ $code != 124 ] || {{ code=0; ready='{prints}' lasting {program}; }}
+[ -z '{prints}' ] || cat said "$LASTING"/*.log | grep -qE '{prints}' || {{ echo 'not printed: {prints}'; exit 1; }}
+exit $code""")
+
     def toml(self, block):
         key = re.search(r"^\[*([a-z_]+)", block.text, re.MULTILINE)[1]
         if key == "dependencies":
-            return None  # tools/readme_projects.py builds with them.
+            return None  # A project is built with them.
         file, check = WHOLE[key]
         path = self.here / file
         before = path.read_text()
@@ -290,6 +315,8 @@ class Page:
                 return self.compiled(block, ["cc", "-std=gnu11"], ".c")
             case "cpp":
                 return self.compiled(block, ["c++", "-std=c++17"], ".cpp")
+            case "rust,no_run":
+                return self.rust(block)
             case "json":
                 json.loads(block.text)
                 return None
@@ -363,8 +390,36 @@ def inside(name, programs, scratch):
     return failed
 
 
+def build(names):
+    """Builds the Rust programs of these pages, each as a project of its own. Returns whether that failed."""
+    found = [(block, here[:place]) for name in names for here in [blocks(name)] for place, block in enumerate(here)
+             if block.language == "rust,no_run" and not block.not_run()]
+    if not found:
+        return False
+    is_needed = lambda block: block.text.startswith("[dependencies]\n")
+    shutil.rmtree(PROJECTS, ignore_errors=True)
+    for block, before in found:
+        needed = [of for of in before if is_needed(of)] or list(filter(is_needed, blocks(DEPENDENCIES)))
+        project = PROJECTS / block.project()
+        (project / "src").mkdir(parents=True)
+        (project / "src/main.rs").write_text(block.text)
+        # The clone lies beside a reader's project.
+        manifest = f'[package]\nname = "{block.project()}"\nedition = "2024"\n\n{needed[-1].text}'
+        (project / "Cargo.toml").write_text(manifest.replace("../joulebus/", f"{ROOT}/"))
+    # One workspace, with our profile and versions, so that existing builds are reused.
+    ours = (ROOT / "Cargo.toml").read_text()
+    profile = "\n".join(re.findall(r'(?m)^\[profile\.dev(?:\.package\."\*")?\]\n(?:\w.*\n)*', ours))
+    (PROJECTS / "Cargo.toml").write_text(f'[workspace]\nresolver = "3"\nmembers = ["*"]\n\n{profile}')
+    shutil.copy(ROOT / "Cargo.lock", PROJECTS)
+    print(f"{len(found)} programs in Rust, each a project of its own", flush=True)
+    command = ["cargo", "build", "--quiet", "--offline", "--target-dir", ROOT / "target"]
+    return subprocess.run(command, cwd=PROJECTS).returncode != 0
+
+
 def run(names, programs):
     """Runs these pages. Returns how many failed."""
+    if build(names):
+        return 1
     programs = Path(programs).resolve()
     tried = [subprocess.run([*NAMESPACES, *user, "true"], capture_output=True, text=True) for user in (USER, []) if shutil.which("unshare")]
     possible = next((one.args[:-1] for one in tried if one.returncode == 0), None)

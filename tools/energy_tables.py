@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Measures energy over a horizon, and fills the marked blocks of docs/measured.
+"""Measures energy over a horizon, and prints the tables of docs/measured.
 
     python3 tools/energy_tables.py            # some 10 minutes after the build
-    python3 tools/energy_tables.py --from LOG # fills the pages from an earlier run's output
+    python3 tools/energy_tables.py --from LOG # the tables of an earlier run's output
 
-Simulates the recordings with seed 1, runs the example `energy`, and fills energy.md, outlooks.md
-and energy-limits.md. The rows of robots need ../shared/data. Networks have seed 1. It also counts
-the rows of online.md whose first 30 readings miss their goal. Standard library only.
+Simulates the recordings with seed 1, runs the example `energy`, and prints the tables of energy.md,
+outlooks.md and energy-limits.md. The rows of robots need ../shared/data. Networks have seed 1.
+Standard library only.
 """
 import collections
 import pathlib
@@ -16,10 +16,9 @@ import sys
 import tempfile
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
-from page_figures import BLOCK, table  # noqa: E402
+from figures import table  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-PAGES = ROOT / "docs/measured"
 SEED = "1"
 FORECASTS = ["energy model", "last reading", "mean 1 s", "mean 5 s", "mean of all", "AR(5)", "network", "outlook"]
 PLAIN = FORECASTS[1:5]
@@ -27,8 +26,6 @@ SETS = {"robotino": "Robotino", "borealtc_husky": "Husky", "ase_rover": "rover"}
 WORDS = re.compile(r"^(one_surface_type_|energy_data_)|_(surface_exp|surface|exp|robot)$")
 # Fewer forecasts make no row.
 MIN_FORECASTS = 30
-# By which first 30 readings of a row may be worse than persistence, in R².
-MAX_BELOW = 0.02
 
 
 def run(*command):
@@ -121,29 +118,6 @@ def verdicts(rows):
     return table(["recordings", "right, % (1 · 3 · 10 s)"], ([name, " · ".join(its)] for name, its in by.items()))
 
 
-def starts():
-    """Rows of online.md by what their first 30 readings are beside persistence."""
-    page = (PAGES / "online.md").read_text()
-    block = next(match[0] for match in BLOCK.finditer(page) if match[2] == "online_learning")
-    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines() if line.startswith("| ")]
-    place = next(place for place, name in enumerate(lines[0]) if name.startswith("first 30 readings"))
-    scored, missed = 0, []
-    for cells in lines[1:]:
-        persistence, online, _ = (part.strip() for part in cells[place].split(" · "))
-        if "–" not in (persistence, online) and not cells[0].startswith("---"):
-            scored += 1
-            if (below := float(persistence) - float(online)) > MAX_BELOW:
-                missed.append([cells[0], cells[1], persistence, online, f"{below:.3f}"])
-    return (f"{len(missed)} of {scored} rows are more than {MAX_BELOW} below persistence.\n\n"
-            + table(["trained on", "tested on", "persistence", "online", "below"], missed))
-
-
-def fill(name, blocks):
-    page = PAGES / name
-    replaced = lambda match: f"{match[1]}{blocks[match[2]]}\n{match[3]}" if match[2] in blocks else match[0]
-    page.write_text(BLOCK.sub(replaced, page.read_text()))
-
-
 def main():
     match sys.argv[1:]:
         case []:
@@ -155,10 +129,13 @@ def main():
     rows = parsed(said)
     halves, groups = [row for row in rows if not row[1]], [row for row in rows if row[1]]
     tens = [row for row in groups if float(row[2]["horizon s"]) == 10]
-    fill("energy.md", {"energy_halves": errors(halves), "energy_groups": errors(tens)})
-    fill("outlooks.md", {"outlooks": outlooks(rows)})
-    fill("energy-limits.md", {"verdicts": verdicts([row for row in groups if row[0] != "simulated"])})
-    fill("goals.md", {"starts": starts()})
+    tables = {
+        "energy.md, each half by the other": errors(halves),
+        "energy.md, each group by all others": errors(tens),
+        "outlooks.md": outlooks(rows),
+        "energy-limits.md": verdicts([row for row in groups if row[0] != "simulated"]),
+    }
+    print("\n\n".join(f"## {page}\n\n{text}" for page, text in tables.items()))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Figures in the layout of `joulebus bench --json`, for the scripts in tools/ (standard library only).
 
+    python3 tools/figures.py FOLDER...    # prints the figures of these folders' *.json as Markdown
+
 A suite is {schema, machine, build, reports}. A report is {benchmark, input, notes, figures}. A
 figure is {name, case, unit, better, count, min, p25, p50, p75, p99, p999, max}. `joulebus bench
 --compare` reads what is written here.
@@ -10,6 +12,7 @@ import os
 import pathlib
 import platform
 import subprocess
+import sys
 
 SCHEMA = "joulebus-bench/1"
 UNKNOWN = "unknown"
@@ -104,3 +107,39 @@ def describe(suite):
     if machine["virtual_machine"]:
         parts.append("virtual machine")
     return f"{', '.join(parts)}; joulebus {build['joulebus']}, {build['rustc']}, {build['profile']}."
+
+
+def table(head, rows):
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def cell(figure):
+    """p50, and p99, p99.9 and max of what was repeated."""
+    names = ["p50"] if figure["count"] == 1 else ["p50", "p99", "p999", "max"]
+    return " / ".join(shown(figure[name]) for name in names)
+
+
+def page(suite):
+    """A suite as Markdown: names down, cases across."""
+    parts = [describe(suite)]
+    for report in suite["reports"]:
+        told = ", ".join(f"{name} {value}" for name, value in report["input"].items())
+        cases = list(dict.fromkeys(figure["case"] for figure in report["figures"]))
+        rows = {}
+        for figure in report["figures"]:
+            name = f"{figure['name'].replace('_', ' ')}, {figure['unit']}"
+            rows.setdefault(name, {})[figure["case"]] = cell(figure)
+        lines = [[name, *(of.get(case, "–") for case in cases)] for name, of in rows.items()]
+        parts += [f"## {report['benchmark']}", f"{told}. Cells: p50 / p99 / p99.9 / max.",
+                  table(["figure", *cases], lines), *report["notes"]]
+    return "\n\n".join(parts)
+
+
+def main():
+    files = [file for folder in sys.argv[1:] for file in sorted(pathlib.Path(folder).glob("*.json"))]
+    print("\n\n".join(page(json.loads(file.read_text())) for file in files))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,23 +1,22 @@
 #!/usr/bin/env bash
-# Measures the figures of the pages: one commit, one machine. Writes docs/figures/NAME.json, and
-# fills the pages.
+# Measures the figures of the pages: one commit, one machine. Writes target/figures/COMMIT/NAME.json,
+# and report.md beside them, which a release keeps.
 #
 #   tools/figures.sh            some 20 minutes after the builds. Leave the machine alone meanwhile
 #   tools/figures.sh --list     what is measured, and what is still to be measured
 #   tools/figures.sh --only tick,plan    only these
-#   tools/figures.sh --quick    a minute, into target/figures: a smoke test, whose figures are none
+#   tools/figures.sh --quick    a minute, into target/figures/quick: a smoke test, whose figures are none
 #
-# It can be interrupted: what was measured on this commit and this machine is not measured again. No
-# step begins 120 minutes after the start. It refuses sources that are not committed. JOULEBUS_PEERS
+# It can be interrupted: what was measured on this commit is not measured again. No step begins 120 minutes after the start. It refuses sources that are not committed. JOULEBUS_PEERS
 # names a directory with an existing environment of peers (default target/peers).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-results=docs/figures picture=docs/measured/peers.svg peers=${JOULEBUS_PEERS:-target/peers}
+results='' picture=docs/measured/peers.svg peers=${JOULEBUS_PEERS:-target/peers}
 quick=() long=20 only='' list=''
 while [ $# -gt 0 ]; do
     case $1 in
-    --quick) quick=(--quick) long=2 results=target/figures picture=target/figures/peers.svg ;;
+    --quick) quick=(--quick) long=2 results=target/figures/quick picture=target/figures/quick/peers.svg ;;
     --only) only=,$2, && shift ;;
     --list) list=1 ;;
     *) sed -n '2,/^set/s/^# \?//p' "$0" && exit 2 ;;
@@ -26,9 +25,9 @@ while [ $# -gt 0 ]; do
 done
 last=$((120 * 60))
 # What is measured. A commit of pages alone leaves its figures valid.
-sources=(crates benches Cargo.toml Cargo.lock configs/models tools/instructions.py tools/peers)
+sources=(crates benches Cargo.toml Cargo.lock configs/models tools/peers)
 commit=$(git log -1 --format=%H -- "${sources[@]}")
-processor=$(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -1)
+results=${results:-target/figures/$commit}
 
 # The figures are of the commit that they state.
 if [ -z "$list" ] && [ ${#quick[@]} = 0 ] && [ -n "$(git status --porcelain -- "${sources[@]}")" ]; then
@@ -36,10 +35,8 @@ if [ -z "$list" ] && [ ${#quick[@]} = 0 ] && [ -n "$(git status --porcelain -- "
     exit 1
 fi
 
-# Whether NAME was measured on this commit and this machine.
-is_done() {
-    [ -f "$results/$1.json" ] && grep -qF "\"commit\": \"$commit\"" "$results/$1.json" && grep -qF "\"processor\": \"$processor\"" "$results/$1.json"
-}
+# Whether NAME was measured on this commit.
+is_done() { [ -f "$results/$1.json" ]; }
 is_wanted() { [ -z "$only" ] || [[ $only == *,$1,* ]]; }
 
 built=''
@@ -81,7 +78,6 @@ measure() {
     # A file appears when it is whole.
     local whole=target/figure-$name.json
     eval "$*" --json "$whole"
-    python3 tools/page_figures.py --stamp "$whole" "$commit"
     mv "$whole" "$results/$name.json"
 }
 
@@ -94,10 +90,8 @@ measure questions '"$bench"' questions --seconds $long "${quick[@]}"
 measure latency '"$bench"' latency --seconds $long "${quick[@]}"
 measure transport '"$peers/target/release/joulebus-transport-peers"' --seconds $long
 measure peers python3 tools/peers/network.py --directory '"$peers"' --picture "$picture" "${quick[@]}"
-if command -v valgrind >/dev/null; then
-    measure instructions python3 tools/instructions.py
-else
-    echo 'instructions  skipped: valgrind is not installed (apt-get install valgrind)'
+if [ -z "$list" ]; then
+    { printf '# Figures of commit %s, %s\n\n' "$commit" "$(date -I)"; python3 tools/figures.py "$results"; } >"$results/report.md"
+    printf '\n== %s\n' "$results/report.md"
 fi
-[ -n "$list" ] || [ ${#quick[@]} -gt 0 ] || python3 tools/page_figures.py --write
 printf '\n== after %d s\n' "$SECONDS"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures what is forecast, and fills the marked blocks of docs/measured/online.md.
+"""Measures what is forecast, and prints the tables of docs/measured/online.md.
 
     python3 tools/forecast_tables.py            # about 40 minutes after the builds
     python3 tools/forecast_tables.py --short    # 10 minutes: the first table alone
@@ -20,7 +20,6 @@ import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import figures  # noqa: E402
-from page_figures import BLOCK, table  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 SEEDS = (1, 2, 3)
@@ -98,12 +97,9 @@ def main():
     rows = [demo(programs, seconds) for seconds in (5, 20, 60)]
     machine, cost = tick(programs)
     rows += [cost, train(programs), *evaluate()]
-    blocks = {"forecasts": f"{machine}\n\n{table(['what', 'result'], rows)}\n"}
+    print(f"{machine}\n\n{figures.table(['what', 'result'], rows)}\n")
     if not sys.argv[1:]:
-        blocks["online_learning"] = online_learning()
-    page = ROOT / "docs/measured/online.md"
-    fill = lambda block: block[1] + blocks[block[2]] + block[3] if block[2] in blocks else block[0]
-    page.write_text(re.sub(BLOCK, fill, page.read_text()))
+        print(online_learning())
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ step advisories rustsec 'tools/deny.sh advisories'
 step actionlint - 'tools/actionlint.sh'
 step gelu - 'python3 tools/fit_gelu.py'
 step gate - 'JOULEBUS_AGAIN=1 .ci/run'
-step readme - 'python3 tools/readme_projects.py'
+step beside-iceoryx2 - 'cargo build --quiet --locked -p joulebus; tests/beside_iceoryx2/run.sh'
 # mdBook compiles once, some minutes.
 step book - 'tools/book.sh'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
@@ -46,9 +46,6 @@ step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude j
 # home and that.
 step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'
 step install - 'tools/install.sh target/installed; target/installed/bin/joulebus demo --duration 5; target/installed/bin/joulebus mission --help'
-# The commit alone: a shallow clone has no earlier ones.
-step house - 'python3 tools/house.py HEAD; python3 tools/book_words.py HEAD'
-step shared-builds - 'python3 tools/shared_builds.py'
 step msrv rust-1.89 'cargo +1.89 check --workspace --all-targets --locked'
 step aarch64 - 'tools/aarch64.sh'
 # With the cross compiler that aarch64.sh installs.
@@ -57,10 +54,8 @@ step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gc
 step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
 step train-peer - 'python3 tools/train_peer.py --quick'
-# Figures of --quick are none for a document. The tables are filled from them to see that they can
-# be.
-step measure - 'tools/figures.sh --quick; tools/page_figures.py --write --figures target/figures'
-step instructions valgrind 'python3 tools/instructions.py'
+# Figures of --quick are none for a document.
+step measure - 'tools/figures.sh --quick'
 step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -p joulebus-link
     python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'
 step recorded-models recordings 'python3 tools/recorded_models.py'
@@ -70,7 +65,6 @@ step forecast-tables recordings 'python3 tools/forecast_tables.py --short'
 step pictures pictures 'tools/pictures.sh'
 step attack - 'python3 tools/attack.py --minutes 5 --seed 7'
 step system-calls strace 'python3 tools/system_calls.py --minutes 5 --seed 7'
-step failing-files strace 'python3 tools/failing_files.py'
 step miri miri 'cargo +nightly miri test -p joulebus-predictor --test all memory --locked'
 step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
@@ -104,7 +98,7 @@ lacks() {
 
 tested() { # a command, with everything that tests compare with
     JOULEBUS_PYTHON=$(tools/python.sh) JOULEBUS_MOSQUITTO=$(tools/mosquitto.sh) JOULEBUS_CYCLONEDDS=$(tools/cyclonedds.sh) \
-        JOULEBUS_ETCD=$(tools/etcd.sh) JOULEBUS_ALERTMANAGER=$(tools/alertmanager.sh) \
+        JOULEBUS_ETCD=$(tools/etcd.sh) \
         JOULEBUS_ROS2=$(tools/ros2.sh) "$@"
 }
 export -f tested

@@ -4,13 +4,11 @@
     tools/gate_cost.py                   # all, some two hours. Leave the machine alone meanwhile
     tools/gate_cost.py --only demo       # demo, tests or gate
     tools/gate_cost.py --table           # what was measured on this commit
-    tools/gate_cost.py --table --write   # into the documents, also if a part is missing
     tools/gate_cost.py --try COMMAND…    # one command, to see that the accounting works
 
 Measures in a fresh clone of the commit, in target/gate-cost/clone, whose crates are downloaded
 first. It can be interrupted: what was measured on this commit is not measured again. Records and
-logs are in target/gate-cost/COMMIT. When all is measured it writes docs/figures/gate.json, and
-fills docs/decisions/gate.md.
+logs are in target/gate-cost/COMMIT. The table is for docs/decisions/gate.md.
 
 Processor time is that of all processes that a command has waited for. Standard library only.
 """
@@ -27,7 +25,6 @@ import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import figures  # noqa: E402
-import page_figures  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "target/gate-cost"
@@ -139,14 +136,13 @@ def report(records):
         if step in ("demo", "run"):
             found.append(figure("target", TITLES[step], "GB", [record["target_bytes"] / 1e9]))
         found += [figure(f"step_{step}", name, "s", [seconds]) for name, seconds in record.get("steps_s", {}).items()]
-    return figures.report("gate", {"fresh_clone": "yes", "changed": LEAF}, found), len(known) == len(TITLES)
+    return figures.report("gate", {"fresh_clone": "yes", "changed": LEAF}, found)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=GROUPS)
     parser.add_argument("--table", action="store_true")
-    parser.add_argument("--write", action="store_true")
     parser.add_argument("--try", dest="command", nargs=argparse.REMAINDER)
     given = parser.parse_args()
     if given.command:
@@ -161,13 +157,7 @@ def main():
             print("gate_cost: uncommitted changes are not in the clone", file=sys.stderr)
         for group in [given.only] if given.only else GROUPS:
             measure(group, commit, records)
-    found, is_whole = report(records)
-    suite = figures.suite(ROOT, [found])
-    print(page_figures.gate(suite))
-    if given.write or (is_whole and not given.table):
-        figures.write(page_figures.FIGURES / "gate.json", suite)
-        page_figures.stamp(page_figures.FIGURES / "gate.json", commit)
-        return subprocess.run([ROOT / "tools/page_figures.py", "--write"]).returncode
+    print(figures.page(figures.suite(ROOT, [report(records)])))
     return 0
 
 

@@ -1,5 +1,5 @@
 //! A process with the controllers and planners of two fleets that also uses iceoryx2 for itself, on
-//! its defaults. `tools/readme_projects.py` builds it as a new project and runs it.
+//! its defaults. `run.sh` builds it as a new project and runs it.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Figures that tests print, for `docs/measured/journal.md`, and reproducible random numbers.
+//! Figures that tests print, and reproducible random numbers.
 
 use std::fmt;
 use std::time::Duration;

@@ -531,9 +531,7 @@ def drive(arguments):
     inputs = {"model": arguments.model.name, "seed": arguments.seed, "seconds": seconds, "rounds": rounds}
     inputs |= {peer: version for peer, version in versions(errors).items()}
     suite = to_suite(times, errors, inputs)
-    import page_figures
-
-    print(page_figures.peers(suite))
+    print(figures.page(suite))
     figures.write(arguments.json, suite)
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
     picture(arguments.picture, times)

@@ -1,5 +1,5 @@
 //! Every kind of finding in every format that comes in live. docs/explanation/bridges.md has the
-//! table: `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes it there.
+//! table.
 
 use joulebus_plausibility::Expired;
 use joulebus_ros_messages::{BatteryState, Header, Time, encode};
