@@ -116,6 +116,8 @@ fn help_and_usage_errors_need_no_executable() {
         ("serve", 2, "--http"),
         ("bench abacus", 2, "kernel"),
         ("serve --http --format csv", 2, "--format json"),
+        ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
+        ("bench wait", 2, "wait went: docs/decisions/waiting.md"),
     ] {
         let ended = installed.joulebus("", words);
         assert_eq!(code(&ended), exit, "{words}");

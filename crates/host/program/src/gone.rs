@@ -14,7 +14,7 @@ const GONE: [(&str, &str, &str); 6] = [
     ("serve", "--allow-origin", FOXGLOVE),
     ("serve", "--per-robot", FOXGLOVE),
     (
-        "<BENCHMARK>",
+        "BENCHMARK",
         "wait",
         "docs/decisions/waiting.md states how the worker waits, and `bench latency` measures it",
     ),
@@ -31,7 +31,9 @@ pub(crate) fn instead(arguments: &clap::Error) -> Option<String> {
         ErrorKind::UnknownArgument => {
             &|verb| text(ContextKind::Usage).contains(&format!("joulebus {verb} "))
         }
-        ErrorKind::InvalidValue => &|argument| text(ContextKind::InvalidArg) == argument,
+        ErrorKind::InvalidValue => {
+            &|argument| text(ContextKind::InvalidArg).trim_matches(['<', '>', '[', ']']) == argument
+        }
         _ => return None,
     };
     let unknown = match arguments.kind() {
