@@ -94,25 +94,39 @@ pub(crate) struct Offset {
     pub(crate) contradictions: u64,
 }
 
+impl Trip {
+    /// Bounds of the offset. `None` if the times contradict themselves or took too long to help.
+    fn bounds(&self) -> Option<Bounds> {
+        let took_ns = self.took_ns().filter(|took_ns| *took_ns <= MAX_TRIP_NS)?;
+        // The lower bound holds for the instant at which the other host received the request. That
+        // may be as early as `asked_ns`.
+        Some(Bounds {
+            lo_ns: i128::from(self.asked_ns) - i128::from(self.received_ns) - max_drift_ns(took_ns),
+            hi_ns: i128::from(self.now_ns) - i128::from(self.sent_ns),
+            at_ns: self.now_ns,
+        })
+    }
+
+    /// Duration by this host's clock. `None` if an answer left before its request, or arrived so.
+    fn took_ns(&self) -> Option<u64> {
+        self.sent_ns.checked_sub(self.received_ns)?;
+        self.now_ns.checked_sub(self.asked_ns)
+    }
+
+    /// False if more time passed there than here, or the times contradict themselves otherwise: a
+    /// clock stopped or was set in between, or the message is damaged.
+    pub(crate) fn is_possible(&self) -> bool {
+        self.bounds().is_some_and(|bounds| bounds.lo_ns <= bounds.hi_ns)
+    }
+}
+
 impl Offset {
     /// Adds a round trip and, if known, both realtime clocks: the sender's reading and this host's.
     /// Returns false if the times contradict themselves.
     pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, RealtimeClock)>) -> bool {
-        let took_ns = trip.now_ns.checked_sub(trip.asked_ns);
-        let there_ns = trip.sent_ns.checked_sub(trip.received_ns);
-        let (Some(took_ns), Some(_)) = (took_ns, there_ns) else {
+        let Some(found) = trip.bounds() else {
             return false;
         };
-        // The lower bound holds for the instant at which the other host received the request. That
-        // may be as early as `asked_ns`.
-        let found = Bounds {
-            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.received_ns) - max_drift_ns(took_ns),
-            hi_ns: i128::from(trip.now_ns) - i128::from(trip.sent_ns),
-            at_ns: trip.now_ns,
-        };
-        if took_ns > MAX_TRIP_NS {
-            return false;
-        }
         if found.lo_ns > found.hi_ns {
             // More time passed there than here: one of the clocks stopped or was set in between.
             self.steps += u64::from(!self.bounds.is_empty());

@@ -159,7 +159,7 @@ impl Receiver {
         };
         let position =
             Position { run: message.run, sent_ns: status.sent_ns, number: message.number };
-        self.account(position, now_ns)?;
+        self.account(position, status, now_ns)?;
         self.received_ns = now_ns;
         self.is_silent = false;
         self.note(*frame, now_ns);
@@ -203,10 +203,10 @@ impl Receiver {
     /// Messages are ordered by their time, because one with a false number could otherwise hide all
     /// real ones, and none is from the future. A run that sends is not replaced by another. A
     /// silent run is, by a later or an earlier one, because a host's clock restarts when it boots.
-    fn account(&mut self, position: Position, now_ns: u64) -> Result<(), Unused> {
+    fn account(&mut self, position: Position, status: &Status, now_ns: u64) -> Result<(), Unused> {
         match self.newest {
             Some(last) if last.run == position.run && !self.is_overdue(now_ns) => {
-                if self.is_future(position.sent_ns, now_ns) {
+                if self.is_future(status.sent_ns, now_ns) && !self.has_stepped(status, now_ns) {
                     self.received.future += 1;
                     return Err(Unused::Future);
                 }
@@ -249,24 +249,38 @@ impl Receiver {
         offset_ns.is_some_and(|offset_ns| shifted(sent_ns, offset_ns) > now_ns)
     }
 
-    fn measure(&mut self, status: &Status, now_ns: u64) {
-        let within = now_ns.checked_sub(status.asked_ns);
-        // Times of requests that this link has not sent measure nothing.
-        if status.asked_ns == 0
-            || status.asked_ns > self.asked_ns
-            || within.is_none_or(|within| within > REQUEST_TIMEOUT_NS)
-        {
-            return;
+    /// True if a clock has stepped, so that a message only seems to be from the future: this host
+    /// was a paused virtual machine, for instance. Its round trip shows that, and is measured. A
+    /// damaged message has no possible round trip.
+    fn has_stepped(&mut self, status: &Status, now_ns: u64) -> bool {
+        if !self.trip(status, now_ns).is_some_and(|trip| trip.is_possible()) {
+            return false;
         }
-        let trip = Trip {
+        self.measure(status, now_ns);
+        !self.is_future(status.sent_ns, now_ns)
+    }
+
+    fn measure(&mut self, status: &Status, now_ns: u64) {
+        if let Some(trip) = self.trip(status, now_ns) {
+            // 0 means that the sender's clock is not used.
+            let theirs_ns = Some(status.realtime_ns).filter(|ns| *ns > 0);
+            self.offset.note(trip, theirs_ns.zip(self.clock));
+        }
+    }
+
+    /// The round trip that ends with this message. `None` if the message answers no request that
+    /// this link has sent.
+    fn trip(&self, status: &Status, now_ns: u64) -> Option<Trip> {
+        let within_ns = now_ns.checked_sub(status.asked_ns)?;
+        let is_of_request = status.asked_ns > 0
+            && status.asked_ns <= self.asked_ns
+            && within_ns <= REQUEST_TIMEOUT_NS;
+        is_of_request.then_some(Trip {
             asked_ns: status.asked_ns,
             received_ns: status.received_ns,
             sent_ns: status.sent_ns,
             now_ns,
-        };
-        // 0 means that the sender's clock is not used.
-        let theirs_ns = Some(status.realtime_ns).filter(|ns| *ns > 0);
-        self.offset.note(trip, theirs_ns.zip(self.clock));
+        })
     }
 
     /// Returns the request to send now, if one is due.

@@ -11,7 +11,7 @@ use crate::protocol::message::{Body, FleetId, Sender, Worker, read};
 use crate::protocol::offset::shifted;
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
-use crate::protocol::stream::{LocalFrame, Stream};
+use crate::protocol::stream::{LocalFrame, SILENCE_TIMEOUT_NS, Stream};
 use crate::protocol::wall::{READ_NS, Reading, RealtimeClock, Wall};
 
 const FLEET: FleetId = FleetId { name: 3, shards: 0 };
@@ -355,6 +355,31 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_reported_within
         assert!(back_ns - healed_ns < SECOND, "{}", back_ns - healed_ns);
         assert_eq!(hosts.receiver.received().silences, u64::from(cut_ns > SECOND));
         assert_eq!(hosts.streams, 1 + u64::from(cut_ns > SECOND));
+    }
+}
+
+/// As of a virtual machine: its time stands still, and the sender's goes on.
+#[test]
+fn after_a_pause_of_the_receivers_clock_frames_come_again_within_half_a_second_as_a_counted_step() {
+    for pause_ns in [20_000_000, SECOND / 2, 1_400_000_000, 2 * SECOND, 60 * SECOND] {
+        let mut hosts = Hosts::new(5_000, FAST, 1);
+        hosts.run(5 * SECOND, CALM);
+        while !hosts.there.under_way.is_empty() || !hosts.back.under_way.is_empty() {
+            hosts.run(STEP_NS, CALM);
+        }
+        let before = hosts.receiver.received();
+        let paused_ns = hosts.now_ns;
+        hosts.offset_ns -= i128::from(pause_ns);
+        hosts.run(5 * SECOND, CALM);
+        let back = hosts.arrived.iter().find(|(_, at_ns)| *at_ns > paused_ns);
+        let (_, back_ns) = back.expect("frames come again");
+        assert!(back_ns - paused_ns < SECOND / 2, "{pause_ns}: {}", back_ns - paused_ns);
+        // After a longer pause the sender has begun another stream.
+        let is_same_run = pause_ns < SILENCE_TIMEOUT_NS;
+        let received = hosts.receiver.received();
+        assert_eq!(received.runs, before.runs + u64::from(!is_same_run), "{pause_ns}");
+        assert_eq!(hosts.receiver.offset().steps, u64::from(is_same_run), "{pause_ns}");
+        assert_eq!(received.silences, 0, "{pause_ns}");
     }
 }
 
