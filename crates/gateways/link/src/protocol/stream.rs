@@ -175,7 +175,7 @@ impl Stream {
             return false;
         }
         let key = (frame.service, frame.source);
-        if !self.lanes.contains_key(&key) && self.lanes.len() == MAX_LANES {
+        if !self.lanes.contains_key(&key) && self.lanes.len() >= MAX_LANES {
             self.lanes.retain(|_, lane| !lane.is_idle());
         }
         let is_free = self.is_free(key, now_ns);
@@ -276,5 +276,46 @@ impl Stream {
             leader,
             realtime_ns: self.realtime_ns,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
+
+    use super::*;
+    use crate::protocol::message::Worker;
+    use crate::protocol::selection::Selection;
+
+    #[test]
+    fn lanes_of_sources_that_left_are_dropped_even_if_more_than_allowed_were_busy_at_once() {
+        let request = |run, number| Request {
+            acknowledged: (run, number),
+            asked_ns: 1,
+            selection: Selection::new(u32::MAX, 1, Vec::new()),
+        };
+        let (fleet, run) = (FleetId { name: 1, shards: 0 }, 5);
+        let mut stream = Stream::new(fleet, request(0, 0), run);
+        let header = SampleHeader { schema: SCHEMA_VERSION, ..SampleHeader::default() };
+        let mut out = Vec::new();
+        let mut offer = |stream: &mut Stream, source: u64| {
+            let frame = LocalFrame {
+                service: Carried::SAMPLES,
+                source,
+                tick: 0,
+                header: bytemuck::bytes_of(&header),
+                elements: &[],
+            };
+            assert!(stream.offer(frame, Worker::Alive.into(), run + source, &mut out));
+        };
+        let busy = MAX_LANES as u64 + 50;
+        (0..busy).for_each(|source| offer(&mut stream, source));
+        assert_eq!(stream.lanes.len() as u64, busy, "a busy source is kept");
+        stream.request(request(run, busy), run + busy);
+        for source in busy..3 * busy {
+            offer(&mut stream, source);
+            stream.request(request(run, source + 1), run + source);
+        }
+        assert!(stream.lanes.len() <= MAX_LANES, "{}", stream.lanes.len());
     }
 }
