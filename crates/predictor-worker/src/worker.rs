@@ -162,11 +162,14 @@ impl Worker {
     pub fn open_standby(config: &Config) -> Result<Self, OpenError> {
         let mut worker = Self::open_as(config, Arc::new(CurrentPermit::not_yet()))?;
         let following = Following::new(config.settings(), worker.header.period_ns);
-        worker.standby = Some(Standby {
-            places: Places::new(config),
-            follows: Some((following, 0)),
-            renewal: None,
-        });
+        let places = Places::new(config);
+        // What is left of the permit of the worker before shows the link that it still hangs. If it
+        // cannot be read or removed, standing by reports it.
+        if matches!(Permit::read(&places.permit), Ok(Some(permit)) if !permit.holds(clock::boot_ns()))
+        {
+            let _ = Permit::withdraw(&places.permit);
+        }
+        worker.standby = Some(Standby { places, follows: Some((following, 0)), renewal: None });
         Ok(worker)
     }
 
@@ -304,9 +307,11 @@ impl Worker {
         let mut until_ns = look_ns;
         if now_ns >= look_ns {
             until_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
-            let permit = Permit::read(&places.permit)?;
-            let boot_ns = clock::boot_ns();
-            if let Some(permit) = permit.filter(|permit| permit.holds(boot_ns)) {
+            if let Some(permit) = Permit::read(&places.permit)? {
+                // This worker hung while its host led: the link gives no permit to this process.
+                if !permit.holds(clock::boot_ns()) {
+                    return Err(PermitOver { term: permit.term }.into());
+                }
                 self.take_over(&permit, &places, following)?;
                 return Ok(true);
             }

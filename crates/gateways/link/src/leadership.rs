@@ -86,6 +86,22 @@ impl Leadership {
         Permit::withdraw(&self.places.permit)
     }
 
+    /// Ends the worker's permit, and leaves it as ended. The worker ends then, and the next one
+    /// removes the permit. If it stays, the worker hangs: this outlives the term and this link.
+    ///
+    /// # Errors
+    /// [`PermitError`]: the permit stays until its time is over.
+    pub(crate) fn end(&self, term: u64) -> Result<(), PermitError> {
+        self.term.store(0, Ordering::Release);
+        Permit { term, until_ns: Some(0), lease: 0 }.write(&self.places.permit)
+    }
+
+    /// True if the worker has a permit that is over.
+    pub(crate) fn has_ended_permit(&self) -> bool {
+        let permit = Permit::read(&self.places.permit).ok().flatten();
+        permit.is_some_and(|permit| !permit.holds(clock::boot_ns()))
+    }
+
     /// Notes that this host's worker has sent, or has just been permitted to.
     pub(crate) fn worker_active(&self) {
         self.active_ns.store(clock::monotonic_ns(), Ordering::Release);

@@ -18,7 +18,7 @@ use crate::ingress::{self, Ingress};
 use crate::leadership::Leadership;
 use crate::network::{Event, Inbox, NetworkError};
 use crate::protocol::carried::{Carried, Kind, max_state_message_bytes};
-use crate::protocol::lease::{Candidate, LeaderLease, Next};
+use crate::protocol::lease::{Candidate, LeaderLease, LocalWorker, Next};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
@@ -30,9 +30,7 @@ use crate::shared::Shared;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of checks whether the worker lives.
 const WORKER_POLL_INTERVAL_NS: u64 = 200_000_000;
-/// Time after which an absent worker is not expected back. A leader that has sent nothing for
-/// `HANG_TIMEOUT_NS` and for `HANG_TIMEOUT_TICKS` ticks hangs.
-const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
+/// A leader that has sent nothing for so long, and for so many ticks, hangs.
 const HANG_TIMEOUT_NS: u64 = 5_000_000_000;
 const HANG_TIMEOUT_TICKS: u64 = 5;
 /// Nanoseconds in a second.
@@ -47,7 +45,7 @@ pub(crate) struct Candidacy {
     permit_writer: PermitWriter,
     /// The holder that was logged last.
     holder: Option<String>,
-    worker: LocalWorker,
+    worker: WorkerWatch,
 }
 
 impl Candidacy {
@@ -61,15 +59,17 @@ impl Candidacy {
     ) -> anyhow::Result<Self> {
         let Shared { config, settings, .. } = shared;
         let etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
-        let leader_lease = permit.and_then(|permit| {
-            let until_ns = permit.until_ns?;
-            let (term, lease) = (permit.term, permit.lease);
-            Some(LeaderLease { term, until_ns, lease })
-        });
-        if leader_lease.is_none() {
+        let leader_lease = match permit {
+            Some(Permit { term, until_ns: Some(until_ns), lease }) => {
+                Some(LeaderLease { term, until_ns, lease })
+            }
             // An operator's permit, from a time without a lease.
-            leadership.withdraw()?;
-        }
+            Some(Permit { until_ns: None, .. }) => {
+                leadership.withdraw()?;
+                None
+            }
+            None => None,
+        };
         let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
         let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
         Ok(Self {
@@ -79,7 +79,7 @@ impl Candidacy {
             candidate: Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease),
             permit_writer: PermitWriter { leader_lease },
             holder: None,
-            worker: LocalWorker::new(config.domain()?, hang_timeout_ns),
+            worker: WorkerWatch::new(config.domain()?, hang_timeout_ns),
         })
     }
 }
@@ -119,40 +119,46 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
     }
 }
 
-/// Fitness of this host's worker to lead.
-struct LocalWorker {
+/// Watches whether this host's worker can lead.
+struct WorkerWatch {
     domain: Domain,
     hang_timeout_ns: u64,
     look_ns: u64,
+    /// Term in which it led at the last check.
+    term: u64,
     /// When its lock was last seen held, monotonic ns.
     seen_ns: Option<u64>,
     is_able: bool,
 }
 
-impl LocalWorker {
+impl WorkerWatch {
     const fn new(domain: Domain, hang_timeout_ns: u64) -> Self {
-        Self { domain, hang_timeout_ns, look_ns: 0, seen_ns: None, is_able: false }
+        Self { domain, hang_timeout_ns, look_ns: 0, term: 0, seen_ns: None, is_able: false }
     }
 
-    /// True if the worker lives and, as leader, sends. A worker that restarts counts as able for a
-    /// while.
     fn is_able(&mut self, leadership: &Leadership) -> bool {
-        let now_ns = clock::monotonic_ns();
-        if now_ns >= self.look_ns {
-            self.look_ns = now_ns + WORKER_POLL_INTERVAL_NS;
+        let (now_ns, term) = (clock::monotonic_ns(), leadership.term());
+        // Check at once when a term ends: the shard may already be free again.
+        if now_ns >= self.look_ns || term != self.term {
+            (self.look_ns, self.term) = (now_ns + WORKER_POLL_INTERVAL_NS, term);
             match WorkerLock::owner(&self.domain) {
                 Ok(Some(_)) => self.seen_ns = Some(now_ns),
                 Ok(None) => {}
                 Err(error) => tracing::debug!(%error, "the worker's lock cannot be read"),
             }
-            let away_ns = self.seen_ns.map(|seen_ns| now_ns - seen_ns);
-            let hangs = leadership.term() > 0 && leadership.idle_ns() > self.hang_timeout_ns;
-            let is_able = away_ns.is_some_and(|away_ns| away_ns <= RESTART_TIMEOUT_NS) && !hangs;
-            if self.is_able && !is_able {
-                let what = if hangs { "sends nothing" } else { "is gone" };
+            let worker = LocalWorker {
+                away_ns: self.seen_ns.map(|seen_ns| now_ns - seen_ns),
+                term,
+                idle_ns: leadership.idle_ns(),
+                has_outlived_permit: leadership.has_ended_permit(),
+            };
+            let defect = worker.defect(self.hang_timeout_ns);
+            if self.is_able
+                && let Some(what) = defect
+            {
                 tracing::warn!("the worker of this host {what}: another may take over");
             }
-            self.is_able = is_able;
+            self.is_able = defect.is_none();
         }
         self.is_able
     }
@@ -168,13 +174,14 @@ impl PermitWriter {
         if leader_lease == self.leader_lease {
             return;
         }
-        let done = match leader_lease {
-            Some(leader_lease) => leadership.grant(&Permit {
+        let done = match (leader_lease, self.leader_lease) {
+            (Some(leader_lease), _) => leadership.grant(&Permit {
                 term: leader_lease.term,
                 until_ns: Some(leader_lease.until_ns),
                 lease: leader_lease.lease,
             }),
-            None => leadership.withdraw(),
+            (None, Some(before)) => leadership.end(before.term),
+            (None, None) => Ok(()),
         };
         match (done, self.leader_lease, leader_lease) {
             // The permit is written again with the next renewal.

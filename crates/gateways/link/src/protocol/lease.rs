@@ -14,9 +14,11 @@
 //! therefore higher than all earlier terms, even if the store has lost its data or a candidate has
 //! led without it.
 
-/// Possible drift between two clocks as a share of the time to live: each 500 ppm by slewing and
-/// 100 ppm by its crystal, times four. `DRIFT_MARGIN_NS` is added for rounding.
-const DRIFT_DIVISOR: u64 = 200;
+/// Possible drift between two clocks as a share of the time to live. `chrony` slews a clock by up to
+/// 83,333 ppm by default (`maxslewrate`), and a crystal is within 100 ppm of its frequency. If this
+/// host's clock is that slow and the store's that fast, they differ by 15.4 %. `DRIFT_MARGIN_NS` is
+/// added for rounding.
+const DRIFT_DIVISOR: u64 = 6;
 const DRIFT_MARGIN_NS: u64 = 10_000_000;
 /// Renewals per time to live. One or two may be lost.
 const RENEWALS: u64 = 5;
@@ -28,8 +30,11 @@ const POLL_INTERVAL_NS: (u64, u64) = (100_000_000, 500_000_000);
 /// store grants is cut to it.
 pub(crate) const MAX_TTL_S: u32 = 60;
 const MAX_TTL_NS: u64 = MAX_TTL_S as u64 * 1_000_000_000;
-/// Additional wait for a free shard per position in the list of candidates.
-const RANK_NS: u64 = 300_000_000;
+/// Time that a candidate needs to take a shard after it has seen it free: two calls to the store. A
+/// candidate waits so long, and one interval of polls, for each candidate before it in the list.
+const ACQUISITION_NS: u64 = 200_000_000;
+/// Time after which an absent worker is not expected back.
+const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
 /// Maximum time for which the others leave a free shard to the requested candidate, which polls
 /// more often.
 const REQUESTED_GRACE_NS: u64 = 1_500_000_000;
@@ -110,6 +115,34 @@ pub(crate) struct LeaderLease {
 struct Lease {
     id: u64,
     until_ns: u64,
+}
+
+/// This host's worker, as its link sees it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LocalWorker {
+    /// Time since its lock was last seen held, ns. `None` if it never was.
+    pub(crate) away_ns: Option<u64>,
+    /// Term in which it leads. 0 if it does not.
+    pub(crate) term: u64,
+    /// Time since it last sent or was permitted to, ns.
+    pub(crate) idle_ns: u64,
+    /// Its permit has ended, and it is still there. A worker ends with its permit, and the next one
+    /// removes what is left of it. So this process hangs.
+    pub(crate) has_outlived_permit: bool,
+}
+
+impl LocalWorker {
+    /// Why it cannot lead. `None` if it can. A worker that restarts counts as able for a while.
+    pub(crate) fn defect(&self, hang_timeout_ns: u64) -> Option<&'static str> {
+        if self.term > 0 && self.idle_ns > hang_timeout_ns {
+            return Some("sends nothing");
+        }
+        if self.has_outlived_permit {
+            return Some("has not been started again since its permit ended");
+        }
+        let is_here = self.away_ns.is_some_and(|away_ns| away_ns <= RESTART_TIMEOUT_NS);
+        (!is_here).then_some("is gone")
+    }
 }
 
 /// One candidate's view of the election.
@@ -198,13 +231,13 @@ impl Candidate {
         if self.term.is_some() {
             return self.next_of_holder(now_ns);
         }
-        if now_ns < self.look_ns {
-            return Next::Wait(self.look_ns);
+        let turn_ns = self.turn_ns();
+        let is_turn = turn_ns.is_some_and(|turn_ns| now_ns >= turn_ns);
+        if now_ns < self.look_ns && !is_turn {
+            return Next::Wait(turn_ns.unwrap_or(u64::MAX).min(self.look_ns));
         }
         // The term would overflow. Prefer no leader to two leaders in one term.
-        if self.is_turn(now_ns)
-            && let Some(term) = self.view.term.max(self.highest_term).checked_add(1)
-        {
+        if is_turn && let Some(term) = self.view.term.max(self.highest_term).checked_add(1) {
             return match self.lease.filter(|own| now_ns < own.until_ns) {
                 Some(own) => Next::Call(Call::Acquire {
                     lease: own.id,
@@ -236,18 +269,25 @@ impl Candidate {
         Next::Wait(renews.unwrap_or(u64::MAX).min(self.look_ns))
     }
 
-    /// True if the shard is free and this candidate may take it now.
-    fn is_turn(&self, now_ns: u64) -> bool {
-        let Some(since_ns) = self.free_since_ns.filter(|_| self.is_able) else {
-            return false;
-        };
-        let free_ns = now_ns.saturating_sub(since_ns);
-        match self.view.requested.as_deref() {
-            Some(requested) if requested == self.name => true,
+    /// When this candidate may take the shard. `None` if it may not.
+    ///
+    /// It does not wait for its next poll. A candidate further down the list waits until all before
+    /// it have polled once more and made their calls. So the first one that is able takes the shard.
+    fn turn_ns(&self) -> Option<u64> {
+        let since_ns = self.free_since_ns.filter(|_| self.is_able)?;
+        let behind_ns = self.rank * (self.poll_interval_ns() + ACQUISITION_NS);
+        let wait_ns = match self.view.requested.as_deref() {
+            Some(requested) if requested == self.name => 0,
             // The requested candidate may be down. After a while the others take the shard.
-            Some(_) => free_ns >= self.ttl_ns.min(REQUESTED_GRACE_NS) + self.rank * RANK_NS,
-            None => free_ns >= self.rank * RANK_NS,
-        }
+            Some(_) => self.ttl_ns.min(REQUESTED_GRACE_NS) + behind_ns,
+            None => behind_ns,
+        };
+        Some(since_ns.saturating_add(wait_ns))
+    }
+
+    fn poll_interval_ns(&self) -> u64 {
+        let (least_ns, most_ns) = POLL_INTERVAL_NS;
+        (self.ttl_ns / LOOKS).clamp(least_ns, most_ns)
     }
 
     /// Handles the reply to a call that was made at `asked_ns` and replied to, or given up, at
@@ -283,18 +323,14 @@ impl Candidate {
                 let soon_ns = now_ns + POLL_INTERVAL_NS.0;
                 match call {
                     Call::Renew { .. } => self.renew_ns = soon_ns,
-                    _ => self.look_ns = soon_ns,
-                }
-                if matches!(call, Call::Acquire { .. }) {
-                    self.free_since_ns = None;
+                    _ => (self.look_ns, self.free_since_ns) = (soon_ns, None),
                 }
             }
         }
     }
 
     fn observe_store(&mut self, view: StoreView, now_ns: u64) {
-        let (least_ns, most_ns) = POLL_INTERVAL_NS;
-        self.look_ns = now_ns + (self.ttl_ns / LOOKS).clamp(least_ns, most_ns);
+        self.look_ns = now_ns + self.poll_interval_ns();
         let own = self.lease.map(|own| own.id);
         let held = view.holder.as_ref();
         match held.filter(|holder| Some(holder.lease) == own && holder.name == self.name) {

@@ -8,6 +8,8 @@ use super::*;
 
 const TTL_NS: u64 = 3_000_000_000;
 const STEP_NS: u64 = 10_000_000;
+/// By how much a clock is fast or slow at most: the slew of `chrony` by default, and the crystal.
+const MAX_PPM: i64 = 83_433;
 /// Timeout of a call, as the link's client has it.
 const CALL_NS: u64 = 400_000_000;
 
@@ -153,7 +155,7 @@ proptest! {
     #[test]
     fn at_no_time_do_two_have_the_right_and_terms_only_grow_and_calm_brings_one_back(
         spans in prop::collection::vec(prop::collection::vec(weather(), 3), 5..60),
-        ppm in prop::collection::vec(-600i64..600, 4),
+        ppm in prop::collection::vec(-MAX_PPM..=MAX_PPM, 4),
         wishes in prop::collection::vec(prop::option::weighted(0.05, 0usize..3), 60),
         forgets in prop::option::weighted(0.2, 0usize..60),
     ) {
@@ -207,6 +209,122 @@ proptest! {
         terms.sort_unstable();
         terms.dedup();
         prop_assert_eq!(terms.len(), before, "no term is given twice");
+    }
+}
+
+/// Time without a frame after which a leader hangs.
+const HANG_TIMEOUT_NS: u64 = 5_000_000_000;
+
+/// A host's worker, and its permit's file.
+#[derive(Debug, Default)]
+struct Worker {
+    hangs: bool,
+    permit: Option<LeaderLease>,
+    /// When it last sent or was permitted to, by the clock of its host.
+    active_ns: u64,
+}
+
+impl Worker {
+    /// Tells the candidate of its host whether it can lead. A worker that does not hang ends with
+    /// its permit, and is started again.
+    fn step(&mut self, host: &mut Host, true_ns: u64) {
+        let now_ns = host.clock(true_ns);
+        let lease = host.candidate.leader_lease(now_ns);
+        let is_begun = lease.map(|lease| lease.term) != self.permit.map(|permit| permit.term);
+        if !self.hangs || (lease.is_some() && is_begun) {
+            self.active_ns = now_ns;
+        }
+        if lease.is_some() || !self.hangs {
+            self.permit = lease;
+        }
+        let worker = LocalWorker {
+            away_ns: Some(0),
+            term: lease.map_or(0, |lease| lease.term),
+            idle_ns: now_ns - self.active_ns,
+            has_outlived_permit: self.permit.is_some() && lease.is_none(),
+        };
+        host.candidate.is_able(worker.defect(HANG_TIMEOUT_NS).is_none());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+    /// Each span takes 700 ms. Links restart, and the store is out of reach, in between.
+    #[test]
+    fn a_host_whose_worker_hangs_loses_the_shard_once_and_leads_again_only_with_another_worker(
+        spans in prop::collection::vec(prop::collection::vec(weather(), 2), 10..60),
+        hangs_at in 0usize..10,
+    ) {
+        let mut hosts = hosts(2, &[0; 2]);
+        let mut workers = [Worker::default(), Worker::default()];
+        let mut store = Store::default();
+        let (mut true_ns, mut terms) = (1_000_000_000, Vec::new());
+        let calm = vec![vec![CALM; 2]; 30];
+        for (number, span) in spans.iter().chain(&calm).enumerate() {
+            workers[0].hangs |= number == hangs_at;
+            for at in 0..70 {
+                true_ns += STEP_NS;
+                store.expire(true_ns);
+                for ((host, worker), weather) in hosts.iter_mut().zip(&mut workers).zip(span) {
+                    let restarts = weather.restarts && at == 0;
+                    worker.step(host, true_ns);
+                    host.step(&mut store, true_ns, true_ns, Weather { restarts, ..*weather });
+                }
+                let lease = hosts[0].leader_lease(true_ns).filter(|_| workers[0].hangs);
+                terms.extend(lease.map(|lease| lease.term));
+                terms.dedup();
+                prop_assert!(terms.len() <= 1, "{terms:?} at {true_ns}");
+            }
+        }
+        prop_assert!(hosts[1].leader_lease(true_ns).is_some(), "after 21 s of calm");
+        // Another worker removes what is left of the permit.
+        workers[0] = Worker::default();
+        let weather = [CALM, CUT];
+        for _ in 0..700 {
+            true_ns += STEP_NS;
+            store.expire(true_ns);
+            for ((host, worker), weather) in hosts.iter_mut().zip(&mut workers).zip(weather) {
+                worker.step(host, true_ns);
+                host.step(&mut store, true_ns, true_ns, weather);
+            }
+        }
+        prop_assert!(hosts[0].leader_lease(true_ns).is_some());
+    }
+
+    /// The candidates poll at any instants, and their calls take a while.
+    #[test]
+    fn a_free_shard_is_taken_by_the_first_of_the_list_that_is_able_whoever_sees_it_first(
+        first_able in 0usize..3,
+        later_ns in prop::collection::vec(0u64..1_000_000_000, 3),
+        delay_ns in 0u64..25_000_000,
+        ttl_s in 2u64..=60,
+    ) {
+        let ttl_ns = ttl_s * 1_000_000_000;
+        let mut hosts = hosts(4, &[0; 4]);
+        for (at, host) in hosts.iter_mut().enumerate() {
+            host.candidate = Candidate::new(&host.name, at, ttl_ns, None);
+            host.candidate.is_able(at >= first_able);
+        }
+        // Another candidate leads, and is cut off.
+        let lease = 1_000;
+        let holder = Holder { name: "host-9".to_owned(), term: 1, lease };
+        let mut store = Store::default();
+        (store.holder, store.term) = (Some(holder), 1);
+        store.leases.insert(lease, 3_000_000_000);
+        let weather = Weather { delay_ns: (delay_ns, delay_ns), ..CALM };
+        let mut true_ns = 1_000_000_000;
+        while hosts.iter_mut().all(|host| host.leader_lease(true_ns).is_none()) {
+            true_ns += STEP_NS;
+            store.expire(true_ns);
+            for (host, later_ns) in hosts.iter_mut().zip(later_ns.iter().chain([&0])) {
+                if true_ns >= 1_000_000_000 + later_ns {
+                    host.step(&mut store, true_ns, true_ns, weather);
+                }
+            }
+            prop_assert!(true_ns < 20_000_000_000);
+        }
+        prop_assert!(hosts[first_able].leader_lease(true_ns).is_some(), "{store:?}");
     }
 }
 
