@@ -15,6 +15,7 @@ use rustls::RootCertStore;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, UnixTime};
 use rustls::server::WebPkiClientVerifier;
+use rustls::server::danger::ClientCertVerifier;
 use rustls::sign::CertifiedKey;
 use serde::Serialize;
 use x509_parser::certificate::X509Certificate;
@@ -23,7 +24,7 @@ use x509_parser::prelude::{FromDer as _, GeneralName};
 use crate::config::TlsSettings;
 
 /// Maximum size of a file, bytes.
-const MAX_BYTES: u64 = 1 << 20;
+pub(crate) const MAX_BYTES: u64 = 1 << 20;
 const DAY: Duration = Duration::from_secs(86_400);
 const AUTHORITY_DAYS: u32 = 3_650;
 /// A certificate is valid from this long before it is made, for hosts whose clocks are late.
@@ -146,21 +147,29 @@ pub(crate) fn check(tls: &TlsSettings, name: &str) -> anyhow::Result<Certificate
 
 /// Verifies a certificate as a peer does.
 fn verify(ca: &str, certificate: &CertificateDer<'_>) -> anyhow::Result<()> {
+    verifier(ca)?.verify_client_cert(certificate, &[], UnixTime::now())?;
+    Ok(())
+}
+
+/// Verifies certificates of links by the authority's certificate.
+pub(crate) fn verifier(ca: &str) -> anyhow::Result<Arc<dyn ClientCertVerifier>> {
     let mut roots = RootCertStore::empty();
     for authority in CertificateDer::pem_slice_iter(ca.as_bytes()) {
         roots.add(authority.context("the authority's certificate is damaged")?)?;
     }
     let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let verifier =
-        WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider).build()?;
-    verifier.verify_client_cert(certificate, &[], UnixTime::now())?;
-    Ok(())
+    Ok(WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider).build()?)
+}
+
+/// The name of a certificate's link.
+pub(crate) fn common_name(parsed: &X509Certificate<'_>) -> String {
+    let mut names = parsed.subject().iter_common_name();
+    names.next().and_then(|name| name.as_str().ok()).unwrap_or_default().to_owned()
 }
 
 impl CertificateReport {
     fn new(parsed: &X509Certificate<'_>) -> Self {
-        let mut names = parsed.subject().iter_common_name();
-        let name = names.next().and_then(|name| name.as_str().ok()).unwrap_or_default().to_owned();
+        let name = common_name(parsed);
         let alternatives = parsed.subject_alternative_name().ok().flatten();
         let alternatives = alternatives.iter().flat_map(|extension| &extension.value.general_names);
         let addresses = alternatives.filter_map(|name| match name {

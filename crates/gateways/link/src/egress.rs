@@ -8,7 +8,7 @@ use joulebus_bus::clock;
 
 use crate::network::{Event, Inbox, NetworkError, Outlet};
 use crate::protocol::carried::{Carried, Kind};
-use crate::protocol::message::{Body, FleetId, LeaderStatus, Request, read};
+use crate::protocol::message::{Body, FleetId, LeaderStatus, MAX_REQUEST_BYTES, Request, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 use crate::report::{Done, EgressRecord};
@@ -22,9 +22,6 @@ const MAX_RECEIVERS: usize = 64;
 /// because a client may request under any number of names.
 const MAX_PAST_RECEIVERS: usize = 256;
 const OTHERS: &str = "others";
-
-/// Maximum size of a request, bytes.
-const MAX_REQUEST_BYTES: usize = 4 << 10;
 
 /// The streams of one kind of frames to all their receivers.
 #[derive(Debug)]
@@ -78,6 +75,15 @@ impl Egress {
                     continue;
                 }
             };
+            match self.inbox.verify(&from, &bytes, arrived_ns) {
+                Ok(true) => {}
+                // Its signature has not arrived yet.
+                Ok(false) => continue,
+                Err(error) => {
+                    self.refused.count("not the link in its certificate", &from, &error);
+                    continue;
+                }
+            }
             match read(&bytes.get(), self.fleet, 0) {
                 Ok(message) => {
                     let Body::Request(request) = message.body else {

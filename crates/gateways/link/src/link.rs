@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use crate::certificates::{self, CertificateReport};
 use crate::config::{Mode, Settings, Side};
-use crate::network::{Network, NetworkError};
+use crate::network::{Network, NetworkError, Peers};
 use crate::protocol::carried::{max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
 use crate::report::{Done, EgressRecord, IngressRecord};
@@ -183,15 +183,25 @@ fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Opt
         None => max_message_bytes(capacity),
     };
     let candidates = settings.standby.iter().flat_map(|standby| &standby.others);
-    let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
-    let takes: Option<Vec<&str>> = match &settings.side {
-        Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
-        Side::Other { .. } => None,
+    let peers = match &settings.side {
+        Side::Worker(takes) => Peers {
+            is_worker: true,
+            samples_from: takes.iter().map(|take| take.from.as_str()).collect(),
+            outputs_from: candidates.map(|(_, name)| name.as_str()).collect(),
+            ..Peers::default()
+        },
+        Side::Other { samples, follow } => Peers {
+            samples_to: samples.iter().flatten().map(String::as_str).collect(),
+            outputs_from: follow
+                .iter()
+                .flat_map(|follow| follow.workers.iter().flatten().map(String::as_str))
+                .collect(),
+            ..Peers::default()
+        },
     };
-    let hosts = takes.as_deref().map(|takes| (takes, candidates.as_slice()));
     let mut is_logged = false;
     while !stop.is_asked() {
-        match Network::open(&settings.network, of, hosts, max_message_bytes) {
+        match Network::open(&settings.network, of, &peers, max_message_bytes) {
             Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
                 if !is_logged {
                     let router = settings.network.connect.join(", ");

@@ -19,6 +19,7 @@ mod link;
 mod network;
 mod output_port;
 mod outputs;
+mod proof;
 mod protocol;
 mod refusals;
 mod report;

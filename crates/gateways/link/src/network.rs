@@ -4,6 +4,8 @@
 //! never use zenoh's own shared memory.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -18,8 +20,10 @@ use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::CongestionControl;
 use zenoh::sample::{Sample, SampleKind};
 
-use crate::config::{Mode, NetworkSettings};
+use crate::config::{Mode, NetworkSettings, TlsSettings};
+use crate::proof::{Prover, Verifier};
 use crate::protocol::carried::Kind;
+use crate::protocol::message::MAX_REQUEST_BYTES;
 use crate::wall_clock::WallClock;
 
 /// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
@@ -44,9 +48,9 @@ pub(crate) enum Event {
     Lost { name: Arc<str> },
 }
 
-/// The payload of a message.
+/// The payload of a message, and the proof of its sender.
 #[derive(Debug)]
-pub(crate) struct Bytes(ZBytes);
+pub(crate) struct Bytes(ZBytes, Option<ZBytes>);
 
 impl Bytes {
     /// The contiguous payload, copied only if it arrived in parts.
@@ -60,6 +64,8 @@ impl Bytes {
 pub(crate) struct Inbox {
     entry: Entry,
     receiver: Receiver<Event>,
+    /// Set if the messages are requests and links have certificates.
+    verifier: Option<Verifier>,
     _subscriptions: Vec<Subscriber<()>>,
 }
 
@@ -88,7 +94,7 @@ impl Inbox {
             counts: Arc::default(),
             max_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
-        Self { entry, receiver, _subscriptions: Vec::new() }
+        Self { entry, receiver, verifier: None, _subscriptions: Vec::new() }
     }
 
     /// Returns the next event, waiting at most `wait`.
@@ -100,6 +106,23 @@ impl Inbox {
         let waiting = &self.entry.counts.waiting_bytes;
         waiting.fetch_sub(event.bytes(), Ordering::Relaxed);
         Ok(event)
+    }
+
+    /// True if the request comes from the link of that name. False if that is not known yet.
+    ///
+    /// # Errors
+    /// It comes from another link.
+    pub(crate) fn verify(
+        &mut self,
+        from: &Arc<str>,
+        bytes: &Bytes,
+        arrived_ns: u64,
+    ) -> anyhow::Result<bool> {
+        let Some(verifier) = &mut self.verifier else {
+            return Ok(true);
+        };
+        let proof = bytes.1.as_ref().map(ZBytes::to_bytes).unwrap_or_default();
+        verifier.verify(from, &proof, arrived_ns)
     }
 
     /// Messages dropped because this host was too slow.
@@ -124,7 +147,7 @@ impl Entry {
 impl Event {
     fn bytes(&self) -> usize {
         match self {
-            Self::Message { bytes, .. } => bytes.0.len(),
+            Self::Message { bytes, .. } => bytes.0.len() + bytes.1.as_ref().map_or(0, ZBytes::len),
             Self::Lost { .. } => 0,
         }
     }
@@ -137,18 +160,24 @@ pub(crate) struct Network {
     fleet: String,
     name: String,
     realtime_within_ns: Option<u64>,
+    tls: Option<TlsSettings>,
     _token: LivelinessToken,
 }
 
 /// A publisher of one key.
 #[derive(Debug)]
-pub(crate) struct Outlet(Publisher<'static>);
+pub(crate) struct Outlet {
+    publisher: Publisher<'static>,
+    /// Set for requests if links have certificates.
+    prover: Option<Prover>,
+}
 
 impl Outlet {
     /// Sends a message. If zenoh has no room for it, it is dropped, and the receiver counts it as
     /// missing.
-    pub(crate) fn send(&self, bytes: Vec<u8>) {
-        if let Err(error) = self.0.put(bytes).wait() {
+    pub(crate) fn send(&mut self, bytes: Vec<u8>) {
+        let proof = self.prover.as_mut().map(|prover| prover.proof(clock::monotonic_ns()));
+        if let Err(error) = self.publisher.put(bytes).attachment(proof).wait() {
             tracing::debug!(%error, "a message was not sent");
         }
     }
@@ -157,23 +186,17 @@ impl Outlet {
 impl Network {
     /// Opens the addresses and announces this link.
     ///
-    /// `hosts` is set on a worker's host. It has the links whose samples are taken and the links of
-    /// the other candidates, by the names in their certificates.
-    ///
     /// # Errors
     /// [`NetworkError`].
     pub(crate) fn open(
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
-        hosts: Option<(&[&str], &[&str])>,
+        peers: &Peers<'_>,
         max_message_bytes: usize,
     ) -> Result<Self, NetworkError> {
         let mut config = configured(settings, max_message_bytes)?;
-        if let Some(hosts) = hosts
-            && settings.tls.is_some()
-            && settings.mode == Mode::Peer
-        {
-            let value = access(fleet, name, hosts);
+        if settings.tls.is_some() && settings.mode == Mode::Peer {
+            let value = access(fleet, name, peers);
             insert(&mut config, "access_control", &value)?;
         }
         let session = zenoh::open(config).wait().map_err(|reason| NetworkError::Open {
@@ -188,6 +211,7 @@ impl Network {
             fleet: fleet.to_owned(),
             name: name.to_owned(),
             realtime_within_ns: settings.realtime_within_ns,
+            tls: settings.tls.clone(),
             _token: token,
         })
     }
@@ -204,7 +228,7 @@ impl Network {
     pub(crate) fn frames_to(&self, kind: Kind, to: &str) -> Result<Outlet, NetworkError> {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/{}/{name}/{to}", kind.name());
-        self.outlet(key)
+        self.outlet(key, None)
     }
 
     /// The publisher of requests to the link `from`.
@@ -214,7 +238,8 @@ impl Network {
     pub(crate) fn requests_to(&self, kind: Kind, from: &str) -> Result<Outlet, NetworkError> {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/ask/{}/{from}/{name}", kind.name());
-        self.outlet(key)
+        let prover = self.tls.as_ref().map(|tls| Prover::new(tls, &key));
+        self.outlet(key, prover)
     }
 
     /// Subscribes the inbox to frames from the link `from` to this one, and to the loss of that
@@ -258,8 +283,15 @@ impl Network {
     /// [`NetworkError`].
     pub(crate) fn take_requests(&self, kind: Kind, inbox: &mut Inbox) -> Result<(), NetworkError> {
         let Self { fleet, name, .. } = self;
-        let key = format!("joulebus/{fleet}/ask/{}/{name}/*", kind.name());
-        self.subscribe(key, inbox, last_part)?;
+        let prefix = format!("joulebus/{fleet}/ask/{}/{name}/", kind.name());
+        self.subscribe(format!("{prefix}*"), inbox, last_part)?;
+        if let Some(tls) = &self.tls {
+            let verifier = Verifier::new(&tls.ca, prefix);
+            inbox.verifier = Some(verifier.map_err(|error| NetworkError::Authority {
+                path: tls.ca.clone(),
+                reason: format!("{error:#}"),
+            })?);
+        }
         self.watch("*", inbox)
     }
 
@@ -277,23 +309,22 @@ impl Network {
                 let Some(from) = from(&sample) else {
                     return;
                 };
-                let event =
-                    Event::Message { from, bytes: Bytes(sample.payload().clone()), arrived_ns };
-                entry.put(event);
+                let bytes = Bytes(sample.payload().clone(), sample.attachment().cloned());
+                entry.put(Event::Message { from, bytes, arrived_ns });
             })
             .wait()?;
         inbox._subscriptions.push(subscription);
         Ok(())
     }
 
-    fn outlet(&self, key: String) -> Result<Outlet, NetworkError> {
+    fn outlet(&self, key: String, prover: Option<Prover>) -> Result<Outlet, NetworkError> {
         let publisher = self
             .session
             .declare_publisher(key)
             .congestion_control(CongestionControl::Drop)
             .express(true)
             .wait()?;
-        Ok(Outlet(publisher))
+        Ok(Outlet { publisher, prover })
     }
 }
 
@@ -338,7 +369,7 @@ fn configured(
     set("scouting/gossip/target", nobody.clone())?;
     set("scouting/gossip/autoconnect", nobody)?;
     set("transport/link/tx/lease", json!(PEER_TIMEOUT_MS))?;
-    set("transport/link/rx/max_message_size", json!(max_message_bytes))?;
+    set("transport/link/rx/max_message_size", json!(max_message_bytes.max(MAX_REQUEST_BYTES)))?;
     // Few frames of a link are in flight. They need room even while a thread of zenoh gets no
     // processor, and a long frame takes many batches.
     set("transport/link/tx/queue/size/data", json!(16))?;
@@ -370,65 +401,71 @@ fn insert(
     config.insert_json5(key, &value.to_string()).map_err(reason)
 }
 
-/// Access rules of a worker's link.
+/// Whose messages a link accepts, by the names in their certificates.
+#[derive(Debug, Default)]
+pub(crate) struct Peers<'a> {
+    /// This host has a worker.
+    pub(crate) is_worker: bool,
+    /// Links whose samples are taken.
+    pub(crate) samples_from: Vec<&'a str>,
+    /// Links that get the samples published here.
+    pub(crate) samples_to: Vec<&'a str>,
+    /// Links whose outputs are requested: the workers that this host follows, or the other
+    /// candidates of its worker's shard.
+    pub(crate) outputs_from: Vec<&'a str>,
+}
+
+/// Access rules of a link.
 ///
-/// Every link with a certificate of the fleet may request outputs. Samples are accepted from the
-/// links that the file names. States and terms are accepted from the other candidates of the shard,
-/// which this link requests them from. Each link is bound to the name in its certificate.
-fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> serde_json::Value {
-    let key = |rest: &str| format!("joulebus/{fleet}/{rest}");
-    let both = ["ingress", "egress"];
-    let mut rules = vec![
-        json!({"id": "links", "permission": "allow", "flows": both, "key_exprs": [key("links/*")],
-            "messages": ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]}),
-        json!({"id": "ask", "permission": "allow", "flows": both, "messages": ["put", "declare_subscriber"],
-            "key_exprs": [key(&format!("ask/outputs/{name}/*")), key("ask/samples/*/*")]}),
-        json!({"id": "outputs", "permission": "allow", "flows": both, "messages": ["put", "declare_subscriber"],
-            "key_exprs": [key(&format!("outputs/{name}/*"))]}),
-        json!({"id": "take", "permission": "allow", "flows": ["egress"], "messages": ["declare_subscriber"],
-            "key_exprs": [key(&format!("samples/*/{name}"))]}),
-    ];
+/// Every link with a certificate of the fleet may request outputs of a worker, each under its own
+/// name ([`crate::proof`]). Everything else is bound to the names that the file has: samples, the
+/// outputs that this link requests, and requests for samples.
+fn access(fleet: &str, name: &str, peers: &Peers<'_>) -> serde_json::Value {
+    const SUBSCRIBE: &str = "declare_subscriber";
+    let key = |rest: String| format!("joulebus/{fleet}/{rest}");
+    let mut rules = vec![json!({"id": "links", "permission": "allow",
+        "flows": ["ingress", "egress"], "key_exprs": [key("links/*".to_owned())],
+        "messages": ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]})];
     let mut subjects = vec![json!({"id": "all"})];
-    let mut policies =
-        vec![json!({"subjects": ["all"], "rules": ["links", "ask", "outputs", "take"]})];
-    if !candidates.is_empty() {
-        let keys = |of: &dyn Fn(&str) -> String| -> Vec<String> {
-            candidates.iter().map(|other| key(&of(other))).collect()
-        };
-        // Let this link declare its requests to the candidates that accept them.
-        for (id, flow, message, keys) in [
-            (
-                "candidates",
-                "ingress",
-                "declare_subscriber",
-                keys(&|other| format!("ask/outputs/{other}/*")),
-            ),
-            ("requests", "egress", "put", keys(&|other| format!("ask/outputs/{other}/{name}"))),
-            (
-                "states",
-                "egress",
-                "declare_subscriber",
-                keys(&|other| format!("outputs/{other}/{name}")),
-            ),
-        ] {
-            rules.push(
-                json!({"id": id, "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": keys}),
-            );
+    let mut policies = vec![json!({"subjects": ["all"], "rules": ["links"]})];
+    let mut ids = BTreeSet::new();
+    let mut allow = |flow: &str, message: &str, subject: Option<&str>, rest: String| {
+        let id = format!("{flow} {message} {rest}");
+        if !ids.insert(id.clone()) {
+            return;
         }
-        policies.push(json!({"subjects": ["all"], "rules": ["candidates", "requests", "states"]}));
+        rules.push(json!({"id": id, "permission": "allow", "flows": [flow],
+            "messages": [message], "key_exprs": [key(rest)]}));
+        let of = match subject {
+            Some(name) => {
+                subjects.push(json!({"id": id, "cert_common_names": [name]}));
+                id.clone()
+            }
+            None => "all".to_owned(),
+        };
+        policies.push(json!({"subjects": [of], "rules": [id]}));
+    };
+    // Who gets frames of a kind declares them, and this link declares the requests.
+    let mut gives = |kind: &str, to: &str, subject: Option<&str>| {
+        allow("egress", SUBSCRIBE, None, format!("ask/{kind}/{name}/*"));
+        allow("ingress", "put", subject, format!("ask/{kind}/{name}/{to}"));
+        allow("ingress", SUBSCRIBE, subject, format!("{kind}/{name}/{to}"));
+        allow("egress", "put", subject, format!("{kind}/{name}/{to}"));
+    };
+    if peers.is_worker {
+        gives("outputs", "*", None);
     }
-    let of_samples = takes.iter().map(|from| ("samples", from));
-    let of_states = candidates.iter().map(|from| ("outputs", from));
-    for (kind, from) in of_samples.chain(of_states) {
-        let id = format!("{kind} of {from}");
-        rules.push(
-            json!({"id": id, "permission": "allow", "flows": ["ingress"], "messages": ["put"],
-            "key_exprs": [key(&format!("{kind}/{from}/{name}"))]}),
-        );
-        subjects.push(json!({"id": id, "cert_common_names": [from]}));
-        policies.push(json!({"subjects": [id], "rules": [id]}));
+    peers.samples_to.iter().for_each(|to| gives("samples", to, Some(to)));
+    let samples = peers.samples_from.iter().map(|from| ("samples", from));
+    let outputs = peers.outputs_from.iter().map(|from| ("outputs", from));
+    for (kind, from) in samples.chain(outputs) {
+        allow("ingress", SUBSCRIBE, None, format!("ask/{kind}/{from}/*"));
+        allow("egress", "put", Some(from), format!("ask/{kind}/{from}/{name}"));
+        allow("egress", SUBSCRIBE, Some(from), format!("{kind}/{from}/{name}"));
+        allow("ingress", "put", Some(from), format!("{kind}/{from}/{name}"));
     }
-    json!({"enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies})
+    json!({"enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects,
+        "policies": policies})
 }
 
 /// Errors of the network.
@@ -442,6 +479,8 @@ pub(crate) enum NetworkError {
     Open { listen: Vec<String>, connect: Vec<String>, reason: String },
     #[error("zenoh refuses {key}: {reason}")]
     Config { key: String, reason: String },
+    #[error("the authority's certificate in {path:?} cannot be used: {reason}")]
+    Authority { path: PathBuf, reason: String },
     #[error("zenoh refuses a key: {0}")]
     Key(#[from] zenoh::Error),
 }
@@ -452,16 +491,19 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn samples_states_and_terms_come_under_the_name_in_the_certificate_alone() {
-        let access = access("lab", "base-1", (&["edge"], &["base-2", "base-3"]));
+    /// What may come in, and from which certificates.
+    fn incoming(peers: &Peers<'_>) -> Vec<(String, String)> {
+        let access = access("lab", "own", peers);
         let list = |value: &Value| -> Vec<String> {
             let texts = value.as_array().unwrap().iter();
             texts.map(|text| text.as_str().unwrap().to_owned()).collect()
         };
         let with = |part: &str, id: &str| -> Value {
             let all = access[part].as_array().unwrap();
-            all.iter().find(|entry| entry["id"] == id).unwrap().clone()
+            let mut found = all.iter().filter(|entry| entry["id"] == id);
+            let first = found.next().unwrap().clone();
+            assert!(found.next().is_none(), "{id} twice");
+            first
         };
         let mut found = Vec::new();
         for policy in access["policies"].as_array().unwrap() {
@@ -475,26 +517,42 @@ mod tests {
                     let names = &with("subjects", &subject)["cert_common_names"];
                     let who = names.as_array().map(|_| list(names).join(","));
                     for key in list(&rule["key_exprs"]) {
+                        let key = key.strip_prefix("joulebus/lab/").unwrap().to_owned();
                         found.push((key, who.clone().unwrap_or_default()));
                     }
                 }
             }
         }
-        for (key, who) in [
-            ("samples/edge/base-1", "edge"),
-            ("outputs/base-2/base-1", "base-2"),
-            ("outputs/base-3/base-1", "base-3"),
-        ] {
-            let key = format!("joulebus/lab/{key}");
-            let of_key: Vec<_> = found.iter().filter(|(of, _)| *of == key).collect();
-            assert_eq!(of_key, [&(key.clone(), who.to_owned())]);
-        }
-        // The rules for all certificates allow only requests, and this link's outputs to those that
-        // requested them.
-        let of_all = found.iter().filter(|(_, who)| who.is_empty());
-        for (key, _) in of_all {
-            let is_request = key.starts_with("joulebus/lab/ask/");
-            assert!(is_request || key == "joulebus/lab/outputs/base-1/*", "{key}");
-        }
+        found.sort();
+        found
+    }
+
+    #[test]
+    fn everything_but_requests_for_outputs_comes_under_the_name_in_the_certificate_alone() {
+        let expected = |all: &[(&str, &str)]| -> Vec<(String, String)> {
+            all.iter().map(|(key, who)| ((*key).to_owned(), (*who).to_owned())).collect()
+        };
+        let (samples_from, outputs_from) = (vec!["edge"], vec!["base-2", "base-3"]);
+        let worker = Peers { is_worker: true, samples_from, outputs_from, ..Peers::default() };
+        assert_eq!(
+            incoming(&worker),
+            expected(&[
+                ("ask/outputs/own/*", ""),
+                ("outputs/base-2/own", "base-2"),
+                ("outputs/base-3/own", "base-3"),
+                ("samples/edge/own", "edge"),
+            ])
+        );
+        let (samples_to, outputs_from) = (vec!["base-1", "base-2"], vec!["base-1", "base-2"]);
+        let other = Peers { samples_to, outputs_from, ..Peers::default() };
+        assert_eq!(
+            incoming(&other),
+            expected(&[
+                ("ask/samples/own/base-1", "base-1"),
+                ("ask/samples/own/base-2", "base-2"),
+                ("outputs/base-1/own", "base-1"),
+                ("outputs/base-2/own", "base-2"),
+            ])
+        );
     }
 }

@@ -69,6 +69,9 @@ struct RequestHead {
 
 const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 72);
 
+/// Maximum size of a request with the proof of its sender, bytes.
+pub(crate) const MAX_REQUEST_BYTES: usize = 16 << 10;
+
 /// Size of all headers before the header of the frame itself, bytes.
 pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead>();
 

@@ -50,11 +50,11 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
     // A planner gets frames only after a sample was accepted.
     let mut before = 0;
     // The robots' host, and then a planners' host that uses the robots' host's name.
-    for (certificate, authority, is_let_in, may_publish) in [
-        ("edge", &own, true, true),
-        ("desk", &own, true, false),
-        ("desk", &other, false, false),
-        ("late", &own, false, false),
+    for (certificate, authority, is_let_in) in [
+        ("edge", &own, true),
+        ("desk", &own, false),
+        ("desk", &other, false),
+        ("late", &own, false),
     ] {
         let there = Host::new();
         let sides = format!("{SAMPLES}{FOLLOW}");
@@ -77,7 +77,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         let report = edge.end().json();
         let given = report["given"][0]["frames"].as_u64().unwrap_or(0);
         assert_eq!(given > 0, is_let_in, "{certificate}: {report}");
-        if may_publish {
+        if is_let_in {
             // The last samples are still in flight: the worker takes them at its next tick.
             eventually("the end of the link is known", || has_lost_edge(&link));
         }
@@ -86,7 +86,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         beside.fresh();
         beside.leave();
         let now = accepted(&base);
-        assert_eq!(now > before, may_publish, "{certificate}: {report}");
+        assert_eq!(now > before, is_let_in, "{certificate}: {report}");
         before = now;
     }
     assert!(frames(&mut link) > 10);
@@ -347,4 +347,137 @@ fn a_certificate_that_expires_ends_its_connection_and_a_renewed_one_makes_it_aga
     planner.fresh_sample();
     edge.end();
     link.end();
+}
+
+/// A session with the certificate of `of`, which may send anything.
+fn session(network: (&str, &str), folder: &Path, of: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: String| config.insert_json5(key, &value).unwrap();
+    set("mode", "\"peer\"".to_owned());
+    set("scouting/multicast/enabled", "false".to_owned());
+    set("listen/endpoints", "[]".to_owned());
+    set(&format!("{}/endpoints", network.0), format!("[{:?}]", network.1));
+    let file = |name: &str| format!("{:?}", folder.join(name).display().to_string());
+    set("transport/link/tls/root_ca_certificate", file("fleet-ca.pem"));
+    for side in ["connect", "listen"] {
+        set(&format!("transport/link/tls/{side}_certificate"), file(&format!("{of}.pem")));
+        set(&format!("transport/link/tls/{side}_private_key"), file(&format!("{of}.key")));
+    }
+    set("transport/link/tls/enable_mtls", "true".to_owned());
+    zenoh::open(config).wait().unwrap()
+}
+
+/// Requests of a link for few frames, with their proofs: recorded by a session that has the
+/// certificate of the link `base`.
+fn requests(name: &str, folder: &Path) -> Vec<(Vec<u8>, Option<Vec<u8>>)> {
+    let address = free_address().replacen("tcp", "tls", 1);
+    let base = session(("listen", &address), folder, "base");
+    let asked = base.declare_subscriber("joulebus/lab/ask/outputs/base/*").wait().unwrap();
+    let host = Host::new();
+    let network = format!("connect = [\"{address}\"]");
+    let sides = format!("{FOLLOW}every = 3600\n");
+    let _link = host.link(&file(name, name, folder, &network, &sides));
+    let bytes = |bytes: &zenoh::bytes::ZBytes| bytes.to_bytes().into_owned();
+    let request = || asked.recv().unwrap();
+    let all = (0..9).map(|_| request()).map(|sample| {
+        assert!(sample.key_expr().as_str().ends_with(&format!("/{name}")));
+        (bytes(sample.payload()), sample.attachment().map(bytes))
+    });
+    all.collect()
+}
+
+/// `spy` has a certificate of the fleet too.
+#[test]
+fn no_certificate_requests_in_another_receivers_name_or_takes_more_than_its_own_place() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base", "desk", "spy"]) {
+        return;
+    }
+    let requests = requests("spy", folder.path());
+    let address = free_address().replacen("tcp", "tls", 1);
+    let (base, there) = (Host::new(), Host::new());
+    let _worker = base.worker();
+    let listen = format!("listen = [\"{address}\"]");
+    let mut link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
+    let _robots = base.robots(&["--robots", "2"]);
+    let spy = session(("connect", &address), folder.path(), "spy");
+    let sends = |name: &str, proven: bool| {
+        for (request, proof) in &requests {
+            let proof = proof.clone().filter(|_| proven);
+            let key = format!("joulebus/lab/ask/outputs/base/{name}");
+            spy.put(key, request.clone()).attachment(proof).wait().unwrap();
+        }
+    };
+    // Its own requests are good, and not those of as many invented names as there are places.
+    eventually("the spy is heard", || {
+        sends("spy", true);
+        link.errors().contains("link spy asks for ")
+    });
+    for at in 0..100 {
+        sends(&format!("invented-{at}"), at % 2 == 0);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let connect = format!("connect = [\"{address}\"]");
+    let mut desk = there.link(&file("desk", "desk", folder.path(), &connect, FOLLOW));
+    let mut planner = there.planner();
+    planner.fresh_sample();
+    // Five hundred requests a second in the name of another, for few frames.
+    let mut frames = 0;
+    for at in 0..100 {
+        sends("desk", at % 2 == 0);
+        frames += u32::from(planner.frame_within(Duration::from_millis(20)).is_some());
+    }
+    // Of some sixty in two seconds. Of every 3600th tick there would be none.
+    assert!(frames > 10, "{frames}");
+    planner.fresh_sample();
+    desk.end();
+    let report = link.end().json();
+    let given = report["given"].as_array().unwrap();
+    let names: Vec<_> = given.iter().filter_map(|given| given["to"].as_str()).collect();
+    assert_eq!(names, ["desk", "spy"], "{report}");
+    let refused = report["refused"]["not the link in its certificate"].as_u64();
+    assert!(refused > Some(100), "{report}");
+}
+
+/// A planners' host that listens, as a robots' host does that workers connect to.
+#[test]
+fn a_host_that_listens_takes_forecasts_of_its_worker_alone_while_that_is_silent() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base", "desk", "spy"]) {
+        return;
+    }
+    let (base, there) = (Host::new(), Host::new());
+    let addresses = [(); 2].map(|()| free_address().replacen("tcp", "tls", 1));
+    let [of_desk, other] = &addresses;
+    let listen = format!("listen = [\"{of_desk}\"]");
+    let mut desk = there.link(&file("desk", "desk", folder.path(), &listen, FOLLOW));
+    let mut worker = base.worker();
+    let _robots = base.robots(&["--robots", "2"]);
+    let connect = format!("listen = [\"{other}\"]\nconnect = [\"{of_desk}\"]");
+    let mut link = base.link(&file("base", "base", folder.path(), &connect, "[worker]\n"));
+    let mut planner = there.planner();
+    planner.fresh_sample();
+    // Real messages of the worker's link for `desk`, recorded by who has its certificate.
+    let key = "joulebus/lab/outputs/base/desk";
+    let recorder = session(("connect", other), folder.path(), "desk");
+    let sent = recorder.declare_subscriber(key).wait().unwrap();
+    let real: Vec<_> = (0..60).map(|_| sent.recv().unwrap().payload().clone()).collect();
+    link.end();
+    worker.end();
+    drop(recorder);
+    planner.gone();
+    // Nothing comes from the worker's link for longer than a run is kept.
+    std::thread::sleep(Duration::from_secs(2));
+    let spy = session(("connect", of_desk), folder.path(), "spy");
+    let right = session(("connect", of_desk), folder.path(), "base");
+    let believed = || desk.errors().matches("the worker of base sends").count();
+    for (session, is_believed) in [(&spy, false), (&right, true)] {
+        let before = believed();
+        for payload in real.iter().cycle().take(300) {
+            session.put(key, payload.clone()).wait().unwrap();
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert_eq!(believed() > before, is_believed, "{}", desk.errors());
+    }
+    desk.end();
 }

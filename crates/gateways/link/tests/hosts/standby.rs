@@ -27,6 +27,8 @@ use crate::planner::{Frame, Reader};
 /// Together with a takeover and one second it is shorter than the ten seconds for which a standby
 /// worker keeps samples.
 const TTL_S: u64 = 4;
+/// The default, for which the times of takeovers are stated.
+const HANG_TTL_S: u64 = 3;
 /// Time to live where terms may start at any time: cuts and pauses of some seconds must end leases.
 const SHORT_TTL_S: u64 = 2;
 /// Maximum time from the end of the lease until another host leads, beside the time for which its
@@ -113,7 +115,7 @@ impl Scene {
     }
 
     /// Starts both candidates' links, and waits until the first worker leads. The second link
-    /// starts once it does, because it would take the shard after 0.3 s.
+    /// starts once it does, because it would take the shard after some 0.6 s.
     fn base_links(&self, workers: &mut [Child; 2]) -> [Child; 2] {
         let first = self.base_link(0);
         workers[0].wait_for_line("ready:");
@@ -447,6 +449,64 @@ fn a_host_that_was_stopped_and_goes_on_too_late_sends_nothing_any_more() {
     assert_one_sent_at_a_time(beside);
     let report = field.end().json();
     assert_eq!(report["taken"].as_array().unwrap().len(), 2, "{report}");
+}
+
+/// A worker that hangs is still there, and its link works. `JOULEBUS_HANGS` states how many in turn.
+#[test]
+fn a_worker_that_hangs_alone_loses_the_shard_and_its_host_leads_again_only_with_another() {
+    let Some((mut scene, etcd)) = Scene::with_lease() else {
+        return;
+    };
+    let hangs = std::env::var("JOULEBUS_HANGS").ok().map(|count| count.parse().unwrap());
+    if hangs.is_some() {
+        scene.leased(&etcd, HANG_TTL_S, "");
+    }
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = scene.base_links(&mut workers);
+    let _field = scene.field_link();
+    let _robots = scene.robots();
+    let mut planner = scene.field.planner();
+    fresh(&mut planner);
+    let mut at = 0;
+    for hang in 1..=hangs.unwrap_or(1) {
+        scene.state_crosses_to(1 - at);
+        workers[at].signal(Signal::STOP);
+        let stopped_ns = clock::monotonic_ns();
+        let frame = fresh_after(&mut planner, stopped_ns);
+        let took_s = (frame.read_ns - stopped_ns) as f64 * 1e-9;
+        println!("figure: hang {hang}: forecasts after {took_s:.2} s");
+        workers[1 - at].wait_for_line("ready:");
+        let names = |link: &Child| link.errors().matches("this host serves, term").count();
+        let terms = names(&links[at]);
+        // The link of the host that hangs starts again, and then the shard is free for a while.
+        if hangs.is_none() {
+            links[at].kill();
+            links[at] = scene.base_link(at);
+            links[1 - at].signal(Signal::STOP);
+            std::thread::sleep(Duration::from_secs(TTL_S + 2));
+            assert_eq!(names(&links[at]), 0, "{}", links[at].errors());
+            links[1 - at].signal(Signal::CONT);
+            // It ends with its permit.
+            workers[1 - at].wait();
+            workers[1 - at] = scene.worker(1 - at);
+            fresh(&mut planner);
+            assert_eq!(names(&links[at]), 0, "{}", links[at].errors());
+        } else {
+            assert_eq!(names(&links[at]), terms, "{}", links[at].errors());
+        }
+        // It goes on, ends, and another worker stands by.
+        workers[at].signal(Signal::CONT);
+        let ended = workers[at].wait();
+        assert!(ended.errors().contains("the permit to serve in term"), "{ended:?}");
+        workers[at] = scene.worker(at);
+        at = 1 - at;
+    }
+    // Its host leads again with the new worker.
+    scene.state_crosses_to(1 - at);
+    links[at].kill();
+    workers[at].kill();
+    workers[1 - at].wait_for_line("ready:");
+    fresh(&mut planner);
 }
 
 #[test]
