@@ -20,7 +20,7 @@ use crate::liveness::kept::Kept;
 use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
-use crate::os::fork;
+use crate::os::fork::ForkSection;
 use crate::preflight::{
     PORT_BYTES, PROCESS_BYTES, check_left, check_stack, check_start, check_threads,
 };
@@ -63,7 +63,7 @@ impl Bus {
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
         check_stack()?;
         check_threads()?;
-        let _section = fork::enter();
+        let _section = ForkSection::enter();
         let _ = take_shortage();
         // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {

@@ -14,6 +14,7 @@ use crate::cleanup::objects::objects;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::ipc::Ipc;
 use crate::os::files::{effective_uid, filesystem, is_memory};
+use crate::os::fork::ForkSection;
 use crate::preflight::{CapacityError, measure};
 use crate::private::check_private;
 use crate::{CapacityReport, Domain, RootError, WorkerLock, WorkerOwner};
@@ -141,6 +142,7 @@ pub fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
 fn list_nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
     let config = iceoryx_config::config_for(domain)?;
     let mut found = Vec::new();
+    let _section = ForkSection::enter();
     Node::<Ipc>::list(&config, |node| {
         let (details, alive) = match &node {
             NodeState::Alive(view) => (view.details().as_ref(), Some(true)),

@@ -83,6 +83,7 @@ pub use membership::JoinError;
 pub use os::apart::ThreadsApart;
 pub use os::background::{Background, Panicked, Rounds, Running, Steps};
 pub use os::clock;
+pub use os::fork::ForkSection;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;
 pub use os::scheduling::{
@@ -90,9 +91,9 @@ pub use os::scheduling::{
     try_scheduling, yield_to_the_worker,
 };
 pub use ports::{
-    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, Poller, QueryClient,
-    QueryError, QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter,
-    SendError, Sent, WaitError, Waiter, Waker, Woken, Writer,
+    Frame, FrameBuf, IncomingFrame, Loan, OpenError, OpenQuery, Poller, QueryClient, QueryError,
+    QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter, SendError, Sent,
+    WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity, check_stack};
 pub use private::{DomainWarning, RootError};

@@ -6,12 +6,13 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsRawFd as _;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, fchmod, linkat, openat, renameat_with};
 use rustix::io::Errno;
 
 use crate::os::files::{draft_number, effective_uid, is_same};
+use crate::os::fork::ForkSection;
 use crate::os::process::is_alive;
 use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
@@ -28,6 +29,13 @@ const ASIDE: [&str; 2] = ["new", "gone"];
 /// Held while a directory is created or removed: the temporary directories with our process id are
 /// then not those of another thread.
 static IN_PROGRESS: Mutex<()> = Mutex::new(());
+
+/// Takes [`IN_PROGRESS`], in a section in which no other thread forks.
+fn in_progress() -> (MutexGuard<'static, ()>, ForkSection) {
+    let section = ForkSection::enter();
+    // Dropped in this order.
+    (IN_PROGRESS.lock().unwrap_or_else(PoisonError::into_inner), section)
+}
 
 /// A directory of joulebus, existing or not.
 #[derive(Debug)]
@@ -64,7 +72,7 @@ impl Marked {
     /// Creates the directory, unless its path exists. It appears there with its marker atomically:
     /// a process killed in the meantime leaves a temporary directory under another name.
     pub(crate) fn create(&self) -> Result<(), RootError> {
-        let _guard = IN_PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
+        let _guard = in_progress();
         self.remove_drafts();
         let draft = self.aside(ASIDE[0]);
         let made = fs::DirBuilder::new()
@@ -124,7 +132,7 @@ impl Marked {
     /// Removes the directory if it is ours and contains only its marker. The caller knows that no
     /// process uses it. Atomic for other processes.
     pub(crate) fn remove(&self) {
-        let _guard = IN_PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
+        let _guard = in_progress();
         self.remove_drafts();
         if self.check().is_err() || !self.holds_nothing(&self.path) {
             return;

@@ -28,8 +28,8 @@ pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILE
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
-    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, Reader, SampleReader, SampleWriter, Taken,
-    Writer, taken_frames,
+    Frame, FrameBuf, IncomingFrame, Loan, Reader, SampleReader, SampleWriter, Taken, Writer,
+    taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use wait::{Poller, Readiness, Waiter, Waker};

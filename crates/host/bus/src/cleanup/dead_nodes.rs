@@ -11,10 +11,13 @@ use iceoryx2::prelude::CallbackProgression;
 
 use super::report::SweepReport;
 use crate::ipc::Ipc;
+use crate::os::fork::ForkSection;
 
 /// Makes iceoryx2 remove the nodes of dead processes. Takes 1 to 25 ms if there are any. Returns
 /// whether there were any, removed or not.
 pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) -> bool {
+    // iceoryx2 notes for the whole process that it removes a node.
+    let _section = ForkSection::enter();
     let mut are_any = false;
     let listed = Node::<Ipc>::list(config, |node| {
         if let NodeState::Dead(dead) = node {
@@ -69,6 +72,7 @@ fn remove(node: UniqueNodeId, config: &Config) -> Removal {
 }
 
 pub(crate) fn is_any_node_alive(config: &Config) -> bool {
+    let _section = ForkSection::enter();
     let mut alive = false;
     let listed = Node::<Ipc>::list(config, |node| {
         alive |= matches!(node, NodeState::Alive(_));

@@ -16,7 +16,6 @@ use crate::Domain;
 use crate::liveness::presence::{FilesRemoved, Presence};
 use crate::marker::{Marked, open_directory};
 use crate::os::background::{Background, Steps};
-use crate::os::fork;
 
 /// A member may be blocked on an incomplete object. Most rounds read no directory ([`Search`]).
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
@@ -134,7 +133,6 @@ impl Rounds {
 
     fn remove_dead_nodes(&self) {
         let (mut report, counts) = (SweepReport::default(), &self.counts);
-        let _section = fork::enter();
         remove_dead_nodes(&self.config, &mut report);
         let (nodes, failed) = (report.dead_nodes, report.failed_nodes);
         counts.dead_nodes.fetch_add(nodes, Ordering::Relaxed);

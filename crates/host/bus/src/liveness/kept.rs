@@ -4,8 +4,11 @@
 use std::fmt;
 use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
+use std::rc::Rc;
 
 use super::presence::Need;
+use crate::membership::Membership;
+use crate::os::fork::ForkSection;
 
 /// A value of iceoryx2 that another crate may own. Each crate compiles the code that drops what it
 /// owns, and that of a port is most of iceoryx2. So it is behind a pointer.
@@ -64,19 +67,23 @@ impl<T> fmt::Debug for DropsHere<T> {
 /// is about to end.
 #[derive(Debug)]
 pub(crate) struct Kept<T> {
+    // Dropped in this order.
     need: Option<Need>,
     value: DropsHere<T>,
+    /// While the value is dropped: the last port of a node drops the node.
+    section: Option<ForkSection>,
 }
 
 impl<T> Kept<T> {
     /// As [`DropsHere::new`].
     pub(crate) const fn new(value: T, need: Need) -> Self {
-        Self { need: Some(need), value: DropsHere::new(value) }
+        Self { need: Some(need), value: DropsHere::new(value), section: None }
     }
 }
 
 impl<T> Drop for Kept<T> {
     fn drop(&mut self) {
+        self.section = Some(ForkSection::enter());
         let is_whole = self.need.as_ref().is_some_and(Need::is_met);
         // From here on the files may be removed.
         self.need = None;
@@ -97,5 +104,20 @@ impl<T> Deref for Kept<T> {
 impl<T> DerefMut for Kept<T> {
     fn deref_mut(&mut self) -> &mut T {
         &mut self.value
+    }
+}
+
+/// A port that lends shared memory. What it lends owns it: iceoryx2 takes all that a dropped port
+/// has borrowed for returned, and the other side overwrites it.
+#[derive(Debug)]
+pub(crate) struct Lender<P> {
+    // Dropped in this order.
+    pub(crate) port: Kept<P>,
+    _member: Rc<Membership>,
+}
+
+impl<P> Lender<P> {
+    pub(crate) fn new(port: Kept<P>, member: &Rc<Membership>) -> Self {
+        Self { port, _member: Rc::clone(member) }
     }
 }

@@ -5,10 +5,13 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
+use crate::os::watchers::Watchers;
+
 /// Detects the end of a process.
 #[derive(Debug)]
 pub struct PeerWatch {
     descriptor: OwnedFd,
+    pub(crate) watchers: Watchers,
 }
 
 impl PeerWatch {
@@ -20,7 +23,7 @@ impl PeerWatch {
     pub fn open(pid: u32) -> Option<Self> {
         let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
         let descriptor = pidfd_open(pid, PidfdFlags::empty()).ok()?;
-        Some(Self { descriptor })
+        Some(Self { descriptor, watchers: Watchers::default() })
     }
 
     /// True if the process has ended, even if its parent has not waited for it.
@@ -35,5 +38,11 @@ impl PeerWatch {
 impl AsFd for PeerWatch {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.descriptor.as_fd()
+    }
+}
+
+impl Drop for PeerWatch {
+    fn drop(&mut self) {
+        self.watchers.remove(self.as_fd());
     }
 }

@@ -9,5 +9,6 @@ pub(crate) mod memory;
 pub(crate) mod process;
 mod process_id;
 pub(crate) mod scheduling;
+pub(crate) mod watchers;
 
 pub use process_id::process_id;

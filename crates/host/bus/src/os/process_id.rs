@@ -5,6 +5,7 @@ use std::ptr;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use super::fork::ForkSection;
 use rustix::mm::{Advice, MapFlags, ProtFlags, madvise, mmap_anonymous, munmap};
 
 /// The id of this process. The kernel is asked once in each process, because each call of C checks
@@ -12,7 +13,11 @@ use rustix::mm::{Advice, MapFlags, ProtFlags, madvise, mmap_anonymous, munmap};
 #[must_use]
 pub fn process_id() -> u32 {
     static KNOWN: OnceLock<Option<&'static AtomicU32>> = OnceLock::new();
-    let Some(known) = KNOWN.get_or_init(emptied_by_fork) else {
+    let known = KNOWN.get().or_else(|| {
+        let _section = ForkSection::enter();
+        Some(KNOWN.get_or_init(emptied_by_fork))
+    });
+    let Some(Some(known)) = known else {
         return std::process::id();
     };
     match known.load(Ordering::Relaxed) {

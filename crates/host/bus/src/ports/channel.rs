@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 
 use joulebus_wire::Channel;
 
-use super::inlet::{InFrame, Inlet, Member};
+use super::inlet::{InFrame, Inlet};
 use super::outlet::{OutFrame, Outlet};
 use super::service::{FrameTypes, OpenError};
 use super::{ReceiveError, SendError};
@@ -16,7 +16,6 @@ use crate::{Bus, Limits};
 /// Reads frames in place. On the worker's channels, only those of the holder of the worker's lock.
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
-    // Dropped in this order.
     pub(super) held: Option<Received<C>>,
     inlet: Inlet,
 }
@@ -47,10 +46,6 @@ impl<C: Channel> Reader<C> {
     pub(super) const fn worker(&self) -> Option<&WorkerPorts> {
         self.inlet.worker()
     }
-
-    pub(super) const fn member(&self) -> &Member {
-        self.inlet.member()
-    }
 }
 
 /// A frame that was received from a port of its channel.
@@ -63,13 +58,15 @@ pub(super) struct Received<C: Channel> {
 impl<C: Channel> Received<C> {
     pub(super) fn user_header(&self) -> &C::Header {
         // SAFETY: only a port that was opened with the types of `C` makes this value. So there is a
-        // header of `C` at this address, aligned, and mapped as long as the frame is borrowed.
-        // Every bit pattern of it is valid.
+        // header of `C` at this address, aligned, of which every bit pattern is valid. It stays
+        // mapped as long as the frame lives, and its sender writes to it again only when the frame
+        // or the port that received it is dropped. The frame owns that port.
         unsafe { &*self.frame.header().cast() }
     }
 
     pub(super) fn payload(&self) -> &[C::Row] {
-        // SAFETY: a marker is a byte, and every bit pattern of it is valid.
+        // SAFETY: a marker is a byte, and every bit pattern of it is valid. The memory stays as it
+        // is for as long as that of the header.
         let bytes = unsafe { &*(self.frame.bytes() as *const [u8]) };
         bytemuck::pod_align_to(bytes).1
     }

@@ -16,7 +16,7 @@ use super::places::{Open, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept};
+use crate::liveness::kept::{DropsHere, Kept, Lender};
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
@@ -26,37 +26,41 @@ const MAX_PASSED_OVER: u32 = 4_096;
 
 type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
+type Sample = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
+
 /// A frame that was received.
 #[derive(Debug)]
-pub(super) struct InFrame(DropsHere<Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>>);
+pub(super) struct InFrame {
+    // Dropped in this order.
+    sample: DropsHere<Sample>,
+    _lender: Rc<Lender<Port>>,
+}
 
 impl InFrame {
     /// Address of its header. A reference to a value of size 0 leads to no memory behind it, so the
     /// pointer is made anew: iceoryx2 exposes that to its memory.
     pub(super) fn header(&self) -> *const CustomHeaderMarker {
-        ptr::with_exposed_provenance(ptr::from_ref(self.0.user_header()).addr())
+        ptr::with_exposed_provenance(ptr::from_ref(self.sample.user_header()).addr())
     }
 
     /// Its rows.
     pub(super) fn bytes(&self) -> *const [CustomPayloadMarker] {
-        self.0.payload()
+        self.sample.payload()
     }
 
     /// The port that sent it.
     pub(super) fn writer(&self) -> u128 {
-        self.0.header().publisher_id().value()
+        self.sample.header().publisher_id().value()
     }
 }
-
-/// Membership that keeps the domain as long as a frame.
-pub(super) type Member = Rc<Membership>;
 
 /// Receives frames of one channel. On the worker's channels, only those of the holder of the
 /// worker's lock.
 #[derive(Debug)]
 pub(super) struct Inlet {
-    // Dropped in this order: port, factory, membership.
-    port: Kept<(Port, Factory)>,
+    // Dropped in this order: port, factory, membership. Frames may keep the port for longer.
+    lender: Rc<Lender<Port>>,
+    factory: Kept<Factory>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
     queued: usize,
@@ -88,9 +92,10 @@ impl Inlet {
         )?;
         // A failed connection is only counted, above.
         service::check_shortage()?;
-        let need = service::need(bus, &factory, None);
+        let need = service::need(&bus.member, &factory, None);
         Ok(Self {
-            port: Kept::new((subscriber, factory), need),
+            lender: lender(subscriber, &factory, &bus.member),
+            factory: Kept::new(factory, need),
             buffer: shape.buffer,
             queued: shape.buffer * shape.publishers,
             failures,
@@ -115,10 +120,6 @@ impl Inlet {
         self.worker.as_ref()
     }
 
-    pub(super) const fn member(&self) -> &Member {
-        &self.member
-    }
-
     /// A writer that dies while its connection is established leaves a failed connection, which is
     /// not an error: only one to a writer that is still there three seconds later is.
     pub(super) fn receive(&mut self) -> Result<Option<InFrame>, ReceiveError> {
@@ -126,14 +127,15 @@ impl Inlet {
         let mut passed_over = 0;
         loop {
             let received = self
+                .lender
                 .port
-                .0
                 .receive()
                 .map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?;
             if let Some(frame) = received {
                 let worker = self.worker.as_mut();
                 if worker.is_none_or(|worker| worker.admits(frame.origin().value())) {
-                    return Ok(Some(InFrame(DropsHere::new(frame))));
+                    let lender = Rc::clone(&self.lender);
+                    return Ok(Some(InFrame { sample: DropsHere::new(frame), _lender: lender }));
                 }
                 passed_over += 1;
                 // A process that sends without end must not block the reader.
@@ -152,7 +154,7 @@ impl Inlet {
     fn is_retry_due(&mut self) -> bool {
         let is_listed = || {
             self.failures.are_listed(|each| {
-                self.port.1.dynamic_config().list_publishers(|writer| {
+                self.factory.dynamic_config().list_publishers(|writer| {
                     each(writer.publisher_id.value());
                     CallbackProgression::Continue
                 });
@@ -162,22 +164,29 @@ impl Inlet {
     }
 
     /// iceoryx2 does not retry a failed connection. A new port does. The old one is empty, and is
-    /// kept if the new one fails to connect as well: it may have less.
+    /// kept if the new one fails to connect as well: it may have less. Frames that it has lent keep
+    /// it, and its place, until they are dropped.
     fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
         let before = self.failures.count();
-        let created = subscribe(&self.port.1, self.buffer, &self.failures);
+        let created = subscribe(&self.factory, self.buffer, &self.failures);
         let connections = self.failures.count();
         let is_whole = created.is_ok() && connections == before;
         self.repair.retried(connections, is_whole);
         if !is_whole {
             return Err(ReceiveError::Degraded { connections });
         }
-        self.port.0 =
+        let port =
             created.map_err(|reason| ReceiveError::Receive { reason: reason.to_string() })?;
+        self.lender = lender(port, &self.factory, &self.member);
         self.failures.forget();
         Ok(())
     }
+}
+
+fn lender(port: Port, factory: &Factory, member: &Rc<Membership>) -> Rc<Lender<Port>> {
+    let need = service::need(member, factory, None);
+    Rc::new(Lender::new(Kept::new(port, need), member))
 }
 
 fn subscribe(

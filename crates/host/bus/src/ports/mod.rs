@@ -19,7 +19,6 @@ mod wait;
 
 use self::channel::Received;
 pub use self::channel::{Loan, Reader, Writer};
-use self::inlet::Member;
 pub use self::inlet::ReceiveError;
 use self::noted::Noted;
 pub use self::outlet::{SendError, Sent};
@@ -27,7 +26,7 @@ use self::places::Open;
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::readiness::Readiness;
-pub use self::reading::{Frame, KeptFrame};
+pub use self::reading::Frame;
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};

@@ -86,7 +86,7 @@ impl Outlet {
             .map_err(|reason| OpenError::port(service, reason))?;
         service::check_shortage()?;
         memory::populate(&publisher.id().value().to_string());
-        let need = service::need(bus, &factory, Some(publisher.id().value()));
+        let need = service::need(&bus.member, &factory, Some(publisher.id().value()));
         Ok(Self {
             port: Kept::new((publisher, factory), need),
             max_len,

@@ -11,6 +11,7 @@ use joulebus_wire::{Flow, Service};
 use super::service::{self, OpenError};
 use crate::bus::OWN;
 use crate::ipc::Ipc;
+use crate::os::fork::ForkSection;
 use crate::{Bus, Limits, clock};
 
 /// Tries of two that come at once for the last place.
@@ -104,6 +105,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
     /// The holders of ports on `nodes`, but for those of `own`, each with name and pid.
     fn others(&self, own: &[&str], nodes: &[UniqueNodeId]) -> Vec<String> {
         let mut known = Vec::new();
+        let _section = ForkSection::enter();
         // What cannot be listed is nobody's own.
         let _ = Node::<Ipc>::list(&self.bus.member.config, |node| {
             let (id, details) = match &node {

@@ -35,7 +35,7 @@ use super::wait::{WaitError, Waiter, Waker};
 use super::{ReceiveError, SendError, Sent};
 use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept};
+use crate::liveness::kept::{DropsHere, Kept, Lender};
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
@@ -57,8 +57,9 @@ const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
 /// The worker's port for questions. A fleet has one.
 #[derive(Debug)]
 pub struct QueryServer {
-    // Dropped in this order: port, factory, membership.
-    port: Kept<ServerPort>,
+    // Dropped in this order: port with its factory, membership. Questions may keep the port for
+    // longer.
+    lender: Rc<Lender<ServerPort>>,
     asked: Waiter,
     answered: Waker,
     failures: Arc<Failures>,
@@ -70,9 +71,9 @@ pub struct QueryServer {
 /// A question that was received. Its client could still change it: copy it before checking it.
 #[derive(Debug)]
 pub struct OpenQuery {
+    // Dropped in this order.
     request: Request,
-    // Dropped after the request.
-    _member: Rc<Membership>,
+    _lender: Rc<Lender<ServerPort>>,
 }
 
 impl QueryServer {
@@ -98,11 +99,11 @@ impl QueryServer {
         service::check_shortage()?;
         let id = server.id().value();
         memory::populate(&id.to_string());
-        let need = service::need(bus, &factory, Some(id));
+        let need = service::need(&bus.member, &factory, Some(id));
         // Clients whose question the earlier port took send it again. Those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
-            port: Kept::new((server, factory), need),
+            lender: Rc::new(Lender::new(Kept::new((server, factory), need), &bus.member)),
             asked,
             answered,
             failures,
@@ -119,7 +120,7 @@ impl QueryServer {
     /// [`ReceiveError::Degraded`]: open the port again. After other errors the next call may work.
     pub fn receive(&mut self) -> Result<Option<OpenQuery>, ReceiveError> {
         self.member.presence.check()?;
-        let (server, factory) = &*self.port;
+        let (server, factory) = &*self.lender.port;
         let failed = self.failures.count();
         let is_listed = || {
             self.failures.are_listed(|each| {
@@ -142,7 +143,7 @@ impl QueryServer {
         };
         Ok(received.map(|request| OpenQuery {
             request: DropsHere::new(request),
-            _member: Rc::clone(&self.member),
+            _lender: Rc::clone(&self.lender),
         }))
     }
 
@@ -179,7 +180,7 @@ impl QueryServer {
     /// [`QueryServer::receive`], because it notices who has left.
     pub fn clients(&mut self) -> usize {
         let mut now = Vec::new();
-        self.port.1.dynamic_config().list_clients(|client| {
+        self.lender.port.1.dynamic_config().list_clients(|client| {
             now.push(client.client_id.value());
             CallbackProgression::Continue
         });
@@ -265,7 +266,7 @@ impl QueryClient {
         service::check_shortage()?;
         let id = client.id().value();
         memory::populate(&id.to_string());
-        let need = service::need(bus, &factory, Some(id));
+        let need = service::need(&bus.member, &factory, Some(id));
         Ok(Self {
             pending: None,
             port: Kept::new((client, factory), need),

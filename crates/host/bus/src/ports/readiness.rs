@@ -11,7 +11,7 @@ use crate::PeerWatch;
 
 /// A descriptor that is readable when events wait or a watched process is gone: an `epoll` of both,
 /// which can itself be polled. It belongs to any thread, and reports nothing after its waiter and
-/// watches are gone.
+/// watches are gone, also if a child made by `fork` has copies of their descriptors.
 #[derive(Debug, Clone)]
 pub struct Readiness {
     epoll: Arc<OwnedFd>,
@@ -33,7 +33,7 @@ impl Readiness {
     /// The operating system's.
     pub fn of(waiter: &Waiter) -> io::Result<Self> {
         let readiness = Self::new()?;
-        readiness.add(waiter.as_fd())?;
+        waiter.watchers.add(&readiness.epoll, waiter.as_fd())?;
         Ok(readiness)
     }
 
@@ -42,14 +42,7 @@ impl Readiness {
     /// # Errors
     /// The operating system's.
     pub fn watch(&self, peer: &PeerWatch) -> io::Result<()> {
-        self.add(peer.as_fd())
-    }
-
-    /// Closing a descriptor removes it again.
-    fn add(&self, descriptor: BorrowedFd<'_>) -> io::Result<()> {
-        let data = epoll::EventData::new_u64(0);
-        epoll::add(&self.epoll, descriptor, data, epoll::EventFlags::IN)?;
-        Ok(())
+        peer.watchers.add(&self.epoll, peer.as_fd())
     }
 }
 

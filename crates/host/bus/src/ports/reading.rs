@@ -1,11 +1,10 @@
 //! Handling of received frames by a reader. The simulator compiles this file too.
 
 use std::marker::PhantomData;
-use std::ops::Deref;
 
 use joulebus_wire::Channel;
 
-use super::{Member, Received};
+use super::Received;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::{Reader, ReceiveError};
 
@@ -86,12 +85,13 @@ impl<C: Channel> Reader<C> {
         Some((held.user_header(), held.payload()))
     }
 
-    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. A process can
-    /// keep two frames of forecasts beside the newest. With more, receiving is an error.
+    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer, also after the
+    /// reader. A process can keep two frames of forecasts beside the newest. With more, receiving
+    /// is an error. The frame keeps the reader's port, its place in the service and this process's
+    /// membership until it is dropped. Belongs to the reader's thread.
     #[must_use]
-    pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
-        let frame = self.held.take()?;
-        Some(KeptFrame { frame: Frame::new(frame), _member: self.member().clone() })
+    pub fn take_held(&mut self) -> Option<Frame<'static, C>> {
+        self.held.take().map(Frame::new)
     }
 
     /// Number of skipped frames on a service of the worker that another process has sent.
@@ -129,22 +129,5 @@ impl<C: Channel> Frame<'_, C> {
     #[must_use]
     pub fn payload(&self) -> &[C::Row] {
         self.frame.payload()
-    }
-}
-
-/// A [`Frame`] that is kept while this value lives, also after its reader. The process is a member
-/// of the domain as long. Belongs to the reader's thread.
-#[derive(Debug)]
-pub struct KeptFrame<C: Channel> {
-    // Dropped in this order.
-    frame: Frame<'static, C>,
-    _member: Member,
-}
-
-impl<C: Channel> Deref for KeptFrame<C> {
-    type Target = Frame<'static, C>;
-
-    fn deref(&self) -> &Self::Target {
-        &self.frame
     }
 }

@@ -27,7 +27,8 @@ use crate::cleanup::incomplete::{Abandoned, holders, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
 use crate::liveness::presence::Need;
-use crate::os::fork;
+use crate::membership::Membership;
+use crate::os::fork::ForkSection;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
@@ -186,7 +187,7 @@ fn retry<S, E: Debug>(
     let mut abandoned = Abandoned::default();
     loop {
         // A child has what a thread has locked, and keeps it locked if this process is killed.
-        let section = fork::enter();
+        let section = ForkSection::enter();
         let error = match open() {
             Err(error) if is_transient(&error) => error,
             result => return result,
@@ -223,6 +224,11 @@ pub(super) fn create<P, E>(
     is_full: impl Fn(&E) -> bool,
 ) -> Result<P, E> {
     let limit_ns = clock::monotonic_ns() + OPEN_TIMEOUT_NS;
+    // A port that fails may be the last of its service.
+    let port = || {
+        let _section = ForkSection::enter();
+        port()
+    };
     loop {
         match port() {
             Err(error) if is_full(&error) => {}
@@ -319,8 +325,12 @@ pub(super) fn check_shortage() -> Result<(), CapacityError> {
 
 /// Files that other processes need of a service that this process has open, and of its own port
 /// there, if any.
-pub(super) fn need(bus: &Bus, factory: &impl PortFactoryOfAny, port: Option<u128>) -> Need {
-    let domain = bus.domain();
+pub(super) fn need(
+    member: &Membership,
+    factory: &impl PortFactoryOfAny,
+    port: Option<u128>,
+) -> Need {
+    let domain = &member.domain;
     let mut paths = named(domain, factory.service_hash().as_str(), &[".service"]);
     let service = factory.unique_service_id().value().to_string();
     paths.extend(named(domain, &service, &[".dynamic"]));
@@ -328,7 +338,7 @@ pub(super) fn need(bus: &Bus, factory: &impl PortFactoryOfAny, port: Option<u128
         let suffixes = [".data", ".event", ".event_mgmt"];
         paths.extend(named(domain, &port.to_string(), &suffixes));
     }
-    bus.member.presence.need(paths)
+    member.presence.need(paths)
 }
 
 fn name(bus: &Bus, service: Service) -> Result<ServiceName, OpenError> {

@@ -19,6 +19,7 @@ use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::membership::Membership;
+use crate::os::watchers::Watchers;
 use crate::{Bus, FilesRemoved, Limits, PeerWatch, clock};
 
 /// Maximum duration of a sleep. A notification that races with the emptying of the listener can
@@ -53,7 +54,7 @@ impl Waker {
         let notifier = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         Ok(Self {
-            notifier: Kept::new(notifier, need(bus, &factory, None)),
+            notifier: Kept::new(notifier, need(&bus.member, &factory, None)),
             _member: Rc::clone(&bus.member),
         })
     }
@@ -115,6 +116,7 @@ impl Woken {
 /// Waits for a service's events.
 #[derive(Debug)]
 pub struct Waiter {
+    pub(super) watchers: Watchers,
     listener: Kept<Listener<Ipc>>,
     // Dropped after the port.
     member: Rc<Membership>,
@@ -142,8 +144,12 @@ impl Waiter {
             || factory.listener_builder().create(),
             ListenerCreateError::ExceedsMaxSupportedListeners,
         )?;
-        let need = need(bus, &factory, Some(listener.id().value()));
-        Ok(Self { listener: Kept::new(listener, need), member: Rc::clone(&bus.member) })
+        let need = need(&bus.member, &factory, Some(listener.id().value()));
+        Ok(Self {
+            watchers: Watchers::default(),
+            listener: Kept::new(listener, need),
+            member: Rc::clone(&bus.member),
+        })
     }
 
     /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
@@ -214,6 +220,12 @@ impl AsFd for Waiter {
         // SAFETY: the descriptor is open as long as the listener lives, and the borrow ends with
         // that of `self`. It is neither closed nor kept.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
+    }
+}
+
+impl Drop for Waiter {
+    fn drop(&mut self) {
+        self.watchers.remove(self.as_fd());
     }
 }
 

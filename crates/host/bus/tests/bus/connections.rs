@@ -116,3 +116,24 @@ fn a_start_with_few_file_descriptors_is_an_error_that_states_it_and_leaves_nothi
     }
     assert!(started);
 }
+
+#[test]
+fn a_held_frame_keeps_its_bytes_when_its_reader_connects_anew() {
+    let place = Place::new();
+    let mut worker = place.joined("worker");
+    let mut planner = place.joined("planner");
+    must(&mut worker, "tick 1");
+    assert_eq!(must(&mut planner, "hold"), "true");
+    must(&mut planner, "files 0");
+    // A second writer, to which it cannot connect.
+    let mut impostor = place.joined("impostor");
+    eventually("it is an error", || planner.ask("count").contains("connections to writers failed"));
+    must(&mut planner, "files 1000");
+    eventually("it is connected to it", || {
+        must(&mut impostor, "tick 1");
+        let _ = planner.ask("count");
+        must(&mut planner, "foreign") != "0"
+    });
+    must(&mut worker, "tick 40");
+    assert_eq!(must(&mut planner, "held"), "true");
+}

@@ -147,6 +147,8 @@ struct Ports {
     recorded: Option<(Writer<Ticks>, Writer<State>)>,
     wake: Option<Waker>,
     forecast_reader: Option<Reader<Forecasts>>,
+    /// Bytes of the frame that the reader holds, as they were when it began to.
+    held: Vec<u8>,
     diagnostic_reader: Option<Reader<Diagnostics>>,
     budget_reader: Option<Reader<Budgets>>,
     planner: Option<Waiter>,
@@ -173,6 +175,7 @@ impl Ports {
             recorded: None,
             wake: None,
             forecast_reader: None,
+            held: Vec::new(),
             diagnostic_reader: None,
             budget_reader: None,
             planner: None,
@@ -216,6 +219,9 @@ impl Ports {
             "tick" => self.tick(number),
             "latest" => self.latest(),
             "count" => self.count(),
+            "hold" => self.hold(),
+            "held" => Ok((self.held_bytes()? == self.held).to_string()),
+            "foreign" => Ok(self.forecast_reader.as_ref().ok_or("no port")?.foreign().to_string()),
             "wait" => self.wait(),
             "lock" => {
                 self.worker_lock = Some(WorkerLock::acquire(&self.domain)?);
@@ -372,6 +378,20 @@ impl Ports {
             ticks.push(frame.header().tick);
         }
         Ok(format!("{ticks:?}"))
+    }
+
+    /// Holds the newest forecasts from now on.
+    fn hold(&mut self) -> Answer {
+        let reader = self.forecast_reader.as_mut().ok_or("no port")?;
+        let is_held = reader.hold_latest(|_, _, _| true)?;
+        self.held = self.held_bytes()?;
+        Ok(is_held.to_string())
+    }
+
+    fn held_bytes(&self) -> Result<Vec<u8>, &'static str> {
+        let reader = self.forecast_reader.as_ref().ok_or("no port")?;
+        let (header, rows) = reader.held().ok_or("nothing is held")?;
+        Ok([bytemuck::bytes_of(header), bytemuck::cast_slice(rows)].concat())
     }
 
     /// Waits until an event.

@@ -6,6 +6,7 @@ mod connections;
 mod harness;
 mod logging;
 mod processes;
+mod readiness;
 mod reading;
 mod root;
 
