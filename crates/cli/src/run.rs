@@ -66,6 +66,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
     worker.take_normals_from(normals);
+    worker.needs(alarms.watch());
+    if let Some(thread) = questions.watch() {
+        worker.needs(thread);
+    }
     if args.standby {
         let waits = format!(
             "standing by: {}. It serves when the link of this host permits it",

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::slice;
 
-use joulebus_bus::{KeptFrame, clock};
+use joulebus_bus::{Frame as Borrowed, clock};
 use joulebus_wire::{Channel, Forecast, ForecastHeader, Forecasts};
 
 use crate::Arrival;
@@ -75,7 +75,8 @@ impl<'a, C: Channel> Frame<'a, C> {
 }
 
 /// A frame of forecasts that is kept beyond the next call ([`crate::Subscriber::take_current`]).
-/// Belongs to the planner's thread, and may outlive the planner.
+/// Belongs to the planner's thread, and may outlive the planner: its rows stay as they are until it
+/// is dropped. A planner that was dropped before keeps its place among the `max_planners` as long.
 ///
 /// ```no_run
 /// # fn example(subscriber: &mut joulebus_consumer::Subscriber) {
@@ -85,7 +86,7 @@ impl<'a, C: Channel> Frame<'a, C> {
 /// # }
 /// ```
 #[derive(Debug)]
-pub struct KeptForecasts(pub(crate) KeptFrame<Forecasts>);
+pub struct KeptForecasts(pub(crate) Borrowed<'static, Forecasts>);
 
 impl KeptForecasts {
     /// The frame's header.

@@ -281,7 +281,8 @@ impl Subscriber {
 
     /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in
     /// shared memory beyond the next call. There is no current one then until a newer frame
-    /// arrives. Two may be kept: with more, reading is an error until one is dropped.
+    /// arrives. Two may be kept: with more, reading is an error until one is dropped. A subscriber
+    /// that is dropped before keeps its place (`readers.max_planners`) until its frames are dropped.
     #[must_use]
     pub fn take_current(&mut self) -> Option<KeptForecasts> {
         self.reader.take_held().map(KeptForecasts)

@@ -17,6 +17,8 @@ use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
 
+/// The thread's name.
+pub(crate) const THREAD: &str = "joulebus-checkpointer";
 /// Maximum sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
 /// Polling interval for a keyframe being sent, ns.
@@ -62,7 +64,7 @@ pub(crate) fn start(
     orders: KeyframeOrders,
 ) -> Result<Background, CheckpointerError> {
     let (domain, config) = (domain.clone(), config.clone());
-    Background::start("joulebus-checkpointer", move || {
+    Background::start(THREAD, move || {
         Checkpointer::open(&domain, &config, before, (failures, errors), orders)
     })
 }

@@ -1,10 +1,10 @@
 //! The default location of a fleet's ledger.
 
 use std::ffi::OsString;
-use std::fs;
 use std::path::PathBuf;
 
 use joulebus_config::{Checkpoint, Config};
+use joulebus_files::disk;
 use joulebus_wire::fnv1a;
 
 /// The file of the fleet's ledger. Warns if batteries will not survive the worker.
@@ -50,7 +50,7 @@ fn state_directory(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBu
         let directory = base.join(below);
         // A user's home is not made: root could, for users that have none.
         let there = if name == "HOME" { base.metadata().map(|_| ()) } else { Ok(()) };
-        let made = there.and_then(|()| fs::create_dir_all(&directory));
+        let made = there.and_then(|()| disk::create_dir_all(&directory));
         return made.map(|()| directory).map_err(|error| format!("${name} is {base:?}: {error}"));
     }
     Err("none of $STATE_DIRECTORY, $XDG_STATE_HOME and $HOME names a directory".to_owned())
@@ -64,6 +64,8 @@ fn file_name(config: &Config) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

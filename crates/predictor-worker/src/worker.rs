@@ -2,14 +2,14 @@
 
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use std::sync::mpsc::Receiver;
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
     Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader,
-    SchedulingError, WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity, clock,
-    process_id, schedule_process, set_timer_slack, touch_own_memory,
+    SchedulingError, ThreadWatch, WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity,
+    clock, process_id, schedule_process, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
@@ -17,7 +17,7 @@ use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::SentErrors;
-use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
+use crate::checkpointer::{self, CheckpointerError, Failures, THREAD as CHECKPOINTER, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
@@ -71,6 +71,8 @@ pub struct Worker {
     standby: Option<Standby>,
     /// Robots whose power is their new normal.
     normals: Option<Receiver<u32>>,
+    /// Threads of others whose end ends the run.
+    needed: Vec<ThreadWatch>,
 }
 
 /// State of a worker that needs a permit.
@@ -142,6 +144,16 @@ pub enum RunError {
     /// The thread that reads the permit could not be started.
     #[error("the thread that reads the permit cannot start: {0}")]
     Renewal(io::Error),
+    /// A thread that the worker needs has ended.
+    #[error(
+        "the thread {name} has ended, which is a defect of joulebus: please report it with the log. \
+         This worker ends, so that the next one has all its threads: start it, or let a \
+         supervisor do that"
+    )]
+    Thread {
+        /// Its name.
+        name: String,
+    },
 }
 
 impl Worker {
@@ -270,6 +282,7 @@ impl Worker {
             current_permit,
             standby: None,
             normals: None,
+            needed: Vec::new(),
         })
     }
 
@@ -302,6 +315,9 @@ impl Worker {
         let places = standby.places.clone();
         self.turns.fetch_add(1, Ordering::Relaxed);
         self.bus.check()?;
+        if let Some(name) = self.ended_thread() {
+            return Err(RunError::Thread { name });
+        }
         self.hold(&mut following, &places);
         let now_ns = clock::monotonic_ns();
         let mut until_ns = look_ns;
@@ -400,6 +416,12 @@ impl Worker {
         self.turns = turns;
     }
 
+    /// From now on the run ends if this thread does. Of its own threads the worker sees that
+    /// anyway.
+    pub fn needs(&mut self, thread: ThreadWatch) {
+        self.needed.push(thread);
+    }
+
     /// Takes robots from there whose power a person acknowledged as their new normal: see
     /// [`Fleet::take_as_normal`]. The channel's bound is how many wait for a tick at most.
     pub fn take_normals_from(&mut self, normals: Receiver<u32>) {
@@ -411,7 +433,7 @@ impl Worker {
     /// process until [`Worker::finish`].
     ///
     /// # Errors
-    /// [`RunError`]: waiting failed.
+    /// [`RunError`]: waiting failed, files were removed, the permit is over, or a thread has ended.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), RunError> {
         if let Err(error) = set_timer_slack() {
             tracing::warn!(%error, "ticks may start 50 µs late");
@@ -437,10 +459,16 @@ impl Worker {
     pub fn poll(&mut self) -> Result<bool, RunError> {
         self.turns.fetch_add(1, Ordering::Relaxed);
         self.bus.check()?;
+        // Looked at before the permit: the thread that reads it ends with it.
+        let ended = self.ended_thread();
+        fence(Ordering::Acquire);
         self.drain();
         let now_ns = clock::monotonic_ns();
         if !self.current_permit.holds(clock::boot_ns()) {
             return Err(self.current_permit.over().into());
+        }
+        if let Some(name) = ended {
+            return Err(RunError::Thread { name });
         }
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);
         match self.schedule.next(now_ns, taken_ns, self.fleet.complete(now_ns)) {
@@ -459,12 +487,24 @@ impl Worker {
         }
     }
 
+    /// A thread without which the run must not go on, and which has ended. Neither allocates nor
+    /// locks unless there is one.
+    fn ended_thread(&self) -> Option<String> {
+        let renewal = self.standby.as_ref().and_then(|standby| standby.renewal.as_ref());
+        let own = [(Some(&self.checkpointer), CHECKPOINTER), (renewal, watch::THREAD)];
+        let own = own.iter().find(|(thread, _)| thread.is_some_and(Background::has_ended));
+        let needed = || self.needed.iter().find(|thread| thread.has_ended()).map(ThreadWatch::name);
+        let ended = own.map(|(_, name)| *name).or_else(|| self.bus.ended_thread()).or_else(needed);
+        ended.map(str::to_owned)
+    }
+
     /// Sends planners the end event, saves the ledger, and leaves the domain.
     #[must_use]
     pub fn finish(mut self) -> Report {
         self.outbox.end();
         if let Err(error) = self.checkpointer.finish() {
-            tracing::error!("{error}");
+            self.failures.unsaved.store(true, Ordering::Relaxed);
+            tracing::error!("{error}: the ledger was not saved");
         }
         self.leave_state();
         self.report()
@@ -572,6 +612,80 @@ impl Worker {
             samples_accepted: self.fleet.accepted(),
             samples_dropped: self.fleet.drops(),
             ..self.header
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use joulebus_bus::Steps;
+
+    use super::*;
+
+    /// Work that panics, as a defect would make it.
+    struct Panics;
+
+    impl Steps for Panics {
+        fn step(&mut self, _: bool) -> Option<Duration> {
+            panic!("a defect")
+        }
+    }
+
+    const PANICS: &str = "joulebus-panics";
+
+    fn panicking() -> Background {
+        Background::start(PANICS, || Ok::<_, io::Error>(Panics)).unwrap()
+    }
+
+    fn config(root: &std::path::Path) -> Config {
+        let text = format!(
+            "[fleet]\nname = \"threads\"\ncapacity = 2\n[domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
+             [ledger]\ncheckpoint = \"\"\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [1, 2]\n",
+            root.display()
+        );
+        Config::parse(&text, &root.join("nowhere")).unwrap()
+    }
+
+    #[test]
+    fn the_end_of_a_thread_ends_the_run_with_its_name_and_planners_are_told() {
+        let replace: [(&str, fn(&mut Worker, &Config)); 3] = [
+            (CHECKPOINTER, |worker, _| worker.checkpointer = panicking()),
+            (watch::THREAD, |worker, config| {
+                worker.standby = Some(Standby {
+                    places: Places::new(config),
+                    follows: None,
+                    renewal: Some(panicking()),
+                });
+            }),
+            (PANICS, |worker, _| {
+                let thread = panicking();
+                worker.needs(thread.watch());
+                thread.detach();
+            }),
+        ];
+        for (number, (name, replace)) in replace.into_iter().enumerate() {
+            let process = std::process::id();
+            let root = format!("/dev/shm/joulebus-test-threads-{process}-{number}");
+            let root = std::path::PathBuf::from(root);
+            let config = config(&root);
+            let domain = config.domain().unwrap();
+            let mut worker = Worker::open(&config).unwrap();
+            let bus = Bus::join(&domain, "planner").unwrap();
+            let mut waiter = bus.planner_waiter(&config.limits()).unwrap();
+            replace(&mut worker, &config);
+            match worker.run(&AtomicBool::new(false)) {
+                Err(RunError::Thread { name: found }) => assert_eq!(found, name),
+                other => panic!("{name}: {other:?}"),
+            }
+            while !waiter.wait_until(None, None).unwrap().ended {}
+            // Nothing is lost where nothing else is to be saved.
+            assert_eq!(worker.finish().ledger_unsaved, name == CHECKPOINTER, "{name}");
+            drop((waiter, bus));
+            let _ = std::fs::remove_dir(&root);
+            assert!(!root.exists(), "{root:?}");
         }
     }
 }

@@ -138,6 +138,10 @@ impl Steps for Drain {
             self.shared.fail(error.to_string());
             return None;
         }
+        if let Some(name) = self.bus.ended_thread() {
+            self.shared.fail(format!("the thread {name} has ended, which is a defect of joulebus"));
+            return None;
+        }
         (!last).then_some(self.look_every)
     }
 }

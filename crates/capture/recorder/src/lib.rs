@@ -156,10 +156,11 @@ impl Recorder {
         self.shared.write_down.store(true, Ordering::Relaxed);
     }
 
-    /// True if it has stopped because the file could not be written.
+    /// True if it has stopped because the file could not be written, or because a thread has ended.
     #[must_use]
     pub fn is_over(&self) -> bool {
-        self.shared.over.load(Ordering::Relaxed)
+        let mut threads = [&self.drain, &self.writer].into_iter().flatten();
+        self.shared.over.load(Ordering::Relaxed) || threads.any(Background::has_ended)
     }
 
     /// The summary so far.
@@ -208,11 +209,12 @@ impl Recorder {
 
     fn stop(&mut self) {
         if let Some(Err(error)) = self.drain.as_mut().map(Background::finish) {
-            tracing::error!("{error}");
+            // What was drained before is written.
+            self.shared.note_failure(error.to_string());
         }
         for stream in self.streams.drain(..) {
             if stream.join().is_err() {
-                tracing::error!("a thread of the recorder panicked");
+                self.shared.note_failure("a thread of the recorder panicked".to_owned());
             }
         }
         if let Some(Err(error)) = self.writer.as_mut().map(Background::finish) {
@@ -316,4 +318,33 @@ fn pass_on(stream: impl Read, clock: Clock, shared: &Shared) -> Result<(), ReadE
         });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Panics;
+
+    impl Steps for Panics {
+        fn step(&mut self, _: bool) -> Option<Duration> {
+            panic!("a defect")
+        }
+    }
+
+    #[test]
+    fn a_recording_is_over_when_one_of_its_threads_has_ended_and_its_summary_states_it() {
+        for is_drain in [true, false] {
+            let thread = Background::start("joulebus-panics", || Ok::<_, StartError>(Panics));
+            let (mut drain, mut writer) = (None, None);
+            *(if is_drain { &mut drain } else { &mut writer }) = Some(thread.unwrap());
+            let shared = Arc::new(Shared::new(&Options::default()));
+            let recorder = Recorder { shared, drain, streams: Vec::new(), writer };
+            while !recorder.is_over() {
+                std::thread::sleep(WRITE_EVERY);
+            }
+            let failure = recorder.finish().failure.unwrap();
+            assert!(failure.contains("joulebus-panics panicked"), "{failure}");
+        }
+    }
 }

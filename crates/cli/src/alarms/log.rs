@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use joulebus_bus::{Background, Steps};
+use joulebus_bus::{Background, Steps, ThreadWatch};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
@@ -66,6 +66,11 @@ impl AlarmLog {
     /// Opens the diagnostics, once the worker holds the fleet's lock.
     pub(crate) fn open(&self) {
         self.may_open.store(true, Ordering::Relaxed);
+    }
+
+    /// Tells whether the thread has ended.
+    pub(crate) fn watch(&self) -> ThreadWatch {
+        self.thread.watch()
     }
 
     /// Logs what the worker has sent so far, and ends the thread.

@@ -120,6 +120,13 @@ impl Bus {
         self.member.presence.check()
     }
 
+    /// Name of the thread that checks the files and removes those of dead processes, once it has
+    /// ended: because files were removed ([`Bus::check`] states it), or by a defect.
+    #[must_use]
+    pub fn ended_thread(&self) -> Option<&'static str> {
+        self.member.cleanup.ended()
+    }
+
     /// From now on the file of `lock` is checked as well.
     pub fn needs_lock(&mut self, lock: &WorkerLock) {
         self.lock_need = Some(self.member.presence.need([lock.path()]));

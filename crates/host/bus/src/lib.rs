@@ -81,7 +81,7 @@ pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
 pub use os::apart::ThreadsApart;
-pub use os::background::{Background, Panicked, Rounds, Running, Steps};
+pub use os::background::{Background, Panicked, Rounds, Running, Steps, ThreadWatch, make_calls};
 pub use os::clock;
 pub use os::fork::ForkSection;
 pub use os::memory::touch_own_memory;

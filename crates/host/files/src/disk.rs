@@ -4,9 +4,9 @@
 
 use std::io;
 use std::os::unix::fs::MetadataExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-pub use std::fs::{File, create_dir_all, remove_file, rename};
+pub use std::fs::{File, remove_file, rename};
 
 /// True if there is something of that name, also a link that leads nowhere.
 #[must_use]
@@ -26,6 +26,30 @@ pub fn is_file(path: &Path) -> bool {
 /// The system's error.
 pub fn sync_directory(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
+}
+
+/// Creates a directory with its missing parents, and writes the name of each to the disk: without
+/// that a power failure may undo a whole directory, whatever was synced in it.
+///
+/// # Errors
+/// The system's error.
+pub fn create_dir_all(path: impl AsRef<Path>) -> io::Result<()> {
+    create_synced(path.as_ref(), |parent| match sync_directory(parent) {
+        // It may be written and not read, so it cannot be synced.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
+        synced => synced,
+    })
+}
+
+fn create_synced(path: &Path, mut sync: impl FnMut(&Path) -> io::Result<()>) -> io::Result<()> {
+    let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.is_dir();
+    let missing: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
+    std::fs::create_dir_all(path)?;
+    for made in missing {
+        let parent = made.parent().filter(|parent| !parent.as_os_str().is_empty());
+        sync(parent.unwrap_or(Path::new(".")))?;
+    }
+    Ok(())
 }
 
 /// Identity of a file, whatever its name: device and inode.
@@ -70,4 +94,34 @@ pub type Version = (u64, i64, i64);
 pub fn version(path: &Path) -> io::Result<Version> {
     std::fs::metadata(path)
         .map(|metadata| (metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_parent_of_each_new_directory_is_synced_and_of_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for (made, expected) in [
+            ("a/b/c", vec![at("a/b"), at("a"), at("")]),
+            ("a/b/c", vec![]),
+            ("a/b/d/", vec![at("a/b")]),
+        ] {
+            let mut synced = Vec::new();
+            let note = |path: &Path| {
+                synced.push(path.to_owned());
+                Ok(())
+            };
+            create_synced(&at(made), note).unwrap();
+            assert!(at(made).is_dir());
+            assert_eq!(synced, expected, "{made}");
+        }
+        let failing = |_: &Path| Err(io::ErrorKind::StorageFull.into());
+        assert!(create_synced(&at("e"), failing).is_err());
+        create_dir_all(at("f/g")).unwrap();
+        std::fs::write(at("file"), "").unwrap();
+        assert!(create_dir_all(at("file/h")).is_err());
+    }
 }

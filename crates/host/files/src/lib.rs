@@ -124,7 +124,10 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// # Errors
 /// As of [`open`]. [`Refused::TooLong`].
 pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
-    let file = open(path)?;
+    read_opened(open(path)?, max_bytes)
+}
+
+fn read_opened(file: File, max_bytes: u64) -> io::Result<Vec<u8>> {
     let allowed = |found: u64| match found > max_bytes {
         true => Err(Refused::TooLong { found, allowed: max_bytes }),
         false => Ok(()),
@@ -142,7 +145,11 @@ pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As of [`read`]. The text is not UTF-8.
 pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
-    String::from_utf8(read(path, max_bytes)?)
+    text(read(path, max_bytes)?)
+}
+
+fn text(bytes: Vec<u8>) -> io::Result<String> {
+    String::from_utf8(bytes)
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
@@ -151,11 +158,13 @@ pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
 /// # Errors
 /// Those of [`read_to_string`], and [`Refused::Readable`].
 pub fn read_secret(path: &Path, max_bytes: u64) -> io::Result<String> {
-    let mode = look(path)?.permissions().mode() & 0o777;
+    let file = open(path)?;
+    // Of what is read: the path may refer to another file by now.
+    let mode = file.metadata()?.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
         return Err(Refused::Readable { mode }.into());
     }
-    read_to_string(path, max_bytes)
+    text(read_opened(file, max_bytes)?)
 }
 
 /// The first line of a file that only its owner can read, such as a password.

@@ -148,6 +148,8 @@ impl Draft {
 
     /// Gives the file its name, and replaces the file that has it.
     fn rename(mut self, path: &Path) -> io::Result<()> {
+        // A power failure must not leave a part of it in the place of the file before.
+        self.file.sync_all()?;
         let hidden = match self.hidden.take() {
             Some(hidden) => hidden,
             None => beside(path, |hidden| self.name(hidden))?.1,

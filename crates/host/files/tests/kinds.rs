@@ -7,6 +7,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::fs::symlink;
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::fs::{CWD, FileType, Mode, OFlags, fcntl_getfl, mknodat};
 
@@ -90,4 +91,31 @@ fn only_the_first_line_of_a_file_of_its_owner_alone_is_read() {
     fs::write(&path, "\n").unwrap();
     assert!(joulebus_files::read_secret_line(&path).is_err());
     assert!(joulebus_files::read_secret_line(folder.path()).is_err());
+}
+
+#[test]
+fn a_secret_is_what_was_checked_although_its_path_leads_elsewhere_meanwhile() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for (name, mode) in [("secret", 0o600), ("public", 0o644)] {
+        fs::write(at(name), name).unwrap();
+        fs::set_permissions(at(name), fs::Permissions::from_mode(mode)).unwrap();
+    }
+    symlink(at("secret"), at("path")).unwrap();
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for name in ["public", "secret"].iter().cycle() {
+                symlink(at(name), at("next")).unwrap();
+                fs::rename(at("next"), at("path")).unwrap();
+                if is_over.load(Ordering::Relaxed) {
+                    break;
+                }
+            }
+        });
+        let read: Vec<_> =
+            (0..20_000).map(|_| joulebus_files::read_secret_line(&at("path"))).collect();
+        is_over.store(true, Ordering::Relaxed);
+        assert!(read.iter().flatten().all(|text| text == "secret"));
+    });
 }

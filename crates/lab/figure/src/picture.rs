@@ -1,6 +1,6 @@
 //! Rasterisation of a figure.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
@@ -27,7 +27,11 @@ fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
     if !(0.5..=8.0).contains(&scale) {
         return Err(failed(format!("scale {scale}, allowed: 0.5 to 8")));
     }
-    let options = Options { fontdb: fonts(), font_family: FAMILY.to_owned(), ..Options::default() };
+    let options = Options {
+        fontdb: FONTS.with(Arc::clone),
+        font_family: FAMILY.to_owned(),
+        ..Options::default()
+    };
     let tree =
         Tree::from_str(&figure.svg()?, &options).map_err(|error| failed(error.to_string()))?;
     let size = tree.size();
@@ -38,14 +42,13 @@ fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
     pixels.encode_png().map_err(|error| failed(error.to_string()))
 }
 
-/// The font of all figures.
-fn fonts() -> Arc<fontdb::Database> {
-    static FONTS: OnceLock<Arc<fontdb::Database>> = OnceLock::new();
-    let made = FONTS.get_or_init(|| {
+thread_local! {
+    /// The font of all figures. Not of all threads: a child made by `fork` could find the lock
+    /// taken for ever.
+    static FONTS: Arc<fontdb::Database> = {
         let mut fonts = fontdb::Database::new();
         fonts.load_font_data(FONT.to_vec());
         fonts.set_sans_serif_family(FAMILY);
         Arc::new(fonts)
-    });
-    Arc::clone(made)
+    };
 }

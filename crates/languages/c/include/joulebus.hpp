@@ -383,8 +383,9 @@ struct TimedOut {};
 using Event = std::variant<TimedOut, Forecasts, Gone, Stale, Interrupted>;
 
 /** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is.
- *  Belongs to its planner's thread. Its rows cannot be taken from a temporary one, which gives the
- *  frame back at once. */
+ *  Its rows stay as they are, also after the subscriber is closed, which then keeps its place
+ *  (readers.max_planners) until this is closed. Belongs to its planner's thread. Its rows cannot be
+ *  taken from a temporary one, which gives the frame back at once. */
 class KeptForecasts {
 public:
     KeptForecasts(joulebus_frame *raw, const joulebus_forecasts &frame) noexcept : handle_(raw), frame_(frame) {}

@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use joulebus_bus::ForkSection;
 use joulebus_wire::{FieldLayout, FieldType, layouts};
 
 /// Name, type and offset of each field, and the size of the whole.
@@ -22,7 +23,10 @@ pub(crate) fn layout(name: &str) -> Option<Layout> {
 /// The layout of a forecast: asked for with every frame.
 pub(crate) fn forecast() -> &'static Layout {
     static FORECAST: OnceLock<Layout> = OnceLock::new();
-    FORECAST.get_or_init(|| layout("Forecast").unwrap_or_default())
+    FORECAST.get().unwrap_or_else(|| {
+        let _section = ForkSection::enter();
+        FORECAST.get_or_init(|| layout("Forecast").unwrap_or_default())
+    })
 }
 
 /// The type of a field, as NumPy writes it.

@@ -30,7 +30,6 @@ type Rows = PyResult<Option<(u64, Vec<u8>)>>;
 
 /// The state of the thread.
 pub(crate) struct State {
-    // Dropped first: the frames only keep their memory.
     ports: Option<Open>,
     frames: HashMap<u64, KeptForecasts>,
     next: u64,

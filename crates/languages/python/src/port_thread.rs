@@ -5,9 +5,9 @@ use std::fmt;
 use std::process;
 use std::sync::mpsc::{Sender, channel, sync_channel};
 
-use joulebus_bus::Background;
-use pyo3::PyResult;
+use joulebus_bus::{Background, make_calls};
 use pyo3::exceptions::PyRuntimeError;
+use pyo3::{PyErr, PyResult};
 
 use crate::error::ConnectError;
 
@@ -30,9 +30,10 @@ impl<S: 'static> PortThread<S> {
     ) -> PyResult<Self> {
         let (calls, queue) = channel::<Call<S>>();
         let (thread, ()) = Background::run("joulebus-ports", move |thread| {
-            let mut ports = open().map_err(ConnectError::new_err)?;
+            let ports = open().map_err(ConnectError::new_err)?;
             thread.joined(());
-            queue.into_iter().for_each(|call| call(&mut ports));
+            // Arrays refer to frames of the ports: after a panic these stay until the process ends.
+            make_calls(ports, queue);
             PyResult::Ok(())
         })?;
         // It ends with the last handle.
@@ -50,13 +51,13 @@ impl<S: 'static> PortThread<S> {
         // The asking thread waits for it.
         let call: Call<S> = Box::new(move |ports| answer.send(call(ports)).unwrap_or(()));
         self.send(call)?;
-        result.recv().map_err(|_| PyRuntimeError::new_err("the thread of the ports has ended"))
+        result.recv().map_err(|_| ended())
     }
 
     /// Has the thread run `call` later, without waiting.
     pub(crate) fn post(&self, call: impl FnOnce(&mut S) + Send + 'static) {
         if self.pid == process::id() {
-            // A thread that has ended has dropped its ports.
+            // A thread that has ended needs nothing more.
             let _ = self.send(Box::new(call));
         }
     }
@@ -79,9 +80,15 @@ impl<S: 'static> PortThread<S> {
 
     fn send(&self, call: Call<S>) -> PyResult<()> {
         let sent = self.calls.as_ref().is_some_and(|calls| calls.send(call).is_ok());
-        sent.then_some(())
-            .ok_or_else(|| PyRuntimeError::new_err("the thread of the ports has ended"))
+        sent.then_some(()).ok_or_else(ended)
     }
+}
+
+fn ended() -> PyErr {
+    PyRuntimeError::new_err(
+        "the thread of the ports has ended, which is a defect of joulebus: please report it. \
+         Arrays of frames stay valid. Connect anew",
+    )
 }
 
 impl<S> fmt::Debug for PortThread<S> {

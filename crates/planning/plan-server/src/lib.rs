@@ -56,7 +56,7 @@ use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use joulebus_bus::{Background, Steps, clock, yield_to_the_worker};
+use joulebus_bus::{Background, Steps, ThreadWatch, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_models::{ModelsError, load_models};
 use joulebus_plan::Fleet;
@@ -156,6 +156,13 @@ impl PlanServer {
         while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
             std::thread::sleep(POLL_INTERVAL);
         }
+    }
+
+    /// Tells whether the thread has ended, for a worker that must not go on without it. `None` if
+    /// the config turns questions off.
+    #[must_use]
+    pub fn watch(&self) -> Option<ThreadWatch> {
+        self.thread.as_ref().map(Background::watch)
     }
 
     /// Refuses the questions that wait, and ends the thread, within 100 ms.

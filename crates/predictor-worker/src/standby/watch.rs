@@ -8,6 +8,8 @@ use std::time::Duration;
 use joulebus_bus::{Background, Steps};
 use joulebus_standby::{Permit, PermitError};
 
+/// The thread's name.
+pub(crate) const THREAD: &str = "joulebus-permit";
 /// Interval of reading the permit's file.
 pub(crate) const READ_EVERY: Duration = Duration::from_millis(50);
 
@@ -88,7 +90,7 @@ pub(crate) fn start(
     current_permit.begin(first);
     let mut renewal = Renewal { path, current_permit, is_logged: false };
     renewal.step(false);
-    Background::start("joulebus-permit", move || Ok::<_, std::io::Error>(renewal))
+    Background::start(THREAD, move || Ok::<_, std::io::Error>(renewal))
 }
 
 impl Steps for Renewal {

@@ -62,7 +62,28 @@ impl<T: 'static, E: From<io::Error> + 'static> Background<Result<T, E>> {
     }
 }
 
+/// Threads end only while somebody waits for them.
+#[derive(Debug, Clone)]
+pub struct ThreadWatch;
+
+impl ThreadWatch {
+    /// None is reported.
+    pub const fn name(&self) -> &str {
+        ""
+    }
+
+    /// It has not.
+    pub const fn has_ended(&self) -> bool {
+        false
+    }
+}
+
 impl<T> Background<T> {
+    /// Tells others whether the thread has ended.
+    pub const fn watch(&self) -> ThreadWatch {
+        ThreadWatch
+    }
+
     /// True if the thread has ended by itself.
     #[must_use]
     pub fn has_ended(&self) -> bool {

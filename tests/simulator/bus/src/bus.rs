@@ -42,6 +42,11 @@ impl Bus {
         Err(FilesRemoved { path: self.domain.worker_file() })
     }
 
+    /// No thread cleans up.
+    pub const fn ended_thread(&self) -> Option<&'static str> {
+        None
+    }
+
     /// The file of `lock` is removed with the others.
     pub fn needs_lock(&mut self, lock: &WorkerLock) {
         let _ = lock.path();

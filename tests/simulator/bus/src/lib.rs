@@ -16,7 +16,7 @@ mod query;
 mod queues;
 mod wait;
 
-pub use background::{Background, Rounds, Steps};
+pub use background::{Background, Rounds, Steps, ThreadWatch};
 pub use begin::{begin, ports_of, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{

@@ -7,7 +7,7 @@ use std::fs;
 use super::{Member, members, members_below, root};
 
 /// For each package, what it depends on.
-type Graph = BTreeMap<String, BTreeSet<String>>;
+pub(super) type Graph = BTreeMap<String, BTreeSet<String>>;
 
 const ARCHITECTURE: &str = "ARCHITECTURE.md";
 /// Each crate, its purpose, and what it must not know.
@@ -53,7 +53,7 @@ fn table(path: &str, first: &str) -> Vec<(String, String)> {
 
 /// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock
 /// file does not distinguish. Crates have the names of ARCHITECTURE.md.
-fn graph() -> Graph {
+pub(super) fn graph() -> Graph {
     let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let mut graph = Graph::new();
     let ours: BTreeSet<String> = described().into_iter().map(|member| member.name).collect();
@@ -86,7 +86,7 @@ fn graph() -> Graph {
 }
 
 /// Direct and indirect dependencies of a package.
-fn reached(graph: &Graph, package: &str) -> BTreeSet<String> {
+pub(super) fn reached(graph: &Graph, package: &str) -> BTreeSet<String> {
     let mut reached = BTreeSet::new();
     let mut open: Vec<&String> = graph[package].iter().collect();
     while let Some(name) = open.pop() {

@@ -3,6 +3,7 @@
 mod circles;
 mod imports;
 mod manifests;
+mod statics;
 mod third_party;
 mod unsafe_code;
 mod words;

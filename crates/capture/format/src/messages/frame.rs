@@ -1,7 +1,8 @@
 //! Frames of any channel as messages.
 
 use std::any::{Any, TypeId};
-use std::sync::{PoisonError, RwLock};
+use std::cell::RefCell;
+use std::rc::Rc;
 
 use bytemuck::Pod;
 use joulebus_wire::{Channel, FrameHeader as _, FrameOrder, FrameRows, Row as _};
@@ -58,21 +59,20 @@ struct FrameTable {
     row: Option<Table>,
 }
 
-/// The table of a channel, made at first use and kept.
-fn table<C: Channel>() -> &'static FrameTable {
-    static TABLES: RwLock<Vec<(TypeId, &FrameTable)>> = RwLock::new(Vec::new());
-    let find = |tables: &[(TypeId, &'static FrameTable)]| {
-        let of = |(channel, _): &&(TypeId, _)| *channel == TypeId::of::<C>();
-        tables.iter().find(of).map(|(_, table)| *table)
-    };
-    let known = find(&TABLES.read().unwrap_or_else(PoisonError::into_inner));
-    known.unwrap_or_else(|| {
-        let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
-        find(&tables).unwrap_or_else(|| {
-            let table = Box::leak(Box::new(FrameTable::new::<C>()));
-            tables.push((TypeId::of::<C>(), table));
-            table
-        })
+/// The table of a channel, made at a thread's first use and kept. A table of all threads would need
+/// a lock, which a child made by `fork` could find taken for ever.
+fn table<C: Channel>() -> Rc<FrameTable> {
+    thread_local! {
+        static TABLES: RefCell<Vec<(TypeId, Rc<FrameTable>)>> = const { RefCell::new(Vec::new()) };
+    }
+    TABLES.with_borrow_mut(|tables| {
+        let known = tables.iter().find(|(channel, _)| *channel == TypeId::of::<C>());
+        if let Some((_, table)) = known {
+            return Rc::clone(table);
+        }
+        let table = Rc::new(FrameTable::new::<C>());
+        tables.push((TypeId::of::<C>(), Rc::clone(&table)));
+        table
     })
 }
 
@@ -160,7 +160,8 @@ impl<C: Channel> Content for Frame<C> {
     }
 
     fn encode(&self, out: &mut Vec<u8>) {
-        let FrameTable { header, number, row } = table::<C>();
+        let table = table::<C>();
+        let FrameTable { header, number, row } = &*table;
         let mut encoder = Encoder::after(std::mem::take(out));
         encoder.fields(header, bytemuck::bytes_of(&self.header));
         match row {

@@ -1,6 +1,6 @@
 //! The kinds of messages of all channels.
 
-use std::sync::LazyLock;
+use std::rc::Rc;
 
 use joulebus_wire::{Channel, ForEachChannel, Queries, Row, each_channel, records};
 
@@ -26,22 +26,31 @@ impl ForEachChannel for Kinds {
     }
 }
 
-static KINDS: LazyLock<Kinds> = LazyLock::new(|| {
-    let mut kinds = Kinds::default();
-    each_channel(&mut kinds);
-    kinds
-});
+thread_local! {
+    /// Not of all threads: a child made by `fork` could find the lock taken for ever.
+    static KINDS: Rc<Kinds> = {
+        let mut kinds = Kinds::default();
+        each_channel(&mut kinds);
+        Rc::new(kinds)
+    };
+}
+
+/// The kinds of a list in [`Kinds`].
+fn listed(list: fn(&Kinds) -> &[MessageKind]) -> impl Iterator<Item = MessageKind> {
+    let kinds = KINDS.with(Rc::clone);
+    (0..list(&kinds).len()).map(move |at| list(&kinds)[at])
+}
 
 impl MessageKind {
     /// All kinds of the channels in [`joulebus_wire`]. First those with one topic for the whole
     /// fleet.
     pub fn all() -> impl Iterator<Item = Self> {
-        Self::of_fleet().chain(KINDS.of_robot.iter().copied())
+        Self::of_fleet().chain(listed(|kinds| &kinds.of_robot))
     }
 
     /// Kinds with one topic for the whole fleet.
     pub fn of_fleet() -> impl Iterator<Item = Self> {
-        KINDS.of_fleet.iter().copied()
+        listed(|kinds| &kinds.of_fleet)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Questions about plans and their answers as messages.
 
-use std::sync::LazyLock;
+use std::rc::Rc;
 
 use joulebus_wire::{
     AnswerHeader, AnswerRow, FrameOrder, QueryHeader, QueryRecord, ROW_WORDS, Record, Row,
@@ -75,7 +75,7 @@ impl Query {
     }
 
     pub(super) fn decode(data: &[u8]) -> Result<Message, DecodeError> {
-        let tables = &*TABLES;
+        let tables = &*TABLES.with(Rc::clone);
         // The rows are within the answer.
         check_rows(data, 1)?;
         let mut record: QueryRecord = read(&tables.record.empty);
@@ -151,7 +151,7 @@ impl Content for Query {
     }
 
     fn encode(&self, out: &mut Vec<u8>) {
-        let tables = &*TABLES;
+        let tables = &*TABLES.with(Rc::clone);
         let QueryRecord { query, answer, .. } = &self.record;
         let mut encoder = Encoder::after(std::mem::take(out));
         encoder.fields(&tables.record, bytemuck::bytes_of(&self.record));
@@ -203,35 +203,42 @@ struct Tables {
     power_number: u32,
 }
 
-static TABLES: LazyLock<Tables> = LazyLock::new(|| {
-    let set = descriptors::all();
-    let find = |name: &str| descriptors::message(&set, name);
-    let message = |name: &str| find(name).unwrap_or_default();
-    let (query, question, answer) = (message("Query"), message("Question"), message("Answer"));
-    let number = |of: &DescriptorProto, name: &str| {
-        let field = of.field.iter().find(|field| field.name() == name);
-        field.map_or(0, |field| field.number().unsigned_abs())
-    };
-    // Ours, and tested.
-    let table = |layout, message, parts: &[&str], lengths: &[&str]| {
-        Table::new(&layout, message, &find, parts, lengths).unwrap_or_default()
-    };
-    let in_parts = ["values", "words", "reserved", "query", "answer"];
-    Tables {
-        record: table(QueryRecord::LAYOUT, &query, &["question", "answer"], &in_parts),
-        question: table(QueryHeader::LAYOUT, &question, &["values"], &[]),
-        answer: table(
-            AnswerHeader::LAYOUT,
-            &answer,
-            &["text", "rows", "power_w"],
-            &["rows", "powers", "text_bytes"],
-        ),
-        row: table(AnswerRow::LAYOUT, &message("AnswerRow"), &[], &[]),
-        question_number: number(&query, "question"),
-        values_number: number(&question, "values"),
-        answer_number: number(&query, "answer"),
-        text_number: number(&answer, "text"),
-        rows_number: number(&answer, "rows"),
-        power_number: number(&answer, "power_w"),
+thread_local! {
+    /// Not of all threads: a child made by `fork` could find the lock taken for ever.
+    static TABLES: Rc<Tables> = Rc::new(Tables::new());
+}
+
+impl Tables {
+    fn new() -> Self {
+        let set = descriptors::all();
+        let find = |name: &str| descriptors::message(&set, name);
+        let message = |name: &str| find(name).unwrap_or_default();
+        let (query, question, answer) = (message("Query"), message("Question"), message("Answer"));
+        let number = |of: &DescriptorProto, name: &str| {
+            let field = of.field.iter().find(|field| field.name() == name);
+            field.map_or(0, |field| field.number().unsigned_abs())
+        };
+        // Ours, and tested.
+        let table = |layout, message, parts: &[&str], lengths: &[&str]| {
+            Table::new(&layout, message, &find, parts, lengths).unwrap_or_default()
+        };
+        let in_parts = ["values", "words", "reserved", "query", "answer"];
+        Self {
+            record: table(QueryRecord::LAYOUT, &query, &["question", "answer"], &in_parts),
+            question: table(QueryHeader::LAYOUT, &question, &["values"], &[]),
+            answer: table(
+                AnswerHeader::LAYOUT,
+                &answer,
+                &["text", "rows", "power_w"],
+                &["rows", "powers", "text_bytes"],
+            ),
+            row: table(AnswerRow::LAYOUT, &message("AnswerRow"), &[], &[]),
+            question_number: number(&query, "question"),
+            values_number: number(&question, "values"),
+            answer_number: number(&query, "answer"),
+            text_number: number(&answer, "text"),
+            rows_number: number(&answer, "rows"),
+            power_number: number(&answer, "power_w"),
+        }
     }
-});
+}

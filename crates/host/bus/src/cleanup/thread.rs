@@ -22,6 +22,8 @@ const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
 /// Number of rounds between searches for dead nodes: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
 
+const NAME: &str = "joulebus-clean";
+
 /// Stale files that this process has removed since it joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -63,7 +65,7 @@ impl CleanupThread {
             search: Search::default(),
             round: 0,
         };
-        let thread = Background::start("joulebus-clean", || io::Result::Ok(rounds))?;
+        let thread = Background::start(NAME, || io::Result::Ok(rounds))?;
         Ok(Self { counts, thread })
     }
 
@@ -74,6 +76,11 @@ impl CleanupThread {
             failed_nodes: counts.failed_nodes.load(Ordering::Relaxed),
             incomplete: counts.incomplete.load(Ordering::Relaxed),
         }
+    }
+
+    /// The thread's name, once nothing is cleaned up any more.
+    pub(crate) fn ended(&self) -> Option<&'static str> {
+        self.thread.has_ended().then_some(NAME)
     }
 
     pub(crate) fn stop(&mut self) {

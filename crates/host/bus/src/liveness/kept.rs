@@ -4,10 +4,8 @@
 use std::fmt;
 use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
-use std::rc::Rc;
 
 use super::presence::Need;
-use crate::membership::Membership;
 use crate::os::fork::ForkSection;
 
 /// A value of iceoryx2 that another crate may own. Each crate compiles the code that drops what it
@@ -104,20 +102,5 @@ impl<T> Deref for Kept<T> {
 impl<T> DerefMut for Kept<T> {
     fn deref_mut(&mut self) -> &mut T {
         &mut self.value
-    }
-}
-
-/// A port that lends shared memory. What it lends owns it: iceoryx2 takes all that a dropped port
-/// has borrowed for returned, and the other side overwrites it.
-#[derive(Debug)]
-pub(crate) struct Lender<P> {
-    // Dropped in this order.
-    pub(crate) port: Kept<P>,
-    _member: Rc<Membership>,
-}
-
-impl<P> Lender<P> {
-    pub(crate) fn new(port: Kept<P>, member: &Rc<Membership>) -> Self {
-        Self { port, _member: Rc::clone(member) }
     }
 }

@@ -1,11 +1,12 @@
 //! Threads with ports of their own: ports belong to the thread that opens them.
 
 use std::io;
-use std::mem::forget;
+use std::mem::{ManuallyDrop, forget};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -40,7 +41,30 @@ pub trait Rounds<T, E> {
 pub struct Background<T = ()> {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<T>>,
+    watch: ThreadWatch,
     pid: u32,
+}
+
+/// Tells whether a thread has ended, for whoever needs the thread and does not own it.
+#[derive(Debug, Clone)]
+pub struct ThreadWatch {
+    name: Arc<str>,
+    /// The thread has the other end.
+    lives: Weak<()>,
+}
+
+impl ThreadWatch {
+    /// The thread's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// True if it has ended, by itself, by a panic, or because it was asked to.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.lives.strong_count() == 0
+    }
 }
 
 /// The thread's channel to its starter, and the starter's stop flag.
@@ -158,8 +182,13 @@ impl<T: Send + 'static> Background<T> {
         let (joined, started) = sync_channel(1);
         let running = Running { stop: Arc::clone(&stop), joined };
         let builder = std::thread::Builder::new().name(name.to_owned());
-        let thread = builder.spawn(move || work(&running))?;
-        let background = Self { stop, thread: Some(thread), pid: process::id() };
+        let lives = Arc::new(());
+        let watch = ThreadWatch { name: name.into(), lives: Arc::downgrade(&lives) };
+        let thread = builder.spawn(move || {
+            let _lives = lives;
+            work(&running)
+        })?;
+        let background = Self { stop, thread: Some(thread), watch, pid: process::id() };
         Ok((background, started.recv().ok()))
     }
 }
@@ -169,6 +198,12 @@ impl<T> Background<T> {
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Tells others whether the thread has ended.
+    #[must_use]
+    pub fn watch(&self) -> ThreadWatch {
+        self.watch.clone()
     }
 
     /// Ends the pause of the thread: its next step is due.
@@ -214,6 +249,20 @@ impl<T> Drop for Background<T> {
             tracing::error!("{error}");
         }
     }
+}
+
+/// Makes the calls that other threads send for `state`, and drops it after the last. After a call
+/// that panicked it makes no more, and leaves the state as it is: in what shape that is is unknown,
+/// and others may still refer to memory that it has lent them. Returns false then.
+pub fn make_calls<S, C: FnOnce(&mut S)>(state: S, calls: impl IntoIterator<Item = C>) -> bool {
+    let mut state = ManuallyDrop::new(state);
+    for call in calls {
+        if catch_unwind(AssertUnwindSafe(|| call(&mut state))).is_err() {
+            return false;
+        }
+    }
+    drop(ManuallyDrop::into_inner(state));
+    true
 }
 
 fn early(name: &str) -> io::Error {
@@ -290,6 +339,44 @@ mod tests {
         assert_eq!(early(|| Err(io::Error::other("not today"))), "not today");
         assert!(early(|| Ok(())).contains("thread ends died"));
         assert!(early(|| panic!("at the start")).contains("thread ends died"));
+    }
+
+    #[test]
+    fn the_end_of_a_thread_is_seen_however_it_ends() {
+        struct Panics;
+        impl Steps for Panics {
+            fn step(&mut self, _: bool) -> Option<Duration> {
+                panic!("in a step")
+            }
+        }
+        let (steps, _) = counted(100);
+        let mut background = Background::start("lasts", move || io::Result::Ok(steps)).unwrap();
+        let watch = background.watch();
+        assert!(!watch.has_ended() && watch.name() == "lasts");
+        background.finish().unwrap();
+        assert!(watch.has_ended());
+        let (once, _) = counted(1);
+        let ended = Background::start("ends", move || io::Result::Ok(once)).unwrap();
+        let panicked = Background::start("panics", || io::Result::Ok(Panics)).unwrap();
+        for background in [ended, panicked] {
+            let watch = background.watch();
+            eventually("its end is seen", || watch.has_ended() && background.has_ended());
+        }
+    }
+
+    #[test]
+    fn what_a_panicking_call_leaves_is_neither_used_nor_dropped() {
+        type Call = fn(&mut Arc<AtomicBool>);
+        let used: Call = |state| state.store(true, Ordering::Relaxed);
+        let panics: Call = |_| panic!("in a call");
+        for (calls, is_used, is_left) in
+            [(vec![used], true, false), (vec![panics, used], false, true)]
+        {
+            let state = Arc::new(AtomicBool::new(false));
+            assert_eq!(make_calls(Arc::clone(&state), calls), !is_left);
+            assert_eq!(state.load(Ordering::Relaxed), is_used);
+            assert_eq!(Arc::strong_count(&state), 1 + usize::from(is_left));
+        }
     }
 
     struct Failing(u32);

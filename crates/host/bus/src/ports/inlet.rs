@@ -16,7 +16,7 @@ use super::places::{Open, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept, Lender};
+use crate::liveness::kept::{DropsHere, Kept};
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
@@ -28,12 +28,21 @@ type Port = Subscriber<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
 type Sample = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 
-/// A frame that was received.
+/// A port that lends frames.
+#[derive(Debug)]
+struct Lender {
+    // Dropped in this order.
+    port: Kept<Port>,
+    _member: Rc<Membership>,
+}
+
+/// A frame that was received. It owns the port that received it: iceoryx2 takes all that a dropped
+/// port has borrowed for returned, and the sender overwrites it.
 #[derive(Debug)]
 pub(super) struct InFrame {
     // Dropped in this order.
     sample: DropsHere<Sample>,
-    _lender: Rc<Lender<Port>>,
+    _lender: Rc<Lender>,
 }
 
 impl InFrame {
@@ -59,7 +68,7 @@ impl InFrame {
 #[derive(Debug)]
 pub(super) struct Inlet {
     // Dropped in this order: port, factory, membership. Frames may keep the port for longer.
-    lender: Rc<Lender<Port>>,
+    lender: Rc<Lender>,
     factory: Kept<Factory>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
@@ -184,9 +193,9 @@ impl Inlet {
     }
 }
 
-fn lender(port: Port, factory: &Factory, member: &Rc<Membership>) -> Rc<Lender<Port>> {
+fn lender(port: Port, factory: &Factory, member: &Rc<Membership>) -> Rc<Lender> {
     let need = service::need(member, factory, None);
-    Rc::new(Lender::new(Kept::new(port, need), member))
+    Rc::new(Lender { port: Kept::new(port, need), _member: Rc::clone(member) })
 }
 
 fn subscribe(

@@ -35,10 +35,11 @@ use super::wait::{WaitError, Waiter, Waker};
 use super::{ReceiveError, SendError, Sent};
 use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept, Lender};
+use crate::liveness::kept::{DropsHere, Kept};
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
+use crate::os::fork::ForkSection;
 use crate::os::memory;
 use crate::preflight::{check_memory, client_bytes, server_bytes};
 use crate::{Bus, Domain, FilesRemoved, Limits, PeerWatch, clock};
@@ -57,9 +58,8 @@ const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
 /// The worker's port for questions. A fleet has one.
 #[derive(Debug)]
 pub struct QueryServer {
-    // Dropped in this order: port with its factory, membership. Questions may keep the port for
-    // longer.
-    lender: Rc<Lender<ServerPort>>,
+    // Dropped in this order: port, factory, membership.
+    port: Kept<ServerPort>,
     asked: Waiter,
     answered: Waker,
     failures: Arc<Failures>,
@@ -73,7 +73,9 @@ pub struct QueryServer {
 pub struct OpenQuery {
     // Dropped in this order.
     request: Request,
-    _lender: Rc<Lender<ServerPort>>,
+    /// While it is dropped: the last question may drop the server's port, and its node.
+    section: Option<ForkSection>,
+    _member: Rc<Membership>,
 }
 
 impl QueryServer {
@@ -103,7 +105,7 @@ impl QueryServer {
         // Clients whose question the earlier port took send it again. Those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
-            lender: Rc::new(Lender::new(Kept::new((server, factory), need), &bus.member)),
+            port: Kept::new((server, factory), need),
             asked,
             answered,
             failures,
@@ -120,7 +122,7 @@ impl QueryServer {
     /// [`ReceiveError::Degraded`]: open the port again. After other errors the next call may work.
     pub fn receive(&mut self) -> Result<Option<OpenQuery>, ReceiveError> {
         self.member.presence.check()?;
-        let (server, factory) = &*self.lender.port;
+        let (server, factory) = &*self.port;
         let failed = self.failures.count();
         let is_listed = || {
             self.failures.are_listed(|each| {
@@ -143,7 +145,8 @@ impl QueryServer {
         };
         Ok(received.map(|request| OpenQuery {
             request: DropsHere::new(request),
-            _lender: Rc::clone(&self.lender),
+            _member: Rc::clone(&self.member),
+            section: None,
         }))
     }
 
@@ -180,7 +183,7 @@ impl QueryServer {
     /// [`QueryServer::receive`], because it notices who has left.
     pub fn clients(&mut self) -> usize {
         let mut now = Vec::new();
-        self.lender.port.1.dynamic_config().list_clients(|client| {
+        self.port.1.dynamic_config().list_clients(|client| {
             now.push(client.client_id.value());
             CallbackProgression::Continue
         });
@@ -218,6 +221,12 @@ impl OpenQuery {
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.request.is_connected()
+    }
+}
+
+impl Drop for OpenQuery {
+    fn drop(&mut self) {
+        self.section = Some(ForkSection::enter());
     }
 }
 

@@ -3,7 +3,7 @@
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind, set_hook, take_hook};
-use std::sync::Once;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 thread_local! {
     /// True if this thread is in [`caught`].
@@ -22,10 +22,13 @@ fn quiet(before: Hook) -> Hook {
     })
 }
 
-/// Wraps the process's panic hook, once.
+/// Wraps the process's panic hook, once. Others do not wait until it is wrapped: a lock for that
+/// would be taken for ever in a child made by `fork` meanwhile.
 fn wrap_hook() {
-    static ONCE: Once = Once::new();
-    ONCE.call_once(|| set_hook(quiet(take_hook())));
+    static IS_WRAPPED: AtomicBool = AtomicBool::new(false);
+    if !IS_WRAPPED.swap(true, Ordering::Relaxed) {
+        set_hook(quiet(take_hook()));
+    }
 }
 
 /// The result of `read`, or `None` if it panicked. A panic prints nothing.
@@ -42,7 +45,7 @@ pub(super) fn caught<T>(read: impl FnOnce() -> T) -> Option<T> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::atomic::AtomicUsize;
 
     use super::*;
 

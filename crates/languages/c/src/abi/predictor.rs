@@ -2,12 +2,12 @@
 
 use std::ffi::c_char;
 use std::ptr;
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use ::joulebus_predictor::{
     FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts,
 };
-use joulebus_bus::process_id;
+use joulebus_bus::{ForkSection, process_id};
 
 use crate::abi::types::{joulebus_error, joulebus_predictor, joulebus_rollout};
 use crate::failure::{Failure, entry};
@@ -23,8 +23,24 @@ const PID_SHIFT: u32 = 32;
 /// Rows that are widened at once, on the stack.
 const ROWS: usize = 64;
 
-/// All predictors of the process. A place is used once: what is closed is never another one.
-static OPEN: RwLock<Vec<Option<Arc<Model>>>> = RwLock::new(Vec::new());
+/// A place is used once: what is closed is never another one.
+type Predictors = Vec<Option<Arc<Model>>>;
+
+/// All predictors of the process.
+static OPEN: RwLock<Predictors> = RwLock::new(Vec::new());
+
+/// Reads [`OPEN`]. A fork waits meanwhile: the child would find it locked for ever.
+fn read_all<R>(read: impl FnOnce(&Predictors) -> R) -> R {
+    let _section = ForkSection::enter();
+    // A panic leaves the list as it was.
+    read(&OPEN.read().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Same as [`read_all`], to change it.
+fn change_all<R>(change: impl FnOnce(&mut Predictors) -> R) -> R {
+    let _section = ForkSection::enter();
+    change(&mut OPEN.write().unwrap_or_else(PoisonError::into_inner))
+}
 
 /// Opens a model file of joulebus (.safetensors), or a built-in model (builtin:NAME).
 ///
@@ -45,9 +61,11 @@ pub unsafe extern "C" fn joulebus_predictor_open(
         };
         version::check(header)?;
         let opened = Arc::new(model::open(name)?);
-        let mut all = OPEN.write().unwrap_or_else(PoisonError::into_inner);
-        predictor.set(ptr::without_provenance_mut(of_process() | all.len()));
-        all.push(Some(opened));
+        let place = change_all(|all| {
+            all.push(Some(opened));
+            all.len() - 1
+        });
+        predictor.set(ptr::without_provenance_mut(of_process() | place));
         Ok(())
     })
 }
@@ -178,8 +196,7 @@ pub extern "C" fn joulebus_predictor_close(predictor: *mut joulebus_predictor) -
             return Ok(());
         }
         let place = place(predictor)?;
-        let mut all = OPEN.write().unwrap_or_else(PoisonError::into_inner);
-        let closed = all.get_mut(place).and_then(Option::take);
+        let closed = change_all(|all| all.get_mut(place).and_then(Option::take));
         closed.map(drop).ok_or_else(not_open)
     })
 }
@@ -187,10 +204,7 @@ pub extern "C" fn joulebus_predictor_close(predictor: *mut joulebus_predictor) -
 /// The model. Kept for as long as the call takes.
 fn model(predictor: *mut joulebus_predictor) -> Result<Arc<Model>, Failure> {
     let place = place(predictor)?;
-    // A panic leaves the list as it was.
-    let all: RwLockReadGuard<'_, _> = OPEN.read().unwrap_or_else(PoisonError::into_inner);
-    let found = all.get(place).and_then(Option::as_ref);
-    found.map(Arc::clone).ok_or_else(not_open)
+    read_all(|all| all.get(place)?.clone()).ok_or_else(not_open)
 }
 
 fn place(predictor: *mut joulebus_predictor) -> Result<usize, Failure> {
@@ -205,7 +219,6 @@ fn place(predictor: *mut joulebus_predictor) -> Result<usize, Failure> {
         return Err(Failure::new(joulebus_error::Handle, text));
     }
     let place = number & ((1 << PID_SHIFT) - 1);
-    // Before the lock, which a thread of the parent may have held at the fork.
     if number - place != of_process() {
         let (found, allowed) = (process_id(), (number & !MARK) >> PID_SHIFT);
         let text = format!(

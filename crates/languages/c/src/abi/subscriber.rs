@@ -175,9 +175,10 @@ pub unsafe extern "C" fn joulebus_subscriber_robot(
 }
 
 /// Takes the frame that was returned last out of the subscriber, to keep it: there is no current
-/// frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
-/// after the subscriber is closed and the worker has ended. Two may be kept. With more, reading is
-/// an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
+/// frame then until a newer one arrives. Its pointers stay valid, and its rows as they are, until
+/// joulebus_frame_close, also after the subscriber is closed and the worker has ended. Two may be
+/// kept. With more, reading is an error until one is closed. A closed subscriber keeps its place
+/// (readers.max_planners) until its frames are closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
 ///
 /// @param frame The new handle.
 /// @param view  The frame that is kept. NULL if it is not wanted.
@@ -284,7 +285,8 @@ pub unsafe extern "C" fn joulebus_subscriber_get_status(
     })
 }
 
-/// Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
+/// Leaves the fleet, unless frames are kept: these stay as they are, and the process a member in
+/// the subscriber's place, until they are closed. NULL is closed already.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_subscriber_close(
     subscriber: *mut joulebus_subscriber,

@@ -106,9 +106,10 @@ class Frame:
 
     ``rows`` is a read-only array of `joulebus.FORECAST` on that memory, and ``power_w``, ``lo_w``,
     ``hi_w``, ``robot`` and every other field of it a view of a column. Nothing is copied. A frame,
-    and each array made of it, keeps the memory for as long as it exists. You can keep two frames
-    beside the newest. If you keep more, the next read is refused. ``rows.copy()`` is a copy of your
-    own.
+    and each array made of it, keeps the memory for as long as it exists, also after the planner was
+    closed. A closed planner keeps its place (``readers.max_planners``) until then. You can keep two
+    frames beside the newest. If you keep more, the next read is refused. ``rows.copy()`` is a copy
+    of your own.
 
     ``frame[7]`` is the forecast of robot 7.
     """
