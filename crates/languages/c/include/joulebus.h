@@ -1752,9 +1752,10 @@ joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *subscriber,
 
 /**
  * Takes the frame that was returned last out of the subscriber, to keep it: there is no current
- * frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
- * after the subscriber is closed and the worker has ended. Two may be kept. With more, reading is
- * an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
+ * frame then until a newer one arrives. Its pointers stay valid, and its rows as they are, until
+ * joulebus_frame_close, also after the subscriber is closed and the worker has ended. Two may be
+ * kept. With more, reading is an error until one is closed. A closed subscriber keeps its place
+ * (readers.max_planners) until its frames are closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
  *
  * @param frame The new handle.
  * @param view  The frame that is kept. NULL if it is not wanted.
@@ -1800,7 +1801,8 @@ joulebus_error joulebus_subscriber_get_status(struct joulebus_subscriber *subscr
                                               struct joulebus_subscriber_status *status);
 
 /**
- * Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
+ * Leaves the fleet, unless frames are kept: these stay as they are, and the process a member in
+ * the subscriber's place, until they are closed. NULL is closed already.
  */
 joulebus_error joulebus_subscriber_close(struct joulebus_subscriber *subscriber);
 

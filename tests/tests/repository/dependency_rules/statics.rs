@@ -38,11 +38,11 @@ fn statics(text: &str) -> Vec<(&str, &str)> {
         if code.starts_with("thread_local!") {
             end_of_threads = Some(indent);
         }
-        let word = code.find("static ").map(|at| (&code[..at], &code[at + "static ".len()..]));
-        let is_item = |before: &str| before.is_empty() || before.starts_with("pub");
-        if let Some((_, item)) = word.filter(|(before, _)| is_item(before.trim()))
-            && end_of_threads.is_none()
-        {
+        let item = match code.split_once(' ') {
+            Some((visibility, item)) if visibility.starts_with("pub") => item,
+            _ => code,
+        };
+        if let Some(item) = item.strip_prefix("static ").filter(|_| end_of_threads.is_none()) {
             let item = item.trim_start_matches("mut ");
             let (name, of) = item.split_once(':').unwrap_or((item, ""));
             found.push((name, of.split('=').next().unwrap()));
@@ -86,7 +86,7 @@ fn state_of_the_whole_process_in_what_python_and_c_load_is_listed_with_what_a_fo
 fn statics_are_found_and_those_of_threads_and_unit_tests_are_not_taken_for_one() {
     let text = "static ONE: Mutex<()> = Mutex::new(());\n\
         pub(crate) static TWO: [u8; 2] = [1, 2];\n\
-        fn name() -> &'static str {\n    static mut THREE: OnceLock<u8> = OnceLock::new();\n}\n\
+        fn name() -> &'static str {\n    // A static one.\n    static mut THREE: OnceLock<u8> = OnceLock::new();\n}\n\
         thread_local! {\n    static FOUR: Cell<u8> = const { Cell::new(0) };\n}\n\
         fn of_thread() {\n    thread_local! {\n        static FIVE: u8 = const {\n            5\n        \
         };\n    }\n    static SIX: LazyLock<u8> = LazyLock::new(|| 6);\n}\n\
