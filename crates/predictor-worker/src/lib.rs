@@ -22,9 +22,9 @@
 //! stopped. A [`Report`] states what it did. A [`TickPool`] distributes the tick over threads.
 //!
 //! **The tick's output** is written directly into loaned shared memory. After warm-up the loop
-//! takes no lock, logs nothing and blocks on nothing but samples and its schedule. It allocates
-//! nothing of its own (iceoryx2 0.10 allocates once for each of the four or five frames that a tick
-//! sends).
+//! logs nothing and blocks on nothing but samples and its schedule. Each thread locks only its own
+//! scratch memory, which no other thread uses meanwhile. The loop allocates nothing of its own:
+//! iceoryx2 0.10 allocates once for each of the up to six frames that a tick sends.
 //!
 //! **Beside the tick.** Logging and the ledger's checkpoints are left to the checkpointer, a thread
 //! that reads the worker's frames like any planner.

@@ -1,5 +1,5 @@
 //! The worker's loop, ingest and publishing included, allocates nothing of its own after warm-up,
-//! even while a planner and a recorder read: only iceoryx2 0.10 does, once for each of the five
+//! even while a planner and a recorder read: only iceoryx2 0.10 does, once for each of the six
 //! frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
