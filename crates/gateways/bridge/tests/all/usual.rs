@@ -53,6 +53,39 @@ fn a_usual_mapping_is_printed_and_its_file_is_the_same() {
     }
 }
 
+/// A comment with a setting is that setting, whole on its line: without its `# ` it is in force.
+#[test]
+fn each_setting_in_a_comment_is_one_when_it_is_uncommented() {
+    let (fleet, folder) = (Fleet::new(), tempfile::tempdir().unwrap());
+    for usual in ["ros2", "mqtt"] {
+        let file = folder.path().join(format!("{usual}.toml"));
+        let shown = file.to_str().unwrap();
+        let given = [usual, "--robots", "robot{id}=0-4", "--write", shown];
+        assert_eq!(ended(&fleet, &given).exit_code(), 0);
+        let mut settings = 0;
+        let text = std::fs::read_to_string(&file).unwrap();
+        let lines = text.lines().map(|line| match line.strip_prefix("# ") {
+            Some(setting) if setting.contains(" = ") => {
+                let table = setting.parse::<toml::Table>();
+                let table = table.unwrap_or_else(|error| panic!("{usual}: {line}: {error}"));
+                assert_eq!(table.len(), 1, "{usual}: {line}");
+                settings += 1;
+                format!("{setting}\n")
+            }
+            _ => format!("{line}\n"),
+        });
+        let uncommented: String = lines.collect();
+        if usual == "ros2" {
+            assert!(uncommented.contains("\nuse_sim_time = true\n"), "{uncommented}");
+            assert!(uncommented.contains("\nacknowledge = \"/joulebus/"), "{uncommented}");
+            assert!(settings >= 6, "{settings}");
+        }
+        std::fs::write(&file, uncommented).unwrap();
+        let checked = ended(&fleet, &[shown, "--check"]);
+        assert_eq!(checked.exit_code(), 0, "{checked:?}");
+    }
+}
+
 #[test]
 fn the_usual_topics_of_mqtt_are_forecast_without_a_file() {
     let Some(program) = mosquitto() else { return };
