@@ -20,6 +20,7 @@
 //!   whole or not at all.
 //! - [`Several`] removes the files of a result that did not become whole.
 //! - [`foreign`] states what a file of another program is, and how it is converted.
+//! - [`ends_in`] and [`without_ending`] know a file's ending in any case.
 //! - [`disk`] has the single operations for files that must survive a crash.
 //!
 //! **Units** are bytes.
@@ -34,6 +35,7 @@
 #![forbid(unsafe_code)]
 
 pub mod disk;
+mod ending;
 pub mod foreign;
 mod several;
 mod whole;
@@ -45,6 +47,7 @@ use std::path::Path;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
+pub use ending::{ends_in, without_ending};
 pub use several::Several;
 pub use whole::{check_kind, create, replace};
 

@@ -5,7 +5,7 @@ use std::fs::{self, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use joulebus_files::foreign;
+use joulebus_files::{ends_in, foreign};
 
 use crate::archive::{is_archive, listings};
 use crate::trial::{Form, is_capture, try_is_capture};
@@ -130,7 +130,7 @@ fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
 }
 
 fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
-    let matches = glob::glob(pattern).map_err(|error| FindError::Pattern {
+    let matches = glob::glob(&with_any_case(pattern)).map_err(|error| FindError::Pattern {
         pattern: pattern.to_owned(),
         at: error.pos,
         reason: error.msg,
@@ -149,6 +149,21 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
+/// A pattern whose ending fits in any case: `*.csv` finds `A.CSV`.
+fn with_any_case(pattern: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '.';
+    let tail = pattern.trim_end_matches(is_plain).len();
+    let Some(dot) = pattern[tail..].find('.') else {
+        return pattern.to_owned();
+    };
+    let (before, ending) = pattern.split_at(tail + dot);
+    let letters = ending.chars().map(|letter| match letter.is_ascii_alphabetic() {
+        true => format!("[{}{}]", letter.to_ascii_lowercase(), letter.to_ascii_uppercase()),
+        false => letter.to_string(),
+    });
+    before.to_owned() + &letters.collect::<String>()
+}
+
 /// True if a file of a directory is a recording. Its name decides (`.parquet` belongs to an
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted. A regular file that is gone by now, or cannot be read, is one: its reader
@@ -163,9 +178,8 @@ fn is_recording(path: &Path, metadata: &Metadata) -> bool {
 
 /// True if a file is named as a recording that is no capture.
 fn has_ending(path: &Path) -> bool {
-    let endings = ["parquet", "mat"];
-    let is_other = || path.extension().is_some_and(|found| endings.iter().any(|one| found == *one));
-    Form::new(path).is_some() || is_other()
+    let others = ["parquet", "mat"];
+    Form::new(path).is_some() || others.iter().any(|ending| ends_in(path, ending))
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.
@@ -200,6 +214,36 @@ fn io_error(path: &Path, source: io::Error) -> FindError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn folders_and_patterns_have_recordings_with_an_ending_in_any_case() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = ["A.CSV", "B.Npy", "C.csv.GZ", "D.MAT", "E.PARQUET", "f.csv"];
+        for name in names.iter().chain(&["G.TXT"]) {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let found = |argument: &Path| {
+            let files = find(&[argument]).unwrap().files.into_iter();
+            let names = files.map(|file| file.file_name().unwrap().to_str().unwrap().to_owned());
+            names.collect::<Vec<_>>()
+        };
+        assert_eq!(found(folder.path()), names);
+        for (pattern, expected) in [
+            ("*.csv", &["A.CSV", "f.csv"][..]),
+            ("*.CSV", &["A.CSV", "f.csv"]),
+            ("[A-C].*", &["A.CSV", "B.Npy", "C.csv.GZ"]),
+            ("?.csv.gz", &["C.csv.GZ"]),
+            ("b?npy", &[]),
+            ("*.n?y", &["B.Npy"]),
+        ] {
+            let pattern = folder.path().join(pattern);
+            if expected.is_empty() {
+                assert!(find(&[&pattern]).is_err(), "{pattern:?}");
+                continue;
+            }
+            assert_eq!(found(&pattern), expected, "{pattern:?}");
+        }
+    }
 
     #[test]
     fn a_recording_that_is_gone_after_the_first_look_is_left_to_its_reader() {

@@ -153,5 +153,5 @@ fn known(trial: &Trial, limits: &Limits) -> Known {
 
 /// True if its file is an array, whose columns have no names.
 fn is_array(trial: &Trial) -> bool {
-    trial.sources().is_empty() && trial.path().extension().is_some_and(|end| end == "npy")
+    trial.sources().is_empty() && joulebus_files::ends_in(trial.path(), "npy")
 }

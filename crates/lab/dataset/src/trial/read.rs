@@ -95,7 +95,7 @@ impl Table {
         if head.is_empty() {
             return Err(TrialError::Empty { path: path.to_owned() });
         }
-        let named_npy = path.extension().is_some_and(|extension| extension == "npy");
+        let named_npy = joulebus_files::ends_in(path, "npy");
         if head.starts_with(crate::npy::MAGIC) || named_npy {
             npy::read(path, file, map, in_memory, take)
         } else if head.starts_with(MCAP_MAGIC) {

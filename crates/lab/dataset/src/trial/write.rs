@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use joulebus_files::ends_in;
 
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
@@ -75,7 +76,7 @@ impl Trial {
         for values in &mut table.columns {
             values.get_or_insert_with(|| vec![f64::NAN; self.rows()]);
         }
-        let is_zipped = path.extension().is_some_and(|extension| extension == "gz");
+        let is_zipped = ends_in(path, "gz");
         create(
             path,
             |file| {
@@ -111,8 +112,7 @@ impl Form {
 
     /// The format of a file name's extension, if it is one of these.
     pub fn new(path: &Path) -> Option<Self> {
-        let name = path.file_name()?.to_str()?;
-        Self::ALL.into_iter().find(|form| name.ends_with(form.ending()))
+        Self::ALL.into_iter().find(|form| ends_in(path, &form.ending()[1..]))
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_dataset::trial::{Column, Form, Resample, Resampled, Table};
+use joulebus_files::without_ending;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -194,8 +195,8 @@ fn file_name(path: &Path, (robot, run): (Option<&str>, usize), form: Form) -> St
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.unwrap_or("recording");
     let stem = match Form::new(path) {
-        Some(form) => name.strip_suffix(form.ending()).unwrap_or(name),
-        None => name.strip_suffix(".mcap").unwrap_or(name),
+        Some(form) => without_ending(name, &form.ending()[1..]).unwrap_or(name),
+        None => without_ending(name, "mcap").unwrap_or(name),
     };
     let run = if run > 1 { format!("_run_{run}") } else { String::new() };
     let ending = format!("{run}{}", form.ending());

@@ -172,7 +172,7 @@ fn one(
 
 /// The name of a recording: its path as it was given.
 fn name(file: &Path) -> anyhow::Result<&str> {
-    let is_parquet = file.extension().is_some_and(|ending| ending == "parquet");
+    let is_parquet = joulebus_files::ends_in(file, "parquet");
     if is_listing(file) || is_parquet {
         let file = file.display();
         let what = format!("{file} is of an archive. Copy the folder, or name recordings");

@@ -12,6 +12,7 @@ use anyhow::{Context as _, bail};
 use joulebus_capture_format::import::{Imported, Mapping, import_files};
 use joulebus_capture_format::scan::Scan;
 use joulebus_dataset::trial::is_capture;
+use joulebus_files::{ends_in, without_ending};
 use joulebus_program::exit::INCOMPLETE;
 
 use joulebus_program::installed::find_program;
@@ -32,10 +33,6 @@ pub(super) struct BagRead {
 /// True if it is read as a bag.
 pub(super) fn is_bag(path: &Path) -> bool {
     path.is_dir() || ends_in(path, "db3") || (ends_in(path, "mcap") && !is_capture(path))
-}
-
-fn ends_in(path: &Path, extension: &str) -> bool {
-    path.extension().is_some_and(|found| found == extension)
 }
 
 /// Reads a bag.
@@ -111,8 +108,8 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
 
 /// The name of a compressed file of a bag when it is unpacked.
 fn unpacked(name: &str) -> Option<&str> {
-    let own = name.strip_suffix(".zstd")?;
-    (own.ends_with(".db3") || own.ends_with(".mcap")).then_some(own)
+    let own = without_ending(name, "zstd")?;
+    ["db3", "mcap"].iter().any(|ending| ends_in(Path::new(own), ending)).then_some(own)
 }
 
 /// The names under `relative_file_paths` of `metadata.yaml`, if there is one: a list of plain or

@@ -98,8 +98,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
-    let ending = out.extension().and_then(|ending| ending.to_str());
-    match ending {
+    let ending = out.extension().and_then(|ending| ending.to_str()).map(str::to_ascii_lowercase);
+    match ending.as_deref() {
         Some("safetensors") => Ok(ExportFormat::Safetensors),
         Some("npz") => Ok(ExportFormat::Npz),
         Some("onnx") => Ok(ExportFormat::Onnx),

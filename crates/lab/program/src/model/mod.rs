@@ -9,6 +9,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use clap::Subcommand;
+use joulebus_files::without_ending;
 use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
 use joulebus_predictor::Activation;
 use joulebus_program::exit::Outcome;
@@ -78,7 +79,7 @@ fn arrays(folder: &Path) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
     for entry in std::fs::read_dir(folder).with_context(failed)? {
         let path = entry.with_context(failed)?.path();
         let name = path.file_name().and_then(|name| name.to_str());
-        if let Some(name) = name.and_then(|name| name.strip_suffix(".npy")) {
+        if let Some(name) = name.and_then(|name| without_ending(name, "npy")) {
             arrays.push((name.to_owned(), bytes(&path)?));
         }
     }
