@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
+use crate::battery::UNMEASURED_A;
 use crate::quantity::{Quantity, number};
 
 /// Kind of a finding. Its name is what `--accept` takes.
@@ -135,6 +136,8 @@ pub(crate) enum Remedy {
     Limits,
     /// State which number stands for no reading, as its file has it.
     Missing(f64),
+    /// Measure the current, which always has this value in SI.
+    Unmeasured(f64),
     /// Divide the recording.
     Split,
     /// Name columns that belong together.
@@ -282,6 +285,7 @@ impl Finding {
                 format!("say that it is no reading with --map missing:={number}")
             }
             (Remedy::Missing(_), _) => format!("leave {quantity} out where there is no reading"),
+            (Remedy::Unmeasured(value), source) => unmeasured(value, source, column),
             (Remedy::Split, _) => "divide the recording where it changes".to_owned(),
             (Remedy::Agree, Source::Recording | Source::TurnedRecording) => {
                 "name the columns that belong together, --map power_W=…,voltage_V=…,current_A=…, or \
@@ -292,6 +296,8 @@ impl Finding {
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {
+            // Accepting it would turn an unknown into a number.
+            _ if matches!(self.remedy, Remedy::Unmeasured(_)) => remedy,
             Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag => {
                 format!("{remedy}. If it is right, add --accept {accept}")
             }
@@ -318,6 +324,31 @@ impl Finding {
         self.severity == Severity::Error
     }
 }
+
+/// The remedy of a current that nobody measures: to say so, where its file has a number for that.
+fn unmeasured(value: f64, source: Source, column: &str) -> String {
+    let sign = if source == Source::TurnedRecording { -1.0 } else { 1.0 };
+    let units: &[f64] = match (source, stated("current", column)) {
+        (Source::Array, _) | (_, Some("mA")) => &[1e-3],
+        (_, Some("A")) => &[1.0],
+        (_, Some(_)) => &[1e-6],
+        (_, None) => &[1.0, 1e-3],
+    };
+    let is_reserved =
+        units.iter().any(|unit| (sign * value / unit - UNMEASURED_A).abs() < RESERVED_WITHIN);
+    let say = match source {
+        Source::Recording | Source::TurnedRecording | Source::Array if is_reserved => {
+            "say that it is no reading with --map missing:=-1"
+        }
+        Source::Bridge => "leave the current out of the mapping",
+        Source::Program => "publish no current, and no power made of it",
+        _ => "use a recording of another monitor",
+    };
+    format!("check the sensor and its driver, or {say}")
+}
+
+/// Rounding of a number that is converted to SI, and of 32 bits.
+const RESERVED_WITHIN: f64 = 1e-6;
 
 /// Units of power, voltage and current, in steps of a thousand.
 const UNITS: [(&str, [&str; 4]); 3] = [

@@ -1,5 +1,6 @@
 //! The judgement of one robot, sample by sample.
 
+use crate::battery::{AGREE, CurrentMonitor};
 use crate::clock::{RATE_HZ, STATED_RATE_HZ, Times};
 use crate::column::Column;
 use crate::finding::{Finding, Kind, Remedy, Severity};
@@ -22,9 +23,7 @@ const MIN_MISSING: u64 = 50;
 const MOSTLY: f64 = 0.5;
 /// Values before they count in a recording of which nothing more will come.
 const FEW_ROWS: u64 = 3;
-/// Difference of power from voltage times current, as a share and in W, that a row may have, and
-/// the share of rows that may have more.
-const MISMATCH: (f64, f64) = (0.1, 0.03);
+/// Share of rows in which power may differ from voltage times current.
 const MAX_MISMATCHES: f64 = 0.5;
 /// Time between two recordings that are judged together, s.
 const APART_S: f64 = 1.0;
@@ -106,6 +105,7 @@ pub struct Judge {
     driving: Sizes,
     sign: Sign,
     hold: Hold,
+    monitor: CurrentMonitor,
     /// Rows with power, voltage and current, and those where they differ.
     products: u64,
     mismatches: u64,
@@ -126,6 +126,7 @@ impl Judge {
             driving: Sizes::new(),
             sign: Sign::default(),
             hold: Hold::default(),
+            monitor: CurrentMonitor::default(),
             products: 0,
             mismatches: 0,
             shift_s: Some(0.0),
@@ -145,7 +146,7 @@ impl Judge {
         let product_w = seen.voltage_v * seen.current_a;
         let away_w = (seen.power_w.abs() - product_w.abs()).abs();
         self.products += u64::from(away_w.is_finite());
-        let (share, least_w) = MISMATCH;
+        let (share, least_w) = AGREE;
         self.mismatches += u64::from(away_w > least_w.max(share * product_w.abs()));
         self.ratios.add(seen.power_w / product_w);
         if seen.voltage_v.is_nan() {
@@ -156,6 +157,7 @@ impl Judge {
         }
         self.sign.take(seen);
         self.hold.take(seen);
+        self.monitor.take(seen);
     }
 
     /// Begins another recording of the same robot, or of one like it.
@@ -174,7 +176,8 @@ impl Judge {
     /// The implausible findings so far: errors first, each in the order of [`Kind`].
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
-        let mut found = self.signs();
+        // A current that nobody measures has no sign, and neither has the power made of it.
+        let mut found = if self.makes_power() { Vec::new() } else { self.signs() };
         let magnitudes = Magnitudes {
             columns: &self.columns,
             ratios: &self.ratios,
@@ -415,7 +418,35 @@ impl Judge {
         })
     }
 
+    /// True if the current is no measurement, and power is made of it.
+    fn makes_power(&self) -> bool {
+        let is_product = self.products >= self.known.least(MIN_ROWS) && self.mismatches == 0;
+        let current = &self.columns[Quantity::Current as usize];
+        self.monitor.is_constant() && !current.is_zero() && is_product
+    }
+
+    /// A current that never changes while the voltage does.
+    fn unmeasured(&self, column: &Column) -> Finding {
+        Finding {
+            kind: Kind::Constant,
+            quantity: Some(Quantity::Current),
+            severity: if self.makes_power() { Severity::Error } else { Severity::Warning },
+            readings: column.count,
+            found: format!(
+                "the current is {} in each of {} readings, while the voltage changes: it is not \
+                 measured",
+                Quantity::Current.shown(column.first),
+                column.count
+            ),
+            allowed: "a current changes with what the robot does".to_owned(),
+            remedy: Remedy::Unmeasured(column.first),
+        }
+    }
+
     fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
+        if quantity == Quantity::Current && !column.is_zero() && self.monitor.is_constant() {
+            return Some(self.unmeasured(column));
+        }
         let power = &self.columns[Quantity::Power as usize];
         let is_measured =
             matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);

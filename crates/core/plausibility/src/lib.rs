@@ -25,6 +25,9 @@
 //! what was seen of it at one time. A [`Finding`] states what was found, what is allowed and what
 //! to do, in the words of the [`Source`].
 //!
+//! [`CurrentMonitor`], [`ChargerWatch`] and [`is_charge`] decide which readings of a battery are a
+//! robot's consumption.
+//!
 //! Two more judge alone: [`Stamps`] compares the stamps of messages with the times of their
 //! recording, and [`resolution`](resolution()) finds the step of a power monitor.
 //!
@@ -51,6 +54,7 @@
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/bridges.md
 #![forbid(unsafe_code)]
 
+mod battery;
 mod clock;
 mod column;
 mod finding;
@@ -65,6 +69,10 @@ mod sign;
 mod sizes;
 mod unit;
 
+pub use battery::{
+    ChargerWatch, CurrentMonitor, SupplyStatus, UNMEASURED_A, charging_of_text, is_charge,
+    on_charger,
+};
 pub use clock::{StampState, Stamps};
 pub use finding::{Finding, Kind, Severity, Source};
 pub use hold::{COMMAND_HOLDS_S, Expired};

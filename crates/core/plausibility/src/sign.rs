@@ -10,11 +10,11 @@ use crate::finding::Severity;
 use crate::observation::Observation;
 
 /// Readings of a state of motion before they count.
-const MIN_READINGS: u64 = 20;
+pub(crate) const MIN_READINGS: u64 = 20;
 /// Readings of driving that distinguish it from standing on a charger.
 const FEW_READINGS: u64 = 3;
 /// Time that shows more than braking, s.
-const MIN_DRIVE_S: f64 = 3.0;
+pub(crate) const MIN_DRIVE_S: f64 = 3.0;
 /// Share of negative readings that contradicts driving.
 const NEGATIVE: f64 = 0.9;
 /// Speeds from which a robot moves, m/s and rad/s.

@@ -25,6 +25,8 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
+use joulebus_plausibility::{Observation, on_charger};
+
 pub use capture::{CaptureRun, each_run, is_capture};
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
@@ -57,6 +59,8 @@ pub struct Trial {
     is_turned: bool,
     is_part: bool,
     appended: Option<Appended>,
+    /// Rows of the file on the charger, in ascending order.
+    on_charger: Vec<u32>,
     notes: TrialNotes,
 }
 
@@ -88,9 +92,10 @@ impl Trial {
             ignored_columns,
             no_final_line_break,
             unnamed_rows,
+            mut on_charger,
             sources,
             left_out,
-            understood,
+            mut understood,
             time_name,
             states_time_unit,
             is_turned,
@@ -98,6 +103,18 @@ impl Trial {
             headers: _,
             appended,
         } = table;
+        on_charger.retain(|row| file_row.binary_search(row).is_ok());
+        let by_sign = leave_out_charging(&timestamp_s, &mut columns);
+        on_charger.extend(by_sign.into_iter().filter_map(|row| file_row.get(row).copied()));
+        on_charger.sort_unstable();
+        if !on_charger.is_empty() {
+            understood.push(format!(
+                "{} of {} readings are on the charger: their power is no consumption, and \
+                 unknown",
+                on_charger.len(),
+                timestamp_s.len()
+            ));
+        }
         for column in &mut columns {
             if column.as_ref().is_some_and(|values| values.iter().all(|value| value.is_nan())) {
                 *column = None;
@@ -121,6 +138,7 @@ impl Trial {
             is_turned,
             is_part,
             appended,
+            on_charger,
             notes: TrialNotes::default(),
         };
         trial.notes = TrialNotes {
@@ -131,6 +149,8 @@ impl Trial {
             understood,
             ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| trial.file_row(row))
         };
+        let charged = (0..trial.rows()).filter(|row| trial.is_on_charger(*row)).count();
+        trial.notes.missing_readings -= charged;
         Ok(trial)
     }
 
@@ -175,6 +195,15 @@ impl Trial {
     /// to the bit.
     pub fn is_held(&self, row: usize) -> bool {
         table::is_held(&self.columns, row)
+    }
+
+    /// True if the power of `row` (from 0) is unknown because the robot is on its charger: the file
+    /// says so, or the current flows into the battery.
+    pub(crate) fn is_on_charger(&self, row: usize) -> bool {
+        let file_row = u32::try_from(self.file_row(row));
+        let is_said = file_row.is_ok_and(|row| self.on_charger.binary_search(&row).is_ok());
+        let flows_in = || self.value(Column::Current, row).is_some_and(|current_a| current_a < 0.0);
+        self.value(Column::Power, row).is_none() && (is_said || flows_in())
     }
 
     /// Median step between rows whose time advances, ns. At least 1.
@@ -222,4 +251,23 @@ impl Trial {
     fn value(&self, column: Column, row: usize) -> Option<f64> {
         table::value(&self.columns, column, row)
     }
+}
+
+/// Makes the power unknown in rows in which its sign shows that the robot is on its charger.
+fn leave_out_charging(timestamp_s: &[f64], columns: &mut Columns) -> Vec<usize> {
+    let value = |column: Column, row: usize| table::value(columns, column, row).unwrap_or(f64::NAN);
+    let found = on_charger(timestamp_s.len(), |row| Observation {
+        v_mps: value(Column::V, row),
+        omega_radps: value(Column::Omega, row),
+        v_measured_mps: value(Column::VMeasured, row),
+        omega_measured_radps: value(Column::OmegaMeasured, row),
+        power_w: value(Column::Power, row),
+        ..Observation::at(timestamp_s[row])
+    });
+    for row in &found {
+        if let Some(power) = &mut columns[Column::Power as usize] {
+            power[*row] = f64::NAN;
+        }
+    }
+    found
 }

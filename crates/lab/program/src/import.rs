@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::import::{Imported, Mapping, RobotReport, Row as ImportedRow};
 use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
-use joulebus_files::disk;
+use joulebus_files::{disk, ends_in, without_ending};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -151,8 +151,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// A name without directory and extensions.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let endings = [".mcap", ".db3", ".npy", ".csv.gz", ".csv"];
-    let stem = endings.iter().find_map(|ending| name.strip_suffix(ending));
+    let endings = ["mcap", "db3", "npy", "csv.gz", "csv"];
+    let stem = endings.iter().find_map(|ending| without_ending(&name, ending));
     stem.unwrap_or(&name).to_owned()
 }
 
@@ -198,6 +198,12 @@ fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::
     let Some(first) = rows.first() else {
         bail!("no row of it can be used");
     };
+    if rows.iter().all(|row| row.power_w.is_nan()) {
+        bail!(
+            "no reading has a power that it consumes: each is on the charger, or its current is \
+             not measured. Record the robot while it drives, with a driver that measures the current"
+        );
+    }
     let start_ns = first.time_ns;
     let rows = rows.iter().map(|row| Row {
         timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
@@ -285,12 +291,12 @@ fn one_robot(path: &Path, map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
 
 fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
     let name = args.out.to_string_lossy();
-    if name.ends_with(".mcap") {
+    if ends_in(&args.out, "mcap") {
         let config = args.config.load()?;
         let written = capture::write(&args.out, &config, args.first_robot, recordings)?;
         return Ok(vec![written]);
     }
-    let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
+    let is_dataset = ends_in(&args.out, "csv") || ends_in(&args.out, "csv.gz");
     if is_dataset && recordings.len() > 1 {
         let what = format!("{} recordings cannot be written to one dataset", recordings.len());
         return Err(UsageError(format!("{what}. Name a directory or a capture (.mcap)")).into());

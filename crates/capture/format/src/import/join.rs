@@ -6,7 +6,9 @@ use std::ops::RangeInclusive;
 use mcap::records::MessageHeader;
 
 use super::mapping::{CurrentSign, Expired, Mapping, RobotMapping, TimeSource};
-use joulebus_plausibility::{StampState, Stamps};
+use joulebus_plausibility::{
+    CurrentMonitor, Observation, StampState, Stamps, SupplyStatus, UNMEASURED_A, is_charge,
+};
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
 /// Maximum number of messages of a robot's topic, of which each has some 100 bytes in memory: 155
@@ -30,9 +32,9 @@ pub struct Row {
     pub theta_rad: f64,
     /// Battery voltage, V.
     pub voltage_v: f64,
-    /// Battery current, A, positive while discharging.
+    /// Battery current, A, positive while discharging. NaN where the battery measures none.
     pub current_a: f64,
-    /// Electrical power, W.
+    /// Electrical power, W. NaN on the charger, where the battery's power is no consumption.
     pub power_w: f64,
     /// Measured state of charge, 0 to 1. NaN if the battery does not measure it.
     pub soc: f64,
@@ -63,8 +65,13 @@ const SOC: RangeInclusive<f64> = -0.05..=1.05;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     voltage_v: f64,
+    /// NaN if it is not measured.
     current_a: f64,
     soc: f64,
+    /// True if the message says that the battery is on the charger, if it says anything.
+    charging: Option<bool>,
+    /// The current is the number that drivers write where they measure none.
+    is_reserved: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -162,6 +169,8 @@ pub(super) struct Track {
     without_stamp: u64,
     not_present: u64,
     charging: u64,
+    /// Whether −1 A is a reading of this battery's monitor.
+    monitor: CurrentMonitor,
     /// Readings whose state of charge is no share, and those of them that could be percentages.
     odd_soc: u64,
     percent_soc: u64,
@@ -199,6 +208,7 @@ impl Track {
             without_stamp: 0,
             not_present: 0,
             charging: 0,
+            monitor: CurrentMonitor::default(),
             odd_soc: 0,
             percent_soc: 0,
             unknown_soc: 0,
@@ -284,9 +294,15 @@ impl Track {
         if !voltage_v.is_finite() || !current_a.is_finite() {
             return self.battery.refuse("its voltage or current is not a number");
         }
+        let is_reserved = f64::from(state.current) == UNMEASURED_A;
+        let charging =
+            SupplyStatus::new(state.power_supply_status).and_then(SupplyStatus::charging);
+        // The number as the driver wrote it: its unit does not matter here.
+        let as_written = f64::from(state.current);
+        self.monitor.take(&Observation { current_a: as_written, ..Observation::at(0.0) });
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
-        self.charging += u64::from(current_a < 0.0);
+        self.charging += u64::from(current_a < 0.0 && charging != Some(true));
         // Drivers write −1 as well, and mavros −1 %.
         let is_known = state.percentage.is_finite() && ![-1.0, -0.01].contains(&state.percentage);
         let soc = is_known.then_some(f64::from(state.percentage));
@@ -295,7 +311,7 @@ impl Track {
         let known = soc.is_nan() || SOC.contains(&soc);
         self.odd_soc += u64::from(!known);
         self.percent_soc += u64::from(!known && SOC.contains(&(soc / 100.0)));
-        self.battery.push(times, Reading { voltage_v, current_a, soc });
+        self.battery.push(times, Reading { voltage_v, current_a, soc, charging, is_reserved });
     }
 
     fn twist(&mut self, times: Times, twist: &Twist) {
@@ -330,8 +346,13 @@ impl Track {
         let (mut merged, mut expired) = (0, 0);
         // Drivers that do not measure it leave it at zero instead of NaN.
         let has_percentages = self.has_percentages();
+        let measures_one_ampere = self.monitor.measures_one_ampere();
+        let is_unmeasured = |reading: &Reading| reading.is_reserved && !measures_one_ampere;
         for (_, reading) in &mut self.battery.items {
             reading.soc = share(reading.soc, has_percentages);
+            if is_unmeasured(reading) {
+                reading.current_a = f64::NAN;
+            }
         }
         let mut readings = self.battery.items.iter();
         let measures_soc =
@@ -482,6 +503,21 @@ impl Track {
                 self.odd_soc
             ));
         }
+        let known = self.battery.items.iter().map(|(_, reading)| reading);
+        let docked = known.clone().filter(|reading| reading.charging == Some(true)).count();
+        if docked > 0 {
+            notes.push(format!(
+                "{docked} of {all} readings are on the charger (`power_supply_status`): their power \
+                 is no consumption, and unknown"
+            ));
+        }
+        let reserved = known.filter(|reading| reading.is_reserved).count();
+        if reserved > 0 && !self.monitor.measures_one_ampere() {
+            notes.push(format!(
+                "{reserved} of {all} readings have a current of exactly −1, which drivers write \
+                 where they measure none: their current and power are unknown"
+            ));
+        }
         if all > 0 && self.charging * 10 > all * 9 {
             let remedy = match self.robot.current {
                 CurrentSign::DischargeNegative => "discharge-positive",
@@ -568,6 +604,7 @@ impl<'a, T: Copy> Follow<'a, T> {
 
 fn row(time_ns: u64, reading: Reading, command: Option<Command>, motion: Option<Motion>) -> Row {
     let unknown = f64::NAN;
+    let power_w = reading.voltage_v * reading.current_a;
     Row {
         time_ns,
         v_mps: command.map_or(unknown, |command| command.v_mps),
@@ -577,7 +614,11 @@ fn row(time_ns: u64, reading: Reading, command: Option<Command>, motion: Option<
         theta_rad: motion.map_or(unknown, |motion| motion.theta_rad),
         voltage_v: reading.voltage_v,
         current_a: reading.current_a,
-        power_w: reading.voltage_v * reading.current_a,
+        power_w: if is_charge(power_w, power_w, true, reading.charging) {
+            unknown
+        } else {
+            power_w
+        },
         soc: if reading.soc.is_finite() { reading.soc } else { unknown },
         v_measured_mps: motion.map_or(unknown, |motion| motion.v_mps),
         omega_measured_radps: motion.map_or(unknown, |motion| motion.omega_radps),

@@ -151,13 +151,13 @@ fn undecodable_messages_are_refused_by_reason_and_the_rest_is_used() {
     bag.channel("/battery", "sensor_msgs/BatteryState", "cdr", BATTERY);
     for step in 0..10_u64 {
         let now_ns = START_NS + step * TENTH_NS;
-        bag.message("/battery", now_ns, &battery(now_ns, 10.0, -1.0));
+        bag.message("/battery", now_ns, &battery(now_ns, 10.0, -1.5));
     }
     let at = |tenth| START_NS + tenth * TENTH_NS;
     let mut whole = vec![0, 0, 0, 0];
     whole.extend(to_vec::<_, BigEndian>(&battery(at(20), 11.0, -2.0)).unwrap());
     bag.raw("/battery", at(20), &whole);
-    bag.message("/battery", at(21), &battery(1, f32::NAN, -1.0));
+    bag.message("/battery", at(21), &battery(1, f32::NAN, -1.5));
     for cut in 0..whole.len() {
         bag.raw("/battery", at(30), &whole[..cut]);
     }
@@ -191,7 +191,7 @@ fn messages_of_another_kind_on_a_topic_are_refused_and_counted() {
     bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
     for step in 0..3_u64 {
         let now_ns = START_NS + step * TENTH_NS;
-        bag.message("/r/battery", now_ns, &battery(now_ns, 12.0, -1.0));
+        bag.message("/r/battery", now_ns, &battery(now_ns, 12.0, -1.5));
     }
     bag.channel("/r/battery", "geometry_msgs/msg/Twist", "cdr", "");
     bag.message("/r/battery", START_NS + 3 * TENTH_NS, &twist(1.0, 1.0));
@@ -427,7 +427,7 @@ fn two_clocks(stamp: impl Fn(u64) -> u64, stamped: Option<u64>) -> Bag {
                 bag.message("/cmd_vel", now_ns, &TwistStamped { header, twist });
             }
         }
-        bag.message("/battery", now_ns + 1_000_000, &battery(stamp(now_ns), 12.0, -1.0));
+        bag.message("/battery", now_ns + 1_000_000, &battery(stamp(now_ns), 12.0, -1.5));
     }
     bag
 }
@@ -495,7 +495,7 @@ fn a_command_expires_as_in_the_bridge() {
             if (10..20).contains(&step) {
                 bag.message("/cmd_vel", now_ns, &twist(0.5, 0.0));
             }
-            bag.message("/battery", now_ns, &battery(now_ns, 12.0, -1.0));
+            bag.message("/battery", now_ns, &battery(now_ns, 12.0, -1.5));
         }
         bag
     };
@@ -530,7 +530,7 @@ fn percentages_are_read_as_such_in_all_readings() {
         bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
         for step in 0..60_u64 {
             let now_ns = START_NS + step * TENTH_NS;
-            let mut state = battery(now_ns, 12.0, -1.0);
+            let mut state = battery(now_ns, 12.0, -1.5);
             state.percentage = charge(step);
             bag.message("/battery", now_ns, &state);
         }
@@ -558,5 +558,56 @@ fn percentages_are_read_as_such_in_all_readings() {
                 ["30 of 60 readings have a percentage of NaN or −1"],
             );
         }
+    }
+}
+
+/// A table of what drivers say: the readings, and whether each has a power and a current.
+#[test]
+fn what_is_charged_or_not_measured_is_no_power() {
+    let imported = |current: &dyn Fn(u64) -> f32, status: &dyn Fn(u64) -> u8| {
+        let mut bag = Bag::new();
+        bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+        for step in 0..60_u64 {
+            let now_ns = START_NS + step * TENTH_NS;
+            let mut state = battery(now_ns, 24.0, current(step));
+            state.power_supply_status = status(step);
+            bag.message("/r/battery", now_ns, &state);
+        }
+        bag.import("").unwrap().robots.remove(0)
+    };
+    let known = |robot: &RobotReport| {
+        let power = robot.rows.iter().filter(|row| row.power_w.is_finite()).count();
+        (power, robot.rows.iter().filter(|row| row.current_a.is_finite()).count())
+    };
+    // A dock in the second half, with a status that says so or does not.
+    let dock = |step: u64| if step < 30 { -0.4 } else { 2.9 };
+    for (on_the_dock, expected) in [(0, 60), (1, 30), (2, 60), (3, 60), (4, 30), (9, 60)] {
+        let robot = imported(&dock, &|step| if step < 30 { 2 } else { on_the_dock });
+        assert_eq!(known(&robot), (expected, 60), "status {on_the_dock}");
+        let notes = robot.notes.join("\n");
+        assert_eq!(
+            notes.contains("30 of 60 readings are on the charger"),
+            expected < 60,
+            "{notes}"
+        );
+        assert!(robot.rows[..30].iter().all(|row| row.power_w > 0.0));
+    }
+    // A discharge that has the wrong sign is none of a charger.
+    let robot = imported(&|_| -2.5, &|_| 1);
+    assert_eq!(known(&robot), (0, 60));
+    for (current, expected, why) in [
+        (&(|_: u64| -1.0_f32) as &dyn Fn(u64) -> f32, 0, "always"),
+        (
+            &|step| if step % 3 == 0 { -1.0 } else { -2.345 - 0.01 * step as f32 },
+            40,
+            "now and then",
+        ),
+        (&|step| -0.7 - 0.1 * (step % 7) as f32, 60, "measured by a coarse monitor"),
+        (&|step| -(step as f32 % 4.0), 60, "measured in whole amperes"),
+    ] {
+        let robot = imported(current, &|_| 2);
+        assert_eq!(known(&robot), (expected, expected), "{why}");
+        let notes = robot.notes.join("\n");
+        assert_eq!(notes.contains("a current of exactly −1"), expected < 60, "{why}: {notes}");
     }
 }

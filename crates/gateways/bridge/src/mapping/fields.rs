@@ -184,6 +184,7 @@ impl Fields {
         let power_w = number(&self.power, "power");
         seen.power = power_w.map(|power_w| PowerReading { power_w, of: self.power_of });
         if self.power_of_current {
+            seen.power_of_current = seen.power.is_none();
             seen.power = seen.power.or(product(seen.voltage_v, seen.current_a));
         }
         let mut flag = |field: &Option<Flag>, name| {

@@ -14,12 +14,17 @@
 //!   first of them, and so is the meaning of the battery's power. If none do, the robot never
 //!   charges, and neither does one from which such a message has not come within
 //!   `silent_after_s` of its first other one. A battery's power from before a change is dropped.
+//! - On the charger the battery's power is no consumption. A robot of which no message reports
+//!   charging is on its charger while its power is negative at rest for seconds.
+//! - A current that nobody measures is unknown, and so is the power made of it: the number that a
+//!   format reserves, or one that never changes while the voltage does.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
 use std::collections::BTreeMap;
 
-use joulebus_plausibility::{Expired, Source};
+use joulebus_plausibility as plausibility;
+use joulebus_plausibility::{ChargerWatch, CurrentMonitor, Expired, Source, is_charge};
 use joulebus_publisher::{Charger, Judgement, RobotState};
 use joulebus_settings::ChargeReading;
 
@@ -69,6 +74,13 @@ struct Robot {
     has_reported: bool,
     first_ns: u64,
     full: bool,
+    monitor: CurrentMonitor,
+    /// The power is voltage times current.
+    power_of_current: bool,
+    /// A message has said whether the robot charges. Otherwise the sign of its power does.
+    says_charging: bool,
+    watch: ChargerWatch,
+    on_charger: bool,
 }
 
 /// The newest observations of all robots of the mapping.
@@ -124,6 +136,7 @@ impl Intake {
             return;
         };
         self.observations += 1;
+        let seen = &known.measured(seen);
         known.any_ns = Some(at_ns);
         known.first_ns = known.first_ns.min(at_ns);
         known.has_reported |= seen.reports_charging;
@@ -143,10 +156,12 @@ impl Intake {
             known.power = known.power.filter(|timed| !is_of_battery(*timed));
         }
         known.charging = charging;
+        known.says_charging |= seen.charging.is_some();
         known.full = seen.full.unwrap_or(known.full);
         // A repeated reading is not a new measurement.
         if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
             set(&mut known.power, seen.power, at_ns);
+            known.power_of_current = seen.power_of_current;
             known.sampled = false;
         }
     }
@@ -184,7 +199,7 @@ impl Intake {
         if let Some(timed) = known.power
             && let Some(reading) = timed.within(holds.reading_ns, now_ns)
         {
-            state.power_w = known.power_w(reading, charging);
+            state.power_w = known.power_w(reading, &state, charging);
             state.measured_ns = state.power_w.map(|_| timed.at_ns);
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
@@ -192,6 +207,7 @@ impl Intake {
         if state.power_w.is_some() && !state.held {
             self.judgement.take(&state, soc, now_ns);
         }
+        known.leave_out(&mut state, now_ns);
         Some(state)
     }
 
@@ -238,18 +254,77 @@ impl Robot {
             has_reported: !reports_charging,
             first_ns: u64::MAX,
             full: false,
+            monitor: CurrentMonitor::new(),
+            power_of_current: false,
+            says_charging: false,
+            watch: ChargerWatch::new(),
+            on_charger: false,
+        }
+    }
+
+    /// The observation without a current that is not measured, and without the power made of it.
+    fn measured(&mut self, seen: &Observation) -> Observation {
+        let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
+        let voltage_v = seen.voltage_v.or(self.voltage_v.map(|timed| timed.value));
+        self.monitor.take(&plausibility::Observation {
+            voltage_v: number(voltage_v),
+            current_a: number(seen.current_a),
+            v_mps: number(self.v_mps.map(|timed| timed.value)),
+            omega_radps: number(self.omega_radps.map(|timed| timed.value)),
+            ..plausibility::Observation::at(0.0)
+        });
+        if !seen.is_reserved || self.monitor.measures_one_ampere() {
+            return *seen;
+        }
+        let power = seen.power.filter(|_| !seen.power_of_current);
+        Observation { power, current_a: None, ..*seen }
+    }
+
+    /// Leaves out of a sample what is no consumption, though it was judged.
+    fn leave_out(&mut self, state: &mut RobotState, now_ns: u64) {
+        if self.monitor.is_constant() {
+            state.current_a = None;
+        }
+        let by_sign = !self.says_charging && self.charge_reading == ChargeReading::Load;
+        if let (Some(power_w), true) = (state.power_w, by_sign && !state.held) {
+            let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
+            self.on_charger = self.watch.take(&plausibility::Observation {
+                power_w: power_w.into(),
+                v_mps: number(state.v_mps),
+                omega_radps: number(state.omega_radps),
+                ..plausibility::Observation::at(now_ns as f64 * 1e-9)
+            });
+        }
+        let is_on_charger = by_sign && self.on_charger;
+        if is_on_charger {
+            state.charger = Charger::Charging;
+        }
+        if is_on_charger || (self.power_of_current && self.monitor.is_constant()) {
+            (state.power_w, state.measured_ns, state.held) = (None, None, false);
         }
     }
 
     /// The power that the platform's config expects. On the charger the battery's power has the
     /// meaning of `charge_reading`. With `load` the consumption is then unknown.
-    fn power_w(&self, reading: PowerReading, charging: Option<bool>) -> Option<f32> {
-        match (reading.of, charging, self.charge_reading) {
-            (PowerOf::Load, _, _) | (_, Some(false), _) | (_, _, ChargeReading::Battery) => {
-                Some(reading.power_w)
+    fn power_w(
+        &self,
+        reading: PowerReading,
+        state: &RobotState,
+        charging: Option<bool>,
+    ) -> Option<f32> {
+        let product_w = state.voltage_v.zip(state.current_a).map(|(volt, ampere)| volt * ampere);
+        let product_w = product_w.map_or(f64::NAN, f64::from);
+        let of_battery = reading.of == PowerOf::Battery;
+        match (charging, self.charge_reading) {
+            (_, ChargeReading::Battery) => Some(reading.power_w),
+            (None, _) => (!of_battery).then_some(reading.power_w),
+            (Some(true), ChargeReading::Charger) if of_battery => Some(-reading.power_w),
+            (Some(true), ChargeReading::Load)
+                if is_charge(reading.power_w.into(), product_w, of_battery, charging) =>
+            {
+                None
             }
-            (_, Some(true), ChargeReading::Charger) => Some(-reading.power_w),
-            (_, Some(true), ChargeReading::Load) | (_, None, _) => None,
+            _ => Some(reading.power_w),
         }
     }
 }
@@ -363,7 +438,7 @@ mod tests {
             (ChargeReading::Battery, PowerOf::Battery, Some(-40.0)),
             (ChargeReading::Charger, PowerOf::Battery, Some(40.0)),
             (ChargeReading::Load, PowerOf::Battery, None),
-            (ChargeReading::Load, PowerOf::Load, Some(-40.0)),
+            (ChargeReading::Load, PowerOf::Load, None),
         ] {
             let mut intake = intake(HOLDS, charge_reading);
             let power = power(-40.0, of).power;
@@ -376,6 +451,103 @@ mod tests {
             intake.take(7, &left, 30);
             let state = intake.sample(7, 40).unwrap();
             assert_eq!((state.power_w, state.charger), (Some(12.0), Charger::Disconnected));
+        }
+    }
+
+    /// What each door makes of messages: a robot that drives, and then takes energy at rest, or
+    /// whose driver measures no current.
+    #[test]
+    fn what_is_charged_or_not_measured_is_no_consumption_at_any_door() {
+        const STEP_NS: u64 = 100_000_000;
+        let doors: [(&str, Option<PowerOf>, bool); 4] = [
+            ("MQTT, power", Some(PowerOf::Load), false),
+            ("MQTT, power of the battery", Some(PowerOf::Battery), false),
+            ("MQTT or VDA 5050, power of current", None, false),
+            ("ROS 2, BatteryState", None, true),
+        ];
+        // Current of a step, what messages say of charging, and whether the end has a power.
+        type Current = fn(u64) -> f32;
+        let load: Current = |step| 2.0 + 0.1 * (step % 7) as f32;
+        let dock: Current = |step| if step < 300 { 2.0 + 0.1 * (step % 7) as f32 } else { -3.0 };
+        let cases: [(&str, Current, Option<bool>, [bool; 4]); 7] = [
+            ("drives", load, None, [true; 4]),
+            ("drives, and says so", load, Some(false), [true; 4]),
+            ("docks, and says so", dock, Some(true), [false; 4]),
+            ("docks in silence", dock, None, [false; 4]),
+            ("feeds back, and says that it does not charge", dock, Some(false), [true; 4]),
+            ("−1 A", |_| -1.0, None, [true, true, false, false]),
+            ("0.01 A", |_| 0.01, None, [true, true, false, false]),
+        ];
+        for (case, current, says, expected) in cases {
+            for ((door, of, is_ros), expected) in doors.iter().zip(expected) {
+                let holds = Holds {
+                    command_ns: 5 * STEP_NS,
+                    reading_ns: 10 * STEP_NS,
+                    silent_ns: 50 * STEP_NS,
+                    ..HOLDS
+                };
+                let mut intake = Intake::new(holds, false, [(7, ChargeReading::Load)]);
+                let mut last = None;
+                for step in 0..400 {
+                    let ampere = current(step);
+                    let volt = 24.0 + 0.01 * (step % 5) as f32;
+                    // A meter of its own measures what the current does not say.
+                    let metered_w = volt * if case.ends_with(" A") { load(step) } else { ampere };
+                    let power_w = if of.is_some() { metered_w } else { volt * ampere };
+                    let power = Some(PowerReading { power_w, of: of.unwrap_or(PowerOf::Battery) });
+                    let seen = Observation {
+                        power,
+                        power_of_current: of.is_none(),
+                        voltage_v: Some(volt),
+                        current_a: Some(ampere),
+                        is_reserved: *is_ros && ampere == -1.0,
+                        charging: says.map(|charging| charging && step >= 300),
+                        v_mps: Some(if step < 300 { 0.3 } else { 0.0 }),
+                        omega_radps: Some(0.0),
+                        ..Observation::default()
+                    };
+                    intake.take(7, &seen, step * STEP_NS);
+                    last = intake.sample(7, step * STEP_NS);
+                    let is_unknown = *is_ros && case == "−1 A";
+                    let power_w = last.and_then(|state| state.power_w);
+                    assert!(!is_unknown || power_w.is_none(), "from the first message on");
+                }
+                let state = last.unwrap();
+                assert_eq!(state.power_w.is_some(), expected, "{door}: {case}: {state:?}");
+                assert_eq!(state.measured_ns.is_some(), expected, "{door}: {case}");
+                let is_docked = case.starts_with("docks");
+                assert_eq!(state.charger == Charger::Charging, is_docked, "{door}: {case}");
+                if ["−1 A", "0.01 A"].contains(&case) {
+                    assert_eq!(state.current_a, None, "{door}: {case}");
+                }
+            }
+        }
+        // A coarse monitor at rest may stand still, and one ampere may be measured.
+        for (current, v_mps, reserved) in [
+            ((|_| 0.3) as Current, 0.0, false),
+            (|step| [-0.9, -1.0, -1.1][(step % 3) as usize], 0.3, true),
+        ] {
+            let mut intake = intake(HOLDS, ChargeReading::Load);
+            let mut known = 0;
+            for step in 0..300 {
+                let ampere = current(step);
+                let volt = 24.0 + 0.01 * (step % 5) as f32;
+                let seen = Observation {
+                    is_reserved: reserved && ampere == -1.0,
+                    power_of_current: true,
+                    power: Some(PowerReading {
+                        power_w: volt * ampere.abs(),
+                        of: PowerOf::Battery,
+                    }),
+                    voltage_v: Some(volt),
+                    current_a: Some(ampere.abs()),
+                    v_mps: Some(v_mps),
+                    ..Observation::default()
+                };
+                intake.take(7, &seen, 10 * step);
+                known += u32::from(intake.sample(7, 10 * step).unwrap().power_w.is_some());
+            }
+            assert_eq!(known, 300, "{v_mps} m/s");
         }
     }
 

@@ -30,10 +30,14 @@ pub(crate) struct Observation {
     pub(crate) omega_radps: Option<f32>,
     /// Power.
     pub(crate) power: Option<PowerReading>,
+    /// The power is voltage times current.
+    pub(crate) power_of_current: bool,
     /// Battery voltage, V.
     pub(crate) voltage_v: Option<f32>,
     /// Battery current, A, positive while discharging.
     pub(crate) current_a: Option<f32>,
+    /// The current is the number that drivers of its format write where they measure none.
+    pub(crate) is_reserved: bool,
     /// State of charge, 0 to 1.
     pub(crate) soc: Option<f32>,
     /// Whether the robot is on its charger.
@@ -53,8 +57,10 @@ impl Observation {
             v_mps,
             omega_radps,
             power,
+            power_of_current: _,
             voltage_v,
             current_a,
+            is_reserved: _,
             soc,
             charging,
             full,

@@ -316,7 +316,7 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
     }
     let power_w = trial.column(Column::Power);
     let missing = |row: &usize| power_w.is_none_or(|values| values[*row].is_nan());
-    for row in (0..trial.rows()).filter(missing) {
+    for row in (0..trial.rows()).filter(missing).filter(|row| !trial.is_on_charger(*row)) {
         found.add(FindingKind::MissingReading, 1, || {
             at(trial, row, Some(Column::Power), "not recorded".to_owned())
         });

@@ -151,7 +151,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 
 /// A pattern whose ending fits in any case: `*.csv` finds `A.CSV`.
 fn with_any_case(pattern: &str) -> String {
-    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '.';
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || ".?".contains(letter);
     let tail = pattern.trim_end_matches(is_plain).len();
     let Some(dot) = pattern[tail..].find('.') else {
         return pattern.to_owned();

@@ -34,7 +34,7 @@ pub fn is_capture(path: &Path) -> bool {
 /// # Errors
 /// The operating system's, if a file of that name cannot be read.
 pub(crate) fn try_is_capture(path: &Path) -> io::Result<bool> {
-    if path.extension().is_none_or(|extension| extension != "mcap") {
+    if !joulebus_files::ends_in(path, "mcap") {
         return Ok(false);
     }
     let mut head = Vec::new();
@@ -55,13 +55,21 @@ pub struct CaptureRun {
     pub stamps: Vec<RowStamp>,
 }
 
+impl CaptureRun {
+    /// The rows, of which those on the charger have no power that flows into the battery.
+    fn consumption(mut self) -> Table {
+        self.table.leave_out_charging(&self.stamps);
+        self.table
+    }
+}
+
 /// A table for each robot and run, in SI units converted to those of files.
 pub(super) fn read(
     path: &Path,
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let taken = each_run_in(path, in_memory, |run| match take(run.table) {
+    let taken = each_run_in(path, in_memory, |run| match take(run.consumption()) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(None),
     });

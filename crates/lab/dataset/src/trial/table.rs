@@ -5,10 +5,13 @@ use std::fmt;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use joulebus_plausibility::is_charge;
+use joulebus_wire::sample_flag;
 use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
 use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
+use crate::archive::RowStamp;
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -137,6 +140,8 @@ pub struct Table {
     pub(crate) ignored_columns: Vec<String>,
     pub(crate) no_final_line_break: bool,
     pub(crate) unnamed_rows: usize,
+    /// Rows of the file on the charger, whose power was left out. Of all parts of the file.
+    pub(crate) on_charger: Vec<u32>,
     /// The columns of a CSV that were read.
     pub(crate) sources: Vec<SourceColumn>,
     /// Lines of a CSV that were left out. Of several robots the first has them.
@@ -358,6 +363,20 @@ impl Table {
         &self.sources
     }
 
+    /// Makes the power unknown that flows into the battery, in samples on the charger.
+    pub(crate) fn leave_out_charging(&mut self, stamps: &[RowStamp]) {
+        let Some(power) = &mut self.columns[Column::Power as usize] else {
+            return;
+        };
+        for ((power, stamp), row) in power.iter_mut().zip(stamps).zip(&self.file_row) {
+            let charging = Some(stamp.flags & sample_flag::CHARGING != 0);
+            if is_charge(*power, f64::NAN, false, charging) {
+                *power = f64::NAN;
+                self.on_charger.push(*row);
+            }
+        }
+    }
+
     /// Removes a column.
     pub fn drop_column(&mut self, column: Column) {
         self.columns[column as usize] = None;
@@ -434,6 +453,7 @@ impl Table {
                 time_name: self.time_name.clone(),
                 states_time_unit: self.states_time_unit,
                 is_turned: self.is_turned,
+                on_charger: self.on_charger.clone(),
                 is_part,
                 appended: self.appended.take(),
                 ..self.take_first(start - taken)
@@ -550,6 +570,7 @@ impl Table {
                 Some(values.drain(..rows.min(values.len())).collect())
             }),
             unnamed_rows: std::mem::take(&mut self.unnamed_rows),
+            on_charger: self.on_charger.clone(),
             is_part: true,
             ..Self::default()
         }

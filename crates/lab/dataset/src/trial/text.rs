@@ -7,6 +7,7 @@ use std::path::Path;
 use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
 use joulebus_files::foreign;
+use joulebus_plausibility::charging_of_text;
 
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, InMemory, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
@@ -723,6 +724,9 @@ struct Layout {
     time: TimeColumns,
     time_name: String,
     columns: Vec<(Column, Source, f64, String)>,
+    /// Position of what says whether the battery charges, and whether numbers in it are those of
+    /// ROS's `power_supply_status`.
+    charging: Option<(usize, bool)>,
     /// True if power is voltage times current.
     by_product: bool,
     /// Numbers that stand for no value.
@@ -777,6 +781,7 @@ impl Layout {
             [first, second, ..] => Err(twice(first.position, second.position)),
         };
         let robot = find(Quantity::Robot)?.map(|found| found.position);
+        let charging = charging_column(&names);
         let robot_name = map.constant(Quantity::Robot).map(|(name, _)| name.to_owned());
         let (mut columns, mut sources) = (Vec::new(), Vec::new());
         for column in Column::ALL {
@@ -822,6 +827,9 @@ impl Layout {
                 (used[*seconds], used[*nanoseconds]) = (true, true);
             }
             None => {}
+        }
+        if let Some((position, _)) = charging {
+            used[position] = true;
         }
         let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
         // `v` beside `i`, and nothing else that shows that the robot moves, or what its voltage is.
@@ -873,6 +881,7 @@ impl Layout {
             time,
             time_name,
             columns,
+            charging,
             by_product,
             missing: map.missing(),
             map,
@@ -987,14 +996,39 @@ impl Layout {
             check_value(cell, power.name(), power, power.si(power_mw))?;
             values[power as usize] = power_mw;
         }
+        let charging = self.charging.and_then(|(position, is_status)| {
+            let text = std::str::from_utf8(record.get(position)?).ok()?;
+            charging_of_text(text, is_status)
+        });
         let table = tables.of(cell, &name)?;
         table.push_any_time(cell, time_s)?;
+        // Whether the meter is the battery's or the robot's is not known.
+        if charging == Some(true) && !values[Column::Power as usize].is_nan() {
+            values[Column::Power as usize] = f64::NAN;
+            table.on_charger.push(cell.row as u32);
+        }
         let read = self.columns.iter().map(|(column, ..)| *column);
         for column in read.chain(product) {
             table.push_checked(column, values[column as usize]);
         }
         Ok(())
     }
+}
+
+/// The column that says whether the battery charges, and whether it is a `power_supply_status`.
+fn charging_column(names: &[String]) -> Option<(usize, bool)> {
+    let words = |name: &str| {
+        let words = name.split(|letter: char| !letter.is_alphanumeric());
+        words.filter(|word| !word.is_empty()).map(str::to_lowercase).collect::<Vec<_>>()
+    };
+    let is_last = |name: &str, last: &str| {
+        let name = format!("_{}", words(name).join("_"));
+        name.ends_with(&format!("_{last}"))
+    };
+    let status = names.iter().position(|name| is_last(name, "power_supply_status"));
+    let says = |name: &String| is_last(name, "charging") || is_last(name, "on_charger");
+    let is_status = status.map(|position| (position, true));
+    is_status.or_else(|| names.iter().position(says).map(|position| (position, false)))
 }
 
 /// A robot's name. A whole number that a program wrote with a fraction is the number.

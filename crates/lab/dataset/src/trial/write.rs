@@ -60,6 +60,7 @@ impl Trial {
             path: self.path.clone(),
             robot_name: self.robot_name.clone(),
             file_row: self.file_row.clone(),
+            on_charger: self.on_charger.clone(),
             timestamp_s: self.timestamp_s.clone(),
             columns,
             ..Table::default()

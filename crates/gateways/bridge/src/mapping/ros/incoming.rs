@@ -1,6 +1,7 @@
 //! Decodes a robot's ROS 2 messages. The bytes are untrusted: a message that does not fit its type
 //! is counted and changes nothing.
 
+use joulebus_plausibility::{SupplyStatus, UNMEASURED_A};
 use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
 
 use crate::mapping::account::{Account, Reason};
@@ -15,11 +16,9 @@ pub(crate) const MAX_BYTES: usize = 65_536;
 /// Size of the header with which Cyclone DDS begins a request, bytes.
 const HEADER_BYTES: usize = 16;
 
-/// `power_supply_status` of `sensor_msgs/BatteryState`.
+/// `power_supply_status` of `sensor_msgs/BatteryState`, where the bridge writes it.
 pub(crate) const CHARGING: u8 = 1;
 pub(crate) const DISCHARGING: u8 = 2;
-const NOT_CHARGING: u8 = 3;
-pub(crate) const FULL: u8 = 4;
 
 /// A pattern of topics, one for each robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -151,20 +150,30 @@ impl BatteryFields {
         if soc.is_some_and(|soc| !SOC.contains(&soc)) {
             refused(Reason::OutOfRange, "percentage");
         }
-        let (charging, full) = match state.power_supply_status {
-            CHARGING => (Some(true), Some(false)),
-            FULL => (Some(true), Some(true)),
-            DISCHARGING | NOT_CHARGING => (Some(false), Some(false)),
-            0 => (None, None),
-            _ => {
-                refused(Reason::OutOfRange, "power_supply_status");
-                (None, None)
-            }
-        };
+        let status = SupplyStatus::new(state.power_supply_status);
+        if status.is_none() {
+            refused(Reason::OutOfRange, "power_supply_status");
+        }
+        let charging = status.and_then(SupplyStatus::charging);
+        let full = charging.map(|_| status == Some(SupplyStatus::Full));
+        let is_reserved = f64::from(state.current) == UNMEASURED_A;
+        if is_reserved {
+            refused(Reason::Unknown, "current");
+        }
         let power = product(voltage_v, current_a)
             .zip(self.power_of)
             .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
-        Observation { power, voltage_v, current_a, soc, charging, full, ..Observation::default() }
+        Observation {
+            power,
+            voltage_v,
+            current_a,
+            is_reserved,
+            power_of_current: true,
+            soc,
+            charging,
+            full,
+            ..Observation::default()
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use joulebus_dataset::inspect::{Limits, check_files, judge, judge_together};
-use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
+use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Trial};
 use joulebus_plausibility::{Kind, Severity};
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
@@ -203,4 +203,122 @@ fn power_that_is_not_voltage_times_current_is_an_error() {
     assert!(!check.is_sound());
     check.accept(&[Kind::Mismatch]);
     assert!(check.is_sound(), "{check:?}");
+}
+
+/// Seconds of driving, and seconds on a dock, where the battery takes 70 W.
+fn docked(rows: usize) -> Vec<[f64; 11]> {
+    let nan = f64::NAN;
+    let row = |row: usize| {
+        let (step, is_docked) = (row as f64, row >= rows / 2);
+        let v_mps = if is_docked { 0.0 } else { 0.3 };
+        let current_ma = if is_docked { -2_900.0 } else { 420.0 } + 20.0 * (0.7 * step).sin();
+        let voltage_mv = 24_600.0 - 0.1 * current_ma;
+        let power_mw = voltage_mv * current_ma / 1e3;
+        [1.0, step / 10.0, nan, v_mps, 0.0, nan, nan, nan, voltage_mv, current_ma, power_mw]
+    };
+    (0..rows).map(row).collect()
+}
+
+#[test]
+fn power_on_the_charger_is_no_consumption_in_any_format() {
+    let files = Files::new();
+    let rows = docked(300);
+    let table = |columns: &str, row: &dyn Fn(&[f64; 11], bool) -> String| {
+        let lines = rows.iter().enumerate().map(|(at, values)| row(values, at >= 150));
+        format!("{columns}\n{}\n", lines.collect::<Vec<_>>().join("\n"))
+    };
+    let moving =
+        |row: &[f64; 11]| format!("{},{},{},{}", row[1], row[8] / 1e3, row[9] / 1e3, row[3]);
+    let still = |row: &[f64; 11]| format!("{},{},{}", row[1], row[8] / 1e3, row[9] / 1e3);
+    let cases = [
+        ("a.npy", npy_f8(&rows)),
+        (
+            "by_sign.csv",
+            table("timestamp,voltage_V,current_A,v_cmd", &|row, _| moving(row)).into_bytes(),
+        ),
+        (
+            "flag.csv",
+            table("timestamp,voltage_V,current_A,is_charging", &|row, is_docked| {
+                format!("{},{is_docked}", still(row))
+            })
+            .into_bytes(),
+        ),
+        (
+            "status.csv",
+            table(
+                "timestamp,voltage_V,current_A,battery/power_supply_status",
+                &|row, is_docked| format!("{},{}", still(row), if is_docked { 1 } else { 2 }),
+            )
+            .into_bytes(),
+        ),
+        (
+            "positive.csv",
+            table("timestamp,power_W,charging", &|row, is_docked| {
+                format!("{},{},{}", row[1], row[10].abs() / 1e3, u8::from(is_docked))
+            })
+            .into_bytes(),
+        ),
+    ];
+    for (name, bytes) in cases {
+        let path = files.write(name, &bytes);
+        let trial = Trial::read(&path).unwrap();
+        let power = trial.column(Column::Power).unwrap();
+        let known = power.iter().filter(|power_w| power_w.is_finite());
+        assert!(known.clone().all(|power_w| (8.0..13.0).contains(power_w)), "{name}: {power:?}");
+        assert_eq!(known.count(), 150, "{name}");
+        let notes = trial.notes().to_string();
+        assert!(notes.contains("150 of 300 readings are on the charger"), "{name}: {notes}");
+        assert!(trial.notes().ignored_columns.is_empty(), "{name}: {notes}");
+        let check = check_files(&[path.clone()], &ColumnMap::default(), &Limits::default(), 3);
+        assert!(check.is_sound(), "{name}: {check:?}");
+        // Written again, it is the same: no missing readings, and no power of the product.
+        let again = path.with_extension("again.csv");
+        trial.write_csv(&again).unwrap();
+        let again = Trial::read(&again).unwrap();
+        let power = again.column(Column::Power).unwrap();
+        assert_eq!(power.iter().filter(|power_w| power_w.is_finite()).count(), 150, "{name}");
+        if name != "positive.csv" && name != "flag.csv" && name != "status.csv" {
+            let current = trial.column(Column::Current).unwrap();
+            assert!(current.iter().all(|current_a| current_a.is_finite()), "{name}");
+        }
+    }
+}
+
+/// A driver that does not measure the current writes a number all the same.
+#[test]
+fn a_current_that_is_not_measured_stops_and_no_remedy_makes_a_power_of_it() {
+    let files = Files::new();
+    let table = |header: &str, current: &dyn Fn(usize) -> f64| {
+        let row = |row: usize| {
+            let volt = 24.6 - 1e-4 * row as f64 + 0.01 * (1.3 * row as f64).sin();
+            format!("{},{volt:.4},{}\n", 0.1 * row as f64, current(row))
+        };
+        header.to_owned() + &(0..300).map(row).collect::<String>()
+    };
+    let in_amperes = "timestamp_s,voltage_V,current_A\n";
+    for (name, current_a, says) in [
+        ("minus_one", -1.0, "--map missing:=-1"),
+        ("tenth", 0.01, "another monitor"),
+        ("plus", 2.5, "another monitor"),
+    ] {
+        let path =
+            files.write(&format!("{name}.csv"), table(in_amperes, &|_| current_a).as_bytes());
+        let trial = Trial::read(&path).unwrap();
+        let found = judge(&trial, &Limits::default());
+        assert_eq!(found.len(), 1, "{name}: {found:?}");
+        let finding = &found[0].finding;
+        assert_eq!((finding.kind, finding.is_error()), (Kind::Constant, true), "{name}");
+        let remedy = &found[0].remedy;
+        assert!(remedy.contains(says), "{name}: {remedy}");
+        assert!(!remedy.contains("--current") && !remedy.contains("--accept"), "{name}: {remedy}");
+    }
+    // Its own remedy leaves nothing that could be taken for a power.
+    let path = files.write("again.csv", table(in_amperes, &|_| -1.0).as_bytes());
+    let missing = vec!["missing:=-1".parse::<MappedColumn>().unwrap()].into();
+    for trial in Trial::read_mapped(&path, &missing).unwrap() {
+        assert_eq!((trial.column(Column::Power), trial.column(Column::Current)), (None, None));
+    }
+    let measured = files
+        .write("measured.csv", table(in_amperes, &|row| 0.3 + 0.1 * (row % 3) as f64).as_bytes());
+    assert_eq!(errors(&measured, &ColumnMap::default()), []);
 }
