@@ -3,8 +3,8 @@
 use std::fmt;
 
 use joulebus_settings::NO_BATTERY;
-use joulebus_wire::InvalidReason;
-use serde::Serialize;
+use joulebus_wire::{Alarm, AlarmCard, InvalidReason, answer_flag, plan_state_flag};
+use serde::{Serialize, Serializer};
 
 /// An amount of energy with its interval, J.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -38,12 +38,12 @@ pub struct Answer {
     pub energy: Option<Range>,
     /// Energy left at the end, reserve included. `None` if energy or battery is unknown.
     pub left: Option<Left>,
-    /// Probability of finishing above the reserve, of which errors of the energy and of the battery
-    /// are part. What the plan is widened by counts in full. `None` if the model states no
-    /// distribution of its errors for this plan.
+    /// Probability of finishing above the reserve, with the errors of the energy and of the battery.
+    /// `None` where it is not known: with steps outside the training data, beyond the longest
+    /// horizon, and if the model states no distribution of its errors.
     pub probability: Option<f32>,
-    /// Lower bound of the spare energy in the battery, less the upper bound of the energy, J.
-    /// Negative if energy is missing.
+    /// A bound, not an expectation: the lower bound of the spare energy in the battery, less the
+    /// upper bound of the energy, J. Negative if as much may be missing.
     pub margin_j: Option<f32>,
     /// Whether the robot makes it.
     pub verdict: Verdict,
@@ -68,6 +68,7 @@ impl Answer {
             beyond_horizon: false,
             no_reading: false,
             state_outside_training: false,
+            alarms: Doubts(0),
         },
     };
 }
@@ -123,7 +124,7 @@ pub enum Unknown {
     NoBudget,
 }
 
-fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error> {
+fn name<S: Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(reason.name())
 }
 
@@ -131,8 +132,9 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
 ///
 /// What is not known of a *plan* widens its interval: steps outside the training data, and those
 /// beyond the longest horizon, count with the platform's minimum and maximum power. The answer is
-/// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, no interval
-/// shows by how much, and the answer is [`Verdict::Tight`] at best.
+/// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, or an alarm
+/// casts doubt on its readings, no interval shows by how much, and the answer is
+/// [`Verdict::Tight`] at best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Caveats {
@@ -144,12 +146,87 @@ pub struct Caveats {
     pub no_reading: bool,
     /// The robot's newest row lay outside the range that its model was trained on.
     pub state_outside_training: bool,
+    /// Raised alarms that cast doubt on the robot's readings.
+    pub alarms: Doubts,
+}
+
+/// A set of the raised alarms that cast doubt on what a robot reports: `NoData`, `OutOfRange`,
+/// `StuckSensor`, `HeldTooLong`, `SocImplausible` and `Implausible`.
+///
+/// As JSON: a list of the alarms' names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Doubts(u16);
+
+/// Name and bit of each alarm in [`Doubts`], as in the flags of an answer's row, and its bit in the
+/// flags of a plan state.
+const DOUBTS: [(&str, u16, u32); 6] = [
+    (Alarm::NoData.name(), answer_flag::ALARM_NO_DATA, plan_state_flag::ALARM_NO_DATA),
+    (
+        Alarm::OutOfRange.name(),
+        answer_flag::ALARM_OUT_OF_RANGE,
+        plan_state_flag::ALARM_OUT_OF_RANGE,
+    ),
+    (
+        Alarm::StuckSensor.name(),
+        answer_flag::ALARM_STUCK_SENSOR,
+        plan_state_flag::ALARM_STUCK_SENSOR,
+    ),
+    (
+        Alarm::HeldTooLong.name(),
+        answer_flag::ALARM_HELD_TOO_LONG,
+        plan_state_flag::ALARM_HELD_TOO_LONG,
+    ),
+    (
+        Alarm::SocImplausible.name(),
+        answer_flag::ALARM_SOC_IMPLAUSIBLE,
+        plan_state_flag::ALARM_SOC_IMPLAUSIBLE,
+    ),
+    (
+        AlarmCard::IMPLAUSIBLE.name,
+        answer_flag::ALARM_IMPLAUSIBLE,
+        plan_state_flag::ALARM_IMPLAUSIBLE,
+    ),
+];
+
+impl Doubts {
+    /// The alarms in the flags of a plan state.
+    pub(crate) fn from_state(flags: u32) -> Self {
+        let raised = DOUBTS.iter().filter(|(_, _, bit)| flags & bit != 0);
+        Self(raised.fold(0, |set, (_, bit, _)| set | bit))
+    }
+
+    /// The alarms in the flags of an answer's row.
+    pub(crate) fn from_row(flags: u16) -> Self {
+        Self(DOUBTS.iter().fold(0, |set, (_, bit, _)| set | (flags & bit)))
+    }
+
+    /// Their bits in the flags of an answer's row.
+    pub(crate) const fn row_flags(self) -> u16 {
+        self.0
+    }
+
+    /// True if no such alarm is raised.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Names of the raised alarms.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        DOUBTS.into_iter().filter(move |(_, bit, _)| self.0 & bit != 0).map(|(name, ..)| name)
+    }
+}
+
+impl Serialize for Doubts {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.collect_seq(self.names())
+    }
 }
 
 impl Caveats {
     /// True if the robot's state is too weak for [`Verdict::Yes`].
     pub(crate) const fn bar_yes(&self) -> bool {
-        self.no_reading || self.state_outside_training
+        self.no_reading || self.state_outside_training || !self.alarms.is_empty()
     }
 
     /// True if there is any.
@@ -159,6 +236,7 @@ impl Caveats {
             || self.beyond_horizon
             || self.no_reading
             || self.state_outside_training
+            || !self.alarms.is_empty()
     }
 }
 
@@ -222,6 +300,10 @@ impl fmt::Display for Caveats {
         }
         if self.state_outside_training {
             parts.push("the robot is outside the model's training data".to_owned());
+        }
+        if !self.alarms.is_empty() {
+            let names: Vec<&str> = self.alarms.names().collect();
+            parts.push(format!("alarms cast doubt on its readings: {}", names.join(" and ")));
         }
         write!(out, "{}", parts.join(", "))
     }

@@ -162,6 +162,22 @@ pub enum PathError {
         /// The value.
         found: f64,
     },
+    /// A speed above the platform's.
+    #[error(
+        "a speed of {found} m/s towards point {point}: platform {platform} drives at most {allowed} m/s \
+         (`v_max_mps` in its config). Ask for that or less, or for no speed: then it is the highest \
+         that the model knows"
+    )]
+    TooFast {
+        /// The point, from 0.
+        point: usize,
+        /// The value.
+        found: f64,
+        /// The platform.
+        platform: String,
+        /// Its greatest velocity, m/s.
+        allowed: f32,
+    },
     /// The platform cannot be commanded to move.
     #[error(
         "platform {platform} allows {v_max_mps} m/s and {omega_max_radps} rad/s: a path needs both \

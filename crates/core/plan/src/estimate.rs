@@ -72,17 +72,15 @@ impl Progress {
         };
         let down_w = (mean_w - power_min_w).max(0.0);
         let up_w = (power_max_w - mean_w).max(0.0);
-        let known_j = known.map_or(0.0, |known| known.energy_j);
         let lo_j = whole.energy_j + offset_j(tail) - widened_s * down_w;
         let least_j = (power_min_w * whole.duration_s).min(whole.energy_j);
         Estimate {
-            known,
+            distribution: known.filter(|_| widened == 0),
             mean_j: whole.energy_j,
             // Both widen it downwards, together beyond the possible. Not `max`, which would hide a
             // NaN.
             lo_j: if lo_j < least_j { least_j } else { lo_j },
             hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
-            widened_j: (whole.energy_j - known_j) + widened_s * up_w,
             caveats: Caveats {
                 steps_outside_training: outside,
                 beyond_horizon: beyond,
@@ -117,13 +115,12 @@ impl Rest {
 
 /// The energy of a plan.
 pub(crate) struct Estimate {
-    /// Forecast of the part with known errors.
-    known: Option<EnergyForecast>,
+    /// Forecast with its errors. `None` if any step was widened: the platform's limits of power
+    /// bound the energy there, and say nothing about probabilities.
+    distribution: Option<EnergyForecast>,
     mean_j: f32,
     lo_j: f32,
     hi_j: f32,
-    /// Beyond the known part, at most, J.
-    widened_j: f32,
     pub(crate) caveats: Caveats,
 }
 
@@ -138,7 +135,8 @@ impl Estimate {
     }
 
     /// The probability that the plan draws less than an amount with a standard deviation, J.
+    /// `None` where it is not known.
     pub(crate) fn probability_below(&self, usable_j: f32, sd_j: f32) -> Option<f32> {
-        self.known?.probability_below(usable_j - self.widened_j, sd_j)
+        self.distribution?.probability_below(usable_j, sd_j)
     }
 }

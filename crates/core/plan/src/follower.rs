@@ -1,7 +1,8 @@
 //! Paths, and the unicycle follower that turns them into commands.
 //!
-//! With d the distance to the next point, e the angle from the heading to its direction, and s the
-//! requested speed, at most the platform's,
+//! The robot heads for the farthest point of the path that it sees: it could drive there in a
+//! straight line and pass each vertex in between within 2.5 cm. With d the distance to that point, e
+//! the angle from the heading to its direction, and s the requested speed, at most the platform's,
 //!
 //! ```text
 //! u = min(s, 0.8/s · d)
@@ -11,10 +12,17 @@
 //!
 //! each within the platform's limits. Where the caller does not ask for a speed, they are also
 //! within what the model has learned of commands: with an infinite speed, while the robot turns,
-//! and backwards. Samples may have any command that the platform takes. A point is reached within 5
-//! cm. The next one is then followed. The robot therefore slows down before each point, turns while
-//! it drives, and drives backwards if the point is behind it. The gains are those of the Robotarium
-//! simulator's position controllers.
+//! and backwards. Samples may have any command that the platform takes.
+//!
+//! The *shape* of the path decides, not the number of its points. Only a point at which the
+//! direction or the speed changes is a vertex. Repeated points, and points on a straight line of one
+//! speed, are none. Before a sharp corner the robot sees the corner only: it slows down, and sees
+//! the next leg within 5 cm of the corner. In a curve it sees along the curve, and drives without a
+//! stop, at most as fast as it can turn there. It turns while it drives, and drives backwards if the
+//! point is behind it. The path ends within 5 cm of its last point.
+//!
+//! A leg ends when the robot is within 5 cm of its point, or has passed it. The gains are those of
+//! the Robotarium simulator's position controllers.
 
 use std::f64::consts::PI;
 
@@ -23,13 +31,14 @@ use serde::{Deserialize, Serialize};
 use crate::error::PathError;
 use crate::limits::MAX_STEPS;
 use crate::platform::Platform;
+use crate::shape::{Ahead, Shape};
 
 /// Speed per distance, 1/s.
 const GAIN: f64 = 0.8;
 /// Angular velocity per angle, 1/s.
 const TURN_GAIN: f64 = 2.0;
 /// Distance at which a point is reached, m.
-const REACH_M: f64 = 0.05;
+pub(crate) const REACH_M: f64 = 0.05;
 /// Largest coordinate, m.
 const MAX_COORDINATE_M: f64 = 1e6;
 /// A leg may take this much longer than at its speed.
@@ -66,10 +75,10 @@ pub struct Pose {
 pub struct Path {
     /// The points. The robot is at the first.
     pub points: Vec<Point>,
-    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's.
-    /// Infinity means as fast as the model knows.
+    /// Speed towards each point, m/s, at most the platform's. The first one is not used. Infinity
+    /// means as fast as the model knows.
     pub speed_mps: Vec<f64>,
-    /// Heading at the first point, rad. `None`: towards the second.
+    /// Heading at the first point, rad. `None`: towards the first point that is elsewhere.
     pub heading_rad: Option<f64>,
 }
 
@@ -88,15 +97,6 @@ impl Path {
     #[must_use]
     pub fn legs(&self) -> usize {
         self.points.len().saturating_sub(1)
-    }
-
-    fn start(&self) -> Result<Pose, PathError> {
-        self.check()?;
-        let [first, second, ..] = self.points.as_slice() else {
-            return Err(PathError::Points { found: self.points.len() });
-        };
-        let towards = libm::atan2(second.y_m - first.y_m, second.x_m - first.x_m);
-        Ok(Pose { at: *first, heading_rad: self.heading_rad.unwrap_or(towards) })
     }
 
     fn check(&self) -> Result<(), PathError> {
@@ -133,7 +133,8 @@ pub struct Followed {
     pub v_mps: Vec<f32>,
     /// Angular velocities, rad/s.
     pub omega_radps: Vec<f32>,
-    /// Steps up to the end of each leg.
+    /// Steps up to the end of each leg, by the path's own points. Legs may end with the same step,
+    /// and with 0 steps at the first point.
     pub leg_ends: Vec<usize>,
     /// Pose before each step, and after the last.
     pub poses: Vec<Pose>,
@@ -200,24 +201,30 @@ impl Follower {
         &self.platform
     }
 
-    /// The commands of a path.
+    /// The commands of a path. A speed above the platform's is driven as the platform's.
     ///
     /// # Errors
     /// A path with values that are not allowed, or a point that is not reached.
     pub fn follow(&self, path: &Path) -> Result<Followed, PathError> {
+        path.check()?;
+        let shape = Shape::new(path);
         let mut followed = Followed {
             period_s: self.period_s as f32,
             v_mps: Vec::new(),
             omega_radps: Vec::new(),
             leg_ends: Vec::with_capacity(path.legs()),
-            poses: vec![path.start()?],
+            poses: vec![start(path, &shape)],
         };
-        for point in 1..path.points.len() {
-            self.leg(&mut followed, path, point)?;
-            followed.leg_ends.push(followed.v_mps.len());
+        // The vertex beyond which the robot has looked.
+        let mut seen = 0;
+        for vertex in 1..shape.count() {
+            seen = self.drive(&mut followed, path, (&shape, vertex), seen)?;
         }
+        // Points in the place of the last vertex.
+        let steps = followed.v_mps.len();
+        followed.leg_ends.resize(path.legs(), steps);
         // The robot stops, so that a path to its own position has a step.
-        let last = followed.poses[followed.poses.len() - 1];
+        let last = followed.poses[steps];
         self.push(&mut followed, last, (0.0, 0.0));
         if let Some(end) = followed.leg_ends.last_mut() {
             *end += 1;
@@ -225,37 +232,77 @@ impl Follower {
         Ok(followed)
     }
 
-    /// Drives to a point.
-    fn leg(&self, to: &mut Followed, path: &Path, point: usize) -> Result<(), PathError> {
-        let (goal, speed_mps) = (path.points[point], path.speed_mps[point]);
+    /// Drives until a vertex is reached, or passed on the way to one that is `seen` beyond it.
+    /// Returns the last vertex that the robot has seen.
+    fn drive(
+        &self,
+        to: &mut Followed,
+        path: &Path,
+        (shape, vertex): (&Shape<'_>, usize),
+        mut seen: usize,
+    ) -> Result<usize, PathError> {
+        let (at, speed_mps) = (shape.at(vertex), self.speed_mps(shape.speed_mps(vertex)));
         let begun = to.v_mps.len();
-        let speed_mps = self.speed_mps(speed_mps);
-        let first_m = distance_m(to.poses[to.poses.len() - 1].at, goal);
+        let first_m = distance_m(to.poses[begun].at, at);
         let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
         let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
         let most = (patience_s / self.period_s) as usize;
         loop {
-            let pose = to.poses[to.poses.len() - 1];
-            let away_m = distance_m(pose.at, goal);
-            if away_m <= REACH_M {
-                return Ok(());
+            let steps = to.v_mps.len();
+            let pose = to.poses[steps];
+            let is_reached = distance_m(pose.at, at) <= REACH_M
+                || (seen > vertex && shape.is_behind(pose.at, vertex));
+            // Legs end in their order: those up to the vertex with it, at the latest.
+            while let point = to.leg_ends.len() + 1
+                && (point < shape.index(vertex) || (is_reached && point == shape.index(vertex)))
+                && (is_reached
+                    || distance_m(pose.at, path.points[point]) <= REACH_M
+                    || shape.is_abeam(pose.at, point, vertex))
+            {
+                to.leg_ends.push(steps);
             }
-            if to.v_mps.len() >= self.max_steps {
-                return Err(PathError::TooLong {
-                    point,
-                    distance_m: away_m,
-                    allowed: self.max_steps,
-                });
+            if is_reached {
+                return Ok(seen);
             }
-            if to.v_mps.len() - begun >= most {
-                return Err(PathError::NotReached {
-                    point,
-                    distance_m: away_m,
-                    steps: to.v_mps.len() - begun,
-                });
+            let point = to.leg_ends.len() + 1;
+            let distance_m = distance_m(pose.at, path.points[point]);
+            if steps >= self.max_steps {
+                return Err(PathError::TooLong { point, distance_m, allowed: self.max_steps });
             }
-            self.push(to, pose, self.command(&pose, goal, speed_mps));
+            if steps - begun >= most {
+                return Err(PathError::NotReached { point, distance_m, steps: steps - begun });
+            }
+            let ahead = shape.ahead(pose.at, vertex, speed_mps / GAIN);
+            seen = ahead.vertex;
+            let speed_mps = if seen > vertex {
+                speed_mps.min(self.turning_mps(&pose, &ahead))
+            } else {
+                speed_mps
+            };
+            self.push(to, pose, self.command(&pose, ahead.goal, speed_mps));
         }
+    }
+
+    /// The speed at which the robot can turn enough to reach the point ahead on an arc, m/s.
+    fn turning_mps(&self, pose: &Pose, ahead: &Ahead) -> f64 {
+        let chord_m = distance_m(pose.at, ahead.goal);
+        let sine = libm::sin(error_rad(pose, ahead.goal)).abs();
+        f64::from(self.omega_max_radps) * chord_m / (2.0 * sine).max(f64::MIN_POSITIVE)
+    }
+
+    /// Refuses a path with a speed above the platform's: the answer would be about another plan.
+    pub(crate) fn check_speeds(&self, path: &Path) -> Result<(), PathError> {
+        // Infinity stands for none stated.
+        let is_above = |speed: f64| speed.is_finite() && speed as f32 > self.v_max_mps;
+        let above = path.speed_mps.iter().skip(1).position(|speed| is_above(*speed));
+        above.map_or(Ok(()), |place| {
+            Err(PathError::TooFast {
+                point: place + 1,
+                found: path.speed_mps[place + 1],
+                platform: self.platform.clone(),
+                allowed: self.v_max_mps,
+            })
+        })
     }
 
     /// The speed that is driven if one is asked for, m/s.
@@ -267,8 +314,7 @@ impl Follower {
     /// The command towards a point: m/s and rad/s, within the limits.
     #[must_use]
     pub fn command(&self, pose: &Pose, goal: Point, speed_mps: f64) -> (f32, f32) {
-        let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
-        let error_rad = wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad);
+        let error_rad = error_rad(pose, goal);
         let along_mps = self.speed_mps(speed_mps).min(GAIN * distance_m(pose.at, goal));
         let v_mps = (along_mps * libm::cos(error_rad)) as f32;
         let omega_radps = (TURN_GAIN * error_rad) as f32;
@@ -295,7 +341,21 @@ impl Follower {
     }
 }
 
-fn distance_m(from: Point, to: Point) -> f64 {
+/// The robot at a path's first point. It faces the next vertex unless the path states a heading.
+fn start(path: &Path, shape: &Shape<'_>) -> Pose {
+    let at = path.points[0];
+    let second = shape.at(1.min(shape.count() - 1));
+    let towards = libm::atan2(second.y_m - at.y_m, second.x_m - at.x_m);
+    Pose { at, heading_rad: path.heading_rad.unwrap_or(towards) }
+}
+
+/// Angle from a robot's heading to the direction of a point, rad.
+fn error_rad(pose: &Pose, goal: Point) -> f64 {
+    let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
+    wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad)
+}
+
+pub(crate) fn distance_m(from: Point, to: Point) -> f64 {
     libm::hypot(to.x_m - from.x_m, to.y_m - from.y_m)
 }
 

@@ -80,9 +80,10 @@ mod question;
 pub mod report;
 mod robot;
 mod route;
+mod shape;
 mod trip;
 
-pub use answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+pub use answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
 pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;

@@ -6,7 +6,7 @@ use joulebus_wire::{
     QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
 };
 
-use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
 use crate::error::{QuestionError, Refused};
 use crate::follower::{Path, Point};
 use crate::question::{Plan, Question, Reply, Row};
@@ -376,7 +376,8 @@ impl Row {
             | row_flag(self.turn_back_s.is_some(), answer_flag::TURN_BACK)
             | row_flag(caveats.beyond_horizon, answer_flag::BEYOND_HORIZON)
             | row_flag(caveats.no_reading, answer_flag::NO_READING)
-            | row_flag(caveats.state_outside_training, answer_flag::OUTSIDE_TRAINING);
+            | row_flag(caveats.state_outside_training, answer_flag::OUTSIDE_TRAINING)
+            | caveats.alarms.row_flags();
         let nan = f32::NAN;
         AnswerRow {
             robot: self.robot,
@@ -424,6 +425,7 @@ impl Row {
                     beyond_horizon: has(answer_flag::BEYOND_HORIZON),
                     no_reading: has(answer_flag::NO_READING),
                     state_outside_training: has(answer_flag::OUTSIDE_TRAINING),
+                    alarms: Doubts::from_row(row.flags),
                 },
             },
         })

@@ -295,13 +295,17 @@ fn powers(robot: &Robot<'_>, plans: &Candidates<'_>) -> Result<Vec<f32>, Questio
     Ok(power_w)
 }
 
-/// Orders by verdict (yes, tight, no, unknown), then by the expected energy, then by id.
+/// Orders by verdict (yes, tight, no, unknown), then robots without alarms on their readings first,
+/// then by the expected energy, then by id.
 pub(crate) fn best_first(one: &Row, other: &Row) -> std::cmp::Ordering {
-    let class = |row: &Row| match row.answer.verdict {
-        Verdict::Yes => 0,
-        Verdict::Tight => 1,
-        Verdict::No => 2,
-        Verdict::Unknown(_) => 3,
+    let class = |row: &Row| {
+        let verdict = match row.answer.verdict {
+            Verdict::Yes => 0,
+            Verdict::Tight => 1,
+            Verdict::No => 2,
+            Verdict::Unknown(_) => 3,
+        };
+        (verdict, !row.answer.caveats.alarms.is_empty())
     };
     let mean_j = |row: &Row| row.answer.energy.map_or(f32::INFINITY, |energy| energy.mean_j);
     class(one)

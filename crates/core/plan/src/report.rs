@@ -38,12 +38,14 @@ pub struct AnswerReport {
     energy: Option<Range>,
     /// At the end, reserve included.
     left: Option<Left>,
-    /// Probability of finishing above the reserve.
+    /// Probability of finishing above the reserve. Null where it is not known.
     probability: Option<f32>,
+    /// A bound: the least that is spare, at the upper bound of the energy.
     margin_j: Option<f32>,
     /// Index from 0.
     limiting_leg: Option<usize>,
-    /// Latest time to turn back. Null if it was not requested, or is unknown.
+    /// Latest time to turn back. Null with yes, which needs none, and if it was not requested or
+    /// the robot cannot even turn back now.
     turn_back_s: Option<f32>,
     /// True if `turn_back_s` was asked for.
     #[serde(skip)]
@@ -92,21 +94,20 @@ impl AnswerReport {
         let mut lines = Vec::new();
         let percent = 100.0 * coverage;
         if let Some(energy) = self.energy {
-            lines.push(format!(
-                "energy  {:#}, {} to {} at {percent} %, in {}",
-                Joules(energy.mean_j.into()),
-                Joules(energy.lo_j.into()),
-                Joules(energy.hi_j.into()),
-                Lasting(self.duration_s.into())
-            ));
+            let lasting = Lasting(self.duration_s.into());
+            let [mean, lo, hi] = of_one_unit([energy.mean_j, energy.lo_j, energy.hi_j]);
+            lines.push(format!("energy  {mean}, {lo} to {hi} at {percent} %, in {lasting}"));
         }
         if let (Some(left), Some(margin_j)) = (self.left, self.margin_j) {
-            let [mean, lo, spare] = [left.mean_j, left.lo_j, margin_j].map(|j| Joules(j.into()));
-            lines.push(format!("left    {mean:#}, at least {lo:#}"));
-            lines.push(format!("spare   {spare:#} above the reserve"));
-        }
-        if let Some(probability) = self.probability {
-            lines.push(format!("above the reserve with probability {probability:.3}"));
+            let [mean, lo] = of_one_unit([left.mean_j, left.lo_j]);
+            lines.push(format!("left    {mean}, at least {lo}"));
+            lines.push(spare(margin_j));
+            lines.push(match self.probability {
+                Some(probability) => format!("above the reserve with probability {probability:.3}"),
+                None => "above the reserve with unknown probability: the model's errors do not \
+                         cover this plan"
+                    .to_owned(),
+            });
         }
         if let Some(leg) = self.limiting_leg {
             lines.push(format!("leg {leg} is the first that is not sure (from 0)"));
@@ -116,6 +117,9 @@ impl AnswerReport {
                 let within = Lasting(turn_back_s.into());
                 lines.push(format!("must turn back within {within}"));
             }
+            (true, None) if self.verdict == "yes" => {
+                lines.push("can drive the whole path and return".to_owned());
+            }
             (true, None) => lines.push("no time to turn back can be promised".to_owned()),
             (false, _) => {}
         }
@@ -124,6 +128,30 @@ impl AnswerReport {
         }
         lines
     }
+}
+
+/// The line of the spare energy, which is a bound: of the battery the lower one, of the energy the
+/// upper one.
+fn spare(margin_j: f32) -> String {
+    let bounds = "(lower bound of the battery, upper bound of the energy)";
+    if margin_j < 0.0 {
+        let missing = Joules((-margin_j).into());
+        format!("spare   nothing for sure: at worst {missing:#} below the reserve {bounds}")
+    } else {
+        format!("spare   at least {:#} above the reserve {bounds}", Joules(margin_j.into()))
+    }
+}
+
+/// The energies of a line in one unit: in J, with Wh beside if one of them has a watt-hour.
+fn of_one_unit<const COUNT: usize>(energies_j: [f32; COUNT]) -> [String; COUNT] {
+    let has_watt_hours = energies_j.iter().any(|energy_j| energy_j.abs() >= 3_600.0);
+    energies_j.map(|energy_j| {
+        let energy = Joules(energy_j.into());
+        if has_watt_hours && energy_j.abs() < 3_600.0 {
+            return format!("{energy} ({:.2} Wh)", energy_j / 3_600.0);
+        }
+        format!("{energy:#}")
+    })
 }
 
 /// A time in s as people read it: seconds up to two minutes, minutes up to two hours, hours.
@@ -188,6 +216,23 @@ impl fmt::Display for AnswersReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_energies_of_a_line_have_one_unit_and_the_spare_energy_is_a_bound() {
+        let whole = [44.0, 30.0, 3_599.0].map(|joules: f32| Joules(joules.into()).to_string());
+        assert_eq!(of_one_unit([44.0, 30.0, 3_599.0]), whole);
+        let mixed = of_one_unit([4_711.0, 12.5, 33_187.0, 0.0]);
+        assert_eq!(
+            mixed,
+            ["4711 J (1.31 Wh)", "12.5 J (0.00 Wh)", "33187 J (9.22 Wh)", "0.0 J (0.00 Wh)"]
+        );
+        assert!(spare(4_711.0).starts_with("spare   at least 4711 J (1.31 Wh) above the reserve"));
+        let missing = spare(-47_135.0);
+        assert!(!missing.contains('-') && missing.contains("at worst 47135 J"), "{missing}");
+        for line in [spare(1.0), missing] {
+            assert!(line.contains("upper bound of the energy"), "{line}");
+        }
+    }
 
     #[test]
     fn an_energy_has_the_unit_that_fits_and_watt_hours_beside_joules() {

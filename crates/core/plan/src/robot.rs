@@ -7,7 +7,7 @@ use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
 
-use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
 use crate::candidates::{Candidates, part};
 use crate::error::AskError;
 use crate::estimate::{Estimate, Progress, Rest};
@@ -31,6 +31,7 @@ pub struct Robot<'a> {
     unknown: Option<Unknown>,
     no_reading: bool,
     outside_training: bool,
+    alarms: Doubts,
     battery: Result<Battery, Unknown>,
 }
 
@@ -58,6 +59,7 @@ impl<'a> Robot<'a> {
             unknown,
             no_reading: state.open_steps > 0,
             outside_training: state.flags & plan_state_flag::OUTSIDE_TRAINING != 0,
+            alarms: Doubts::from_state(state.flags),
             battery: battery(platform, frames),
         }
     }
@@ -289,7 +291,8 @@ impl<'a> Robot<'a> {
         for (leg, end) in before_last.iter().enumerate() {
             self.follow(progress, part(commands, done, *end));
             done = done.max(*end);
-            if limiting_leg.is_none() && !self.makes(progress, coverage) {
+            // A leg at the first point takes no step, and so no energy.
+            if limiting_leg.is_none() && done > 0 && !self.makes(progress, coverage) {
                 limiting_leg = Some(leg);
             }
         }
@@ -315,6 +318,7 @@ impl<'a> Robot<'a> {
         Caveats {
             no_reading: self.no_reading,
             state_outside_training: self.outside_training,
+            alarms: self.alarms,
             ..Caveats::default()
         }
     }

@@ -19,8 +19,8 @@ pub struct Trip {
     /// The answer for all legs. The path back is the last one.
     pub answer: Answer,
     /// With a path back: the time until which the robot can follow the path and still return with
-    /// [`crate::Verdict::Yes`], s. It is the path's duration if the robot can follow all of it.
-    /// `None` if it cannot even turn back now, and without a path back.
+    /// [`crate::Verdict::Yes`], s. `None` if the whole trip is a yes, so that it never has to turn
+    /// back early, if it cannot even turn back now, and without a path back.
     ///
     /// Up to 64 evenly spaced times are tried. The result is the last one before the first that
     /// fails, or from which the path back is not reached or has too many steps.
@@ -102,7 +102,8 @@ impl Robot<'_> {
         Ok(self.answer(whole.commands(), &whole.leg_ends, coverage))
     }
 
-    /// Latest time at which the robot can turn back on a route. `whole` is its answer to all of it.
+    /// Latest time at which the robot can turn back on a route. `whole` is its answer to all of it:
+    /// after a yes, there is no such time.
     pub(crate) fn turn_back_s(
         &self,
         route: &mut Route,
@@ -110,7 +111,7 @@ impl Robot<'_> {
         coverage: f32,
         ways: &mut Ways,
     ) -> Result<Result<Option<f32>, Later>, AskError> {
-        if !route.returns() {
+        if !route.returns() || whole.verdict == Verdict::Yes {
             return Ok(Ok(None));
         }
         let period_s = route.there().period_s;
@@ -121,7 +122,7 @@ impl Robot<'_> {
             while let Some(end) = there.leg_ends.get(leg).filter(|end| **end <= turn) {
                 self.follow(&mut progress, part(there.commands(), done, *end));
                 (done, leg) = (*end, leg + 1);
-                if !self.makes(&progress, coverage) {
+                if done > 0 && !self.makes(&progress, coverage) {
                     return Ok(Ok(last_s));
                 }
             }
@@ -136,9 +137,6 @@ impl Robot<'_> {
                 return Ok(Ok(last_s));
             }
             last_s = Some(turn as f32 * period_s);
-        }
-        if whole.verdict == Verdict::Yes {
-            last_s = Some(route.there().v_mps.len() as f32 * period_s);
         }
         Ok(Ok(last_s))
     }
@@ -165,7 +163,7 @@ impl Followed {
 }
 
 /// The answers of several robots to one task, the best first: by verdict (yes, tight, no, unknown),
-/// then by the expected energy, then by id.
+/// then robots without alarms on their readings first, then by the expected energy, then by id.
 ///
 /// # Errors
 /// As [`Robot::can_finish`].

@@ -20,6 +20,18 @@ bits! {
         pub const LEARNED: u32 = 1 << 4;
         /// The last row of the model lay outside the range that it was trained on.
         pub const OUTSIDE_TRAINING: u32 = 1 << 5;
+        /// The alarm `NoData` is raised: no sample for too long.
+        pub const ALARM_NO_DATA: u32 = 1 << 6;
+        /// The alarm `OutOfRange` is raised: samples are refused.
+        pub const ALARM_OUT_OF_RANGE: u32 = 1 << 7;
+        /// The alarm `StuckSensor` is raised: the reading does not change.
+        pub const ALARM_STUCK_SENSOR: u32 = 1 << 8;
+        /// The alarm `HeldTooLong` is raised: the same measurement is repeated.
+        pub const ALARM_HELD_TOO_LONG: u32 = 1 << 9;
+        /// The alarm `SocImplausible` is raised: the measured state of charge is not used.
+        pub const ALARM_SOC_IMPLAUSIBLE: u32 = 1 << 10;
+        /// The alarm `Implausible` is raised: the source doubts what it reports.
+        pub const ALARM_IMPLAUSIBLE: u32 = 1 << 11;
     }
 }
 

@@ -18,11 +18,15 @@ use crate::rows;
 /// Number of the rules by which answers about plans are computed: increased with each change by
 /// which the same question of the same tick gets another answer. Captures state it. 1 where they do
 /// not.
-pub const ANSWER_RULES: u32 = 3;
+///
+/// 4: a path is followed by its shape and not by its points, a probability is known only where the
+/// model's errors cover the plan, an alarm on a robot's readings bars yes, and a path that can be
+/// driven to its end has no time to turn back.
+pub const ANSWER_RULES: u32 = 4;
 /// Number of the rules by which a tick computes: increased with each change by which the same
-/// frames get other forecasts, intervals, alarms or budgets. Captures state it. 1 where they do
-/// not.
-pub const TICK_RULES: u32 = 6;
+/// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
+/// where they do not.
+pub const TICK_RULES: u32 = 7;
 
 /// Maximum number of values of a question.
 pub const MAX_QUERY_VALUES: usize = 4_096;
@@ -202,6 +206,18 @@ bits! {
         pub const NO_READING: u16 = 1 << 7;
         /// The robot's newest row lay outside the range that its model was trained on.
         pub const OUTSIDE_TRAINING: u16 = 1 << 8;
+        /// The robot's alarm `NoData` is raised.
+        pub const ALARM_NO_DATA: u16 = 1 << 9;
+        /// The robot's alarm `OutOfRange` is raised.
+        pub const ALARM_OUT_OF_RANGE: u16 = 1 << 10;
+        /// The robot's alarm `StuckSensor` is raised.
+        pub const ALARM_STUCK_SENSOR: u16 = 1 << 11;
+        /// The robot's alarm `HeldTooLong` is raised.
+        pub const ALARM_HELD_TOO_LONG: u16 = 1 << 12;
+        /// The robot's alarm `SocImplausible` is raised.
+        pub const ALARM_SOC_IMPLAUSIBLE: u16 = 1 << 13;
+        /// The robot's alarm `Implausible` is raised.
+        pub const ALARM_IMPLAUSIBLE: u16 = 1 << 14;
     }
 }
 
@@ -235,11 +251,12 @@ rows! {
         pub left_j: f32,
         /// Conservative, J.
         pub left_lo_j: f32,
-        /// Probability of finishing above the reserve.
+        /// Probability of finishing above the reserve. NaN where the model's errors do not cover the
+        /// plan.
         pub probability: f32,
-        /// What the battery can spare at least, less the upper end of the energy, J.
+        /// A bound: what the battery can spare at least, less the upper end of the energy, J.
         pub margin_j: f32,
-        /// Until when the robot can turn back, s.
+        /// Until when the robot must turn back, s. NaN with a yes: it can drive the whole path.
         pub turn_back_s: f32,
         /// Steps whose commands lie outside the training data.
         pub outside_training: u32,

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 use crate::alarms::conditions::{AlarmInputs, judge};
 use crate::fleet::Fleet;
@@ -99,6 +99,7 @@ impl Fleet {
         let admission = self.mark_reported(slot);
         admission.taken += 1;
         admission.renewed = false;
+        admission.implausible = sample.has(sample_flag::IMPLAUSIBLE);
         (admission.taken_ns, admission.invalid, admission.refused_run) = (now_ns, None, 0);
         let (block, lane) = (&mut self.columns.pending[slot / LANES], slot % LANES);
         let pending = Pending::new(sample, broken);

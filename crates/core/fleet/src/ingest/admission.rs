@@ -47,6 +47,8 @@ pub(crate) struct AdmissionState {
     pub charged: bool,
     /// True if the last row was outside the training range.
     pub outside_training: bool,
+    /// True if the source finds the last sample's robot implausible.
+    pub implausible: bool,
 }
 
 const _: () = assert!(size_of::<AdmissionState>() == 64);
@@ -72,6 +74,7 @@ impl AdmissionState {
         charging: false,
         charged: false,
         outside_training: false,
+        implausible: false,
     };
 
     /// Moves the instants to another clock.
@@ -97,6 +100,7 @@ impl AdmissionState {
             charging: _,
             charged: _,
             outside_training: _,
+            implausible: _,
         } = self;
         shift.instant(taken_ns);
         shift.instant(stamp_ns);

@@ -9,6 +9,7 @@ use joulebus_energy::EnergyState;
 use joulebus_plan::follow::{Follower, Pose};
 use joulebus_plan::{Fleet, Path, PathError, Platform, Point};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
+use joulebus_testkit::counting;
 use proptest::prelude::*;
 
 fn fleet(v_max_mps: f32, omega_max_radps: f32) -> Fleet {
@@ -66,6 +67,185 @@ fn shipped() -> Platform {
     let network = Network::from_safetensors(bytes).expect("a valid file");
     let energy = network.card().energy.clone().expect("trained with one");
     Platform::new(platform, energy, network.hash())
+}
+
+/// The shipped platform with other limits of velocity.
+fn limited(v_max_mps: f32, omega_max_radps: f32) -> Platform {
+    let mut platform = shipped();
+    (platform.settings.v_max_mps, platform.settings.omega_max_radps) = (v_max_mps, omega_max_radps);
+    (platform.energy.v_mps, platform.energy.omega_radps) = ([-9.0, 9.0], [-9.0, 9.0]);
+    platform
+}
+
+/// Energy, J, and time, s, of a path that a robot at rest follows.
+fn cost(platform: &Platform, path: &Path) -> (f64, f64) {
+    let follower = Follower::new(platform).expect("it moves");
+    let followed = follower.follow(path).expect("it gets there");
+    let forecast = platform.energy.forecast(&EnergyState::new(0), followed.commands());
+    (forecast.energy_j.into(), forecast.duration_s.into())
+}
+
+/// The same way with more points: up to `spacing_m` apart, at the shares of a leg that `draw`
+/// gives, 0 to 1, and with every third point repeated, the first and the last too.
+fn described_anew(path: &Path, spacing_m: f64, mut draw: impl FnMut() -> f64) -> Path {
+    let mut anew = Path { points: vec![path.points[0]; 2], speed_mps: Vec::new(), ..path.clone() };
+    anew.speed_mps = vec![path.speed_mps[1]; 2];
+    for (leg, speed_mps) in path.points.windows(2).zip(&path.speed_mps[1..]) {
+        let (from, to) = (leg[0], leg[1]);
+        let length_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
+        let mut shares: Vec<f64> = (1..(length_m / spacing_m) as usize).map(|_| draw()).collect();
+        shares.sort_by(f64::total_cmp);
+        for share in shares {
+            let point = Point::new(
+                from.x_m + share * (to.x_m - from.x_m),
+                from.y_m + share * (to.y_m - from.y_m),
+            );
+            let copies = if anew.points.len().is_multiple_of(3) { 2 } else { 1 };
+            anew.points.extend(vec![point; copies]);
+        }
+        anew.points.extend([to; 2]);
+        anew.speed_mps.resize(anew.points.len(), *speed_mps);
+    }
+    anew
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, ..ProptestConfig::default() })]
+
+    #[test]
+    fn points_inserted_on_a_path_or_repeated_change_neither_its_energy_nor_its_time(
+        corners in prop::collection::vec((-3.0f64..3.0, -3.0f64..3.0), 2..6),
+        speeds in prop::collection::vec(prop_oneof![0.02f64..2.0, Just(f64::INFINITY)], 6),
+        heading_rad in prop::option::of(-4.0f64..4.0),
+        v_max_mps in 0.05f32..2.0,
+        omega_max_radps in 0.2f32..6.0,
+        spacing_mm in 1u32..1_000,
+        seed in any::<u64>(),
+    ) {
+        let points: Vec<Point> = corners.iter().map(|(x, y)| Point::new(*x, *y)).collect();
+        let speed_mps = speeds[..points.len()].to_vec();
+        let path = Path { points, speed_mps, heading_rad };
+        let mut state = seed | 1;
+        let draw = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let anew = described_anew(&path, f64::from(spacing_mm) * 1e-3, draw);
+        let platform = limited(v_max_mps, omega_max_radps);
+        let ((energy_j, time_s), (anew_j, anew_s)) = (cost(&platform, &path), cost(&platform, &anew));
+        prop_assert!((anew_s / time_s - 1.0).abs() <= 0.005, "{} s, {} s", time_s, anew_s);
+        prop_assert!((anew_j / energy_j - 1.0).abs() <= 0.005, "{} J, {} J", energy_j, anew_j);
+        // Each leg ends near its own point, or where the robot has passed it.
+        let follower = Follower::new(&platform).expect("it moves");
+        let (few, many) = (follower.follow(&path).unwrap(), follower.follow(&anew).unwrap());
+        prop_assert_eq!(many.leg_ends.len(), anew.points.len() - 1);
+        prop_assert!(many.leg_ends.is_sorted());
+        prop_assert_eq!(many.leg_ends.last(), Some(&many.v_mps.len()));
+        let mut seen = many.leg_ends.iter();
+        for end in &few.leg_ends {
+            prop_assert!(seen.any(|found| found == end), "no leg ends after {} steps", end);
+        }
+    }
+
+    /// Rounded to a millimetre, a straight path with a point every few centimetres is no straight
+    /// one.
+    #[test]
+    fn rounded_points_of_a_path_hardly_change_it(
+        x_m in 2.0f64..6.0,
+        y_m in -6.0f64..6.0,
+        spacing_mm in 10u32..200,
+    ) {
+        let path = Path::new(&[Point::new(0.0, 0.0), Point::new(x_m, y_m)], 0.2);
+        let many = (1_000.0 * x_m.hypot(y_m)) as u32 / spacing_mm;
+        let point = |step: u32| {
+            let share = f64::from(step) / f64::from(many);
+            let rounded = |m: f64| (1_000.0 * share * m).round() * 1e-3;
+            Point::new(rounded(x_m), rounded(y_m))
+        };
+        let dense = Path::new(&(0..=many).map(point).collect::<Vec<_>>(), 0.2);
+        let platform = limited(0.25, 4.0);
+        let ((energy_j, time_s), (dense_j, dense_s)) = (cost(&platform, &path), cost(&platform, &dense));
+        prop_assert!((dense_s / time_s - 1.0).abs() <= 0.01, "{} s, {} s", time_s, dense_s);
+        prop_assert!((dense_j / energy_j - 1.0).abs() <= 0.01, "{} J, {} J", energy_j, dense_j);
+    }
+
+    #[test]
+    fn a_curve_is_driven_without_a_stop_however_many_points_describe_it(
+        radius_m in 0.2f64..5.0,
+        speed_mps in 0.05f64..1.5,
+        omega_max_radps in 0.5f32..4.0,
+    ) {
+        let arc = |points: u32| {
+            let at = |step: u32| {
+                let angle = f64::from(step) / f64::from(points - 1) * std::f64::consts::FRAC_PI_2;
+                Point::new(radius_m * angle.sin(), radius_m * (1.0 - angle.cos()))
+            };
+            Path::new(&(0..points).map(at).collect::<Vec<_>>(), speed_mps)
+        };
+        let platform = limited(2.0, omega_max_radps);
+        let (few, many) = (cost(&platform, &arc(41)), cost(&platform, &arc(400)));
+        let all = cost(&platform, &arc(20_000));
+        for other in [many, all] {
+            prop_assert!((other.0 / few.0 - 1.0).abs() <= 0.02, "{:?} {:?}", few, other);
+            prop_assert!((other.1 / few.1 - 1.0).abs() <= 0.02, "{:?} {:?}", few, other);
+        }
+        let follower = Follower::new(&platform).expect("it moves");
+        let followed = follower.follow(&arc(400)).expect("it gets there");
+        // At the end it slows down to 4 cm/s, and stops.
+        let slowest = followed.v_mps[..followed.v_mps.len() - 1].iter().copied().fold(9.0, f32::min);
+        prop_assert!(slowest > 0.6 * speed_mps.min(0.04) as f32, "{}", slowest);
+        for pose in &followed.poses {
+            let beside_m = (pose.at.x_m.hypot(pose.at.y_m - radius_m) - radius_m).abs();
+            prop_assert!(beside_m <= 0.05, "{} m beside the curve", beside_m);
+        }
+    }
+}
+
+#[test]
+fn a_change_of_speed_on_a_straight_leg_is_driven_there_without_a_stop() {
+    let points = [0.0, 1.0, 2.0].map(|x_m| Point::new(x_m, 0.0));
+    let path = Path { speed_mps: vec![0.2, 0.2, 0.1], ..Path::new(&points, 0.2) };
+    let followed = follower(0.25, 4.0).follow(&path).expect("it gets there");
+    let (fast, slow) = followed.v_mps.split_at(followed.leg_ends[0]);
+    assert!(fast.iter().all(|v_mps| *v_mps == 0.2), "{fast:?}");
+    assert!(slow[..slow.len() / 2].iter().all(|v_mps| *v_mps == 0.1), "{slow:?}");
+    let changed_m = followed.poses[followed.leg_ends[0]].at.x_m;
+    assert!((0.95..=1.01).contains(&changed_m), "{changed_m}");
+}
+
+#[test]
+fn a_path_in_one_place_has_a_step_and_faces_where_it_is_told() {
+    for points in [2, 3, 100] {
+        let here = vec![Point::new(1.0, -2.0); points];
+        let path = Path { heading_rad: Some(0.5), ..Path::new(&here, 0.2) };
+        let followed = follower(0.25, 4.0).follow(&path).expect("it is there");
+        assert_eq!((followed.v_mps.as_slice(), followed.leg_ends.len()), (&[0.0][..], points - 1));
+        assert_eq!(followed.leg_ends.last(), Some(&1));
+        assert!(followed.poses.iter().all(|pose| pose.heading_rad == 0.5));
+    }
+}
+
+#[test]
+fn a_robot_faces_the_first_point_that_is_elsewhere() {
+    let (from, end) = (Point::new(0.0, 0.0), Point::new(0.0, 1.0));
+    let once = follower(0.25, 4.0).follow(&Path::new(&[from, end], 0.2)).expect("it gets there");
+    let twice = follower(0.25, 4.0).follow(&Path::new(&[from, from, end], 0.2));
+    let twice = twice.expect("it gets there");
+    assert_eq!((&once.v_mps, &once.poses), (&twice.v_mps, &twice.poses));
+    assert_eq!(twice.leg_ends, [0, once.leg_ends[0]]);
+}
+
+#[test]
+fn following_a_path_of_many_points_takes_a_small_multiple_of_its_memory() {
+    let points: Vec<Point> = (0..200_000)
+        .map(|step| Point::new(f64::from(step) * 1e-4, 1e-3 * f64::from(step % 7)))
+        .collect();
+    let path = Path::new(&points, f64::INFINITY);
+    let follower = follower(0.25, 4.0);
+    let (followed, peak) = counting::peak(|| follower.follow(&path).expect("it gets there"));
+    let of_path = size_of_val(points.as_slice()) + size_of_val(path.speed_mps.as_slice());
+    assert!(peak < 3 * of_path as u64, "{peak} bytes");
+    assert_eq!(followed.leg_ends.len(), points.len() - 1);
 }
 
 /// The steps outside a model's training data of a robot at rest that follows a path.

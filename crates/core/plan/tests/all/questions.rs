@@ -58,7 +58,9 @@ fn questions() -> Vec<Question> {
 #[test]
 fn questions_and_replies_survive_their_payloads() {
     let (fleet, mut robots) = (fleet(), Rows::with_usable(5_000.0));
-    robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
+    robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING
+        | plan_state_flag::ALARM_IMPLAUSIBLE
+        | plan_state_flag::ALARM_NO_DATA;
     for question in questions() {
         let (header, values) = question.encode(FLEET).unwrap();
         assert_eq!(Question::decode(&header, &values, FLEET).as_ref(), Ok(&question));
@@ -144,7 +146,6 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     let (fresh, stale) = (reply(stale_ns - 1), reply(stale_ns));
     let yes = fresh.rows[0];
     assert_eq!((yes.robot, yes.answer.verdict), (3, Verdict::Yes));
-    assert!(yes.turn_back_s.is_some());
     // Sorted behind robots with known energy.
     let row = stale.rows[2];
     let age_ns = stale_ns - rich.header.sent_ns;
@@ -170,10 +171,14 @@ fn straight(robots: &[u32]) -> Question {
 
 #[test]
 fn a_way_is_followed_once_for_all_robots_of_a_platform_and_each_is_a_step_of_its_own() {
-    let (fleet, rich) = (fleet(), Rows::with_usable(20_000.0));
+    let (fleet, poor) = (fleet(), Rows::with_usable(60.0));
     let steps = |robots: &[u32]| {
-        let find = |robot| Some(rows(&rich, robot));
-        let mut work = Work::begin(straight(robots), find, MAX_QUERY_STEPS).unwrap();
+        let find = |robot| Some(rows(&poor, robot));
+        let mut question = straight(robots);
+        if let Plan::Follow { back_to, .. } = &mut question.plan {
+            *back_to = Some(Point::new(0.0, 0.0));
+        }
+        let mut work = Work::begin(question, find, MAX_QUERY_STEPS).unwrap();
         let mut steps = 1;
         while !work.step(&fleet).unwrap() {
             steps += 1;
@@ -182,7 +187,7 @@ fn a_way_is_followed_once_for_all_robots_of_a_platform_and_each_is_a_step_of_its
     };
     let (one, four) = (steps(&[3]), steps(&[3, 7, 9, 11]));
     // The path, up to 64 ways back, and the robot.
-    assert!(one > 40 && one <= 66, "{one}");
+    assert!(one > 30 && one <= 66, "{one}");
     assert_eq!(four, one + 3);
 }
 

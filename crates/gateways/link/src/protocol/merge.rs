@@ -270,7 +270,7 @@ impl Merged for PlanStates {
     }
 
     fn silence(row: &mut PlanState) {
-        row.flags &= !plan_state_flag::LAGS;
+        row.flags = (row.flags & !plan_state_flag::LAGS) | plan_state_flag::ALARM_NO_DATA;
         (row.quality, row.quality_detail) = STALE.encode();
     }
 }

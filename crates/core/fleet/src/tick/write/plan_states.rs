@@ -1,6 +1,6 @@
 //! Writes the starts of plans.
 
-use joulebus_wire::{PlanState, plan_state_flag};
+use joulebus_wire::{Alarm, AlarmSet, PlanState, plan_state_flag};
 
 use crate::layout::lanes::Block as _;
 use crate::state::columns::BlockRef;
@@ -39,6 +39,8 @@ impl<'a, 'b> PlanStates<'a, 'b> {
         let [lag1_w, lag2_w, lag3_w, lag4_w, lag5_w] = start.lag_w;
         let [age_steps, interval_steps] = start.reading_age.to_bytes().map(u16::from);
         let outside = admission.outside_training;
+        let of_battery = self.block.batteries.map_or(0, |batteries| batteries.raised[lane]);
+        let raised = self.block.detectors.raised(lane).and(AlarmSet(of_battery));
         PlanState {
             robot: admission.id,
             flags: flag(admission.accepted, plan_state_flag::SAMPLE)
@@ -46,7 +48,13 @@ impl<'a, 'b> PlanStates<'a, 'b> {
                 | flag(start.commanded, plan_state_flag::COMMAND)
                 | flag(start.reading_age.is_known(), plan_state_flag::READING_AGE)
                 | flag(learns, plan_state_flag::LEARNED)
-                | flag(outside, plan_state_flag::OUTSIDE_TRAINING),
+                | flag(outside, plan_state_flag::OUTSIDE_TRAINING)
+                | flag(tick.is_stale(admission), plan_state_flag::ALARM_NO_DATA)
+                | flag(raised.has(Alarm::OutOfRange), plan_state_flag::ALARM_OUT_OF_RANGE)
+                | flag(raised.has(Alarm::StuckSensor), plan_state_flag::ALARM_STUCK_SENSOR)
+                | flag(raised.has(Alarm::HeldTooLong), plan_state_flag::ALARM_HELD_TOO_LONG)
+                | flag(raised.has(Alarm::SocImplausible), plan_state_flag::ALARM_SOC_IMPLAUSIBLE)
+                | flag(admission.implausible, plan_state_flag::ALARM_IMPLAUSIBLE),
             quality,
             quality_detail,
             platform: admission.platform,
