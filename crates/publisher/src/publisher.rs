@@ -7,7 +7,7 @@ use joulebus_bus::{Bus, SampleWriter, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_config::settings::{FleetSettings, RefusedSample};
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a, sample_flag};
 
 use crate::RobotState;
 use crate::state::Registry;
@@ -171,9 +171,12 @@ impl Publisher {
                 let found = allowed + 1 + robots.count();
                 return Err(PublishError::TooMany { found, allowed });
             }
-            let Some(sample) = self.registry.sample(&state, self.attempts, now_ns) else {
+            let Some(mut sample) = self.registry.sample(&state, self.attempts, now_ns) else {
                 return Err(PublishError::DuplicateRobot { robot: state.robot });
             };
+            if self.watch.as_ref().is_some_and(|watch| watch.doubts(state.robot)) {
+                sample = sample.with(sample_flag::IMPLAUSIBLE);
+            }
             self.samples.push(sample);
             if let Some(watch) = &mut self.watch {
                 watch.add(&state, now_ns);

@@ -45,6 +45,9 @@ pub struct RobotState {
     pub charger: Charger,
     /// The battery has been exchanged since the last frame.
     pub swapped: bool,
+    /// What the robot reports is implausible: answers about its plans are never a yes. A
+    /// [`crate::Publisher`] that judges sets it by itself.
+    pub implausible: bool,
 }
 
 /// A robot's charger.
@@ -269,6 +272,9 @@ fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Samp
     sample.flags |= state.charger.flags();
     if state.swapped {
         sample.flags |= sample_flag::SWAPPED;
+    }
+    if state.implausible {
+        sample.flags |= sample_flag::IMPLAUSIBLE;
     }
     sample
 }

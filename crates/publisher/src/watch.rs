@@ -28,6 +28,8 @@ type Published = (RobotState, u64);
 #[derive(Debug)]
 pub(crate) struct Watch {
     waiting: Vec<Published>,
+    /// The robots that are implausible, as far as the thread has told. Rising.
+    doubted: Vec<u32>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     /// The process that has the thread.
@@ -37,6 +39,8 @@ pub(crate) struct Watch {
 #[derive(Debug)]
 struct Shared {
     handed_over: Mutex<Vec<Published>>,
+    /// Robots that are implausible, if that is news.
+    doubted: Mutex<Option<Vec<u32>>>,
     is_stopped: AtomicBool,
 }
 
@@ -46,6 +50,7 @@ impl Watch {
         let room = || Vec::with_capacity(config.limits().capacity.max(MIN_WAITING));
         let shared = Arc::new(Shared {
             handed_over: Mutex::new(room()),
+            doubted: Mutex::new(None),
             is_stopped: AtomicBool::new(false),
         });
         let (own, taken) = (Arc::clone(&shared), room());
@@ -53,7 +58,8 @@ impl Watch {
         let thread = thread::Builder::new()
             .name("joulebus-judge".to_owned())
             .spawn(move || judge(&own, taken, findings))?;
-        Ok(Self { waiting: room(), shared, thread: Some(thread), pid: process::id() })
+        let (waiting, doubted) = (room(), Vec::new());
+        Ok(Self { waiting, doubted, shared, thread: Some(thread), pid: process::id() })
     }
 
     /// Adds a state that is published at `now_ns`, if it has a new reading and there is room.
@@ -64,8 +70,18 @@ impl Watch {
         }
     }
 
-    /// Hands the states over, if the thread has judged those before.
+    /// True if the thread finds a robot implausible.
+    pub(crate) fn doubts(&self, robot: u32) -> bool {
+        self.doubted.binary_search(&robot).is_ok()
+    }
+
+    /// Hands the states over, if the thread has judged those before, and takes its findings.
     pub(crate) fn hand_over(&mut self) {
+        if let Ok(mut news) = self.shared.doubted.try_lock()
+            && let Some(doubted) = news.take()
+        {
+            self.doubted = doubted;
+        }
         // The thread has the lock for a moment: then the next frame does it.
         if let Ok(mut handed_over) = self.shared.handed_over.try_lock()
             && handed_over.is_empty()
@@ -98,6 +114,7 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
     let judgement = Judgement::new(Source::Program, vec![Kind::Constant]);
     let mut judgement = judgement.of_at_most(MAX_JUDGED);
     let mut written = Instant::now();
+    let mut told = Vec::new();
     while !shared.is_stopped.load(Ordering::Relaxed) {
         thread::park_timeout(POLL_INTERVAL);
         if let Ok(mut handed_over) = shared.handed_over.lock() {
@@ -118,8 +135,18 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
             // The times are the publisher's own.
             let errors =
                 errors.filter(|found| found.finding.is_error() && found.finding.quantity.is_some());
+            let errors: Vec<_> = errors.map(|found| (found.robot, found.finding.kind)).collect();
+            // By robot, as the records are.
+            let mut doubted: Vec<u32> = errors.iter().map(|(robot, _)| *robot).collect();
+            doubted.dedup();
+            if doubted != told
+                && let Ok(mut news) = shared.doubted.lock()
+            {
+                told.clone_from(&doubted);
+                *news = Some(doubted);
+            }
             // The next call tries again.
-            let _ = findings.write(errors.map(|found| (found.robot, found.finding.kind)));
+            let _ = findings.write(errors);
         }
     }
 }

@@ -38,10 +38,14 @@ const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
     speed towards each point. The robot is at the first point and faces the second. Speeds above \
     the platform's greatest are refused:\n\n    \
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
+    Only the shape of the path counts, not how many points describe it.\n\n\
     Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
-    battery can spare above its reserve. tight: only the expected energy fits, or something \
-    weakens the answer (it is listed). no: the expected energy does not fit. unknown: the answer \
-    has the reason. This process computes the answer, from the worker's plan states in shared \
+    battery can spare above its reserve. tight: only the expected energy fits, or the robot's own \
+    readings are in doubt (none at present, outside the training data, or an alarm such as \
+    StuckSensor: it is named). no: the expected energy does not fit. unknown: the answer has the \
+    reason. What the model does not know of the plan itself widens the energy to the platform's \
+    limits of power, which still can be a yes. Then the probability is unknown. A time to turn \
+    back is stated if the answer is not a yes. This process computes the answer, from the worker's plan states in shared \
     memory and from the models of the config. These must be the worker's models. So there is no \
     queue and no load on the worker, and a path may have any length. Robots that are not in the \
     fleet are named, and the others are answered. --through worker asks the worker, as programs in \
@@ -57,7 +61,8 @@ pub(crate) struct Args {
     /// The robot
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Several robots. The answer lists the best first: by verdict, then by energy
+    /// Several robots. The answer lists the best first: by verdict, those without doubt before
+    /// others, then by energy
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     rank: Vec<u32>,
     /// Follow this path (CSV)
@@ -77,7 +82,8 @@ pub(crate) struct Args {
     /// Where the dock of `--return dock` is, m [default: where the path begins]
     #[arg(long, value_name = "X,Y", requires = "return_to", allow_hyphen_values = true)]
     dock: Option<PointArgument>,
-    /// Speed where the path file states none, m/s [default: the platform's greatest]
+    /// Speed where the path file states none, m/s [default: the highest that the model was trained
+    /// on]
     #[arg(long, value_name = "M/S", conflicts_with = "idle")]
     speed: Option<f64>,
     /// Coverage of the intervals, 0.5 to 0.999
@@ -230,27 +236,16 @@ fn is_unknown_robot(error: &ClientError) -> bool {
     matches!(error, ClientError::Refused(refused) if refused.reason == QueryRefusal::UnknownRobot)
 }
 
-/// Refuses speeds above the platform's maximum: the follower would take that maximum, and the
-/// answer would be about another plan.
+/// Refuses speeds above the platform's before a worker is looked for.
 fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     let Plan::Follow { robots, path, .. } = plan else {
         return Ok(());
     };
     for platform in &config.settings().platforms {
         let has = |robot: &u32| platform.robots.iter().any(|ids| ids.contains(robot));
-        let most = platform.v_max_mps;
-        // Infinity stands for none stated. What cannot drive at all is refused with its own reason.
-        let is_above = |speed: f64| speed.is_finite() && speed as f32 > most && most > 0.0;
-        let speeds = &path.speed_mps;
-        let above = (1..speeds.len()).find(|point| is_above(speeds[*point]));
-        let Some(point) = above.filter(|_| robots.iter().any(has)) else {
-            continue;
-        };
-        let (found, name) = (speeds[point], &platform.name);
-        return Err(UsageError(format!(
-            "a speed of {found} m/s towards point {point}: platform {name} drives at most {most} m/s (`v_max_mps` in its \
-             config). Ask for that or less, or state no speed for the greatest"
-        )));
+        if robots.iter().any(has) {
+            path.check_speeds(platform).map_err(|error| UsageError(error.to_string()))?;
+        }
     }
     Ok(())
 }

@@ -26,6 +26,7 @@
 
 use std::f64::consts::PI;
 
+use joulebus_settings::Platform as Settings;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PathError;
@@ -97,6 +98,21 @@ impl Path {
     #[must_use]
     pub fn legs(&self) -> usize {
         self.points.len().saturating_sub(1)
+    }
+
+    /// Refuses a speed above a platform's: the answer would be about another plan. Infinity asks
+    /// for none.
+    ///
+    /// # Errors
+    /// [`PathError::TooFast`]. A platform that cannot drive at all is refused with the question.
+    pub fn check_speeds(&self, platform: &Settings) -> Result<(), PathError> {
+        let allowed = platform.v_max_mps;
+        let is_above = |speed: f64| speed.is_finite() && speed as f32 > allowed && allowed > 0.0;
+        let above = (1..self.speed_mps.len()).find(|point| is_above(self.speed_mps[*point]));
+        above.map_or(Ok(()), |point| {
+            let (found, platform) = (self.speed_mps[point], platform.name.clone());
+            Err(PathError::TooFast { point, found, platform, allowed })
+        })
     }
 
     fn check(&self) -> Result<(), PathError> {
@@ -288,21 +304,6 @@ impl Follower {
         let chord_m = distance_m(pose.at, ahead.goal);
         let sine = libm::sin(error_rad(pose, ahead.goal)).abs();
         f64::from(self.omega_max_radps) * chord_m / (2.0 * sine).max(f64::MIN_POSITIVE)
-    }
-
-    /// Refuses a path with a speed above the platform's: the answer would be about another plan.
-    pub(crate) fn check_speeds(&self, path: &Path) -> Result<(), PathError> {
-        // Infinity stands for none stated.
-        let is_above = |speed: f64| speed.is_finite() && speed as f32 > self.v_max_mps;
-        let above = path.speed_mps.iter().skip(1).position(|speed| is_above(*speed));
-        above.map_or(Ok(()), |place| {
-            Err(PathError::TooFast {
-                point: place + 1,
-                found: path.speed_mps[place + 1],
-                platform: self.platform.clone(),
-                allowed: self.v_max_mps,
-            })
-        })
     }
 
     /// The speed that is driven if one is asked for, m/s.

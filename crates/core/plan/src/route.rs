@@ -60,7 +60,7 @@ impl Route {
         max_steps: usize,
     ) -> Result<Self, AskError> {
         let follower = Follower::new(robot.platform())?.within(max_steps);
-        follower.check_speeds(path)?;
+        path.check_speeds(&robot.platform().settings)?;
         let there = follower.follow(path)?;
         let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
         let back = back_to.map(|dock| Back { dock, speed_mps });

@@ -119,13 +119,13 @@ messages! {
         pub left_j: f32,
         /// Its lower bound, J.
         pub left_lo_j: f32,
-        /// Probability of finishing above the reserve.
+        /// Probability of finishing above the reserve. NaN where it is not known.
         pub probability: f32,
-        /// Energy to spare above the reserve, J.
+        /// A bound: the energy that is surely to spare above the reserve, J.
         pub margin_j: f32,
         /// The first leg or command whose end is not a sure yes. −1: none.
         pub limiting_leg: i32,
-        /// Time until the robot must turn back, s.
+        /// Time until the robot must turn back, s. NaN with a yes.
         pub turn_back_s: f32,
         /// What weakens the answer.
         pub caveats: String,

@@ -57,6 +57,8 @@ struct Publishing {
     never_came_ns: Option<u64>,
     refused: BTreeSet<(u32, &'static str)>,
     findings: FindingsFile,
+    /// Robots with a finding.
+    doubted: BTreeSet<u32>,
 }
 
 /// Starts the thread, which has joined the fleet then.
@@ -93,6 +95,7 @@ impl Publishing {
             never_came_ns: Some(news_ns + NEVER_CAME_NS),
             refused: BTreeSet::new(),
             findings: FindingsFile::new(config, name),
+            doubted: BTreeSet::new(),
             robots,
             shared,
         })
@@ -108,7 +111,8 @@ impl Publishing {
         let found = self.shared.intake().judgement().records().into_iter();
         // A monitor that never changes may be of a robot that stands.
         let found = found.filter(|found| found.finding.is_error());
-        let found = found.map(|found| (found.robot, found.finding.kind));
+        let found: Vec<_> = found.map(|found| (found.robot, found.finding.kind)).collect();
+        self.doubted = found.iter().map(|(robot, _)| *robot).collect();
         match self.findings.write(found) {
             Ok(0) => {}
             Ok(cut) => tracing::warn!(cut, "too many findings: some raise no alarm"),
@@ -144,7 +148,11 @@ impl Rounds<PublishedRecord, anyhow::Error> for Publishing {
         }
         if let Some(stamp_ns) = now_ns.filter(|_| !self.states.is_empty()) {
             let intended_ns = host_ns.saturating_sub(late_ns);
-            let states = self.states.iter().copied();
+            let doubted = &self.doubted;
+            let states = self.states.iter().copied().map(|mut state| {
+                state.implausible |= doubted.contains(&state.robot);
+                state
+            });
             let sent = self.publisher.publish_stamped(intended_ns, stamp_ns, states);
             count(sent, &mut self.record, &mut self.refused)?;
         }

@@ -19,6 +19,7 @@ const caveatNames = {
 
 function caveats(list) {
   const texts = Object.entries(caveatNames).filter(([name]) => list?.[name]).map(([, text]) => text);
+  if (list?.alarms?.length > 0) texts.push(`alarms cast doubt on its readings: ${list.alarms.join(" and ")}`);
   if (list?.steps_outside_training > 0) texts.push(`${format.count(list.steps_outside_training)} steps outside the training data`);
   return texts.join("; ");
 }
@@ -30,7 +31,7 @@ export function answerFacts(answer) {
   facts.push(["Takes", format.duration(answer.duration_s)]);
   if (used) facts.push(["Energy", `${format.energy(used.mean_j)} (${format.range(used.lo_j, used.hi_j, format.energy)})`]);
   if (left) facts.push(["Left", `${format.energy(left.mean_j)} (${format.range(left.lo_j, left.hi_j, format.energy)})`]);
-  if (format.isKnown(answer.probability)) facts.push(["Probability", format.percent(answer.probability, 1)]);
+  if (left) facts.push(["Probability", format.isKnown(answer.probability) ? format.percent(answer.probability, 1) : "unknown"]);
   if (format.isKnown(answer.turn_back_s)) facts.push(["Turn back within", format.duration(answer.turn_back_s)]);
   const weak = caveats(answer.caveats);
   if (weak) facts.push(["Note", weak]);

@@ -565,9 +565,9 @@ struct Answer : joulebus_answer_row {
     std::optional<float> energy_j() const noexcept { return known(JOULEBUS_ANSWER_ENERGY, mean_j); }
     /** Upper end of the energy at the asked coverage, J. */
     std::optional<float> energy_hi_j() const noexcept { return known(JOULEBUS_ANSWER_ENERGY, hi_j); }
-    /** Lower bound of the energy above the reserve, less the upper end of the energy, J. */
+    /** A bound: that of the energy above the reserve from below, less the upper end of the energy, J. */
     std::optional<float> spare_j() const noexcept { return known(JOULEBUS_ANSWER_MARGIN, margin_j); }
-    /** Latest time to turn back, s. */
+    /** Latest time to turn back, s. A yes has none: the robot can drive the whole path. */
     std::optional<float> turn_back() const noexcept { return known(JOULEBUS_ANSWER_TURN_BACK, turn_back_s); }
 
 private:

@@ -302,6 +302,11 @@ fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyResult<Bound<'py, PyDict>> {
     let (verdicts, reasons): (Vec<_>, Vec<_>) = texts.into_iter().unzip();
     dict.set_item("verdict", verdicts)?;
     dict.set_item("reason", reasons)?;
+    let alarms = |row: &Row| {
+        let alarms = row.answer.caveats.alarms;
+        (!alarms.is_empty()).then(|| alarms.names().collect::<Vec<_>>().join(", "))
+    };
+    dict.set_item("alarms", rows.iter().map(alarms).collect::<Vec<_>>())?;
     let caveats = |row: &Row| row.answer.caveats.any().then(|| row.answer.caveats.to_string());
     dict.set_item("caveats", rows.iter().map(caveats).collect::<Vec<_>>())?;
     Ok(dict)

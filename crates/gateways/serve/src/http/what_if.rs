@@ -29,7 +29,7 @@ pub(super) struct Asked {
     coverage: f32,
 }
 
-/// A point, and the maximum speed towards it. Without one the platform's maximum applies.
+/// A point, and the speed towards it. Without one, the highest that the model was trained on.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Place")] // Errors name it as the schema does.
 struct Waypoint {

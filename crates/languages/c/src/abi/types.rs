@@ -268,7 +268,8 @@ pub struct joulebus_waypoint {
     pub x_m: f64,
     /// North, m.
     pub y_m: f64,
-    /// Speed towards it, m/s, limited by the platform's. That of the first point is not used.
+    /// Speed towards it, m/s. One above the platform's is refused, and infinity is the highest that
+    /// the model was trained on. That of the first point is not used.
     pub speed_mps: f64,
 }
 

@@ -332,10 +332,12 @@ class Planner(_Connection):
         """What a path, or `idle_s` seconds at rest, cost one robot or several, and whether their
         batteries suffice.
 
-        `path` has points ``(points, 2)`` in m. The robot is at the first one. `speed` (m/s) is one
-        number, or one towards each point, at most the platform's. `heading` (rad) is that at the
-        first point. With `back_to` the path back counts too, and ``turn_back_s`` is the latest time
-        to turn back. The best robot is first. `power` is possible for one robot only.
+        `path` has points ``(points, 2)`` in m. The robot is at the first one. Only its shape
+        counts, not how many points describe it. `speed` (m/s) is one number, or one towards each
+        point. ``ValueError`` if one is above the platform's. Infinity, the default, is the highest
+        speed that the model was trained on. `heading` (rad) is that at the first point. With
+        `back_to` the path back counts too, and ``turn_back_s`` is the latest time to turn back
+        unless the answer is a yes. The best robot is first. `power` is possible for one robot only.
         """
         if (path is None) == (idle_s is None):
             raise ValueError("ask takes either a path or idle_s")

@@ -17,10 +17,12 @@ class Answer:
     only if on every leg the upper end of the energy is below the lower bound of the battery's
     energy above the reserve, and the robot's state is known. ``energy_lo_j`` and ``energy_hi_j``
     are the interval at the asked coverage. ``left_lo_j`` is the lower bound of the energy left.
-    ``margin_j`` is the lower bound of the energy above the reserve, less ``energy_hi_j``.
-    ``probability`` is that of finishing above the reserve. ``limiting_leg`` is the first leg that
-    is not a yes, from 0. ``turn_back_s`` is the latest time to turn back. ``caveats`` has what
-    weakens the answer.
+    ``margin_j`` is a bound: the lower bound of the energy above the reserve, less ``energy_hi_j``.
+    ``probability`` is that of finishing above the reserve, where the model's errors cover the plan.
+    ``limiting_leg`` is the first leg that is not a yes, from 0. ``turn_back_s`` is the latest time
+    to turn back. A yes has none: the robot can drive the whole path. ``alarms`` names the alarms
+    that cast doubt on the robot's readings, such as ``StuckSensor``. ``caveats`` has what weakens
+    the answer, the alarms too.
     """
 
     robot: int
@@ -36,12 +38,13 @@ class Answer:
     probability: float | None
     limiting_leg: int | None
     turn_back_s: float | None
+    alarms: str | None
     caveats: str | None
 
 
 #: Columns of answers.
 _COLUMNS = tuple(field.name for field in fields(Answer))
-_TEXTS = ("verdict", "reason", "caveats")
+_TEXTS = ("verdict", "reason", "alarms", "caveats")
 
 
 class Answers:
@@ -74,11 +77,12 @@ class Answers:
 
     @property
     def best(self) -> int:
-        """Index of the best answer: by verdict (yes, tight, no, unknown), then by the expected
-        energy."""
+        """Index of the best answer: by verdict (yes, tight, no, unknown), those without alarms on
+        the readings first, then by the expected energy."""
         ranks = {"yes": 0, "tight": 1, "no": 2, "unknown": 3}
         rank = np.array([ranks[verdict] for verdict in self.verdict])
-        return int(np.lexsort((np.nan_to_num(self.energy_j, nan=np.inf), rank))[0])
+        doubted = np.array([alarms is not None for alarms in self.alarms])
+        return int(np.lexsort((np.nan_to_num(self.energy_j, nan=np.inf), doubted, rank))[0])
 
     def to_pandas(self) -> Any:
         """A DataFrame with one row for each answer. Needs pandas."""
