@@ -17,7 +17,7 @@ import joulebus
 
 with joulebus.demo() as demo:
     trip = demo.planner.ask(7, [(0.0, 0.0), (1.0, 0.0)], back_to=(0.0, 0.0))[0]
-    print(f"robot 7: {trip.verdict}, {trip.energy_j:.1f} J, {trip.margin_j:.0f} J to spare, turn back within {trip.turn_back_s:.1f} s")
+    print(f"robot 7: {trip.verdict}, {trip.energy_j:.1f} J, {trip.margin_j:.0f} J to spare")
     assert trip.verdict == "yes"
     ranked = demo.planner.ask(demo.robots, [(0.0, 0.0), (3.0, 0.0)], back_to=(0.0, 0.0))
     print(f"the best of {len(ranked.verdict)} is robot {ranked[0].robot}")

@@ -131,6 +131,41 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
 }
 
 #[test]
+fn a_robot_whose_sensor_is_stuck_is_never_yes_and_is_ranked_behind_the_others() {
+    let fleet = fleet();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 3 --fault 1=stuck"));
+    let named = |asked: &Output| stdout(asked).contains("StuckSensor");
+    for through in ["", " --through worker"] {
+        let question = format!("ask --robot 1 --path p.csv{through}");
+        let text = stdout(&outcome(&fleet, &question, named));
+        assert!(!text.starts_with("robot 1 (gternal): yes"), "{text}");
+        let ranked = ask(&fleet, &format!("--rank 1,2,0 --path FILE{through}"));
+        let answers = ranked["answers"].as_array().unwrap();
+        assert_eq!(answers[2]["robot"], 1, "{ranked}");
+        assert_eq!(answers[2]["caveats"]["alarms"][0], "StuckSensor", "{ranked}");
+        assert_eq!(answers[0]["caveats"]["alarms"], serde_json::json!([]), "{ranked}");
+    }
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+}
+
+#[test]
+fn an_hour_at_rest_has_an_unknown_probability_and_a_bound_of_what_is_spare() {
+    let fleet = fleet();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 1"));
+    let answered = ask(&fleet, "--robot 0 --idle 3600");
+    assert_eq!(answered["answers"][0]["probability"], Value::Null, "{answered}");
+    let text = stdout(&fleet.output("ask --robot 0 --idle 3600"));
+    for expected in ["unknown probability", "at worst", "upper bound of the energy"] {
+        assert!(text.contains(expected), "{text}");
+    }
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+}
+
+#[test]
 fn a_speed_above_the_platforms_is_refused_with_its_greatest() {
     let fleet = fleet();
     let path = fleet.path("fast.csv").display().to_string();

@@ -33,8 +33,8 @@ impl AlarmCard {
         Self::all().find(|card| card.name.eq_ignore_ascii_case(name))
     }
 
-    /// A source finds what it reports implausible. Readers raise it, and the worker knows nothing
-    /// of it.
+    /// A source finds what it reports implausible. Readers raise it. The worker passes the finding
+    /// on to answers about plans.
     pub const IMPLAUSIBLE: Self = Self {
         name: "Implausible",
         level: Level::Warn,

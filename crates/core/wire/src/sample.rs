@@ -33,10 +33,11 @@ bits! {
         pub const SWAPPED: u32 = 1 << 10;
         /// `return_j` is known.
         pub const RETURN: u32 = 1 << 11;
-        /// The source finds what the robot reports implausible: the alarm `Implausible`.
-        pub const IMPLAUSIBLE: u32 = 1 << 12;
+        /// The source finds what the robot reports implausible: the alarm `Implausible`. From this
+        /// bit on flags are the source's judgement.
+        pub const IMPLAUSIBLE: u32 = 1 << 16;
         /// All defined bits.
-        pub const ALL: u32 = (1 << 13) - 1;
+        pub const ALL: u32 = ((1 << 12) - 1) | IMPLAUSIBLE;
     }
 }
 

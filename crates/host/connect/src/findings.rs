@@ -1,7 +1,8 @@
 //! Implausible findings of sources in their own reports.
 //!
 //! A source that judges writes a small file beside the fleet's shared memory, and readers raise the
-//! alarm `Implausible`. So no layout, no capture and no bit of the worker knows of it.
+//! alarm `Implausible`. Beside it, the source flags its samples
+//! ([`joulebus_wire::sample_flag::IMPLAUSIBLE`]), so that answers about plans follow from captures.
 
 use std::collections::BTreeSet;
 use std::io::{self, Read as _};

@@ -103,6 +103,7 @@ def test_a_path_and_back_says_when_to_turn_and_several_robots_are_ranked(asking)
     assert trip.power_w.shape[0] == 1 and trip.power_w.shape[1] > 30
     # Without a calibrated energy model nothing is promised, so there may be no time to turn back.
     assert trip[0].turn_back_s is None or 0.0 <= trip[0].turn_back_s <= trip[0].duration_s
+    assert trip[0].verdict != "yes" or trip[0].turn_back_s is None
     ranked = known(lambda: asking.ask([3, 9, 12], PATH))
     assert sorted(ranked.robot.tolist()) == [3, 9, 12] and ranked.best == 0
     ranks = ["yes", "tight", "no", "unknown"]
@@ -110,6 +111,19 @@ def test_a_path_and_back_says_when_to_turn_and_several_robots_are_ranked(asking)
     assert order == sorted(order)
     slow = asking.ask(7, PATH, speed=[1.0, 0.05, 0.05])[0]
     assert slow.duration_s > there.duration_s
+
+
+def test_a_path_costs_the_same_with_two_points_and_with_a_point_every_millimetre(asking):
+    few = known(lambda: asking.ask(7, [(0.0, 0.0), (1.0, 0.0)], speed=0.2))[0]
+    dense = [(x, 0.0) for x in np.linspace(0.0, 1.0, 1001)]
+    many = known(lambda: asking.ask(7, [dense[0], *dense, dense[-1]], speed=0.2))[0]
+    assert many.duration_s == pytest.approx(few.duration_s, rel=0.005)
+
+
+def test_a_speed_above_the_platforms_is_refused_and_infinity_is_none(asking):
+    with pytest.raises(ValueError, match="3 m/s towards point 1.*at most 0.25 m/s.*v_max_mps"):
+        asking.ask(7, PATH, speed=3)
+    assert known(lambda: asking.ask(7, PATH))[0].duration_s > 0.0
 
 
 def test_answers_are_those_of_the_program(asking, fleet, run, tmp_path):

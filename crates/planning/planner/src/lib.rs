@@ -15,7 +15,9 @@
 //!     let there = Path::new(&[Point::new(0.0, 0.0), Point::new(2.0, 1.0)], 0.2);
 //!     let trip = robot.can_finish(&there, Some(Point::new(0.0, 0.0)), 0.9)?;
 //!     if trip.answer.verdict == Verdict::Yes {
-//!         println!("go, and turn back within {:?} s", trip.turn_back_s);
+//!         println!("go: it can drive there and return");
+//!     } else if let Some(turn_back_s) = trip.turn_back_s {
+//!         println!("turn back within {turn_back_s} s");
 //!     }
 //!     Ok(())
 //! }

@@ -109,8 +109,7 @@ pub(crate) fn calm(config: &Config, count: u64) -> Done {
     print_line(&AskerLine::Done { answered: count })
 }
 
-/// Asks whether robots can drive six metres straight on, and until when they can turn back: 64 ways
-/// of up to 40 s each. Until `count` answers were a yes for every robot, each about a state that
+/// Asks whether robots can drive six metres straight on and return. Until `count` answers were a yes for every robot, each about a state that
 /// was at most two ticks old.
 pub(crate) fn far(config: &Config, count: u64) -> Done {
     let mut client = PlanClient::with_config(config, "far")?;
@@ -131,8 +130,7 @@ pub(crate) fn far(config: &Config, count: u64) -> Done {
         match client.ask(&question, PATIENCE) {
             Ok(of) => {
                 let mut rows = of.reply.rows.iter();
-                let is_yes =
-                    rows.all(|row| row.answer.verdict == Verdict::Yes && row.turn_back_s.is_some());
+                let is_yes = rows.all(|row| row.answer.verdict == Verdict::Yes);
                 if is_yes && of.age_ns > most_age_ns {
                     return Err(format!("a yes about a state {} ns old", of.age_ns).into());
                 }

@@ -5,7 +5,8 @@ use joulebus_testkit_fleets::{
     MS, PERIOD_NS, SLOW_NS, Source, diagnostic, fleet, forecast, healthy, place, quality,
 };
 use joulebus_wire::{
-    Alarm, DropReason, InvalidReason, Quality, Sample, SampleHeader, forecast_flag, sample_flag,
+    Alarm, DropReason, InvalidReason, Quality, Sample, SampleHeader, forecast_flag,
+    plan_state_flag, sample_flag,
 };
 
 const ROBOT: u32 = 7;
@@ -335,6 +336,69 @@ fn silence_is_open_loop_then_stale_and_the_robot_recovers() {
     source.tick(&mut fleet, &[healthy(ROBOT, 9, back, PERIOD_NS)], back);
     assert_eq!(quality(&fleet, ROBOT), Quality::Warmup { have: 1 });
     assert!(!diagnostic(&fleet, ROBOT).alarms().has(Alarm::NoData));
+}
+
+/// What a planner learns of alarms is what operators see, in the same tick.
+#[test]
+fn alarms_on_the_readings_are_in_the_plan_state_of_the_same_tick() {
+    const OF_TICK: [(Alarm, u32); 5] = [
+        (Alarm::NoData, plan_state_flag::ALARM_NO_DATA),
+        (Alarm::OutOfRange, plan_state_flag::ALARM_OUT_OF_RANGE),
+        (Alarm::StuckSensor, plan_state_flag::ALARM_STUCK_SENSOR),
+        (Alarm::HeldTooLong, plan_state_flag::ALARM_HELD_TOO_LONG),
+        (Alarm::SocImplausible, plan_state_flag::ALARM_SOC_IMPLAUSIBLE),
+    ];
+    type Send = fn(u64, u64) -> Option<Sample>;
+    let sources: [(Alarm, Send); 5] = [
+        (Alarm::NoData, |_, _| None),
+        (Alarm::OutOfRange, |step, now_ns| {
+            Some(Sample { power_w: f32::NAN, ..healthy(ROBOT, step, now_ns, PERIOD_NS) })
+        }),
+        (Alarm::StuckSensor, |step, now_ns| {
+            Some(Sample::new(ROBOT, step, now_ns).command(0.1, 0.0).reading(3.6, now_ns))
+        }),
+        (Alarm::HeldTooLong, |step, now_ns| {
+            let held = Sample::new(ROBOT, step, now_ns).command(0.1, 0.0).reading(3.6, NOW);
+            Some(held.with(sample_flag::HELD))
+        }),
+        (Alarm::SocImplausible, |step, now_ns| {
+            let soc = if step.is_multiple_of(2) { 0.9 } else { 0.2 };
+            Some(healthy(ROBOT, step, now_ns, PERIOD_NS).state_of_charge(soc))
+        }),
+    ];
+    for (alarm, send) in sources {
+        let (mut fleet, mut source) = warm();
+        let (mut raised, mut cleared) = (false, false);
+        for step in 8..4_000 {
+            let now_ns = NOW + (step - 7) * PERIOD_NS;
+            // Healthy again at last.
+            let again = healthy(ROBOT, step, now_ns, PERIOD_NS).state_of_charge(0.5);
+            let sample = if step < 2_000 { send(step, now_ns) } else { Some(again) };
+            source.tick(&mut fleet, sample.as_slice(), now_ns);
+            let alarms = diagnostic(&fleet, ROBOT).alarms();
+            let flags = fleet.plan_state(place(&fleet, ROBOT).expect("it is there")).flags;
+            for (of_tick, bit) in OF_TICK {
+                assert_eq!(flags & bit != 0, alarms.has(of_tick), "{of_tick:?}, step {step}");
+            }
+            raised |= alarms.has(alarm);
+            cleared = raised && !alarms.has(alarm);
+        }
+        assert!(raised, "{alarm:?} was never raised");
+        assert!(cleared || alarm == Alarm::SocImplausible, "{alarm:?} stays");
+    }
+}
+
+#[test]
+fn what_its_source_finds_implausible_is_in_the_robots_plan_state_until_the_source_does_not() {
+    let (mut fleet, mut source) = warm();
+    for (step, doubted) in (8..).zip([true, true, false, true, false]) {
+        let now_ns = NOW + (step - 7) * PERIOD_NS;
+        let mut sample = healthy(ROBOT, step, now_ns, PERIOD_NS);
+        sample.flags |= if doubted { sample_flag::IMPLAUSIBLE } else { 0 };
+        source.tick(&mut fleet, &[sample], now_ns);
+        let found = fleet.plan_state(place(&fleet, ROBOT).expect("it is there")).flags;
+        assert_eq!(found & plan_state_flag::ALARM_IMPLAUSIBLE != 0, doubted, "step {step}");
+    }
 }
 
 #[test]

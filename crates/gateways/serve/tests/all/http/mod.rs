@@ -348,12 +348,22 @@ fn a_question_is_answered_as_by_ask() {
     let path = json!([{"x_m": 0, "y_m": 0}, {"x_m": 2, "y_m": 0, "speed_mps": 0.2}]);
     let trip = ask(&json!({"rank": [0, 2], "path": path, "return": "dock"})).json();
     assert_eq!(trip["answers"].as_array().unwrap().len(), 2, "{trip}");
+    // The same way with a point each centimetre.
+    let dense: Vec<Value> = (0..=200)
+        .map(|cm| json!({"x_m": f64::from(cm) * 0.01, "y_m": 0, "speed_mps": 0.2}))
+        .collect();
+    let dense = ask(&json!({"rank": [0, 2], "path": dense, "return": "dock"})).json();
+    assert_eq!(dense["answers"][0]["duration_s"], trip["answers"][0]["duration_s"], "{dense}");
     for (question, status) in [
         (json!({"robot": 9, "idle_s": 20}), 404),
         (json!({"robot": 1}), 400),
         (json!({"robot": 1, "idle_s": -1}), 400),
         (json!({"robot": 1, "idle_s": 20, "path": path}), 400),
         (json!({"robot": 1, "idle_s": 20, "colour": 1}), 400),
+        (
+            json!({"robot": 1, "path": [{"x_m": 0, "y_m": 0}, {"x_m": 2, "y_m": 0, "speed_mps": 9}]}),
+            400,
+        ),
         (json!({"idle_s": 20}), 400),
         (json!([]), 400),
     ] {
