@@ -8,7 +8,6 @@ use joulebus_config::Config;
 use joulebus_wire::{Flow, FrameRows};
 
 use crate::channel::{Intake, RecordedChannel};
-use crate::gaps::is_of_tick;
 use crate::item::Item;
 use crate::shared::Shared;
 use joulebus_capture_format::{Clock, Message, MessageKind, Times};
@@ -65,7 +64,7 @@ impl Drain {
         for channel in channels {
             ports.push((channel.open)(&bus, &limits)?);
             // The ticks after a keyframe must be complete, so its port does not count.
-            if channel.kind.flow() == Flow::Sources || is_of_tick(channel.kind) {
+            if channel.kind.flow() == Flow::Sources || channel.kind.is_of_tick() {
                 opened_ns = clock::monotonic_ns();
             }
         }

@@ -4,10 +4,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use joulebus_wire::{
-    Diagnostics, Flow, FrameOrder, FrameRows, Outlooks, PlanStates, Samples, TakenFrame,
-    TickHeader, Ticks, tick_flag,
-};
+use joulebus_wire::{Flow, FrameOrder, FrameRows, Samples, TakenFrame, TickHeader, Ticks};
 
 use joulebus_capture_format::{Frame, Message, MessageKind};
 
@@ -112,21 +109,15 @@ impl Gaps {
         self.begun.filter(|begun| is_opened && begun.run == run).map(|begun| begun.number)
     }
 
-    /// A worker sends some kinds only while somebody reads them, or while its ticks do not take too
-    /// long, and reports so in its journal, which may arrive before or after the next frame.
-    /// Returns the kinds of which the tick was counted as missing.
+    /// A journal states which kinds its tick did not send, and may arrive before or after the next
+    /// frame of them. Returns the kinds of which the tick was counted as missing.
     fn left_out(&mut self, fleet: &Arc<str>, header: &TickHeader) -> Vec<MessageKind> {
         let order = FrameOrder { run: header.worker_epoch, number: header.tick };
-        let has = |flag| header.flags & flag != 0;
-        let kinds = [
-            (MessageKind::of::<Diagnostics>(), has(tick_flag::NO_DIAGNOSTICS)),
-            (MessageKind::of::<PlanStates>(), !has(tick_flag::PLAN_STATES)),
-            (MessageKind::of::<Outlooks>(), !has(tick_flag::OUTLOOKS)),
-        ];
-        let left_out = kinds.into_iter().filter(|(_, is_left_out)| *is_left_out);
+        let of_tick = MessageKind::of_fleet().filter(|kind| kind.is_of_tick());
+        let left_out = of_tick.filter(|kind| !kind.is_sent_in(header));
         let was_counted =
-            |(kind, _)| self.run(fleet, kind, 0, order).leave_out(header.tick).then_some(kind);
-        left_out.filter_map(was_counted).collect()
+            |kind: &MessageKind| self.run(fleet, *kind, 0, order).leave_out(header.tick);
+        left_out.filter(was_counted).collect()
     }
 
     /// Frames that the tick took and that are older than the first one received of their source.
@@ -184,7 +175,7 @@ impl Gaps {
         if !self.runs.contains_key(&key) {
             self.forget_silent();
         }
-        let first_tick = self.first_tick(fleet, epoch).filter(|_| is_of_tick(kind));
+        let first_tick = self.first_tick(fleet, epoch).filter(|_| kind.is_of_tick());
         let read_from_the_start = epoch > self.known_since_ns && !kind.flow().is_on_demand();
         let looked = self.looked;
         let run = self.runs.entry(key).or_insert_with(|| {
@@ -220,12 +211,6 @@ impl Gaps {
             stays
         });
     }
-}
-
-/// True if the worker sends a frame of it in every tick, or states that it did not.
-pub(crate) fn is_of_tick(kind: MessageKind) -> bool {
-    let is_of_tick = matches!(kind.rows(), FrameRows::Robots | FrameRows::Taken);
-    is_of_tick && kind.flow() != Flow::Sources
 }
 
 impl Run {

@@ -2,7 +2,10 @@
 
 use std::rc::Rc;
 
-use joulebus_wire::{Channel, ForEachChannel, Queries, Row, each_channel, records};
+use joulebus_wire::{
+    Channel, Diagnostics, Flow, ForEachChannel, FrameRows, Outlooks, PlanStates, Queries, Row,
+    TickHeader, each_channel, records, tick_flag,
+};
 
 use super::descriptors;
 use super::frame::{Frame, RobotRow};
@@ -76,6 +79,30 @@ impl MessageKind {
                 ..kind
             },
             _ => kind,
+        }
+    }
+
+    /// True if the worker sends one frame of it in every tick, or states in the tick's journal that
+    /// it did not.
+    #[must_use]
+    pub const fn is_of_tick(self) -> bool {
+        let is_of_tick = matches!(self.rows, FrameRows::Robots | FrameRows::Taken);
+        is_of_tick && !self.is_of_robot && !matches!(self.flow, Flow::Sources)
+    }
+
+    /// True if a tick with this journal sends a frame of it. The worker omits diagnostics under
+    /// overload, and sends some kinds only while somebody reads them.
+    #[must_use]
+    pub fn is_sent_in(self, journal: &TickHeader) -> bool {
+        let has = |flag| journal.flags & flag != 0;
+        if self == Self::of::<Diagnostics>() {
+            !has(tick_flag::NO_DIAGNOSTICS)
+        } else if self == Self::of::<PlanStates>() {
+            has(tick_flag::PLAN_STATES)
+        } else if self == Self::of::<Outlooks>() {
+            has(tick_flag::OUTLOOKS)
+        } else {
+            self.is_of_tick()
         }
     }
 
