@@ -13,7 +13,7 @@ use joulebus_bus::{Bus, Limits, OpenError, Writer, clock, process_id};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_standby::SavedState;
-use joulebus_wire::{SCHEMA_VERSION, State, StateHeader};
+use joulebus_wire::{SCHEMA_VERSION, State, StateHeader, fnv1a};
 
 use crate::standby::watch::CurrentPermit;
 
@@ -102,6 +102,11 @@ pub(crate) struct KeyframeSender {
     /// The box whose state is being sent, and the number of bytes sent so far.
     sending: Option<(Box<Keyframe>, usize)>,
     bytes: Vec<u8>,
+    /// Hashes of the keyframe being sent, and of the one before it.
+    hash: u64,
+    before_hash: u64,
+    /// The run of the worker that they belong to.
+    run: u64,
     readers: usize,
     /// When the next one for readers is due.
     next_ns: u64,
@@ -129,6 +134,9 @@ impl KeyframeSender {
             is_asked: false,
             sending: None,
             bytes: Vec::new(),
+            hash: 0,
+            before_hash: 0,
+            run: 0,
             readers: 0,
             next_ns: 0,
             is_for_readers: false,
@@ -207,6 +215,12 @@ impl KeyframeSender {
         self.is_asked = false;
         let begun_ns = clock::monotonic_ns();
         keyframe.state.encode_into(&mut self.bytes);
+        if self.is_for_readers {
+            // A standby worker that takes over begins another run.
+            let is_same_run = self.run == keyframe.worker_epoch;
+            self.before_hash = if is_same_run { self.hash } else { 0 };
+            (self.run, self.hash) = (keyframe.worker_epoch, fnv1a(self.bytes.iter().copied()));
+        }
         let now_ns = clock::monotonic_ns();
         let (copied_ns, encoded_ns) = (keyframe.copied_in_ns, now_ns.saturating_sub(begun_ns));
         let every_ns = EVERY_NS.max(TIME_DIVISOR.saturating_mul(encoded_ns.max(copied_ns)));
@@ -276,6 +290,7 @@ impl KeyframeSender {
             taken_ns: keyframe.taken_ns,
             sent_ns: clock::monotonic_ns(),
             sent_unix_ns: clock::unix_ns(),
+            before_hash: self.before_hash,
         };
         self.writer.send(header, piece.len(), |at| piece[at])?;
         Ok(piece.len())

@@ -5,13 +5,13 @@ use crate::declare::ZeroCopySend;
 use crate::rows;
 
 rows! {
-    /// Header of a piece of a keyframe. The payload is bytes.
+    /// Header of a piece of a keyframe. The payload is bytes. 72 bytes.
     ///
     /// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when
     /// they add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe
     /// with a missing piece is discarded. The next one follows soon.
     #[derive(Eq)]
-    pub struct StateHeader: "joulebus.StateHeader.v1", 64 {
+    pub struct StateHeader: "joulebus.StateHeader.v2", 72 {
         /// [`crate::SCHEMA_VERSION`].
         pub schema: u32,
         /// Process id of the worker.
@@ -33,5 +33,8 @@ rows! {
         pub sent_ns: u64,
         /// When the piece was sent, Unix ns: informative only.
         pub sent_unix_ns: u64,
+        /// [`crate::fnv1a`] of the keyframe that the run sent before this one. 0 for the first one:
+        /// a recording that lacks a keyframe shows it.
+        pub before_hash: u64,
     }
 }
