@@ -100,15 +100,24 @@ macro_rules! columns {
                     .extend_from_slice(&from.$optional[..blocks.min(from.$optional.len())]);)*
             }
 
-            /// Takes the blocks of a saved state, which is [`Columns::check`]ed. Others stay. All
-            /// other slots are free.
+            /// Takes the blocks of a saved state, which is [`Columns::check`]ed. All other slots are
+            /// free, and empty: what was in them before would be in later states.
             pub(crate) fn restore(&mut self, from: &Self) {
                 let robots = from.admissions.len();
                 self.admissions[..robots].copy_from_slice(&from.admissions);
                 self.admissions[robots..].fill(AdmissionState::FREE);
-                $(self.$apart[..from.$apart.len()].copy_from_slice(&from.$apart);)*
-                $(self.$always[..from.$always.len()].copy_from_slice(&from.$always);)*
-                $(self.$optional[..from.$optional.len()].copy_from_slice(&from.$optional);)*
+                $(
+                    self.$apart[..from.$apart.len()].copy_from_slice(&from.$apart);
+                    self.$apart[from.$apart.len()..].fill(<$apart_type>::default());
+                )*
+                $(
+                    self.$always[..from.$always.len()].copy_from_slice(&from.$always);
+                    self.$always[from.$always.len()..].fill(<$always_type>::default());
+                )*
+                $(
+                    self.$optional[..from.$optional.len()].copy_from_slice(&from.$optional);
+                    self.$optional[from.$optional.len()..].fill(<$optional_type>::default());
+                )*
             }
 
             /// Name, length and expected length of each column of a saved state of this fleet.
