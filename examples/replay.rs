@@ -34,10 +34,10 @@ fn main() -> anyhow::Result<()> {
     }
     let verification = verifier.finish();
     println!(
-        "{} of {} ticks recomputed, {} forecasts compared, {} values differ",
+        "{}: {} of {} ticks recomputed, {} values differ",
+        verification.verdict,
         verification.ticks_verified,
         verification.ticks,
-        verification.forecasts_compared,
         verification.differences,
     );
     Ok(())

@@ -1,18 +1,25 @@
 //! Assembles the parts of each tick: a capture has them in the order in which the recorder received
 //! them.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
+use std::hash::{BuildHasher as _, Hash, Hasher, RandomState};
 
 use joulebus_wire::{
-    Forecasts, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
+    Channel, Forecasts, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
 };
 
 use crate::output::Output;
 use crate::report::Loss;
-use joulebus_capture_format::{Frame, Message, MessageKind};
+use joulebus_capture_format::{Content as _, Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
 const MAX_LEAD_TICKS: u64 = 64;
+/// Maximum number of ticks that are incomplete at the end of a run or a recording: a worker is
+/// killed between two outputs of a tick, and a recorder between two messages.
+const MAX_CUT_OFF_TICKS: u64 = 2;
+/// Number of the last ticks of a run, and of the last frames of samples, whose bits are remembered
+/// to recognise copies.
+const MAX_REMEMBERED: usize = 8_192;
 /// Maximum number of frames of samples waiting for their tick.
 const MAX_FRAMES: usize = 8_192;
 /// Maximum number of samples in them: 224 MB.
@@ -35,6 +42,8 @@ pub(super) struct TickParts {
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
     /// A frame of the journal of which the capture has several that differ.
     pub(super) ambiguous: Option<FrameKey>,
+    /// Kinds of which the capture has several frames that differ.
+    pub(super) differing: Vec<MessageKind>,
     /// Frames of what the worker sends, each of another kind.
     outputs: Vec<Message>,
 }
@@ -44,8 +53,12 @@ pub(super) struct TickParts {
 pub(super) enum Event {
     /// A tick with all its parts. Ticks of a run are in order.
     Tick { worker_epoch: u64, tick: u64, parts: Box<TickParts> },
-    /// A complete keyframe: the state after `tick`.
-    Keyframe { worker_epoch: u64, tick: u64, bytes: Vec<u8> },
+    /// A complete keyframe: the state after `tick`. `before_hash` names the one before it.
+    Keyframe { worker_epoch: u64, tick: u64, bytes: Vec<u8>, before_hash: u64 },
+    /// A keyframe with a missing piece. `is_cut_off` if its run ended before it was complete.
+    Broken { worker_epoch: u64, tick: u64, is_cut_off: bool },
+    /// A frame that contradicts an earlier one, or belongs to no tick.
+    Contradiction { tick: u64, why: Loss },
 }
 
 /// Converts messages to events.
@@ -57,15 +70,37 @@ pub(super) struct Assembler {
     frames: FrameStore,
     /// The newest of each kind, by run, and whether it is complete.
     newest: HashMap<(u64, MessageKind), u64>,
+    /// Kinds that the capture has.
+    kinds: HashSet<MessageKind>,
     /// The oldest and the newest frame of each run of each source.
     frame_range: HashMap<(u64, u64), (u64, u64)>,
     /// Start of the recording: run and tick.
     first: Option<(u64, u64)>,
     ended: bool,
-    piece: Option<(StateHeader, Vec<u8>)>,
-    /// Keyframes with a missing piece.
-    pub(super) broken_keyframes: u64,
+    pieces: Pieces,
+    /// The last released ticks of the newest runs.
+    released: BTreeMap<u64, Released>,
+    hasher: RandomState,
     events: VecDeque<Event>,
+}
+
+/// Pieces of keyframes.
+#[derive(Debug, Default)]
+struct Pieces {
+    /// The keyframe whose pieces arrive, with its first header.
+    open: Option<(StateHeader, Vec<u8>)>,
+    /// The last complete one.
+    whole: Option<(StateHeader, Vec<u8>)>,
+    /// The last one with a missing piece: its further pieces are not counted.
+    broken: Option<(u64, u64)>,
+    has_begun: bool,
+}
+
+/// Hashes of the frames of released ticks, to recognise copies.
+#[derive(Debug, Default)]
+struct Released {
+    last: u64,
+    ticks: VecDeque<(u64, Vec<(MessageKind, u64)>)>,
 }
 
 /// Waiting parts of one run of the worker.
@@ -85,6 +120,9 @@ struct FrameStore {
     held: usize,
     samples: usize,
     untaken: u64,
+    /// The last frames that ticks took, with their hash and the tick, and their order.
+    taken: HashMap<FrameKey, (u64, u64)>,
+    taken_order: VecDeque<FrameKey>,
 }
 
 /// Source, its run, and the number of a frame in it.
@@ -97,11 +135,13 @@ impl Assembler {
             runs: BTreeMap::new(),
             frames: FrameStore::default(),
             newest: HashMap::new(),
+            kinds: HashSet::new(),
             frame_range: HashMap::new(),
             first: None,
             ended: false,
-            piece: None,
-            broken_keyframes: 0,
+            pieces: Pieces::default(),
+            released: BTreeMap::new(),
+            hasher: RandomState::new(),
             events: VecDeque::new(),
         }
     }
@@ -125,17 +165,23 @@ impl Assembler {
         } else if let (Some(kind), Some(order)) = (message.kind(), message.order())
             && self.is_of_tick(kind)
         {
+            if self.is_released(order, kind, &message) {
+                return;
+            }
             let parts = self.parts(order, kind);
             match message.into_frame::<Ticks>() {
-                Ok(journal) => {
+                Ok(journal) if parts.journal.is_none() => {
                     parts.journal = Some(journal);
                     // Positions follow the journal: `fill` finds the frames anew.
                     parts.wanted = None;
                 }
-                Err(output) => {
-                    parts.outputs.retain(|before| before.kind() != Some(kind));
-                    parts.outputs.push(output);
-                }
+                Ok(journal) if parts.journal.as_ref() == Some(&journal) => return,
+                Ok(_) => parts.differing.push(kind),
+                Err(output) => match parts.output(kind) {
+                    None => parts.outputs.push(output),
+                    Some(before) if *before == output => return,
+                    Some(_) => parts.differing.push(kind),
+                },
             }
         } else {
             return;
@@ -148,9 +194,30 @@ impl Assembler {
         kind == MessageKind::of::<Ticks>() || outputs.any(|output| output.kind == kind)
     }
 
+    /// True if the tick of the frame is released: then the frame is a copy, or contradicts others.
+    fn is_released(&mut self, order: FrameOrder, kind: MessageKind, message: &Message) -> bool {
+        let Some(released) = self.released.get(&order.run).filter(|run| order.number <= run.last)
+        else {
+            return false;
+        };
+        let found = released.ticks.binary_search_by_key(&order.number, |(tick, _)| *tick);
+        let frames = found.ok().map(|place| &released.ticks[place].1);
+        let before = frames.and_then(|frames| frames.iter().find(|(of, _)| *of == kind));
+        let why = match before {
+            Some((_, hash)) if *hash == self.hasher.hash_one(message) => return true,
+            Some(_) => Loss::Differing(kind.name()),
+            None => Loss::Stray(kind.name()),
+        };
+        self.events.push_back(Event::Contradiction { tick: order.number, why });
+        true
+    }
+
     /// Ends the input: releases the waiting parts.
     pub(super) fn finish(&mut self) {
-        self.broken_keyframes += u64::from(self.piece.take().is_some());
+        if let Some((first, _)) = self.pieces.open.take() {
+            let (worker_epoch, tick) = (first.worker_epoch, first.tick);
+            self.events.push_back(Event::Broken { worker_epoch, tick, is_cut_off: true });
+        }
         self.ended = true;
         self.release(true);
     }
@@ -168,7 +235,8 @@ impl Assembler {
     /// Cause that a message of `kind` is missing: lost, or never sent because the run ended.
     pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
-        if self.is_over(run, tick) && tick > newest { Loss::End } else { lost }
+        let is_cut_off = self.kinds.contains(&kind) && self.is_over(run, tick) && tick > newest;
+        if is_cut_off { Loss::End } else { lost }
     }
 
     /// Same as [`Assembler::lack`], for a frame of samples.
@@ -189,19 +257,21 @@ impl Assembler {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
         let is_newest = self.runs.keys().next_back().is_none_or(|newest| *newest <= run);
-        (self.ended || !is_newest) && tick + MAX_LEAD_TICKS > last
+        (self.ended || !is_newest) && tick.saturating_add(MAX_CUT_OFF_TICKS) > last
     }
 
     /// True if `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
-        self.first
-            .is_some_and(|(first_run, first)| run == first_run && tick < first + MAX_LEAD_TICKS)
+        self.first.is_some_and(|(first_run, first)| {
+            run == first_run && tick < first.saturating_add(MAX_LEAD_TICKS)
+        })
     }
 
     fn parts(&mut self, order: FrameOrder, kind: MessageKind) -> &mut TickParts {
         let (worker_epoch, tick) = (order.run, order.number);
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
+        self.kinds.insert(kind);
         self.first.get_or_insert((worker_epoch, tick));
         let run = self.runs.entry(worker_epoch).or_default();
         run.newest = run.newest.max(tick);
@@ -222,38 +292,81 @@ impl Assembler {
             next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
         match place {
             Some((tick, place)) => tick.into_mut().frames[place] = Some(frame),
-            None => self.frames.put(frame),
+            None => {
+                let (source_id, _, frame_seq) = key;
+                if let Some((hash, tick)) = self.frames.taken.get(&key).copied()
+                    && self.hasher.hash_one(&Bits(&frame)) != hash
+                {
+                    let why = Loss::Ambiguous { source_id, frame_seq };
+                    self.events.push_back(Event::Contradiction { tick, why });
+                }
+                self.frames.put(frame);
+            }
         }
     }
 
     fn add_piece(&mut self, header: StateHeader, bytes: &[u8]) {
-        let follows = |(first, sofar): &(StateHeader, Vec<u8>)| {
-            (first.worker_epoch, first.tick) == (header.worker_epoch, header.tick)
-                && sofar.len() as u64 == header.offset
+        let pieces = &mut self.pieces;
+        let has_begun = std::mem::replace(&mut pieces.has_begun, true);
+        let place = (header.worker_epoch, header.tick);
+        let of = |first: &StateHeader| (first.worker_epoch, first.tick) == place;
+        let (offset, total) = (header.offset, header.total_bytes);
+        let is_copy = |sofar: &[u8]| {
+            let rest = usize::try_from(offset).ok().and_then(|at| sofar.get(at..));
+            rest.is_some_and(|rest| !rest.is_empty() && rest.starts_with(bytes))
         };
-        if header.total_bytes > MAX_KEYFRAME_BYTES {
-            // Each piece states the size, so count the keyframe at its first one.
-            self.broken_keyframes += u64::from(header.offset == 0);
-            return;
-        }
-        if header.offset == 0 {
-            let before = self.piece.replace((header, bytes.to_vec()));
-            self.broken_keyframes += u64::from(before.is_some());
-        } else if let Some((_, sofar)) = self.piece.as_mut().filter(|piece| follows(piece)) {
-            sofar.extend_from_slice(bytes);
-        } else {
-            // The end of a keyframe whose beginning is missing.
-            self.broken_keyframes += u64::from(self.piece.take().is_some());
-            return;
-        }
-        if let Some((first, whole)) =
-            self.piece.take_if(|(first, sofar)| sofar.len() as u64 >= first.total_bytes)
+        let whole = pieces.whole.as_ref().filter(|(first, _)| of(first));
+        let open = pieces.open.as_ref().filter(|(first, _)| of(first));
+        let belongs = |first: &StateHeader| {
+            (first.total_bytes, first.before_hash) == (total, header.before_hash)
+        };
+        if pieces.broken == Some(place)
+            || whole.or(open).is_some_and(|(first, sofar)| belongs(first) && is_copy(sofar))
         {
+            return;
+        }
+        let follows = open.is_some_and(|(first, sofar)| {
+            belongs(first) && sofar.len() as u64 == offset && bytes.len() as u64 <= total - offset
+        });
+        let is_first = whole.is_none()
+            && open.is_none()
+            && offset == 0
+            && total <= MAX_KEYFRAME_BYTES
+            && bytes.len() as u64 <= total;
+        if follows {
+            pieces.open.iter_mut().for_each(|(_, sofar)| sofar.extend_from_slice(bytes));
+        } else {
+            // The one before stays incomplete.
+            if let Some((first, _)) = pieces.open.take() {
+                let (worker_epoch, tick) = (first.worker_epoch, first.tick);
+                let is_cut_off = worker_epoch < header.worker_epoch;
+                self.events.push_back(Event::Broken { worker_epoch, tick, is_cut_off });
+                if (worker_epoch, tick) == place {
+                    pieces.broken = Some(place);
+                    return;
+                }
+            }
+            if !is_first {
+                pieces.broken = Some(place);
+                // A recording may begin with the last pieces of a keyframe.
+                if has_begun || offset == 0 {
+                    let (worker_epoch, tick) = place;
+                    self.events.push_back(Event::Broken { worker_epoch, tick, is_cut_off: false });
+                }
+                return;
+            }
+            pieces.open = Some((header, bytes.to_vec()));
+        }
+        let is_whole =
+            |(first, sofar): &mut (StateHeader, Vec<u8>)| sofar.len() as u64 == first.total_bytes;
+        if let Some((first, whole)) = pieces.open.take_if(is_whole) {
             self.events.push_back(Event::Keyframe {
                 worker_epoch: first.worker_epoch,
                 tick: first.tick,
-                bytes: whole,
+                bytes: whole.clone(),
+                before_hash: first.before_hash,
             });
+            pieces.whole = Some((first, whole));
         }
     }
 
@@ -279,8 +392,21 @@ impl Assembler {
                 }
                 let mut parts = Box::new(head.remove());
                 parts.ambiguous = self.frames.ambiguous(&parts.frames);
+                for frame in parts.frames.iter().flatten() {
+                    let hash = self.hasher.hash_one(&Bits(frame));
+                    self.frames.remember(key_of(&frame.header), hash, tick);
+                }
+                let released = self.released.entry(*worker_epoch).or_default();
+                released.remember(tick, parts.hashes(&self.hasher));
                 self.events.push_back(Event::Tick { worker_epoch: *worker_epoch, tick, parts });
             }
+            // The ticks of a run come before those of the next one.
+            if !run.ticks.is_empty() {
+                break;
+            }
+        }
+        while self.released.len() > MAX_RUNS {
+            self.released.pop_first();
         }
         // The newest run stays, even without ticks: it shows which runs have ended.
         self.runs.retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
@@ -295,13 +421,23 @@ impl TickParts {
         let mut outputs = outputs.iter();
         self.wanted.as_ref().is_some_and(HashMap::is_empty)
             && outputs.all(|output| {
-                !(output.is_sent)(&journal.header) || self.output(output.kind).is_some()
+                !output.kind.is_sent_in(&journal.header) || self.output(output.kind).is_some()
             })
     }
 
     /// The frame of this kind.
     pub(super) fn output(&self, kind: MessageKind) -> Option<&Message> {
         self.outputs.iter().find(|frame| frame.kind() == Some(kind))
+    }
+
+    /// Hashes of the journal and the outputs.
+    fn hashes(&self, hasher: &RandomState) -> Vec<(MessageKind, u64)> {
+        let journal = self.journal.as_ref();
+        let journal =
+            journal.map(|journal| (MessageKind::of::<Ticks>(), hasher.hash_one(&Bits(journal))));
+        let outputs = self.outputs.iter();
+        let outputs = outputs.filter_map(|frame| Some((frame.kind()?, hasher.hash_one(frame))));
+        journal.into_iter().chain(outputs).collect()
     }
 
     /// Position of a frame that the tick is waiting for.
@@ -321,6 +457,26 @@ impl TickParts {
         let samples = frames.map(|frame| size_of_val(frame.rows.as_slice()));
         let outputs = self.outputs.iter().map(Message::memory);
         size_of::<Self>() + samples.chain(outputs).sum::<usize>()
+    }
+}
+
+/// A frame that is hashed as its message.
+struct Bits<'a, C: Channel>(&'a Frame<C>);
+
+impl<C: Channel> Hash for Bits<'_, C> {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        MessageKind::of::<C>().hash(state);
+        self.0.hash_bits(state);
+    }
+}
+
+impl Released {
+    fn remember(&mut self, tick: u64, frames: Vec<(MessageKind, u64)>) {
+        self.last = tick;
+        self.ticks.push_back((tick, frames));
+        if self.ticks.len() > MAX_REMEMBERED {
+            self.ticks.pop_front();
+        }
     }
 }
 
@@ -370,6 +526,18 @@ impl FrameStore {
         self.held -= 1;
         self.samples -= frame.rows.len();
         Some(frame)
+    }
+
+    /// Remembers a frame that `tick` took.
+    fn remember(&mut self, key: FrameKey, hash: u64, tick: u64) {
+        if self.taken.insert(key, (hash, tick)).is_none() {
+            self.taken_order.push_back(key);
+        }
+        if self.taken_order.len() > MAX_REMEMBERED
+            && let Some(oldest) = self.taken_order.pop_front()
+        {
+            self.taken.remove(&oldest);
+        }
     }
 
     /// The first of a tick's `frames` with the source, run and number of another frame that

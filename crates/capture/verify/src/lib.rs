@@ -27,9 +27,14 @@
 //!
 //! The program `joulebus` has this crate as `joulebus replay --verify`.
 //!
-//! **Three types to know.** A [`Verifier`] takes the messages of a capture. A [`Verification`]
-//! states how many ticks were recomputed, what differs, and what could not be compared. [`WhatIf`]
-//! compares two models on the samples of a capture, and returns a [`Comparison`].
+//! **Three types to know.** A [`Verifier`] takes the messages of a capture. A [`Verification`] has
+//! the [`Verdict`], what differs, and its coverage: what was sent, recomputed and compared, by run
+//! and channel. [`WhatIf`] compares two models on the samples of a capture, and returns a
+//! [`Comparison`].
+//!
+//! **Keyframes** are compared too, with the recomputed state. The first one of each range of ticks
+//! is taken as given: if it is forged, and all that follows is computed from it, a capture alone
+//! does not show it.
 //!
 //! **Units** are those of `joulebus-wire`: SI, and ns for times.
 //!
@@ -46,6 +51,8 @@
 
 mod assemble;
 mod compare;
+mod coverage;
+mod keyframes;
 mod output;
 mod queries;
 mod report;
@@ -56,15 +63,22 @@ use std::collections::{BTreeMap, VecDeque};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{ANSWER_RULES, ForecastHeader, TakenFrame, TickHeader, Ticks, tick_flag};
+use joulebus_wire::{
+    ANSWER_RULES, Budgets, Channel as _, ForecastHeader, PlanStates, State, TICK_RULES, TakenFrame,
+    TickHeader, Ticks, tick_flag,
+};
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
+use coverage::Settled;
 use joulebus_capture_format::{Entry, MessageKind, Query};
+use keyframes::{Sequence, States};
+use output::has_same_bits;
 use queries::Queries;
 
 pub use compare::Value;
-pub use output::{Output, RecomputedTick};
-pub use report::{Difference, Loss, Verification};
+pub use coverage::{ChannelCoverage, RunCoverage};
+pub use output::{Output, RecomputedTick, is_comparable};
+pub use report::{Difference, Loss, Verdict, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
 /// Maximum memory of ticks waiting for a keyframe, and of keyframes waiting for their ticks, bytes.
@@ -72,6 +86,9 @@ const MAX_WAITING: usize = 256 << 20;
 /// Maximum number of keyframes waiting for their ticks: one arrives every five seconds, and its
 /// ticks directly after it.
 const MAX_KEYFRAMES: usize = 64;
+/// Maximum time from the first tick of a recording to its first keyframe, ns. A worker sends a
+/// keyframe to each new recorder at once, and else every five seconds.
+const MAX_BEGINNING_NS: u64 = 10_000_000_000;
 
 /// Recomputes a capture of one fleet.
 #[derive(Debug)]
@@ -84,9 +101,57 @@ pub struct Verifier {
     waiting: VecDeque<Waiting>,
     waiting_bytes: usize,
     keyframes: BTreeMap<(u64, u64), Vec<u8>>,
+    states: States,
+    beginning: Beginning,
+    /// First and last tick of each run.
+    spans: BTreeMap<u64, (u64, u64)>,
     sequences: BTreeMap<String, u32>,
     queries: Queries,
+    tick_rules: u32,
+    period_ns: Option<u64>,
     report: Verification,
+}
+
+/// The beginning of a recording, where the worker's state is unknown.
+#[derive(Debug, Default)]
+struct Beginning {
+    /// Run and number of the first tick.
+    first: Option<(u64, u64)>,
+    /// Start of the first tick, and of the newest one, monotonic ns.
+    times: Option<(u64, u64)>,
+    /// The first keyframe from which ticks can be recomputed: later ticks are not excused.
+    until: Option<(u64, u64)>,
+}
+
+impl Beginning {
+    fn note(&mut self, place: (u64, u64), start_ns: Option<u64>) {
+        if self.first.is_none() {
+            self.first = Some(place);
+            // A keyframe of an earlier tick may come first.
+            self.until.take().into_iter().for_each(|keyframe| self.end(keyframe));
+        }
+        if let Some(start_ns) = start_ns {
+            let (from_ns, newest_ns) = self.times.unwrap_or((start_ns, start_ns));
+            self.times = Some((from_ns, newest_ns.max(start_ns)));
+        }
+    }
+
+    /// Ends with a keyframe of `place`, unless the ticks that follow it were not recorded.
+    fn end(&mut self, (run, tick): (u64, u64)) {
+        let is_usable = self.first.is_none_or(|first| (run, tick.saturating_add(1)) >= first);
+        if is_usable {
+            self.until.get_or_insert((run, tick));
+        }
+    }
+
+    /// True if it is excused that the state before the tick is unknown.
+    fn has(&self, place: (u64, u64), start_ns: Option<u64>) -> bool {
+        let (from_ns, newest_ns) = self.times.unwrap_or_default();
+        let at_ns = start_ns.unwrap_or(newest_ns);
+        self.first.is_none_or(|(run, _)| place.0 == run)
+            && self.until.is_none_or(|until| place <= until)
+            && at_ns.saturating_sub(from_ns) <= MAX_BEGINNING_NS
+    }
 }
 
 #[derive(Debug)]
@@ -107,13 +172,18 @@ impl Verifier {
         outputs.iter().for_each(|output| report.expect(output.kind));
         Ok(Self {
             queries,
+            states: States::new(&settings),
             fleet: Fleet::new(settings, models)?,
             at: None,
             assembler: Assembler::new(outputs),
             waiting: VecDeque::new(),
             waiting_bytes: 0,
             keyframes: BTreeMap::new(),
+            beginning: Beginning::default(),
+            spans: BTreeMap::new(),
             sequences: BTreeMap::new(),
+            tick_rules: TICK_RULES,
+            period_ns: None,
             report,
         })
     }
@@ -131,7 +201,26 @@ impl Verifier {
     /// and not compared.
     #[must_use]
     pub fn with_answer_rules(mut self, number: Option<u32>) -> Self {
-        self.queries.has_other_rules = number != Some(ANSWER_RULES);
+        self.queries.has_other_rules |= number != Some(ANSWER_RULES);
+        self
+    }
+
+    /// A recording whose ticks were computed by the rules of this number
+    /// ([`joulebus_wire::TICK_RULES`]): channels that have other bits by them are not compared.
+    #[must_use]
+    pub fn with_tick_rules(mut self, number: u32) -> Self {
+        self.tick_rules = number;
+        // Answers are computed from these.
+        let sources = [PlanStates::SERVICE.name(), Budgets::SERVICE.name()];
+        let is_other = sources.iter().any(|channel| !has_same_bits(channel, number));
+        self.queries.has_other_rules |= is_other;
+        self
+    }
+
+    /// Also compares the period of the worker's ticks, ns, which headers state.
+    #[must_use]
+    pub fn with_period_ns(mut self, period_ns: u64) -> Self {
+        self.period_ns = Some(period_ns);
         self
     }
 
@@ -151,8 +240,10 @@ impl Verifier {
         self.assembler.finish();
         self.work();
         self.give_up_waiting();
+        for (place, _) in std::mem::take(&mut self.keyframes) {
+            self.leave_keyframe(place);
+        }
         self.queries.finish(&mut self.report);
-        self.report.broken_keyframes = self.assembler.broken_keyframes;
         self.report.untaken_frames = self.assembler.untaken_frames();
         self.report.close();
         self.report
@@ -181,19 +272,83 @@ impl Verifier {
     fn work(&mut self) {
         while let Some(event) = self.assembler.next_event() {
             match event {
-                Event::Keyframe { worker_epoch, tick, bytes } => {
-                    self.report.keyframes += 1;
-                    // A keyframe of a tick that is already computed is redundant.
-                    if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
-                        self.keep((worker_epoch, tick), bytes);
-                    }
+                Event::Keyframe { worker_epoch, tick, bytes, before_hash } => {
+                    self.keyframe((worker_epoch, tick), bytes, before_hash);
                 }
+                Event::Broken { worker_epoch, tick, is_cut_off } => {
+                    self.states.forget_newest();
+                    self.report.broken_keyframes += u64::from(!is_cut_off);
+                    self.beginning.end((worker_epoch, tick));
+                    let why = if is_cut_off { Loss::End } else { Loss::Broken };
+                    self.settle_keyframe((worker_epoch, tick), &Settled::Not(why));
+                }
+                Event::Contradiction { tick, why } => self.report.contradict(tick, why),
                 Event::Tick { worker_epoch, tick, parts } => {
                     self.tick(Waiting { worker_epoch, tick, parts });
                 }
             }
             self.resume();
         }
+    }
+
+    /// Compares a keyframe with the state after its tick, or stores it until then.
+    fn keyframe(&mut self, place: (u64, u64), bytes: Vec<u8>, before_hash: u64) {
+        match self.states.sequence(place, before_hash, &bytes) {
+            Sequence::Copy => return,
+            Sequence::Differs => {
+                let why = Loss::Differing(State::SERVICE.name());
+                return self.report.contradict(place.1, why);
+            }
+            Sequence::Gap => self.report.missing_keyframes += 1,
+            Sequence::Follows => {}
+        }
+        self.report.keyframes += 1;
+        self.beginning.end(place);
+        if self.states.is_known(place) {
+            self.compare_keyframe(place, &bytes);
+        } else if self.at.is_none_or(|at| at < place) {
+            self.keep(place, bytes);
+        } else {
+            self.leave_keyframe(place);
+        }
+    }
+
+    /// Compares a keyframe with the state after its tick, which was recomputed.
+    fn compare_keyframe(&mut self, place: (u64, u64), bytes: &[u8]) {
+        if !has_same_bits(State::SERVICE.name(), self.tick_rules) {
+            return self.settle_keyframe(place, &Settled::Not(Loss::OlderRules(self.tick_rules)));
+        }
+        if let Some((recorded, computed)) = self.states.difference(place, bytes) {
+            let what = State::SERVICE.name();
+            self.report.differ(place, what, None, ("hash", recorded.into(), computed.into()));
+            if let Err(error) = FleetState::decode(bytes) {
+                self.report.refuse_keyframe(place.1, &error);
+            }
+        }
+        self.settle_keyframe(place, &Settled::Compared);
+    }
+
+    /// Counts a keyframe whose tick was not recomputed.
+    fn leave_keyframe(&mut self, place: (u64, u64)) {
+        let (run, tick) = place;
+        let span = self.spans.get(&run).copied();
+        let why = match span {
+            // The state from which a worker began that was ended before its first tick.
+            None if tick == 0 => Loss::Given,
+            Some((first, _)) if tick < first => Loss::Before,
+            Some((_, last)) if tick <= last && !self.states.is_forgotten(place) => {
+                Loss::NotRecomputed
+            }
+            _ => Loss::NoTick,
+        };
+        if why == Loss::NoTick {
+            self.report.contradict(tick, why);
+        }
+        self.settle_keyframe(place, &Settled::Not(why));
+    }
+
+    fn settle_keyframe(&mut self, place: (u64, u64), settled: &Settled) {
+        self.report.settle(place, MessageKind::of::<State>(), settled);
     }
 
     /// Stores a keyframe until its tick arrives. The oldest ones are dropped if there are too many.
@@ -203,14 +358,30 @@ impl Verifier {
             |keyframes: &BTreeMap<_, Vec<u8>>| keyframes.values().map(Vec::len).sum::<usize>();
         while self.keyframes.len() > 1
             && (self.keyframes.len() > MAX_KEYFRAMES || held(&self.keyframes) > MAX_WAITING)
+            && let Some((oldest, _)) = self.keyframes.pop_first()
         {
-            self.keyframes.pop_first();
+            self.leave_keyframe(oldest);
         }
     }
 
     fn tick(&mut self, next: Waiting) {
         let place = (next.worker_epoch, next.tick);
-        self.report.note_tick(place);
+        let is_first_run = self.spans.is_empty();
+        let begins_inside = !is_first_run || self.keyframes.contains_key(&(place.0, 0));
+        let absent = match self.spans.get_mut(&place.0) {
+            // A copy of a part of a tick that was released long ago.
+            Some((_, last)) if next.tick <= *last => {
+                return self.report.contradict(next.tick, Loss::Stray(Ticks::SERVICE.name()));
+            }
+            Some((_, last)) => next.tick - std::mem::replace(last, next.tick) - 1,
+            None => {
+                self.spans.insert(place.0, (next.tick, next.tick));
+                if begins_inside { next.tick.saturating_sub(1) } else { 0 }
+            }
+        };
+        self.report.note_tick(place, absent);
+        let start_ns = next.start_ns();
+        self.beginning.note(place, start_ns);
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
             // Before the keyframe, or the last, partly published tick of a worker that was
@@ -248,13 +419,27 @@ impl Verifier {
     }
 
     fn give_up(&mut self, tick: &Waiting) {
+        let place = (tick.worker_epoch, tick.tick);
         let lack = match self.lack(tick) {
             Some(Loss::End) => Loss::End,
             // At the beginning of a recording, something is always missing.
-            Some(lack) if self.report.has_begun => lack,
-            _ => Loss::NoKeyframe,
+            _ if self.beginning.has(place, tick.start_ns()) => Loss::Before,
+            Some(lack) => lack,
+            None => Loss::NoKeyframe,
         };
-        self.report.lose((tick.worker_epoch, tick.tick), lack);
+        self.lose(place, &tick.parts, lack);
+    }
+
+    /// Counts a tick that is not recomputed, and the frames that it sent.
+    fn lose(&mut self, place: (u64, u64), parts: &TickParts, why: Loss) {
+        self.report.lose(place, why);
+        let journal = parts.journal.as_ref().map(|journal| &journal.header);
+        for output in self.assembler.outputs() {
+            let is_sent = journal.is_some_and(|journal| output.kind.is_sent_in(journal));
+            if is_sent || parts.output(output.kind).is_some() {
+                self.report.settle(place, output.kind, &Settled::Not(why));
+            }
+        }
     }
 
     /// Continues from the first keyframe that waiting ticks follow.
@@ -273,12 +458,15 @@ impl Verifier {
             let Some(bytes) = self.keyframes.remove(&(run, tick)) else {
                 return;
             };
+            self.beginning.end((run, tick));
             if let Err(error) =
                 FleetState::decode(&bytes).and_then(|state| self.fleet.restore_state(&state))
             {
                 self.report.refuse_keyframe(tick, &error);
+                self.settle_keyframe((run, tick), &Settled::Not(Loss::Refused));
                 continue;
             }
+            self.settle_keyframe((run, tick), &Settled::Not(Loss::Given));
             self.at = Some((run, tick));
             self.catch_up();
         }
@@ -309,6 +497,9 @@ impl Verifier {
         if journal.header.unlisted > 0 {
             return Some(Loss::Unlisted);
         }
+        if next.parts.differing.contains(&MessageKind::of::<Ticks>()) {
+            return Some(Loss::Differing(Ticks::SERVICE.name()));
+        }
         if let Some((source_id, _, frame_seq)) = next.parts.ambiguous {
             return Some(Loss::Ambiguous { source_id, frame_seq });
         }
@@ -330,34 +521,85 @@ impl Verifier {
     fn compute(&mut self, next: Waiting) {
         let place = (next.worker_epoch, next.tick);
         let lack = self.lack(&next);
-        let parts = *next.parts;
-        let (None, Some(journal)) = (lack, &parts.journal) else {
+        let (None, Some(_)) = (lack, &next.parts.journal) else {
             self.at = None;
-            return self.report.lose(place, lack.unwrap_or(Loss::Journal));
+            let lack = lack.unwrap_or(Loss::Journal);
+            let is_before = matches!(lack, Loss::Beginning)
+                && Beginning { until: None, ..self.beginning }.has(place, next.start_ns());
+            if is_before {
+                // The next keyframe begins the recording.
+                self.beginning.until = None;
+            }
+            let lack = match lack {
+                Loss::Beginning if !is_before => Loss::NoKeyframe,
+                lack => lack,
+            };
+            return self.lose(place, &next.parts, lack);
         };
         self.at = Some(place);
-        self.keyframes = self.keyframes.split_off(&(place.0, place.1 + 1));
+        let later = self.keyframes.split_off(&(place.0, place.1.saturating_add(1)));
+        let reached = std::mem::replace(&mut self.keyframes, later);
+        self.recompute(place, &next.parts);
+        for (of, bytes) in reached {
+            if of == place {
+                self.compare_keyframe(place, &bytes);
+            } else {
+                self.leave_keyframe(of);
+            }
+        }
+    }
+
+    /// Computes a tick that has all its inputs, and compares its outputs.
+    fn recompute(&mut self, place: (u64, u64), parts: &TickParts) {
+        let Some(journal) = &parts.journal else {
+            return;
+        };
         take(&mut self.fleet, &journal.rows, &parts.frames);
         let journal = &journal.header;
         let intake = &tick(&mut self.fleet, journal);
+        self.states.note(place, &self.fleet);
         let (fleet, report) = (&self.fleet, &mut self.report);
-        report.verified(fleet.len());
-        let computed = RecomputedTick { fleet, journal, intake };
+        report.verified(place, fleet.len());
+        let computed = RecomputedTick { fleet, journal, intake, period_ns: self.period_ns };
         for output in self.assembler.outputs() {
-            if let Some(recorded) = parts.output(output.kind) {
-                output.compare(computed, recorded, &mut |what, robot, difference| {
-                    report.differ(place, what, robot, difference);
-                });
+            let (kind, is_sent) = (output.kind, output.kind.is_sent_in(journal));
+            let settled = match parts.output(kind) {
+                None if !is_sent => continue,
+                None => {
+                    let lack = self.assembler.lack(place, kind, Loss::Output);
+                    report.lack_output(kind, place, lack);
+                    Settled::Recomputed(lack)
+                }
+                Some(_) if !has_same_bits(kind.name(), self.tick_rules) && output.is_ours => {
+                    Settled::Recomputed(Loss::OlderRules(self.tick_rules))
+                }
+                Some(_) if parts.differing.contains(&kind) => {
+                    let why = Loss::Differing(kind.name());
+                    report.contradict(place.1, why);
+                    Settled::Recomputed(why)
+                }
+                Some(recorded) => {
+                    output.compare(computed, recorded, &mut |what, robot, difference| {
+                        report.differ(place, what, robot, difference);
+                    });
+                    Settled::Compared
+                }
+            };
+            if !is_sent {
+                // The journal denies the frame.
+                report.contradict(place.1, Loss::Stray(kind.name()));
             }
+            report.settle(place, kind, &settled);
         }
         let plans = journal.flags & tick_flag::PLAN_STATES != 0;
         self.queries.ticked(place, fleet, plans, report);
-        for output in self.assembler.outputs() {
-            if parts.output(output.kind).is_none() && (output.is_sent)(journal) {
-                let loss = self.assembler.lack(place, output.kind, Loss::Output);
-                report.lack_output(output.kind, place, loss);
-            }
-        }
+    }
+}
+
+impl Waiting {
+    /// When the tick began, monotonic ns, if its journal was recorded.
+    fn start_ns(&self) -> Option<u64> {
+        self.parts.journal.as_ref().map(|journal| journal.header.start_ns)
     }
 }
 

@@ -5,11 +5,35 @@ use std::fmt;
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
     BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
-    OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TickHeader, tick_flag,
+    FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TICK_RULES, TickHeader,
 };
 
 use crate::compare::{self, FieldDifference, Value};
 use joulebus_capture_format::{Message, MessageKind};
+
+/// The first [`TICK_RULES`] by which a channel has the bits that this version computes. Captures of
+/// older rules are compared in the channels whose number is not greater than theirs.
+const SAME_BITS_SINCE: [(&str, u32); 6] = [
+    ("forecasts", 6),
+    ("diagnostics", 6),
+    ("budgets", 6),
+    ("plan_states", 6),
+    ("outlooks", 6),
+    ("state", 6),
+];
+
+/// True if a channel has the same bits by `tick_rules` as by this version's.
+pub(super) fn has_same_bits(channel: &str, tick_rules: u32) -> bool {
+    let since = SAME_BITS_SINCE.iter().find(|(name, _)| *name == channel);
+    (since.map_or(TICK_RULES, |(_, since)| *since)..=TICK_RULES).contains(&tick_rules)
+}
+
+/// True if a capture whose ticks were computed by `tick_rules` has channels that this version
+/// computes to the same bits.
+#[must_use]
+pub fn is_comparable(tick_rules: u32) -> bool {
+    SAME_BITS_SINCE.iter().any(|(channel, _)| has_same_bits(channel, tick_rules))
+}
 
 /// A tick that was computed again.
 #[derive(Debug, Clone, Copy)]
@@ -20,6 +44,8 @@ pub struct RecomputedTick<'a> {
     pub journal: &'a TickHeader,
     /// The fields about the intake in the header of its forecasts. The others are 0.
     pub intake: &'a ForecastHeader,
+    /// The period of the worker's ticks, ns, if it is known.
+    pub period_ns: Option<u64>,
 }
 
 /// Takes a difference: what is compared, and the robot, if it concerns one.
@@ -30,8 +56,8 @@ type Compare = dyn Fn(RecomputedTick<'_>, &Message, Differs<'_>) + Send + Sync;
 /// A channel whose frames are computed again, each of one row for each robot.
 pub struct Output {
     pub(super) kind: MessageKind,
-    /// True if a tick with this journal sends a frame.
-    pub(super) is_sent: fn(&TickHeader) -> bool,
+    /// True if its bits depend on the rules of ticks alone.
+    pub(super) is_ours: bool,
     compare: Box<Compare>,
 }
 
@@ -42,8 +68,9 @@ impl fmt::Debug for Output {
 }
 
 impl Output {
-    /// A channel that is sent in each tick. `header` computes a header, of which the `fields` are
-    /// compared, and `row` the row at a place, of which all fields are.
+    /// A channel whose frames are [sent in ticks](MessageKind::is_of_tick). `header` computes a
+    /// header, of which the `fields` are compared, and the period if it states one. `row` computes
+    /// the row at a place, of which all fields are compared.
     #[must_use]
     pub fn of<C: Channel>(
         fields: &'static [&'static str],
@@ -57,6 +84,12 @@ impl Output {
             let (frame, robots) = (C::SERVICE.name(), tick.fleet.len());
             let mut in_header = |robot, difference| differs(frame, robot, difference);
             compare::fields(&recorded.header, &header(tick), Some(fields), &mut in_header);
+            let mut stated = recorded.header;
+            if let (Some(found), Some(expected)) = (stated.period_ns(), tick.period_ns)
+                && *found != expected
+            {
+                differs(frame, None, ("period_ns", (*found).into(), expected.into()));
+            }
             if recorded.rows.len() != robots {
                 let lengths = (recorded.rows.len() as u64, robots as u64);
                 let difference = ("robots", Value::from(lengths.0), Value::from(lengths.1));
@@ -70,7 +103,7 @@ impl Output {
                 });
             }
         };
-        Self { kind: MessageKind::of::<C>(), is_sent: |_| true, compare: Box::new(compare) }
+        Self { kind: MessageKind::of::<C>(), is_ours: false, compare: Box::new(compare) }
     }
 
     /// All outputs of a worker.
@@ -123,18 +156,8 @@ impl Output {
             },
             |tick, place| tick.fleet.outlook(place),
         );
-        vec![
-            forecasts,
-            // Under overload the worker omits them, and reports so.
-            Self {
-                is_sent: |journal| journal.flags & tick_flag::NO_DIAGNOSTICS == 0,
-                ..diagnostics
-            },
-            budgets,
-            // The worker writes these while somebody reads them, and reports so.
-            Self { is_sent: |journal| journal.flags & tick_flag::PLAN_STATES != 0, ..plan_states },
-            Self { is_sent: |journal| journal.flags & tick_flag::OUTLOOKS != 0, ..outlooks },
-        ]
+        let all = [forecasts, diagnostics, budgets, plan_states, outlooks];
+        all.into_iter().map(|output| Self { is_ours: true, ..output }).collect()
     }
 
     pub(super) fn compare(

@@ -4,17 +4,37 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_fleet::StateError;
+use joulebus_wire::{Channel as _, State};
 use serde::Serialize;
 
 use crate::compare::FieldDifference;
+use crate::coverage::{Coverage, RunCoverage, Settled};
 use joulebus_capture_format::MessageKind;
 
 /// Maximum number of losses and refused keyframes listed.
 const MAX_REPORTED: usize = 20;
 
+/// Verdict of a verification.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// All that was sent was compared, and has the same bits. Excused are the two ends of a
+    /// recording, and channels whose rules have changed since.
+    Verified,
+    /// All was recomputed, but whole channels that were sent are not recorded.
+    NotCompared,
+    /// Something was lost, or could not be recomputed.
+    #[default]
+    Incomplete,
+    /// Recorded and computed values differ.
+    Different,
+}
+
 /// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Verification {
+    /// The verdict.
+    pub verdict: Verdict,
     /// Messages read.
     pub messages: u64,
     /// Time from the first to the last of them, s.
@@ -27,14 +47,14 @@ pub struct Verification {
     pub ticks_verified: u64,
     /// Maximum number of robots in a tick.
     pub robots: usize,
-    /// Forecasts compared. The other outputs are not counted.
-    pub forecasts_compared: u64,
     /// Values that differ.
     pub differences: u64,
     /// Number of differences by field.
     pub differences_by_field: BTreeMap<String, u64>,
     /// The first difference.
     pub first: Option<Difference>,
+    /// What was sent, recomputed and compared, by run and channel.
+    pub coverage: Vec<RunCoverage>,
     /// Ticks before the first keyframe of a recording that began in the middle, where the worker's
     /// state is unknown.
     pub ticks_before_first_keyframe: u64,
@@ -42,11 +62,15 @@ pub struct Verification {
     pub ticks_cut_off: u64,
     /// Ticks that could not be recomputed: an input was not recorded.
     pub ticks_unverified: u64,
+    /// Ticks of which nothing was recorded, although ticks around them were.
+    pub ticks_absent: u64,
     /// Output frames that were not recorded although their neighbours were, by kind.
     pub outputs_missing: BTreeMap<&'static str, u64>,
+    /// Frames of which the capture has several that differ, and frames that belong to no tick.
+    pub frames_ambiguous: u64,
     /// The first losses: tick and reason.
     pub losses: Vec<(u64, Loss)>,
-    /// Kinds of outputs that were not recorded at all.
+    /// Kinds of outputs that were sent, and not recorded at all.
     pub not_recorded: Vec<&'static str>,
     /// Messages lost by the recorder, by gaps in their sequence numbers.
     pub messages_lost: u64,
@@ -55,18 +79,22 @@ pub struct Verification {
     /// Questions whose answer was computed again.
     pub queries_verified: u64,
     /// Questions refused for reasons of time (a deadline, a client that ended, a worker that
-    /// ended), and acknowledgements.
+    /// ended).
     pub queries_by_time: u64,
+    /// Acknowledgements of alarms among the questions: they have no answer to compute.
+    pub acknowledgements: u64,
     /// Questions answered by the rules of another version.
     pub queries_of_other_rules: u64,
     /// Questions about ticks before the first or after the last that was computed.
     pub queries_outside: u64,
     /// Questions about a tick that could not be computed.
     pub queries_unverified: u64,
-    /// Keyframes found.
+    /// Complete keyframes found.
     pub keyframes: u64,
     /// Keyframes with a missing piece.
     pub broken_keyframes: u64,
+    /// Keyframes that are missing: the next one names another one before it.
+    pub missing_keyframes: u64,
     /// Keyframes refused: of another config, model or version.
     pub refused_keyframes: u64,
     /// The first refusals: tick and reason.
@@ -74,12 +102,11 @@ pub struct Verification {
     /// Frames of samples that no recorded tick took.
     pub untaken_frames: u64,
     #[serde(skip)]
+    counted: Coverage,
+    #[serde(skip)]
     times: Option<(u64, u64)>,
     #[serde(skip)]
     run: Option<u64>,
-    /// True if the verification has begun.
-    #[serde(skip)]
-    pub(super) has_begun: bool,
     /// A worker's outputs, and whether they are recorded.
     #[serde(skip)]
     outputs: Vec<(MessageKind, bool)>,
@@ -126,25 +153,98 @@ pub enum Loss {
     Unlisted,
     /// One of its outputs was not recorded.
     Output,
+    /// The capture has several frames of this channel that differ. Nothing shows which of them was
+    /// sent.
+    Differing(&'static str),
+    /// A frame of this channel belongs to no tick that could have sent it.
+    Stray(&'static str),
     /// No keyframe was recorded between the last loss and it.
     NoKeyframe,
+    /// It lies before the first keyframe of a recording that began in the middle.
+    Before,
     /// The tick took a frame that was sent before the recording began.
     Beginning,
     /// The recording, or the worker, ended with it.
     End,
+    /// It was computed by older rules, by which the channel has other bits.
+    OlderRules(u32),
+    /// A keyframe that begins a range of ticks: it is taken as given.
+    Given,
+    /// A keyframe of a tick that was not recomputed.
+    NotRecomputed,
+    /// A keyframe of a tick that the capture does not have, or that came long after its tick.
+    NoTick,
+    /// A keyframe with a missing piece.
+    Broken,
+    /// A keyframe of another config, model or version.
+    Refused,
+}
+
+impl Loss {
+    /// True if no recording could have avoided it.
+    pub(super) const fn is_excused(self) -> bool {
+        matches!(
+            self,
+            Self::Before | Self::Beginning | Self::End | Self::OlderRules(_) | Self::Given
+        )
+    }
+
+    /// The reason in a few words, the same for all frames.
+    pub(super) fn reason(self) -> String {
+        match self {
+            Self::Journal => "the journal was not recorded".to_owned(),
+            Self::Samples { .. } => "samples were not recorded".to_owned(),
+            Self::Ambiguous { .. } => "several frames of samples have one number".to_owned(),
+            Self::Unlisted => "the journal was full".to_owned(),
+            Self::Output => "not recorded".to_owned(),
+            Self::Differing(_) => "several frames differ".to_owned(),
+            Self::Stray(_) => "sent in no tick".to_owned(),
+            Self::NoKeyframe => "no keyframe before".to_owned(),
+            Self::Before | Self::Beginning => "before the first keyframe".to_owned(),
+            Self::End => "cut off at the end".to_owned(),
+            Self::OlderRules(rules) => format!("computed by older rules ({rules})"),
+            Self::Given => "taken as given".to_owned(),
+            Self::NotRecomputed => "its tick was not recomputed".to_owned(),
+            Self::NoTick => "of no recorded tick".to_owned(),
+            Self::Broken => "a piece is missing".to_owned(),
+            Self::Refused => "refused".to_owned(),
+        }
+    }
 }
 
 impl Verification {
-    /// True if everything was verified without differences. Ticks before the first keyframe of a
-    /// recording, and an incomplete tick at its end, are not losses.
+    /// True if all that was sent was compared, without differences: [`Verdict::Verified`].
     #[must_use]
     pub fn is_clean(&self) -> bool {
-        self.differences == 0
-            && self.ticks_verified > 0
+        self.verdict == Verdict::Verified
+    }
+
+    fn judge(&self) -> Verdict {
+        let is_complete = self.ticks_verified > 0
             && self.ticks_unverified == 0
+            && self.ticks_absent == 0
             && self.queries_unverified == 0
             && self.outputs_missing.is_empty()
+            && self.frames_ambiguous == 0
             && self.messages_lost == 0
+            && self.broken_keyframes == 0
+            && self.missing_keyframes == 0
+            && self.refused_keyframes == 0;
+        let mut channels = self.coverage.iter().flat_map(|run| &run.channels);
+        let mut whole = channels.clone().filter(|(name, _)| self.not_recorded.contains(*name));
+        if self.differences > 0 {
+            Verdict::Different
+        } else if !is_complete {
+            Verdict::Incomplete
+        } else if !self.not_recorded.is_empty() || whole.next().is_some() {
+            Verdict::NotCompared
+        } else if channels
+            .any(|(name, channel)| *name != State::SERVICE.name() && !channel.missing.is_empty())
+        {
+            Verdict::Incomplete
+        } else {
+            Verdict::Verified
+        }
     }
 
     pub(super) fn note_time(&mut self, log_time_ns: u64) {
@@ -164,19 +264,28 @@ impl Verification {
         self.outputs.push((kind, false));
     }
 
-    pub(super) fn note_tick(&mut self, (worker_epoch, _): (u64, u64)) {
+    /// Counts a tick of which something was recorded, and those before it that are absent.
+    pub(super) fn note_tick(&mut self, (worker_epoch, _): (u64, u64), absent: u64) {
         self.ticks += 1;
+        self.ticks_absent = self.ticks_absent.saturating_add(absent);
+        let run = self.counted.run(worker_epoch);
+        run.ticks += 1;
+        run.ticks_absent = run.ticks_absent.saturating_add(absent);
         if self.run.is_none_or(|run| worker_epoch > run) {
             self.runs += 1;
             self.run = Some(worker_epoch);
         }
     }
 
-    pub(super) fn verified(&mut self, robots: usize) {
+    pub(super) fn verified(&mut self, place: (u64, u64), robots: usize) {
         self.ticks_verified += 1;
-        self.has_begun = true;
         self.robots = self.robots.max(robots);
-        self.forecasts_compared += robots as u64;
+        self.counted.recomputed(place);
+    }
+
+    /// Counts a frame that was sent.
+    pub(super) fn settle(&mut self, (run, _): (u64, u64), kind: MessageKind, settled: &Settled) {
+        self.counted.settle(run, kind.name(), settled);
     }
 
     pub(super) fn differ(
@@ -205,11 +314,7 @@ impl Verification {
     pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Loss) {
         match why {
             Loss::End => self.ticks_cut_off += 1,
-            Loss::Beginning => {
-                self.has_begun = false;
-                self.ticks_before_first_keyframe += 1;
-            }
-            Loss::NoKeyframe if !self.has_begun => self.ticks_before_first_keyframe += 1,
+            Loss::Before | Loss::Beginning => self.ticks_before_first_keyframe += 1,
             why => {
                 self.ticks_unverified += 1;
                 self.note_loss(tick, why);
@@ -217,9 +322,14 @@ impl Verification {
         }
     }
 
+    /// Records a frame that contradicts others of its tick.
+    pub(super) fn contradict(&mut self, tick: u64, why: Loss) {
+        self.frames_ambiguous += 1;
+        self.note_loss(tick, why);
+    }
+
     pub(super) fn lack_output(&mut self, kind: MessageKind, (_, tick): (u64, u64), why: Loss) {
         if why == Loss::End {
-            self.ticks_cut_off += 1;
             return;
         }
         *self.outputs_missing.entry(kind.name()).or_default() += 1;
@@ -243,6 +353,7 @@ impl Verification {
     pub(super) fn close(&mut self) {
         let (first, last) = self.times.unwrap_or_default();
         self.recorded_s = last.saturating_sub(first) as f64 / 1e9;
+        self.coverage = std::mem::take(&mut self.counted).into_runs();
         for (kind, seen) in std::mem::take(&mut self.outputs) {
             if !seen {
                 let missing = self.outputs_missing.remove(kind.name());
@@ -256,6 +367,18 @@ impl Verification {
         if self.ticks_verified == 0 {
             self.ticks_unverified += std::mem::take(&mut self.ticks_before_first_keyframe);
         }
+        self.verdict = self.judge();
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Verified => "verified",
+            Self::NotCompared => "recomputed, not compared",
+            Self::Incomplete => "incomplete",
+            Self::Different => "different",
+        })
     }
 }
 
@@ -272,9 +395,21 @@ impl fmt::Display for Loss {
             ),
             Self::Unlisted => write!(out, "it took more frames than a journal lists"),
             Self::Output => write!(out, "its output was not recorded"),
+            Self::Differing(channel) => write!(
+                out,
+                "the capture has several frames of {channel} that differ: which one was sent is not known"
+            ),
+            Self::Stray(channel) => {
+                write!(
+                    out,
+                    "a frame of {channel} came long after it, or its journal denies the frame"
+                )
+            }
             Self::NoKeyframe => write!(out, "no keyframe before it"),
             Self::Beginning => write!(out, "it took frames sent before the recording began"),
             Self::End => write!(out, "the recording ends there"),
+            Self::NoTick => write!(out, "a keyframe names it, and it is not in the capture"),
+            other => write!(out, "{}", other.reason()),
         }
     }
 }
@@ -293,12 +428,19 @@ impl fmt::Display for Verification {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
-            "{} ticks, {} robots, {} differences",
-            self.ticks_verified, self.robots, self.differences
+            "{}: {} ticks, {} robots, {} differences",
+            self.verdict, self.ticks_verified, self.robots, self.differences
         )?;
-        if self.queries > 0 {
-            let (verified, all) = (self.queries_verified, self.queries);
-            writeln!(out, "{verified} of {all} answers about plans computed again")?;
+        let answers = self.queries - self.acknowledgements;
+        if answers > 0 {
+            let verified = self.queries_verified;
+            writeln!(out, "{verified} of {answers} answers about plans computed again")?;
+        }
+        if self.acknowledgements > 0 {
+            writeln!(out, "{} acknowledgements of alarms", self.acknowledgements)?;
+        }
+        for run in &self.coverage {
+            write!(out, "{run}")?;
         }
         if let Some(first) = &self.first {
             writeln!(out, "first: {first}")?;
@@ -309,6 +451,11 @@ impl fmt::Display for Verification {
         let unverified = self.ticks_unverified;
         for (count, what) in [
             (unverified, "ticks could not be verified"),
+            (self.ticks_absent, "ticks are absent: the capture has nothing of them"),
+            (
+                self.frames_ambiguous,
+                "frames contradict others: copies that differ, or frames of no tick",
+            ),
             (
                 self.queries_unverified,
                 "answers about plans could not be verified: their ticks could not",
@@ -321,6 +468,7 @@ impl fmt::Display for Verification {
             (self.queries_outside, "answers about plans are of ticks outside the verified ones"),
             (self.messages_lost, "messages were lost by the recorder"),
             (self.broken_keyframes, "keyframes are incomplete"),
+            (self.missing_keyframes, "keyframes are missing: the next one names another before it"),
             (self.refused_keyframes, "keyframes were refused"),
             (
                 self.ticks_before_first_keyframe,
@@ -345,7 +493,8 @@ impl fmt::Display for Verification {
             writeln!(out, "  keyframe after tick {tick}: {why}")?;
         }
         if !self.not_recorded.is_empty() {
-            writeln!(out, "not recorded: {}", self.not_recorded.join(", "))?;
+            let channels = self.not_recorded.join(", ");
+            writeln!(out, "not recorded, so not compared: {channels}")?;
         }
         if self.keyframes == 0 {
             writeln!(

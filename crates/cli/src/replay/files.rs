@@ -6,6 +6,7 @@ use std::thread;
 
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::{Attachments, Entry, ReadError, Reader};
+use joulebus_capture_verify::is_comparable;
 use joulebus_config::{Config, ModelSource, is_below};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::log_line;
@@ -34,14 +35,6 @@ impl Files {
         };
         let reader = Reader::open(first).with_context(|| first.display().to_string())?;
         let attachments = reader.attachments().clone();
-        let altered = attachments.altered();
-        if !altered.is_empty() {
-            log_line(&format!(
-                "warning: {}: changed since it was written: {}",
-                first.display(),
-                altered.join(", ")
-            ));
-        }
         let mut fleets: Vec<String> = attachments.fleets().map(str::to_owned).collect();
         if fleets.is_empty() {
             // Not from this recorder: the fleets are taken from the messages.
@@ -50,7 +43,11 @@ impl Files {
         }
         let fleet = choose(&fleets, fleet)
             .map_err(|what| UsageError(format!("{}: {what}", first.display())))?;
-        Ok(Self { paths: paths.to_vec(), attachments, fleet })
+        let files = Self { paths: paths.to_vec(), attachments, fleet };
+        if let Some(altered) = files.altered() {
+            log_line(&format!("warning: {altered}"));
+        }
+        Ok(files)
     }
 
     /// Number of the rules by which the answers in all files were computed. `None` if they differ,
@@ -61,11 +58,14 @@ impl Files {
         self.unlike(is_same).is_none().then_some(rules)
     }
 
-    /// Refuses files whose ticks another version computed: they would differ in every forecast.
-    pub(super) fn check_tick_rules(&self) -> anyhow::Result<()> {
-        let is_ours = |attachments: &Attachments| attachments.tick_rules() == TICK_RULES;
+    /// Number of the rules by which the ticks in all files were computed. Refuses files of which
+    /// this version computes no channel to the same bits, and files of several rules.
+    pub(super) fn tick_rules(&self) -> anyhow::Result<u32> {
+        let rules = self.attachments.tick_rules();
+        let is_ours =
+            |attachments: &Attachments| attachments.tick_rules() == rules && is_comparable(rules);
         let Some((path, attachments)) = self.unlike(is_ours) else {
-            return Ok(());
+            return Ok(rules);
         };
         bail!(
             "{}: its ticks were computed by rules {}, and this version computes by {TICK_RULES}. \
@@ -74,6 +74,36 @@ impl Files {
             attachments.tick_rules(),
             attachments.about("version").unwrap_or("unknown"),
         )
+    }
+
+    /// Refuses files that are not in the order in which they were recorded.
+    pub(super) fn check_order(&self) -> Result<(), UsageError> {
+        let from_ns = |path: &PathBuf| {
+            let first = Reader::open(path).ok()?.find_map(Result::ok)?;
+            Some(first.log_time_ns)
+        };
+        let begun: Vec<(Option<u64>, &PathBuf)> =
+            self.paths.iter().map(|path| (from_ns(path), path)).collect();
+        let known: Vec<u64> = begun.iter().filter_map(|(from_ns, _)| *from_ns).collect();
+        if known.is_sorted() {
+            return Ok(());
+        }
+        let mut sorted = begun;
+        sorted.sort();
+        let sorted: Vec<String> =
+            sorted.iter().map(|(_, path)| path.display().to_string()).collect();
+        Err(UsageError(format!(
+            "the files are not in the order in which they were recorded. Give them as {}",
+            sorted.join(" ")
+        )))
+    }
+
+    /// Attachments that were changed since the first file was written.
+    pub(super) fn altered(&self) -> Option<String> {
+        let altered = self.attachments.altered();
+        let path = self.paths.first()?.display();
+        (!altered.is_empty())
+            .then(|| format!("{path}: changed since it was written: {}", altered.join(", ")))
     }
 
     /// The first file whose attachments are not as asked. One that cannot be opened has none.
@@ -144,12 +174,26 @@ impl Files {
                         continue;
                     }
                 };
+                let is_attached = reader.attachments().fleets().any(|attached| attached == fleet);
+                let (mut has_ours, mut other) = (is_attached, None);
                 for entry in reader {
                     let read = match entry {
-                        Ok(entry) if *entry.fleet != *fleet => continue,
+                        Ok(entry) if *entry.fleet != *fleet => {
+                            other.get_or_insert(entry.fleet);
+                            continue;
+                        }
                         entry => entry.map_err(|error| damage(&error)),
                     };
+                    has_ours |= read.is_ok();
                     if !hand(Some(read), false) {
+                        return;
+                    }
+                }
+                if let Some(other) = other.filter(|_| !has_ours) {
+                    let path = path.display();
+                    let what =
+                        format!("{path}: is of fleet {other:?}, and has nothing of {fleet:?}");
+                    if !hand(Some(Err(what)), false) {
                         return;
                     }
                 }

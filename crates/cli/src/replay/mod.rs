@@ -33,8 +33,9 @@ use joulebus_wire::Samples;
     them, and only while no other worker serves the fleet. Planners first get the last frames \
     before the offset. On a terminal space pauses and continues, the right arrow or s plays a \
     step, q quits. Elsewhere --step and --start-paused read a line of stdin for each step.\n\
-    --verify: exit 0 says that every tick was computed again with the same bits. Exit 3 says that \
-    something differs, or could not be verified.")]
+    --verify: exit 0 says that all that the worker sent was computed again, compared, and has the \
+    same bits. Exit 3 says that something differs, is lost, or was not recorded to compare it. The \
+    report has the coverage: by run and channel what was sent, recomputed, compared and excused.")]
 pub(crate) struct Args {
     /// The capture, or the files of a split one in order
     #[arg(value_name = "FILE", required = true)]

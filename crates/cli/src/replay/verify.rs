@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::time::Instant;
 
-use joulebus_capture_verify::{Comparison, Verification, Verifier, WhatIf};
+use joulebus_capture_verify::{Comparison, Verdict, Verification, Verifier, WhatIf};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;
@@ -33,21 +33,30 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
     let (config, unpacked) = files.config(args.config.as_ref())?;
     let models = load_models(&config)?;
-    files.check_tick_rules()?;
+    let tick_rules = files.tick_rules()?;
+    files.check_order()?;
     // A signal ends the computation, and would leave it.
     drop(unpacked);
     let rules = files.answer_rules();
     let verifier = Verifier::new(config.settings().clone(), models)?;
-    let mut verifier = verifier.with_answer_rules(rules);
+    let mut verifier = verifier
+        .with_answer_rules(rules)
+        .with_tick_rules(tick_rules)
+        .with_period_ns(config.tick_period_ns());
     let begun = Instant::now();
     let mut messages = files.read();
     for entry in args.span.of(&mut messages) {
         verifier.push(entry);
     }
-    let result: Verification = verifier.finish();
-    let is_clean = result.is_clean() && messages.damages.is_empty();
-    let recorded_s = result.recorded_s;
-    let computed = computed(&files, result, messages.damages, begun, recorded_s);
+    let mut result: Verification = verifier.finish();
+    let mut damages = messages.damages;
+    // Those that are not used prove nothing.
+    damages.extend(files.altered().filter(|_| args.config.is_none()));
+    if !damages.is_empty() && result.verdict != Verdict::Different {
+        result.verdict = Verdict::Incomplete;
+    }
+    let (is_clean, recorded_s) = (result.is_clean(), result.recorded_s);
+    let computed = computed(&files, result, damages, begun, recorded_s);
     output.report(&computed)?;
     Ok(Outcome::unless_lost(!is_clean))
 }

@@ -2,6 +2,7 @@
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
+use std::hash::Hasher;
 use std::rc::Rc;
 
 use bytemuck::Pod;
@@ -185,6 +186,11 @@ impl<C: Channel> Content for Frame<C> {
         let other: &dyn Any = other;
         other.downcast_ref() == Some(self)
     }
+
+    fn hash_bits(&self, state: &mut dyn Hasher) {
+        state.write(bytemuck::bytes_of(&self.header));
+        state.write(bytemuck::cast_slice(&self.rows));
+    }
 }
 
 impl<C: Channel> RobotRow<C> {
@@ -227,6 +233,10 @@ impl<C: Channel> Content for RobotRow<C> {
     fn is_same(&self, other: &dyn Content) -> bool {
         let other: &dyn Any = other;
         other.downcast_ref() == Some(self)
+    }
+
+    fn hash_bits(&self, state: &mut dyn Hasher) {
+        state.write(bytemuck::bytes_of(&self.0));
     }
 }
 

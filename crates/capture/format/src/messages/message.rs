@@ -60,6 +60,9 @@ pub trait Content: Any + Debug + Send + Sync {
 
     /// True if the others have the same bits.
     fn is_same(&self, other: &dyn Content) -> bool;
+
+    /// Hashes their bits.
+    fn hash_bits(&self, state: &mut dyn Hasher);
 }
 
 impl Clone for Box<dyn Content> {
@@ -71,6 +74,19 @@ impl Clone for Box<dyn Content> {
 impl PartialEq for dyn Content {
     fn eq(&self, other: &Self) -> bool {
         self.is_same(other)
+    }
+}
+
+/// Messages of the same bits have the same hash.
+impl Hash for Message {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        match self {
+            Self::Known(content) => {
+                content.kind().hash(state);
+                content.hash_bits(state);
+            }
+            Self::Other { schema, data } => (schema, data).hash(state),
+        }
     }
 }
 

@@ -187,6 +187,14 @@ impl Content for Query {
                 && self.text == other.text
         })
     }
+
+    fn hash_bits(&self, state: &mut dyn std::hash::Hasher) {
+        state.write(bytemuck::bytes_of(&self.record));
+        state.write(bytemuck::cast_slice(&self.values));
+        state.write(bytemuck::cast_slice(&self.rows));
+        state.write(bytemuck::cast_slice(&self.power_w));
+        state.write(self.text.as_bytes());
+    }
 }
 
 /// Encodings of questions and answers.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use joulebus_capture_format::{
     Attachments, CaptureSettings, Entry, Frame, Message, MessageKind, Query, Reader, Times, Writer,
 };
-use joulebus_capture_verify::{Loss, Output, Verification, Verifier, WhatIf};
+use joulebus_capture_verify::{Loss, Output, Verdict, Verification, Verifier, WhatIf};
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
 use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
@@ -302,7 +302,10 @@ fn a_complete_recording_has_no_differences() {
     assert!(report.is_clean(), "{report}");
     assert_eq!((report.ticks, report.ticks_verified, report.robots), (200, 200, CAPACITY as usize));
     assert_eq!((report.keyframes, report.untaken_frames, report.runs), (5, 0, 1), "{report:?}");
-    assert!(report.to_string().starts_with("200 ticks, 12 robots, 0 differences\n"), "{report}");
+    assert!(
+        report.to_string().starts_with("verified: 200 ticks, 12 robots, 0 differences\n"),
+        "{report}"
+    );
 }
 
 /// Everything that can be learned online, and every kind of fault among the samples.
@@ -681,12 +684,17 @@ fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
 }
 
 #[test]
-fn excluded_topics_are_reported_and_not_counted_as_lost() {
+fn excluded_topics_are_recomputed_and_not_compared_which_is_a_verdict_of_its_own() {
     let messages = recorded(8, 60).into_iter();
     let kept = messages.filter(|message| message.kind() != Some(MessageKind::of::<Diagnostics>()));
     let report = verify(entries(kept.collect()));
-    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.verdict, Verdict::NotCompared, "{report}");
     assert_eq!(report.not_recorded, ["diagnostics"]);
+    let channels = &report.coverage[0].channels;
+    let (kept, left_out) = (&channels["forecasts"], &channels["diagnostics"]);
+    assert_eq!((kept.sent, kept.recomputed, kept.compared), (60, 60, 60), "{report}");
+    assert_eq!((left_out.sent, left_out.recomputed, left_out.compared), (60, 60, 0), "{report}");
+    assert_eq!(left_out.missing["not recorded"], 60, "{report}");
 }
 
 /// Through the files of a split recording, bit for bit.

@@ -1,0 +1,119 @@
+//! Compares keyframes with recomputed states.
+
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher as _, RandomState};
+
+use joulebus_fleet::{Fleet, FleetState};
+use joulebus_settings::FleetSettings;
+use joulebus_wire::fnv1a;
+
+/// Number of ticks whose states are remembered. A keyframe arrives after later ticks: its encoding
+/// takes a while, and so does sending it in pieces.
+const MAX_STATES: usize = 16_384;
+
+/// Number of keyframes that are remembered, to recognise copies.
+const MAX_KEYFRAMES: usize = 4_096;
+
+/// Run and number of a tick.
+type TickId = (u64, u64);
+
+/// The states after the last recomputed ticks, each as a hash of its encoding.
+#[derive(Debug)]
+pub(super) struct States {
+    state: FleetState,
+    bytes: Vec<u8>,
+    /// With keys of its own, so that nobody can make bytes of the same hash.
+    hasher: RandomState,
+    hashes: BTreeMap<TickId, u64>,
+    /// The newest keyframe of the newest run, by [`fnv1a`], and whether the run's keyframes name
+    /// the one before them.
+    newest: Option<(u64, u64)>,
+    has_names: bool,
+    /// The last keyframes, each with its hash.
+    seen: BTreeMap<TickId, u64>,
+}
+
+/// A keyframe among the others of the capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sequence {
+    /// It names the one before it, or is the first.
+    Follows,
+    /// It names another one, which is missing.
+    Gap,
+    /// It has been seen before.
+    Copy,
+    /// Another one of its tick has been seen before.
+    Differs,
+}
+
+impl States {
+    pub(super) fn new(settings: &FleetSettings) -> Self {
+        Self {
+            state: FleetState::with_capacity_for(settings),
+            bytes: Vec::new(),
+            hasher: RandomState::new(),
+            hashes: BTreeMap::new(),
+            newest: None,
+            has_names: false,
+            seen: BTreeMap::new(),
+        }
+    }
+
+    /// Remembers the state after a tick that was recomputed.
+    pub(super) fn note(&mut self, place: TickId, fleet: &Fleet) {
+        fleet.state_into(&mut self.state);
+        self.state.encode_into(&mut self.bytes);
+        self.hashes.insert(place, self.hasher.hash_one(&self.bytes));
+        if self.hashes.len() > MAX_STATES {
+            self.hashes.pop_first();
+        }
+    }
+
+    /// True if the state after the tick was recomputed, and is remembered.
+    pub(super) fn is_known(&self, place: TickId) -> bool {
+        self.hashes.contains_key(&place)
+    }
+
+    /// True if the state after the tick may have been forgotten.
+    pub(super) fn is_forgotten(&self, place: TickId) -> bool {
+        let oldest = self.hashes.first_key_value();
+        self.hashes.len() == MAX_STATES && oldest.is_some_and(|(oldest, _)| place < *oldest)
+    }
+
+    /// The hashes of a keyframe and of the recomputed state, if they differ.
+    pub(super) fn difference(&self, place: TickId, bytes: &[u8]) -> Option<(u64, u64)> {
+        let (recorded, computed) = (self.hasher.hash_one(bytes), *self.hashes.get(&place)?);
+        (recorded != computed).then_some((recorded, computed))
+    }
+
+    /// Compares a keyframe with those before it in the capture, and with the one that it names.
+    pub(super) fn sequence(&mut self, place: TickId, before_hash: u64, bytes: &[u8]) -> Sequence {
+        let (run, hash) = (place.0, fnv1a(bytes.iter().copied()));
+        match self.seen.get(&place) {
+            Some(seen) if *seen == hash => return Sequence::Copy,
+            Some(_) => return Sequence::Differs,
+            None => self.seen.insert(place, hash),
+        };
+        if self.seen.len() > MAX_KEYFRAMES {
+            self.seen.pop_first();
+        }
+        let before = self.newest.filter(|(newest, _)| *newest == run);
+        if before.is_none() {
+            self.has_names = false;
+        }
+        // Earlier versions name none.
+        let follows = match before {
+            Some((_, hash)) if before_hash > 0 => hash == before_hash,
+            Some(_) => !self.has_names,
+            None => true,
+        };
+        self.has_names |= before_hash > 0;
+        self.newest = Some((run, hash));
+        if follows { Sequence::Follows } else { Sequence::Gap }
+    }
+
+    /// Of a broken keyframe nothing is known: the next one may name any.
+    pub(super) fn forget_newest(&mut self) {
+        self.newest = None;
+    }
+}
