@@ -470,6 +470,7 @@ impl fmt::Display for Verification {
             (self.broken_keyframes, "keyframes are incomplete"),
             (self.missing_keyframes, "keyframes are missing: the next one names another before it"),
             (self.refused_keyframes, "keyframes were refused"),
+            (self.untaken_frames, "frames of samples were taken by no recorded tick"),
             (
                 self.ticks_before_first_keyframe,
                 "ticks lie before the first keyframe: not verified, the recording began in the middle",

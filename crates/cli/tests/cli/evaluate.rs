@@ -125,7 +125,7 @@ fn split_holds_out_the_trials_that_training_held_out() {
     let in_time = eval("3", "time");
     assert_eq!(in_time["design"]["trials"], 10);
     let shown = output(asked("3", "trial").split(' '));
-    assert_contains(&stdout(&shown), ["on none of the 150 rows evaluated here"]);
+    assert_contains(&stdout(&shown), ["none of the 150 rows evaluated here is recognised"]);
 }
 
 #[test]

@@ -5,7 +5,8 @@
 //! training rows are cut into blocks, and the model file has a hash of each block. A recording is
 //! compared at every offset. It is therefore recognised renamed, copied, converted, played and
 //! captured, imported, cut at its ends, or as part of a longer one. It is not recognised when it is
-//! resampled, or its readings are changed by more than rounding.
+//! resampled, reversed or scaled, or its readings are changed by more than rounding. Stretches whose
+//! readings hardly change [cannot be told](is_untold) from those of other resting robots.
 
 use std::collections::BTreeMap;
 
@@ -26,6 +27,8 @@ const MAX_SHORT: usize = 4 * MAX_BLOCKS;
 /// Minimum number of changes of the reading in a recognised stretch, because resting robots repeat
 /// short sequences of a coarse monitor's readings by chance.
 const FEWEST_CHANGES: usize = 24;
+/// The same for a whole gapless run of at least [`USUAL`] rows, all of which is recognised.
+const FEWEST_CHANGES_OF_WHOLE: usize = 12;
 /// Odd, so that every power of it has an inverse.
 const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -95,16 +98,42 @@ pub fn is_trained_on(rows: &[Row], trained: &TrainedRows) -> Vec<bool> {
     widened(&inside.collect::<Vec<bool>>(), rows)
 }
 
+/// For each row of a recording, in order, whether its gapless run changes too rarely to be told
+/// from others: [`is_trained_on`] recognises none of its rows, even if they were trained on.
+pub fn is_untold(rows: &[Row]) -> Vec<bool> {
+    let runs = rows.chunk_by(follows);
+    let untold = runs.flat_map(|run| {
+        let fewest = fewest_changes(run.len());
+        std::iter::repeat_n(changes(run) < fewest || run.len() < SHORTEST, run.len())
+    });
+    untold.collect()
+}
+
+/// Changes needed to recognise a whole gapless run.
+const fn fewest_changes(run: usize) -> usize {
+    if run < USUAL { FEWEST_CHANGES } else { FEWEST_CHANGES_OF_WHOLE }
+}
+
+/// Number of different readings in a row.
+fn changes(rows: &[Row]) -> usize {
+    let pairs = rows.windows(2);
+    let changes = pairs.filter(|pair| pair[0].target_w.to_bits() != pair[1].target_w.to_bits());
+    changes.count() + usize::from(!rows.is_empty())
+}
+
 /// Without stretches of too few changes, and with the rows beside the others.
 fn widened(found: &[bool], rows: &[Row]) -> Vec<bool> {
     let mut trained = vec![false; rows.len()];
+    let is_end = |at: usize| at == 0 || at == rows.len() || !follows(&rows[at - 1], &rows[at]);
     let mut end = 0;
     for stretch in found.chunk_by(|a, b| a == b) {
         let start = end;
         end += stretch.len();
-        let pairs = rows[start..end].windows(2);
-        let changes = pairs.filter(|pair| pair[0].target_w.to_bits() != pair[1].target_w.to_bits());
-        if stretch[0] && changes.count() + 1 >= FEWEST_CHANGES {
+        let fewest = match is_end(start) && is_end(end) {
+            true => fewest_changes(end - start),
+            false => FEWEST_CHANGES,
+        };
+        if stretch[0] && changes(&rows[start..end]) >= fewest {
             let beside = start.saturating_sub(PAUSE_ROWS)..(end + PAUSE_ROWS).min(rows.len());
             trained[beside].fill(true);
         }

@@ -22,6 +22,17 @@ pub enum TrainError {
         /// Rows needed.
         allowed: usize,
     },
+    /// Almost all held-out rows were also trained on.
+    #[error(
+        "{known} of {of} held-out rows were also trained on, so there is nothing to score. Leave \
+         copies of recordings out, or hold out others with --hold-out"
+    )]
+    HeldOutTrainedOn {
+        /// Held-out rows that are recognised.
+        known: usize,
+        /// Held-out rows.
+        of: usize,
+    },
     /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

@@ -1,9 +1,13 @@
 //! Preparation of training rows: filtering and normalisation.
 
+use std::borrow::Cow;
+
+use joulebus_predictor::training::TrainedRows;
 use joulebus_predictor::{FEATURE_NAMES, FeatureSet, INPUTS, Normalisation};
 use serde::Serialize;
 
 use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::trained_rows::is_trained_on;
 
 use super::TrainError;
 use super::chunk::{Example, PADDED_INPUTS};
@@ -13,6 +17,8 @@ use super::chunk::{Example, PADDED_INPUTS};
 pub struct Findings {
     /// Rows left out because an input or target is NaN or infinite: training, validation, held out.
     pub unusable_rows: [usize; 3],
+    /// Held-out rows that were also trained on, as in a copy of a recording. They are not scored.
+    pub held_out_trained_on: usize,
     /// Features that are constant in the training rows: the network gets 0 for them.
     pub constant_features: Vec<&'static str>,
     /// Number of training rows.
@@ -41,6 +47,29 @@ pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [u
         dataset.held_out.len() - kept.held_out.len(),
     ];
     (kept, unusable)
+}
+
+/// The dataset without held-out rows that were also trained on, and their number. Its description
+/// states their share.
+pub(super) fn without_known<'a>(
+    dataset: &'a Dataset,
+    trained_rows: Option<&TrainedRows>,
+) -> (Cow<'a, Dataset>, usize) {
+    let is_known = trained_rows.map(|trained| is_trained_on(&dataset.held_out, trained));
+    let is_known = is_known.unwrap_or_default();
+    let known = is_known.iter().filter(|known| **known).count();
+    if known == 0 {
+        return (Cow::Borrowed(dataset), 0);
+    }
+    let mut dataset = dataset.clone();
+    let of = dataset.held_out.len();
+    let mut is_known = is_known.into_iter();
+    dataset.held_out.retain(|_| is_known.next() == Some(false));
+    let percent = 100.0 * known as f64 / of as f64;
+    let share = format!("{known} of {of} held-out rows ({percent:.1} %)");
+    dataset.description =
+        format!("{}; {share} were also trained on and are not scored", dataset.description);
+    (Cow::Owned(dataset), known)
 }
 
 /// Names of the constant features.

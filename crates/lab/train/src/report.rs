@@ -138,6 +138,13 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
              of validation, {held_out} of those held out"
         )?;
     }
+    let known = findings.held_out_trained_on;
+    if known > 0 {
+        writeln!(
+            out,
+            "{known} held-out rows were also trained on, as in copies of recordings: not scored"
+        )?;
+    }
     if !findings.constant_features.is_empty() {
         let names = findings.constant_features.join(", ");
         writeln!(out, "constant in training, so nothing is learned from it: {names}")?;

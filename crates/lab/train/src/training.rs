@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
 use super::chunk::{Chunk, Example, Prepared, ROWS};
-use super::prepare::{Findings, constant_features, normalisation, usable};
+use super::prepare::{Findings, constant_features, normalisation, usable, without_known};
 use super::score::finished;
 use super::weights::Weights;
 use super::{TrainError, TrainSettings};
@@ -103,7 +103,12 @@ impl Training {
         }
         // Count over all rows: dropping an unusable row would cut the run of readings around it.
         let trained_rows = trained_rows(dataset);
-        let (dataset, unusable_rows) = usable(dataset, settings.feature_set);
+        let (dataset, known) = without_known(dataset, trained_rows.as_ref());
+        let (dataset, unusable_rows) = usable(&dataset, settings.feature_set);
+        if known > 0 && dataset.held_out.len() < FEWEST_ROWS {
+            let of = known + dataset.held_out.len() + unusable_rows[2];
+            return Err(TrainError::HeldOutTrainedOn { known, of });
+        }
         check_rows(&dataset, unusable_rows)?;
         let normalisation = normalisation(&dataset.training, settings.feature_set)?;
         let examples = |rows: &[Row]| -> Vec<Example> {
@@ -120,6 +125,7 @@ impl Training {
         Ok(Self {
             findings: Findings {
                 unusable_rows,
+                held_out_trained_on: known,
                 constant_features: constant_features(&normalisation, settings.feature_set),
                 training_rows: training.len(),
                 few_rows: training.len() < weights.values.len(),

@@ -2,7 +2,7 @@
 
 use joulebus_dataset::rows::{Dataset, Row, TrialRows, sample_rows};
 use joulebus_dataset::split::{By, PAUSE_ROWS, Source, Split, assign};
-use joulebus_dataset::trained_rows::{is_trained_on, trained_rows};
+use joulebus_dataset::trained_rows::{is_trained_on, is_untold, trained_rows};
 use joulebus_statistics::noise::Noise;
 use joulebus_wire::Sample;
 use proptest::prelude::*;
@@ -162,6 +162,27 @@ fn resting_robots_with_a_coarse_monitor_are_not_confused() {
     assert_eq!(wrong, 0, "of 60,000 rows");
     let own = is_trained_on(&training[7].rows, &trained);
     assert!(own.iter().all(|trained| *trained));
+}
+
+/// A slow monitor: each reading is repeated.
+fn held(seed: u64, rows: usize, times: usize) -> TrialRows {
+    let powers_w = Recorded::driving(seed, rows.div_ceil(times), Vec::new()).powers_w;
+    let powers_w = powers_w.iter().flat_map(|power_w| std::iter::repeat_n(*power_w, times));
+    Recorded { powers_w: powers_w.take(rows).collect(), gaps: Vec::new() }.rows()
+}
+
+#[test]
+fn a_short_recording_that_changes_rarely_is_recognised_as_a_whole_or_counted_as_untold() {
+    // 138 rows, as of a monitor that is read at 5 Hz: 23 readings, and 9.
+    for (times, is_told) in [(6, true), (15, false)] {
+        let rows = held(5, 138, times);
+        let seen = found(&rows.rows, &[held(6, 400, times), rows.clone()]);
+        let unseen = found(&held(7, 138, times).rows, &[rows.clone()]);
+        let untold = is_untold(&rows.rows);
+        assert!(seen.iter().all(|trained| *trained == is_told), "{times}");
+        assert!(unseen.iter().all(|trained| !trained), "{times}");
+        assert!(untold.iter().all(|untold| *untold != is_told), "{times}");
+    }
 }
 
 #[test]

@@ -91,12 +91,15 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
     };
     writeln!(out, "  trained on: {training_data}")?;
     match model.trained_on {
-        Some(TrainedOn { rows: 0, of, .. }) => {
-            writeln!(out, "  on none of the {of} rows evaluated here")
-        }
-        Some(TrainedOn { rows, of, share }) => {
-            let percent = 100.0 * share;
-            writeln!(out, "  on {rows} of the {of} rows here ({percent:.1} %)")
+        Some(TrainedOn { rows, untold, of, share }) => {
+            match rows {
+                0 => write!(out, "  none of the {of} rows evaluated here is recognised")?,
+                _ => write!(out, "  on {rows} of the {of} rows here ({:.1} %)", 100.0 * share)?,
+            }
+            match untold {
+                0 => writeln!(out),
+                _ => writeln!(out, "; {untold} change too rarely to be recognised"),
+            }
         }
         None => writeln!(
             out,

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use joulebus_dataset::trained_rows::is_trained_on;
+use joulebus_dataset::trained_rows::{is_trained_on, is_untold};
 use joulebus_predictor::Model;
 use joulebus_predictor::training::TrainedRows;
 use serde::{Deserialize, Serialize};
@@ -17,8 +17,11 @@ const FEWEST_APART: usize = 50;
 /// Rows that a model was trained on, among those that were to be evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainedOn {
-    /// Rows trained on, or beside such rows.
+    /// Rows trained on, or beside such rows, as far as recognised.
     pub rows: usize,
+    /// Rows that change too rarely to be recognised.
+    #[serde(default)]
+    pub untold: usize,
     /// Rows to be evaluated.
     pub of: usize,
     /// Their quotient. NaN without a row.
@@ -29,7 +32,7 @@ pub struct TrainedOn {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
-    /// No model was trained on any of them.
+    /// None of them is recognised as one that a model was trained on.
     NotTrainedOn,
     /// A model was trained on all of them.
     TrainedOn,
@@ -44,6 +47,8 @@ pub enum ScoredRows {
 pub(super) struct Recognised {
     /// `None` if the model's file does not state its rows.
     of: Vec<Option<OfModel>>,
+    /// Rows that no model's hashes can tell.
+    untold: OfModel,
 }
 
 /// Stretches of each recording's rows, ascending.
@@ -63,17 +68,19 @@ impl Recognised {
         });
         let mut of: Vec<Option<OfModel>> = of.collect();
         if stated.iter().all(Option::is_none) {
-            return Ok(Self { of });
+            return Ok(Self { of, untold: Vec::new() });
         }
+        let mut untold = OfModel::new();
         each(
             &recordings.iter().collect::<Vec<_>>(),
             |at| {
                 let rows = &recordings[at].contents()?.rows.rows;
                 let found = stated.iter();
                 let found = found.map(|stated| Some(stretches(&is_trained_on(rows, (*stated)?))));
-                Ok::<_, ScoreError>(found.collect::<Vec<_>>())
+                Ok::<_, ScoreError>((found.collect::<Vec<_>>(), stretches(&is_untold(rows))))
             },
-            |_, found| {
+            |_, (found, untold_rows)| {
+                untold.push(untold_rows);
                 for (all, found) in of.iter_mut().zip(found) {
                     if let (Some(all), Some(found)) = (all, found) {
                         all.push(found);
@@ -82,20 +89,23 @@ impl Recognised {
                 Ok(())
             },
         )?;
-        Ok(Self { of })
+        Ok(Self { of, untold })
     }
 
     /// Rows of the parts that a model was trained on. `None` if that is not known.
     fn count<'a>(&self, model: usize, parts: impl Iterator<Item = &'a Part>) -> Option<TrainedOn> {
         let recordings = self.of.get(model)?.as_ref()?;
-        let (mut rows, mut of) = (0, 0);
+        let (mut rows, mut untold, mut of) = (0, 0, 0);
+        let count = |stretches: &[Range<usize>], part: &Range<usize>| -> usize {
+            stretches.iter().map(|one| overlap(one, part)).sum()
+        };
         for (at, part) in parts {
-            let trained = recordings.get(*at)?.iter();
-            rows += trained.map(|one| overlap(one, part)).sum::<usize>();
+            rows += count(recordings.get(*at)?, part);
+            untold += self.untold.get(*at).map_or(0, |untold| count(untold, part));
             of += part.len();
         }
         let share = rows as f64 / of as f64;
-        Some(TrainedOn { rows, of, share })
+        Some(TrainedOn { rows, untold, of, share })
     }
 
     /// For each of a recording's rows, whether any of the models was trained on it.
@@ -221,7 +231,7 @@ pub(super) fn warnings<'a>(
     scored: ScoredRows,
 ) -> Vec<String> {
     let of_model = |(name, trained_on): (&str, Option<TrainedOn>)| {
-        let Some(TrainedOn { rows, of, share }) = trained_on else {
+        let Some(TrainedOn { rows, of, share, .. }) = trained_on else {
             return Some(format!(
                 "whether {name} was trained on the scored rows is unknown: its file does not state its rows"
             ));

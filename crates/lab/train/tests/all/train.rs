@@ -72,6 +72,30 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
 }
 
 #[test]
+fn held_out_rows_that_were_also_trained_on_are_not_scored_and_their_share_is_stated() {
+    let settings = tiny_settings(FeatureSet::Full);
+    let data = tiny_data();
+    let honest = made(&data, &settings);
+    assert_eq!(honest.findings.held_out_trained_on, 0);
+    // A copy of training rows, two rows shorter, among those held out.
+    let mut copied = data.clone();
+    copied.held_out.extend_from_slice(&data.training[..200]);
+    let trained = made(&copied, &settings);
+    let (card, known) = (trained.network.card(), trained.findings.held_out_trained_on);
+    assert!((200..=205).contains(&known), "{known}");
+    assert_eq!(card.scores.rows, (copied.held_out.len() - known) as u64);
+    let stated = format!("{known} of {} held-out rows", copied.held_out.len());
+    assert_contains(&card.training_data, [&*stated]);
+    if known == 200 {
+        assert_eq!(card.scores, honest.network.card().scores);
+    }
+    // Nothing else is held out.
+    copied.held_out.clone_from(&data.training);
+    let error = refused(&copied, &settings);
+    assert!(matches!(error, TrainError::HeldOutTrainedOn { .. }), "{error}");
+}
+
+#[test]
 fn training_reports_its_progress_and_the_losses_fall() {
     let mut reported: Vec<Epoch> = Vec::new();
     let settings = tiny_settings(FeatureSet::Full);

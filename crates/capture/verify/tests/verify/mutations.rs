@@ -1,0 +1,493 @@
+//! Mutations of a recording, each with its verdict. What a capture alone cannot show is among them.
+
+use joulebus_capture_format::{Frame, Message, MessageKind};
+use joulebus_capture_verify::Verdict::{self, Different, Incomplete, NotCompared, Verified};
+use joulebus_wire::{
+    Budgets, Channel, Diagnostics, Forecasts, Outlooks, PlanStates, Row, Samples, State,
+    TakenFrame, Ticks, tick_flag,
+};
+
+use crate::simulation::{EPOCH, KEYFRAME_EVERY, Simulation, entries, recorded, tick_of, verify};
+
+/// Ticks of the recording, and the one that is changed.
+const TICKS: u64 = 170;
+const TICK: u64 = 65;
+
+type Messages = Vec<Message>;
+type Mutate = fn(&mut Messages);
+
+/// Position of the frame of a channel in a tick.
+fn at<C: Channel>(messages: &Messages, tick: u64) -> usize {
+    let is_it = |message: &Message| message.frame::<C>().is_some() && tick_of(message) == tick;
+    messages.iter().position(is_it).unwrap()
+}
+
+fn frame<C: Channel>(messages: &mut Messages, tick: u64) -> &mut Frame<C> {
+    let place = at::<C>(messages, tick);
+    messages[place].frame_mut::<C>().unwrap()
+}
+
+/// The frame of samples that the tick took first.
+fn samples(messages: &mut Messages, tick: u64) -> &mut Frame<Samples> {
+    let taken = frame::<Ticks>(messages, tick).rows[0];
+    let frames = messages.iter_mut().filter_map(Message::frame_mut::<Samples>);
+    let is_it = |frame: &&mut Frame<Samples>| {
+        (frame.header.source_id, frame.header.frame_seq) == (taken.source_id, taken.frame_seq)
+    };
+    { frames }.find(is_it).unwrap()
+}
+
+/// Positions of the pieces of the keyframe after a tick.
+fn pieces(messages: &Messages, tick: u64) -> Vec<usize> {
+    let is_it = |place: &usize| {
+        let piece = messages[*place].frame::<State>();
+        piece.is_some_and(|piece| piece.header.tick == tick)
+    };
+    (0..messages.len()).filter(is_it).collect()
+}
+
+fn piece(messages: &mut Messages, tick: u64, number: usize) -> &mut Frame<State> {
+    let place = pieces(messages, tick)[number];
+    messages[place].frame_mut::<State>().unwrap()
+}
+
+fn remove(messages: &mut Messages, is_it: impl Fn(&Message) -> bool) {
+    let count = messages.len();
+    messages.retain(|message| !is_it(message));
+    assert!(messages.len() < count, "nothing was removed");
+}
+
+fn remove_kind<C: Channel>(messages: &mut Messages) {
+    remove(messages, |message| message.frame::<C>().is_some());
+}
+
+/// Removes all parts of the ticks, and keyframes after them.
+fn remove_ticks(messages: &mut Messages, ticks: std::ops::RangeInclusive<u64>) {
+    remove(messages, |message| {
+        let keyframe = message.frame::<State>().map(|piece| piece.header.tick);
+        let is_of_tick = message.frame::<Samples>().is_none();
+        is_of_tick && ticks.contains(&keyframe.unwrap_or_else(|| tick_of(message)))
+    });
+}
+
+/// Gives all later ticks lower numbers, so that the ones removed before `tick` leave no gap.
+fn renumber(messages: &mut Messages, tick: u64, by: u64) {
+    for message in messages {
+        macro_rules! shift {
+            ($($channel:ty),*) => {$(
+                if let Some(frame) = message.frame_mut::<$channel>()
+                    && frame.header.tick >= tick
+                {
+                    frame.header.tick -= by;
+                }
+            )*};
+        }
+        shift!(Forecasts, Diagnostics, Budgets, PlanStates, Outlooks, Ticks, State);
+    }
+}
+
+/// Inserts a copy of the frame of a channel at another tick's place, changed or not.
+fn copy<C: Channel>(messages: &mut Messages, to: u64, change: impl Fn(&mut Frame<C>)) {
+    let mut copy = messages[at::<C>(messages, TICK)].clone();
+    change(copy.frame_mut::<C>().unwrap());
+    let place = at::<Ticks>(messages, to) + 1;
+    messages.insert(place, copy);
+}
+
+/// A recording of a worker that is started again.
+fn two_runs() -> Messages {
+    let mut simulation = Simulation::new(4);
+    simulation.run(TICKS);
+    simulation.restart();
+    simulation.run(100);
+    simulation.sent
+}
+
+fn other_bits<C: Channel>(frame: &mut Frame<C>) {
+    bytemuck::bytes_of_mut(&mut frame.rows[3])[size_of::<C::Row>() - 1] ^= 1;
+}
+
+fn forged_keyframe(messages: &mut Messages, tick: u64) {
+    let bytes = &mut piece(messages, tick, 0).rows;
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+}
+
+const TABLE: &[(&str, Verdict, Mutate)] = &[
+    ("nothing", Verified, |_| {}),
+    // Whole channels.
+    ("all forecasts removed", NotCompared, remove_kind::<Forecasts>),
+    ("all diagnostics removed", NotCompared, remove_kind::<Diagnostics>),
+    ("all budgets removed", NotCompared, remove_kind::<Budgets>),
+    ("all plan states removed", NotCompared, remove_kind::<PlanStates>),
+    ("all outlooks removed", NotCompared, remove_kind::<Outlooks>),
+    ("all outputs removed", NotCompared, |messages| {
+        let kept =
+            [MessageKind::of::<Samples>(), MessageKind::of::<Ticks>(), MessageKind::of::<State>()];
+        remove(messages, |message| !kept.contains(&message.kind().unwrap()));
+    }),
+    ("all journals removed", Incomplete, remove_kind::<Ticks>),
+    ("all keyframes removed", Incomplete, remove_kind::<State>),
+    ("all samples removed", Incomplete, remove_kind::<Samples>),
+    // Single frames and ticks.
+    ("a frame of forecasts removed", Incomplete, |messages| {
+        messages.remove(at::<Forecasts>(messages, TICK));
+    }),
+    ("a frame of budgets removed", Incomplete, |messages| {
+        messages.remove(at::<Budgets>(messages, TICK));
+    }),
+    ("a frame of plan states removed", Incomplete, |messages| {
+        messages.remove(at::<PlanStates>(messages, TICK));
+    }),
+    ("a journal removed", Incomplete, |messages| {
+        messages.remove(at::<Ticks>(messages, TICK));
+    }),
+    ("a frame of samples removed", Incomplete, |messages| {
+        let header = samples(messages, TICK).header;
+        remove(messages, |message| {
+            message.frame::<Samples>().is_some_and(|frame| frame.header == header)
+        });
+    }),
+    ("a tick removed", Incomplete, |messages| remove_ticks(messages, TICK..=TICK)),
+    ("ticks removed up to a keyframe", Incomplete, |messages| remove_ticks(messages, 41..=79)),
+    ("ticks removed up to a keyframe, the others renumbered", Different, |messages| {
+        remove_ticks(messages, 41..=79);
+        renumber(messages, 80, 39);
+    }),
+    ("the first ticks removed, the keyframe before them kept", Incomplete, |messages| {
+        remove(messages, |message| (1..=10).contains(&tick_of(message)));
+    }),
+    ("the first ticks and their keyframe removed", Verified, |messages| {
+        remove_ticks(messages, 0..=10);
+    }),
+    ("the last tick removed", Verified, |messages| remove_ticks(messages, TICKS..=TICKS)),
+    ("the last frame of forecasts removed", Verified, |messages| {
+        messages.remove(at::<Forecasts>(messages, TICKS));
+    }),
+    ("the last two frames of diagnostics removed", Verified, |messages| {
+        messages.remove(at::<Diagnostics>(messages, TICKS));
+        messages.remove(at::<Diagnostics>(messages, TICKS - 1));
+    }),
+    ("the last three frames of forecasts removed", Incomplete, |messages| {
+        remove(messages, |message| {
+            message.frame::<Forecasts>().is_some_and(|frame| frame.header.tick > TICKS - 3)
+        });
+    }),
+    ("the last 63 frames of budgets removed", Incomplete, |messages| {
+        remove(messages, |message| {
+            message.frame::<Budgets>().is_some_and(|frame| frame.header.tick > TICKS - 63)
+        });
+    }),
+    // Copies.
+    ("a copy of forecasts in their tick", Verified, |messages| {
+        copy::<Forecasts>(messages, TICK, |_| {});
+    }),
+    ("a copy of budgets four ticks later", Verified, |messages| {
+        copy::<Budgets>(messages, TICK + 4, |_| {});
+    }),
+    ("a copy of a journal a hundred ticks later", Verified, |messages| {
+        copy::<Ticks>(messages, TICK + 100, |_| {});
+    }),
+    ("other forecasts of the same tick", Incomplete, |messages| {
+        copy::<Forecasts>(messages, TICK, other_bits);
+    }),
+    ("other forecasts of the same tick before the true ones", Incomplete, |messages| {
+        let mut copy = messages[at::<Forecasts>(messages, TICK)].clone();
+        other_bits(copy.frame_mut::<Forecasts>().unwrap());
+        let place = at::<Forecasts>(messages, TICK);
+        messages.insert(place, copy);
+    }),
+    ("other budgets of the tick four ticks later", Incomplete, |messages| {
+        copy::<Budgets>(messages, TICK + 4, other_bits);
+    }),
+    ("another journal of the same tick", Incomplete, |messages| {
+        copy::<Ticks>(messages, TICK, |frame| frame.header.start_ns += 1);
+    }),
+    ("another journal of the tick a hundred ticks later", Incomplete, |messages| {
+        copy::<Ticks>(messages, TICK + 100, |frame| frame.header.start_ns += 1);
+    }),
+    ("a copy of samples", Verified, |messages| {
+        let frame = samples(messages, TICK).clone();
+        let place = at::<Ticks>(messages, TICK);
+        messages.insert(place, frame.into());
+    }),
+    ("other samples of the same number", Incomplete, |messages| {
+        let mut frame = samples(messages, TICK).clone();
+        frame.rows[0].v_mps += 0.25;
+        let place = at::<Ticks>(messages, TICK);
+        messages.insert(place, frame.into());
+    }),
+    ("other samples of the same number, later", Incomplete, |messages| {
+        let mut frame = samples(messages, TICK).clone();
+        frame.rows[0].v_mps += 0.25;
+        let place = at::<Ticks>(messages, TICK + 30);
+        messages.insert(place, frame.into());
+    }),
+    ("samples that no tick took", Verified, |messages| {
+        let mut frame = samples(messages, TICK).clone();
+        frame.header.source_id = 77;
+        let place = at::<Ticks>(messages, TICK);
+        messages.insert(place, frame.into());
+    }),
+    // Order.
+    ("two ticks in another order", Verified, |messages| {
+        let (one, two) = (at::<Forecasts>(messages, TICK), at::<Forecasts>(messages, TICK + 1));
+        messages.swap(one, two);
+    }),
+    ("a journal before its samples", Verified, |messages| {
+        let journal = messages.remove(at::<Ticks>(messages, TICK));
+        let place = at::<Ticks>(messages, TICK - 1);
+        messages.insert(place, journal);
+    }),
+    ("forecasts a hundred ticks late", Incomplete, |messages| {
+        let late = messages.remove(at::<Forecasts>(messages, TICK));
+        let place = at::<Ticks>(messages, TICK + 100);
+        messages.insert(place, late);
+    }),
+    // The journal.
+    ("a taken frame left out", Different, |messages| {
+        frame::<Ticks>(messages, TICK).rows.remove(0);
+    }),
+    ("taken frames in another order", Different, |messages| {
+        frame::<Ticks>(messages, TICK).rows.swap(0, 1);
+    }),
+    ("a new normal added", Different, |messages| {
+        let start_ns = frame::<Ticks>(messages, TICK).header.start_ns;
+        frame::<Ticks>(messages, TICK).rows.push(TakenFrame::new_normal(2, start_ns));
+    }),
+    ("the time of a taken frame", Different, |messages| {
+        frame::<Ticks>(messages, TICK).rows[0].taken_ns += 1;
+    }),
+    ("the number of samples of a taken frame", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).rows[0].samples -= 1;
+    }),
+    ("the number of a taken frame", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).rows[0].frame_seq += 1_000;
+    }),
+    ("a tick that denies its diagnostics", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).header.flags |= tick_flag::NO_DIAGNOSTICS;
+    }),
+    ("a tick that denies its plan states", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).header.flags &= !tick_flag::PLAN_STATES;
+    }),
+    ("a tick that claims outlooks", Incomplete, |messages| {
+        // In ticks 70 to 79 nobody reads them.
+        frame::<Ticks>(messages, 75).header.flags |= tick_flag::OUTLOOKS;
+    }),
+    // Runs.
+    ("a frame of another run", Incomplete, |messages| {
+        frame::<Forecasts>(messages, TICK).header.worker_epoch += 1;
+    }),
+    ("a journal of another run", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).header.worker_epoch += 1;
+    }),
+    ("a frame of another tick", Incomplete, |messages| {
+        frame::<Forecasts>(messages, TICK).header.tick += 1_000;
+    }),
+    ("a second run", Verified, |messages| *messages = two_runs()),
+    ("a second run without its first ticks", Incomplete, |messages| {
+        let second =
+            |message: &Message| message.order().is_some_and(|order| order.run == EPOCH + 1);
+        *messages = two_runs();
+        remove(messages, |message| second(message) && (1..=20).contains(&tick_of(message)));
+    }),
+    ("a second run without its first keyframe", Incomplete, |messages| {
+        *messages = two_runs();
+        remove(messages, |message| {
+            let piece = message.frame::<State>().map(|piece| piece.header);
+            piece.is_some_and(|header| (header.worker_epoch, header.tick) == (EPOCH + 1, 0))
+        });
+    }),
+    ("the first of two runs removed", Verified, |messages| {
+        *messages = two_runs();
+        remove(messages, |message| message.order().is_some_and(|order| order.run == EPOCH));
+    }),
+    ("a run between two others removed", Verified, |messages| {
+        // What was sent between them is not known: a worker may have been down.
+        let mut simulation = Simulation::new(4);
+        for _ in 0..3 {
+            simulation.run(90);
+            simulation.restart();
+        }
+        *messages = simulation.sent;
+        remove(messages, |message| message.order().is_some_and(|order| order.run == EPOCH + 1));
+    }),
+    ("the recording twice", Verified, |messages| messages.extend(messages.clone())),
+    // Keyframes.
+    ("a bit of the first keyframe", Incomplete, |messages| forged_keyframe(messages, 0)),
+    ("a bit of a keyframe", Different, |messages| forged_keyframe(messages, KEYFRAME_EVERY)),
+    ("a bit of the last keyframe", Different, |messages| forged_keyframe(messages, 160)),
+    ("a keyframe of garbage", Different, |messages| {
+        let pieces = pieces(messages, 80);
+        for place in pieces {
+            messages[place].frame_mut::<State>().unwrap().rows.fill(7);
+        }
+    }),
+    ("a first keyframe of garbage", Incomplete, |messages| {
+        let pieces = pieces(messages, 0);
+        for place in pieces {
+            messages[place].frame_mut::<State>().unwrap().rows.fill(7);
+        }
+    }),
+    ("a piece of the first keyframe removed", Incomplete, |messages| {
+        messages.remove(pieces(messages, 0)[1]);
+    }),
+    ("a piece of a keyframe removed", Incomplete, |messages| {
+        messages.remove(pieces(messages, 80)[1]);
+    }),
+    ("the first piece of a keyframe removed", Incomplete, |messages| {
+        messages.remove(pieces(messages, 80)[0]);
+    }),
+    ("the last piece of the last keyframe removed", Verified, |messages| {
+        messages.remove(*pieces(messages, 160).last().unwrap());
+    }),
+    ("a copy of a piece of a keyframe", Verified, |messages| {
+        let place = pieces(messages, 80)[1];
+        messages.insert(place, messages[place].clone());
+    }),
+    ("a copy of a keyframe, later", Verified, |messages| {
+        let copy: Messages =
+            pieces(messages, 40).into_iter().map(|place| messages[place].clone()).collect();
+        let place = at::<Ticks>(messages, 120);
+        messages.splice(place..place, copy);
+    }),
+    ("another piece of a keyframe", Incomplete, |messages| {
+        let place = pieces(messages, 80)[1];
+        let mut copy = messages[place].clone();
+        copy.frame_mut::<State>().unwrap().rows[5] ^= 1;
+        messages.insert(place + 1, copy);
+    }),
+    ("a keyframe removed", Incomplete, |messages| {
+        remove(messages, |message| {
+            message.frame::<State>().is_some_and(|piece| piece.header.tick == 80)
+        });
+    }),
+    ("the last keyframe removed", Verified, |messages| {
+        remove(messages, |message| {
+            message.frame::<State>().is_some_and(|piece| piece.header.tick == 160)
+        });
+    }),
+    ("the hash of the keyframe before", Incomplete, |messages| {
+        for place in pieces(messages, 80) {
+            messages[place].frame_mut::<State>().unwrap().header.before_hash ^= 1;
+        }
+    }),
+    ("a keyframe of another tick", Different, |messages| {
+        for place in pieces(messages, 80) {
+            messages[place].frame_mut::<State>().unwrap().header.tick += 1;
+        }
+    }),
+    ("a keyframe of a tick that is not there", Incomplete, |messages| {
+        for place in pieces(messages, 160) {
+            messages[place].frame_mut::<State>().unwrap().header.tick += 1_000;
+        }
+    }),
+    ("a keyframe of another run", Incomplete, |messages| {
+        for place in pieces(messages, 80) {
+            messages[place].frame_mut::<State>().unwrap().header.worker_epoch += 1;
+        }
+    }),
+    // What a capture alone cannot show: what a worker that sends this would have recorded.
+    ("diagnostics that the journal denies removed", Verified, |messages| {
+        frame::<Ticks>(messages, TICK).header.flags |= tick_flag::NO_DIAGNOSTICS;
+        messages.remove(at::<Diagnostics>(messages, TICK));
+    }),
+    ("a forged recording that is consistent", Verified, |messages| {
+        let mut simulation = Simulation::new(7);
+        simulation.run(TICKS);
+        *messages = simulation.sent;
+    }),
+];
+
+#[test]
+fn each_mutation_of_a_recording_has_its_verdict() {
+    let messages = recorded(4, TICKS);
+    let mut wrong = Vec::new();
+    for (name, verdict, mutate) in TABLE {
+        let mut mutated = messages.clone();
+        mutate(&mut mutated);
+        let report = verify(entries(mutated));
+        if report.verdict != *verdict {
+            wrong.push(format!("{name}: expected {verdict}, found {report}"));
+        }
+    }
+    assert!(TABLE.len() >= 60, "{}", TABLE.len());
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Fields of headers that do not follow from samples: times of sending, the process, its schedule.
+const FREE: &[&str] = &[
+    "schema",
+    "pid",
+    "compute_end_ns",
+    "sent_ns",
+    "sent_unix_ns",
+    "taken_ns",
+    // A missed deadline raises an alarm only if others were missed before.
+    "flags",
+    "ticks_skipped",
+    "ticks_late",
+    "reserved",
+];
+/// Fields that place a frame: it is missing at one place, and too much at another.
+const PLACES: &[&str] = &[
+    "worker_epoch",
+    "tick",
+    "source_id",
+    "source_epoch",
+    "frame_seq",
+    "unlisted",
+    "truncated",
+    "samples",
+    "total_bytes",
+    "offset",
+    "before_hash",
+];
+
+fn expected(field: &str) -> Verdict {
+    if FREE.contains(&field) {
+        Verified
+    } else if PLACES.contains(&field) {
+        Incomplete
+    } else {
+        Different
+    }
+}
+
+/// Flips a bit in each field of a channel's header, and of one of its rows.
+fn flip_fields<C: Channel>(messages: &Messages, place: usize, row: usize, wrong: &mut Vec<String>) {
+    let mut check = |what: &str, expected: Verdict, mutated: Messages| {
+        let report = verify(entries(mutated));
+        if report.verdict != expected {
+            wrong.push(format!("{}.{what}: expected {expected}, found {report}", C::MESSAGE));
+        }
+    };
+    for field in C::Header::LAYOUT.fields {
+        let mut mutated = messages.clone();
+        let header = &mut mutated[place].frame_mut::<C>().unwrap().header;
+        bytemuck::bytes_of_mut(header)[field.offset] ^= 1;
+        check(field.name, expected(field.name), mutated);
+    }
+    for field in C::Row::LAYOUT.fields {
+        let mut mutated = messages.clone();
+        let row = &mut mutated[place].frame_mut::<C>().unwrap().rows[row];
+        bytemuck::bytes_of_mut(row)[field.offset] ^= 1;
+        let of_journal = C::MESSAGE == Ticks::MESSAGE && field.name != "taken_ns";
+        let expected = if of_journal { expected(field.name) } else { Different };
+        check(&format!("rows.{}", field.name), expected, mutated);
+    }
+}
+
+#[test]
+fn each_field_of_each_channel_is_compared_or_does_not_follow_from_samples() {
+    let messages = recorded(4, 90);
+    let mut wrong = Vec::new();
+    flip_fields::<Forecasts>(&messages, at::<Forecasts>(&messages, TICK), 5, &mut wrong);
+    flip_fields::<Diagnostics>(&messages, at::<Diagnostics>(&messages, TICK), 5, &mut wrong);
+    flip_fields::<Budgets>(&messages, at::<Budgets>(&messages, TICK), 5, &mut wrong);
+    flip_fields::<PlanStates>(&messages, at::<PlanStates>(&messages, TICK), 5, &mut wrong);
+    flip_fields::<Outlooks>(&messages, at::<Outlooks>(&messages, TICK), 5, &mut wrong);
+    flip_fields::<Ticks>(&messages, at::<Ticks>(&messages, TICK), 0, &mut wrong);
+    flip_fields::<State>(&messages, pieces(&messages, 40)[1], 0, &mut wrong);
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
