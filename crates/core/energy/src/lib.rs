@@ -34,7 +34,8 @@
 //!
 //! **Beside it.** [`EnergyModel::outlook`] prepares the energy of robots that go on as they do. A
 //! [`Calibration`] is what the robots of a platform have shown of the model's errors.
-//! [`PlatformErrors`] adapts the intervals to them.
+//! [`PlatformErrors`] adapts the intervals to them. [`EnergyLeft`] is what a battery has, now or after
+//! a plan.
 //!
 //! **Units** are W, J, s, m/s and rad/s. Unknown values are NaN in samples, and `None` in results.
 //!
@@ -52,6 +53,7 @@ mod calibration;
 mod command;
 mod forecast;
 mod lasting;
+mod left;
 mod levels;
 mod model;
 mod outlook;
@@ -64,8 +66,9 @@ pub use calibration::{
 pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use lasting::{Lasting, LastingPower};
+pub use left::EnergyLeft;
 pub use levels::{LEVELS, LEVELS_S, SHADOWS, SHADOWS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};
-pub use state::{Ahead, EnergySample, EnergyState, Learned, Metered};
+pub use state::{Ahead, EnergySample, EnergyState, Learned, Made, Metered};

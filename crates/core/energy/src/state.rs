@@ -45,6 +45,8 @@ pub struct EnergyState {
     pub learned: Learned,
     /// The part of its outlooks that changes with it.
     pub ahead: Ahead,
+    /// What the running shadow forecasts were made with.
+    pub made: Made,
     /// Bounds of the robot's intervals: those of its platform, widened by its own factors.
     pub bounds: ErrorBounds,
 }
@@ -82,6 +84,30 @@ impl Ahead {
 }
 
 impl Default for Ahead {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// What each running shadow forecast was made with. It is judged as it was made: what the robot has
+/// shown since had no part in it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct Made {
+    /// Trust in commands.
+    pub command_trust: [f32; SHADOWS],
+    /// Power of the outlook, W.
+    pub outlook_w: [f32; SHADOWS],
+}
+
+impl Made {
+    /// Before the first shadow forecast is made.
+    pub const fn new() -> Self {
+        Self { command_trust: [1.0; SHADOWS], outlook_w: [0.0; SHADOWS] }
+    }
+}
+
+impl Default for Made {
     fn default() -> Self {
         Self::new()
     }
@@ -373,6 +399,7 @@ impl EnergyState {
             },
             learned: Learned::new(),
             ahead: Ahead::new(),
+            made: Made::new(),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -429,6 +456,9 @@ impl EnergyState {
             let [last_w, _, own_w] =
                 outlook_parts(&self.metered, &contradictions, parts.mean_w, power_w);
             (self.ahead.last_w[shadow], self.ahead.own_w[shadow]) = (last_w, own_w);
+            self.made.command_trust[shadow] = self.learned.command_trust;
+            self.made.outlook_w[shadow] =
+                mixed(&platform.shares[shadow], &[last_w, parts.mean_w, own_w]);
             self.metered.shadow_energy_j[shadow] = 0.0;
             self.metered.shadow_command_j[shadow] = 0.0;
             self.metered.shadow_s[shadow] = 0.0;
@@ -444,7 +474,8 @@ impl EnergyState {
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
         let parts = learned.parts(shadow);
-        let forecast_j = parts.level(learned.command_trust).energy_j(command_j, duration_s);
+        let trust = self.made.command_trust[shadow];
+        let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
         learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
         let factor = &mut learned.error_factor[shadow];
@@ -463,8 +494,8 @@ impl EnergyState {
         let (duration_s, measured_j) =
             (self.metered.shadow_s[shadow], self.metered.shadow_energy_j[shadow]);
         let level_w = self.learned.shadow_mean_w[shadow];
-        let parts_w = [self.ahead.last_w[shadow], level_w, self.ahead.own_w[shadow]];
-        let forecast_j = mixed(&platform.shares[shadow], &parts_w) * duration_s;
+        let (last_w, own_w) = (self.ahead.last_w[shadow], self.ahead.own_w[shadow]);
+        let forecast_j = self.made.outlook_w[shadow] * duration_s;
         let factor = &mut self.ahead.error_factor[shadow];
         let energies = (measured_j, forecast_j, duration_s);
         let class = judge(model, &platform.outlooks, shadow, energies, factor);
@@ -473,7 +504,7 @@ impl EnergyState {
             let share = side * (watts - level_w) / model.command.mean_w;
             if share.is_finite() { share.clamp(-MAX, MAX) } else { 0.0 }
         };
-        let (last, own) = (pull(parts_w[0]), pull(parts_w[2]));
+        let (last, own) = (pull(last_w), pull(own_w));
         let pulls = [last, own, (last * last).max(own * own)];
         (class, if class.is_some() { pulls.map(|pull| (pull * PULL) as i64) } else { [0; PARTS] })
     }

@@ -2,8 +2,8 @@
 
 use joulebus_energy::{
     Ahead, CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
-    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Metered, PlatformErrors, SHADOWS, SHADOWS_S,
-    TERMS,
+    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Made, Metered, PlatformErrors, SHADOWS,
+    SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
 
@@ -418,9 +418,9 @@ proptest! {
 
 #[test]
 fn a_state_is_small_and_has_no_padding() {
-    let columns = 4 * (Metered::FLOATS + Learned::FLOATS) + size_of::<Ahead>();
+    let columns = 4 * (Metered::FLOATS + Learned::FLOATS) + size_of::<Ahead>() + size_of::<Made>();
     assert_eq!(size_of::<EnergyState>(), columns + size_of::<ErrorBounds>());
-    assert!(columns <= 192, "{columns}");
+    assert!(columns <= 216, "{columns}");
 }
 
 #[test]

@@ -24,7 +24,8 @@ pub struct Range {
 pub struct Left {
     /// Best estimate, at least 0.
     pub mean_j: f32,
-    /// Conservative: the battery's lower bound less the upper end of the plan's energy, at least 0.
+    /// Conservative: the battery's lower bound less the upper end of the plan's energy and the error
+    /// of counting it, at least 0.
     pub lo_j: f32,
 }
 
@@ -43,7 +44,8 @@ pub struct Answer {
     /// horizon, and if the model states no distribution of its errors.
     pub probability: Option<f32>,
     /// A bound, not an expectation: the lower bound of the spare energy in the battery, less the
-    /// upper bound of the energy, J. Negative if as much may be missing.
+    /// upper bound of the energy and the error of counting it, J. Negative if as much may be
+    /// missing.
     pub margin_j: Option<f32>,
     /// Whether the robot makes it.
     pub verdict: Verdict,
@@ -78,8 +80,8 @@ impl Answer {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Verdict {
-    /// The upper bound of the energy fits into the lower bound of the spare energy, at the end of
-    /// every leg, and the robot's state is known ([`Caveats`]).
+    /// The upper bound of the energy, with the error of counting it, fits into the lower bound of
+    /// the spare energy, at the end of every leg, and the robot's state is known ([`Caveats`]).
     Yes,
     /// The expected energy fits into the best estimate, but not so surely.
     Tight,

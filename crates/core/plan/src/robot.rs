@@ -1,7 +1,8 @@
 //! One robot's answers.
 
 use joulebus_energy::{
-    Ahead, Commands, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
+    Ahead, Commands, EnergyLeft, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Made,
+    Metered, SHADOWS,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
@@ -43,8 +44,10 @@ struct Battery {
     /// Above the reserve.
     usable_j: f32,
     usable_lo_j: f32,
-    /// Same as `usable_j`, but negative below the reserve.
-    spare_j: f32,
+    /// Same as `usable_j`, but negative below the reserve, with its error.
+    spare: EnergyLeft,
+    /// Of the monitor that will count the plan's energy.
+    counting_sd: f64,
 }
 
 impl<'a> Robot<'a> {
@@ -242,10 +245,11 @@ impl<'a> Robot<'a> {
         Answer {
             left: Some(Left {
                 mean_j: (battery.left_j - energy.mean_j).max(0.0),
-                lo_j: (battery.left_lo_j - energy.hi_j).max(0.0),
+                lo_j: (battery.left_lo_j - battery.at_most_j(&energy)).max(0.0),
             }),
-            probability: estimate.probability_below(battery.spare_j, battery.sd_j()),
-            margin_j: Some(battery.usable_lo_j - energy.hi_j),
+            probability: estimate
+                .probability_below(battery.spare.left as f32, battery.sd_after_j(&energy)),
+            margin_j: Some(battery.usable_lo_j - battery.at_most_j(&energy)),
             verdict,
             limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),
             ..answer
@@ -334,14 +338,21 @@ impl<'a> Robot<'a> {
 }
 
 impl Battery {
-    /// Standard deviation of its energy: the lower bound is two of them below.
-    fn sd_j(&self) -> f32 {
-        0.5 * (self.left_j - self.left_lo_j).max(0.0)
+    /// Standard deviation of its energy after a plan. The monitor has the same error during the plan
+    /// as before it.
+    fn sd_after_j(&self, energy: &Range) -> f32 {
+        self.spare.after_drawing(energy.mean_j.into(), self.counting_sd).whole_sd() as f32
+    }
+
+    /// Upper bound of what a plan takes from the lower bound of the energy left: its upper end, and
+    /// the error of counting it.
+    fn at_most_j(&self, energy: &Range) -> f32 {
+        energy.hi_j + EnergyLeft::counting_error(energy.mean_j.into(), self.counting_sd) as f32
     }
 }
 
 fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
-    if energy.hi_j <= battery.usable_lo_j && !caveats.bar_yes() {
+    if battery.at_most_j(energy) <= battery.usable_lo_j && !caveats.bar_yes() {
         Verdict::Yes
     } else if energy.mean_j <= battery.usable_j {
         Verdict::Tight
@@ -367,6 +378,7 @@ fn energy_state(state: &PlanState) -> EnergyState {
         },
         learned: Learned { command_trust: state.command_trust, ..Learned::new() },
         ahead: Ahead::new(),
+        made: Made::new(),
         bounds: ErrorBounds { lower: state.error_lower, upper: state.error_upper },
     }
 }
@@ -427,14 +439,15 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
         left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,
         usable_j: budget.usable_j,
         usable_lo_j: budget.usable_lo_j,
-        spare_j: (f64::from(budget.left_j) - settings.reserve * settings.capacity_j) as f32,
+        spare: EnergyLeft::stated(
+            f64::from(budget.left_j) - settings.reserve * settings.capacity_j,
+            f64::from(budget.soc_sd) * settings.capacity_j,
+        ),
+        counting_sd: settings.counting_sd,
     };
     let all = [battery.left_j, battery.left_lo_j, battery.usable_j, battery.usable_lo_j];
-    if is_known && all.iter().all(|joules| joules.is_finite()) {
-        Ok(battery)
-    } else {
-        Err(Unknown::BatteryUnknown)
-    }
+    let is_finite = all.iter().all(|joules| joules.is_finite()) && budget.soc_sd >= 0.0;
+    if is_known && is_finite { Ok(battery) } else { Err(Unknown::BatteryUnknown) }
 }
 
 /// True if a budget is of the robot, and of the run of the worker that the state is of, and not of

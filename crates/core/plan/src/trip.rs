@@ -22,8 +22,8 @@ pub struct Trip {
     /// [`crate::Verdict::Yes`], s. `None` if the whole trip is a yes, so that it never has to turn
     /// back early, if it cannot even turn back now, and without a path back.
     ///
-    /// Up to 64 evenly spaced times are tried. The result is the last one before the first that
-    /// fails, or from which the path back is not reached or has too many steps.
+    /// Up to 64 evenly spaced times are tried. The result is the last one before the first
+    /// that fails, or from which the path back is not reached or has too many steps.
     pub turn_back_s: Option<f32>,
     /// The commands of the whole trip.
     pub commands: Followed,

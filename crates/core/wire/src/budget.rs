@@ -81,7 +81,8 @@ rows! {
         pub time_to_empty_hi_s: f32,
         /// State of charge, upper bound.
         pub soc_hi: f32,
-        /// Standard deviation of `soc`, without the range of unmetered time.
+        /// Standard deviation of `soc`, by which probabilities are computed: errors of the monitor,
+        /// and what is likely within the range of unmetered time.
         pub soc_sd: f32,
         /// Estimated error of the measured state of charge: measured minus true.
         pub sensor_bias: f32,

@@ -20,8 +20,8 @@ use crate::rows;
 /// not.
 ///
 /// 4: a path is followed by its shape and not by its points, a probability is known only where the
-/// model's errors cover the plan, an alarm on a robot's readings bars yes, and a path that can be
-/// driven to its end has no time to turn back.
+/// model's errors cover the plan, an alarm on a robot's readings bars yes, and the error of counting
+/// a plan's energy is part of verdict and probability.
 pub const ANSWER_RULES: u32 = 4;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1

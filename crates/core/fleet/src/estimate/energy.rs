@@ -4,13 +4,14 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_energy::{
-    Ahead, EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered, PARTS,
-    SHADOWS,
+    Ahead, EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Made, Metered,
+    PARTS, SHADOWS,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::calibration::SharedErrors;
 use crate::layout::lanes::{self, Block, LANES, Lanes, put};
+use crate::state::added;
 
 /// The energy states of a block.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
@@ -19,6 +20,9 @@ pub(crate) struct EnergyLanes {
     metered: MeteredLanes,
     learned: [Lanes<f32>; Learned::FLOATS],
     ahead: [[Lanes<f32>; SHADOWS]; PARTS],
+    /// [`Made`]: trust, then power.
+    #[serde(deserialize_with = "added::read")]
+    made: [[Lanes<f32>; SHADOWS]; 2],
 }
 
 /// The part that changes with every sample.
@@ -61,10 +65,16 @@ impl Block for EnergyLanes {
         for place in 0..Learned::FLOATS {
             learned[place] = self.learned[place][lane];
         }
+        let mut made = Made::new();
+        for shadow in 0..SHADOWS {
+            made.command_trust[shadow] = self.made[0][shadow][lane];
+            made.outlook_w[shadow] = self.made[1][shadow][lane];
+        }
         EnergyState {
             metered: self.metered.get(lane),
             learned: Learned::from_array(&learned),
             ahead: Ahead::from_array(ahead),
+            made,
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -81,6 +91,10 @@ impl Block for EnergyLanes {
             for shadow in 0..SHADOWS {
                 put(&mut self.ahead[part][shadow][lane], mask, numbers[part][shadow]);
             }
+        }
+        for shadow in 0..SHADOWS {
+            put(&mut self.made[0][shadow][lane], mask, robot.made.command_trust[shadow]);
+            put(&mut self.made[1][shadow][lane], mask, robot.made.outlook_w[shadow]);
         }
     }
 }
@@ -115,6 +129,19 @@ impl EnergyLanes {
         let number = |place: usize| self.metered.0[place][lane];
         let known = number(v_mps).is_finite() & number(omega_radps).is_finite();
         if known { number(command_w) } else { f32::NAN }
+    }
+
+    /// Completes a state of an older version: the running shadow forecasts count as made with what
+    /// the robots have shown so far.
+    pub(crate) fn complete(&mut self) {
+        for lane in 0..LANES {
+            let mut robot = self.get(lane);
+            for shadow in 0..SHADOWS {
+                robot.made.command_trust[shadow] = robot.learned.command_trust;
+                robot.made.outlook_w[shadow] = robot.learned.shadow_mean_w[shadow];
+            }
+            self.set(lane, true, robot);
+        }
     }
 
     /// The energy state of the robot in a lane, with the bounds of its intervals.

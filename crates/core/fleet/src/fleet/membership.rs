@@ -108,6 +108,9 @@ impl Fleet {
             let lost = departed.is_none() && self.departed.is_lost(id);
             let used = lost || columns.admissions[slot].charged;
             let joining = BatteryState::joining(battery, known, used, &ledger);
+            // The mean goes on: the robot is the same, and its next gaps are valued by it.
+            let last = Last { mean_power_w: joining.mean_w, ..Last::NONE };
+            lanes::set(&mut columns.lasts, slot, last);
             lanes::set(&mut columns.batteries, slot, joining);
         }
         let interval = ConformalInterval::new(

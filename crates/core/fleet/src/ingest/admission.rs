@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::codes::invalid_reason;
 use crate::ingest::pending::Pending;
 use crate::layout::shift::Shift;
+use crate::state::added;
 
 /// Admission state of one robot: the slot's owner, and the inputs of its next sample's checks. One
 /// cache line per robot, because samples arrive in any order.
@@ -48,6 +49,7 @@ pub(crate) struct AdmissionState {
     /// True if the last row was outside the training range.
     pub outside_training: bool,
     /// True if the source finds the last sample's robot implausible.
+    #[serde(deserialize_with = "added::read")]
     pub implausible: bool,
 }
 

@@ -42,8 +42,8 @@ impl Last {
         quality_detail: 0,
     };
 
-    /// Takes a sample with a reading, `elapsed_s` after the previous one. `network_w` is the
-    /// network's forecast of it.
+    /// Takes a sample with a reading, which stands for `elapsed_s`. `network_w` is the network's
+    /// forecast of it.
     #[inline(always)]
     pub(crate) fn read(&mut self, sample: &Pending, network_w: f32, elapsed_s: f32) {
         self.residual_w = sample.power_w - network_w;
@@ -69,7 +69,7 @@ block! {
         pub measured_ns: u64,
         pub equal_since_ns: u64,
         pub refused: u64,
-        reading_w: f32,
+        pub reading_w: f32,
         pub residual_w: f32,
         pub mean_power_w: f32,
         quality: u16,

@@ -3,19 +3,24 @@
 //!
 //! Everything is a share of the capacity. The consumption is counted from an anchor: the state of
 //! the battery at some account of the ledger. The anchor moves when there is other information than
-//! drawn energy: the battery is charged, measured, or exchanged.
+//! metered energy: a gap ends, or the battery is charged, measured, or exchanged. So each gap is
+//! valued once.
 
+use joulebus_energy::EnergyLeft;
 use joulebus_settings::{Battery, ChargeReading, Platform};
 use joulebus_wire::{Budget, Sample, budget_flag, sample_flag};
 use serde::{Deserialize, Serialize};
 
+use crate::ingest::last_sample::LastLanes;
 use crate::layout::lanes::{Block as _, LANES, block};
 use crate::layout::shift::Shift;
 use crate::ledger::energy::Ledger;
+use crate::ledger::gap::GapPower;
 use crate::ledger::measured::{Measured, Seen};
+use crate::state::added;
 
-/// Distance of the bounds from an estimate in standard deviations: 95 % of a normal distribution.
-pub(crate) const SIGMAS: f64 = 2.0;
+/// Distance of the bounds from an estimate in standard deviations, as [`EnergyLeft`] has it.
+const SIGMAS: f64 = 2.0;
 /// Standard deviation of the state of charge that a charger reports as full.
 const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
@@ -34,7 +39,8 @@ pub(crate) struct Counting {
     per_joule: f64,
     sd: f64,
     least_w: f64,
-    most_w: f64,
+    pub most_w: f64,
+    pub period_ns: u64,
     reading: ChargeReading,
     efficiency: f64,
     charge_w: f64,
@@ -48,10 +54,20 @@ impl Counting {
             sd: battery.counting_sd,
             least_w: platform.power_min_w.into(),
             most_w: f64::from(platform.power_max_w).max(0.0),
+            period_ns: platform.period_ns,
             reading: battery.charge_reading,
             efficiency: battery.charge_efficiency,
             charge_w: battery.charge_power_w.unwrap_or(ANY_W),
         }
+    }
+}
+
+impl Counting {
+    /// Change of the stored energy on the charger by an amount that the monitor counts. `None` if
+    /// it does not meter the charge.
+    pub(crate) fn stored(&self, amount: f64) -> Option<f64> {
+        let is_metered = !matches!(self.reading, ChargeReading::Load);
+        is_metered.then(|| counted(self, amount, true))
     }
 }
 
@@ -83,34 +99,10 @@ pub(crate) struct Charging {
     pub unmetered: bool,
 }
 
-/// State of charge at one moment. The truth is within `below` and `above` of `soc`, whatever was
-/// drawn in unmetered time, except for an error of standard deviation `sd`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Estimate {
-    pub soc: f64,
-    pub sd: f64,
-    pub below: f64,
-    pub above: f64,
-}
-
-impl Estimate {
-    /// Lower bound.
-    #[inline(always)]
-    pub(crate) fn lo(&self) -> f64 {
-        (self.soc - self.below - SIGMAS * self.sd).max(0.0)
-    }
-
-    /// Upper bound.
-    #[inline(always)]
-    pub(crate) fn hi(&self) -> f64 {
-        (self.soc + self.above + SIGMAS * self.sd).min(1.0)
-    }
-}
-
 /// The state of a robot's battery.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct BatteryState {
-    /// [`Estimate`] at the anchor.
+    /// [`EnergyLeft`] at the anchor, `monitor` apart.
     pub soc: f64,
     pub sd: f64,
     pub below: f64,
@@ -152,6 +144,24 @@ pub(crate) struct BatteryState {
     pub return_j: f64,
     input_by_voltage: bool,
     events: u8,
+    /// The monitor's part of the errors of `soc` and of `bias`, in its standard deviations:
+    /// [`EnergyLeft::monitor`].
+    #[serde(deserialize_with = "added::read")]
+    pub monitor: f64,
+    #[serde(deserialize_with = "added::read")]
+    pub bias_monitor: f64,
+    /// [`EnergyLeft::range_sd`] at the anchor.
+    #[serde(deserialize_with = "added::read")]
+    pub range_sd: f64,
+    /// Mean power at the newest sample, and the last reading, W. NaN if unknown. A gap after them is
+    /// valued by them.
+    #[serde(deserialize_with = "added::read")]
+    pub mean_w: f32,
+    #[serde(deserialize_with = "added::read")]
+    reading_w: f32,
+    /// True if the newest sample reported a full battery.
+    #[serde(deserialize_with = "added::read")]
+    full: bool,
 }
 
 block! {
@@ -185,6 +195,18 @@ block! {
         pub return_j: f64,
         input_by_voltage: bool,
         events: u8,
+        #[serde(deserialize_with = "added::read")]
+        monitor: f64,
+        #[serde(deserialize_with = "added::read")]
+        bias_monitor: f64,
+        #[serde(deserialize_with = "added::read")]
+        range_sd: f64,
+        #[serde(deserialize_with = "added::read")]
+        pub mean_w: f32,
+        #[serde(deserialize_with = "added::read")]
+        pub reading_w: f32,
+        #[serde(deserialize_with = "added::read")]
+        full: bool,
     }
 }
 
@@ -196,6 +218,11 @@ impl BatteryLanes {
             battery.shift(shift);
             self.set(lane, true, battery);
         }
+    }
+
+    /// Completes a state of the version before, whose robots have these last samples.
+    pub(crate) fn complete(&mut self, lasts: &LastLanes) {
+        (self.mean_w, self.reading_w) = (lasts.mean_power_w, lasts.reading_w);
     }
 
     /// Keeps a sample's values of the battery of the robot in a lane until the tick. Writes only
@@ -247,6 +274,12 @@ impl BatteryState {
             return_j: f64::NAN,
             input_by_voltage: false,
             events: 0,
+            monitor: 0.0,
+            bias_monitor: 0.0,
+            range_sd: 0.0,
+            mean_w: f32::NAN,
+            reading_w: f32::NAN,
+            full: false,
         }
     }
 
@@ -287,6 +320,12 @@ impl BatteryState {
             return_j: _,
             input_by_voltage: _,
             events: _,
+            monitor: _,
+            bias_monitor: _,
+            range_sd: _,
+            mean_w: _,
+            reading_w: _,
+            full: _,
         } = self;
         for instant_ns in [measured_ns, jump_ns, interrupted_ns] {
             shift.instant(instant_ns);
@@ -298,21 +337,20 @@ impl BatteryState {
             (at.drawn_uj, at.metered_ns, at.unmetered_ns);
     }
 
-    /// The estimate at `at`, whose unmetered time may include the present silence. `mean_w` is the
-    /// robot's mean consumption.
+    /// Energy left at `at`, whose unmetered time since the anchor is one gap. `at` may include the
+    /// present silence.
     #[inline(always)]
     pub(crate) fn after(
         &self,
         counting: &Counting,
         at: At,
-        mean_w: f64,
+        gap: &GapPower,
         charging: Charging,
-    ) -> Estimate {
+    ) -> EnergyLeft {
         let share = counting.per_joule;
         let drawn = self.drawn(counting, at);
         let metered_s = at.metered_ns.saturating_sub(self.metered_ns) as f64 * 1e-9;
-        let unmetered_s = at.unmetered_ns.saturating_sub(self.unmetered_ns) as f64 * 1e-9;
-        let mean_w = mean_w.max(0.0);
+        let unmetered_s = self.unmetered_s(at);
         let stored = |seconds: f64| (counting.charge_w * seconds * share).min(1.0);
         let used = |watts: f64| watts * unmetered_s * share;
         let blind = charging.metered & matches!(counting.reading, ChargeReading::Load);
@@ -321,22 +359,43 @@ impl BatteryState {
             if blind { -drawn.max(0.0) } else { counted },
             if blind { stored(metered_s) } else { counted },
         );
-        let least_w = counting.least_w.min(mean_w);
-        let rise = if charging.unmetered { stored(unmetered_s) } else { -used(least_w) };
-        let lowest = self.soc - self.below + lo - used(counting.most_w.max(mean_w));
+        let least_w = counting.least_w.min(gap.mean_w);
+        let rise = match (charging.unmetered, gap.charges) {
+            // Twice as much is more than a charger changes in a few periods.
+            (true, true) => used(2.0 * gap.mean_w.abs()),
+            (true, false) => stored(unmetered_s),
+            (false, _) => -used(least_w),
+        };
+        let lowest = self.soc - self.below + lo - used(counting.most_w.max(gap.mean_w));
         let lowest = lowest.clamp(0.0, 1.0);
         let highest = (self.soc + self.above + hi + rise).clamp(0.0, 1.0);
         let highest = highest.max(lowest);
-        let soc = self.soc + counted - used(mean_w);
+        let soc = self.soc + counted - used(gap.mean_w);
         let between = 0.5 * (lowest + highest);
-        let unknown = blind | (charging.unmetered & (unmetered_s > 0.0));
+        let uncounted = charging.unmetered & (unmetered_s > 0.0) & !gap.charges;
+        let unknown = blind | uncounted;
         let soc = if unknown { between } else { soc.max(lowest).min(highest) };
-        Estimate {
-            soc,
-            sd: self.sd + counting.sd * if blind { 0.0 } else { counted.abs() },
+        let by_monitor = match (blind, charging.metered) {
+            (true, _) => 0.0,
+            // Its losses are another error, which does not undo that of drawing.
+            (_, true) => counted.abs(),
+            (_, false) => -counted,
+        };
+        let left = EnergyLeft {
+            left: soc,
+            own_sd: self.sd,
+            monitor: self.monitor - counting.sd * by_monitor,
             below: soc - lowest,
             above: highest - soc,
-        }
+            range_sd: if unknown { 0.25 * (highest - lowest) } else { self.range_sd },
+        };
+        left.with_error_within_range(if unknown { 0.0 } else { used(gap.sd_w) })
+    }
+
+    /// Unmetered time since the anchor, s.
+    #[inline(always)]
+    fn unmetered_s(&self, at: At) -> f64 {
+        at.unmetered_ns.saturating_sub(self.unmetered_ns) as f64 * 1e-9
     }
 
     /// Energy drawn since the anchor, as a share.
@@ -345,60 +404,84 @@ impl BatteryState {
         at.drawn_uj.wrapping_sub(self.drawn_uj) as f64 * 1e-6 * counting.per_joule
     }
 
-    /// Moves the anchor to `at`.
-    fn settle(&mut self, counting: &Counting, at: At, mean_w: f64, charging: Charging) {
-        let now = self.after(counting, at, mean_w, charging);
+    /// Moves the anchor to `at`, where the gap since it ends.
+    fn settle(&mut self, counting: &Counting, at: At, gap: &GapPower, charging: Charging) {
+        let now = self.after(counting, at, gap, charging);
         let blind = charging.metered & matches!(counting.reading, ChargeReading::Load);
         let counted = counted(counting, self.drawn(counting, at), charging.metered);
         self.counted += if blind { 0.0 } else { counted };
-        (self.soc, self.sd, self.below, self.above) = (now.soc, now.sd, now.below, now.above);
         // Beyond this nothing is known anyway, and the sum of years stays finite.
-        self.sd = self.sd.min(1.0);
+        (self.soc, self.sd) = (now.left, now.own_sd.min(1.0));
+        (self.below, self.above, self.range_sd) = (now.below, now.above, now.range_sd);
+        self.monitor = now.monitor.clamp(-1.0, 1.0);
         self.anchor(at);
     }
 
-    /// True if a sample of this stamp has to be taken robot by robot.
+    /// True if a sample has to be taken robot by robot. `unmetered_ns`: of the ledger after it.
     #[inline(always)]
-    pub(crate) fn needs(&self, stamp_ns: u64, charging: bool, broken: bool) -> bool {
-        let measured = !self.input.is_nan() & self.is_due(stamp_ns);
+    pub(crate) fn needs(&self, seen: &Seen, unmetered_ns: u64) -> bool {
+        let measured = !self.input.is_nan() & self.is_due(seen.stamp_ns);
         let joins = self.interrupted_ns == 0;
-        measured | charging | self.charging | broken | joins | (self.events != 0)
+        let ends_gap = !seen.reading_w.is_nan() & (unmetered_ns != self.unmetered_ns);
+        let charges = seen.charging | self.charging | self.full;
+        measured | charges | seen.broken | joins | ends_gap | (self.events != 0)
     }
 
-    /// Takes the newest sample, after which the ledger is at `at`. `stale_after_ns`: silence after
-    /// which it does not continue the sample before.
+    /// Takes the newest sample, after which the ledger is at `at`. `mean_w` is the mean power
+    /// including it, W: a gap is valued by the mean before, if there was one.
     pub(crate) fn take(
         &mut self,
         (battery, platform): (&Battery, &Platform),
         at: At,
         mean_w: f32,
-        seen: Seen,
+        seen: &Seen,
     ) {
         let counting = Counting::new(battery, platform);
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
-        if seen.broken || unmetered_ns > platform.stale_after_ns || self.measured_ns == 0 {
+        let is_interrupted = seen.broken || unmetered_ns > platform.stale_after_ns;
+        let joins = self.interrupted_ns == 0;
+        if is_interrupted || self.measured_ns == 0 {
             self.interrupted_ns = seen.stamp_ns;
         }
         let charging = Charging {
             metered: self.charging && seen.charging,
             unmetered: self.charging || seen.charging,
         };
-        let before = self.soc;
-        self.settle(&counting, at, mean_w.into(), charging);
-        // The robot runs, so it was charged meanwhile, or its battery was exchanged.
-        let share_drawn = f64::from(mean_w) * unmetered_ns as f64 * 1e-9 * counting.per_joule;
-        if !charging.unmetered && share_drawn >= before.max(battery.low) {
-            (self.soc, self.sd, self.below, self.above) = UNKNOWN;
+        let before_w = if self.mean_w.is_nan() { mean_w } else { self.mean_w };
+        let readings_w = (self.reading_w, seen.reading_w);
+        let is_full = self.events & FULL != 0;
+        if is_full && self.full && !is_interrupted && !joins {
+            // It is kept full, whatever the charger and the robot draw.
+            self.anchor(at);
+        } else {
+            let is_one_state = !seen.broken && charging.metered == charging.unmetered;
+            let on_charger = charging.metered;
+            let short =
+                GapPower::between(&counting, readings_w, before_w, unmetered_ns, on_charger);
+            let gap = short.filter(|_| is_one_state);
+            let gap = gap.unwrap_or_else(|| GapPower::mean(&counting, before_w));
+            let before = At { unmetered_ns: self.unmetered_ns, ..at };
+            let before = self.after(&counting, before, &gap, charging).left;
+            self.settle(&counting, at, &gap, charging);
+            // The robot runs, so it was charged meanwhile, or its battery was exchanged.
+            let share_drawn = gap.mean_w * unmetered_ns as f64 * 1e-9 * counting.per_joule;
+            let any = unmetered_ns > 0 && !charging.unmetered;
+            if any && share_drawn >= before.max(battery.low) {
+                (self.soc, self.sd, self.below, self.above) = UNKNOWN;
+                (self.monitor, self.range_sd) = (0.0, 0.0);
+            }
         }
         self.charging = seen.charging;
         if self.events & SWAPPED != 0 {
             self.exchange(battery, at);
         }
-        if self.events & FULL != 0 {
-            (self.soc, self.sd) = (battery.on_full_soc, FULL_SD);
+        // While it stays full, a sample tells no more than the one before.
+        if is_full && (!self.full || is_interrupted || joins) {
+            (self.soc, self.sd, self.monitor) = (battery.on_full_soc, FULL_SD, 0.0);
             (self.below, self.above, self.covariance) = (0.0, 0.0, 0.0);
+            self.range_sd = 0.0;
         }
-        self.events = 0;
+        (self.full, self.events) = (is_full, 0);
         if !self.input.is_nan() && self.is_due(seen.stamp_ns) {
             let measured = Measured::new(self.input, battery, self.input_by_voltage);
             self.fuse(measured, seen.stamp_ns);
@@ -417,6 +500,8 @@ impl BatteryState {
             return_j: before.return_j,
             events: before.events,
             interrupted_ns: before.interrupted_ns,
+            mean_w: before.mean_w,
+            reading_w: before.reading_w,
             ..Self::new(battery)
         };
         self.anchor(at);
@@ -425,20 +510,23 @@ impl BatteryState {
     /// A battery that an earlier run wrote down.
     fn restored(saved: &SavedBattery, battery: &Battery, ledger: &Ledger) -> Self {
         let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
-        let Some(estimate) = saved.estimate() else {
-            return Self::unknown(battery, at);
+        let mean_w = saved.mean_power_w.filter(|watts| watts.is_finite()).unwrap_or(f32::NAN);
+        let Some(estimate) = saved.estimate(battery.counting_sd) else {
+            return Self { mean_w, ..Self::unknown(battery, at) };
         };
         let mut restored = Self {
-            soc: estimate.soc,
-            sd: estimate.sd,
+            soc: estimate.left,
+            sd: estimate.own_sd,
+            monitor: estimate.monitor,
             below: estimate.below,
             above: estimate.above,
             bias: saved.sensor_bias.into(),
-            bias_var: f64::from(saved.sensor_bias_sd).powi(2),
+            bias_var: saved.bias_var(),
             covariance: saved.sensor_covariance.into(),
             changes: saved.changes,
             charging: saved.charging,
             fused: saved.measured,
+            mean_w,
             ..Self::new(battery)
         };
         restored.anchor(at);
@@ -457,6 +545,7 @@ impl BatteryState {
         };
         // Stamps of before are of another run, or of another boot.
         (joining.measured_ns, joining.jump, joining.interrupted_ns) = (0, f64::NAN, 0);
+        (joining.reading_w, joining.full) = (f32::NAN, false);
         joining
     }
 }
@@ -501,6 +590,9 @@ pub struct SavedBattery {
     changes: u32,
     charging: bool,
     measured: bool,
+    /// Mean power at the last sample, W. `None` if there was none, and in ledgers before version 5.
+    #[serde(default, deserialize_with = "added::read")]
+    mean_power_w: Option<f32>,
 }
 
 impl SavedBattery {
@@ -523,6 +615,7 @@ impl SavedBattery {
             changes: budget.battery_changes,
             charging: budget.charge_state() == joulebus_wire::ChargeState::Charging,
             measured: has(budget_flag::MEASURED),
+            mean_power_w: Some(budget.mean_power_w).filter(|watts| watts.is_finite()),
         })
     }
 
@@ -537,19 +630,30 @@ impl SavedBattery {
         Self { soc_lo: 0.0, soc_hi: 1.0, soc_sd: 1.0, ..self }
     }
 
+    fn bias_var(&self) -> f64 {
+        f64::from(self.sensor_bias_sd).powi(2)
+    }
+
     /// `None` if no worker can have written it.
-    fn estimate(&self) -> Option<Estimate> {
+    fn estimate(&self, counting_sd: f64) -> Option<EnergyLeft> {
         let [soc, lo, hi] = [self.soc, self.soc_lo, self.soc_hi].map(f64::from);
         let (sd, bias_sd) = (f64::from(self.soc_sd), f64::from(self.sensor_bias_sd));
-        let bounded =
-            f64::from(self.sensor_covariance).abs() <= 1.0 && self.sensor_bias.abs() <= 1.0;
+        let covariance = f64::from(self.sensor_covariance);
+        let bounded = covariance.abs() <= 1.0 && self.sensor_bias.abs() <= 1.0;
         let ordered = 0.0 <= lo && lo <= soc && soc <= hi && hi <= 1.0;
         let spread = (0.0..=1.0).contains(&sd) && (0.0..=1.0).contains(&bias_sd);
-        (bounded && ordered && spread).then_some(Estimate {
-            soc,
-            sd,
+        // The monitor has at most the error of counting what is missing. The part that the sensor
+        // shares is not the monitor's.
+        let shared = covariance.powi(2) / self.bias_var().max(f64::MIN_POSITIVE);
+        let by_monitor = (sd * sd - shared).max(0.0).sqrt().min(counting_sd * (1.0 - soc));
+        (bounded && ordered && spread).then_some(EnergyLeft {
+            left: soc,
+            own_sd: (sd * sd - by_monitor * by_monitor).max(0.0).sqrt(),
+            monitor: -by_monitor,
             below: (soc - SIGMAS * sd - lo).max(0.0),
             above: (hi - soc - SIGMAS * sd).max(0.0),
+            // Part of the stated deviation.
+            range_sd: 0.0,
         })
     }
 }

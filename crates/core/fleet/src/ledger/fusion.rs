@@ -2,7 +2,8 @@
 //!
 //! A Kalman filter of two numbers: the state of charge, and the persistent error of the sensor.
 //! Without the second, thirty readings a second of one sensor would count as many sensors, and the
-//! uncertainty would vanish after a minute. It uses only sums, products and square roots: the same
+//! uncertainty would vanish after a minute. The error of the power monitor is a third, which the
+//! filter considers but does not estimate (Schmidt): it keeps its sign over all readings. It uses only sums, products and square roots: the same
 //! bits on every machine.
 
 use joulebus_wire::{Alarm, AlarmSet};
@@ -25,6 +26,12 @@ const STUCK: (f64, f64) = (3.0, 1.0);
 /// Time for which contradicting values must agree: after an interruption, and otherwise, ns.
 const AFTER_GAP_NS: u64 = 10_000_000_000;
 const LASTS_NS: u64 = 60_000_000_000;
+
+/// Errors of the sensor: variance, and covariance with the state of charge.
+pub(crate) struct SensorError {
+    pub var: f64,
+    pub covariance: f64,
+}
 
 impl BatteryState {
     /// True if a measured value of this stamp is used.
@@ -63,6 +70,7 @@ impl BatteryState {
         }
         let stays = BIAS_S / (BIAS_S + elapsed_s);
         self.bias *= stays;
+        self.bias_monitor *= stays;
         self.covariance *= stays;
         self.bias_var = stays * stays * self.bias_var + (1.0 - stays * stays) * sd * sd;
         self.measured_ns = stamp_ns;
@@ -88,21 +96,48 @@ impl BatteryState {
         let sd = self.sd + width / 12f64.sqrt();
         let var = sd * sd;
         let off = measured.soc - soc - self.bias;
-        let (of_soc, of_bias) = (var + self.covariance, self.bias_var + self.covariance);
+        let sensor = self.sensor();
+        let of_soc = var + self.monitor * self.monitor + sensor.covariance;
+        let of_bias = sensor.var + sensor.covariance;
         let innovation = (of_soc + of_bias).max(0.0) + measured.noise();
         let agrees = off * off <= GATE * GATE * innovation;
         if !agrees {
             return self.doubt(measured, stamp_ns);
         }
         let (gain, bias_gain) = (of_soc / innovation, of_bias / innovation);
-        (self.below, self.above, self.jump) = (0.0, 0.0, f64::NAN);
+        (self.below, self.above, self.range_sd, self.jump) = (0.0, 0.0, 0.0, f64::NAN);
         self.soc = (soc + gain * off).clamp(0.0, 1.0);
         self.bias = (self.bias + bias_gain * off).clamp(-1.0, 1.0);
-        self.sd = (var - gain * of_soc).max(0.0).sqrt();
-        self.bias_var = (self.bias_var - bias_gain * of_bias).max(0.0);
-        self.covariance -= gain * of_bias;
+        self.update(var, (gain, bias_gain), measured.noise());
         self.fused = true;
         false
+    }
+
+    /// Errors after a measured value with these gains. `var` is that of the charge before.
+    fn update(&mut self, var: f64, (gain, bias_gain): (f64, f64), noise: f64) {
+        let (stays, bias_stays) = (1.0 - gain, 1.0 - bias_gain);
+        let (bias_var, covariance) = (self.bias_var, self.covariance);
+        // Right for any gains: these are the best ones only with the monitor's part.
+        let own_var = stays * stays * var + gain * gain * (bias_var + noise)
+            - 2.0 * stays * gain * covariance;
+        self.bias_var = bias_gain * bias_gain * (var + noise) + bias_stays * bias_stays * bias_var
+            - 2.0 * bias_gain * bias_stays * covariance;
+        self.covariance = (stays * bias_stays + gain * bias_gain) * covariance
+            - stays * bias_gain * var
+            - gain * bias_stays * bias_var
+            + gain * bias_gain * noise;
+        (self.sd, self.bias_var) = (own_var.max(0.0).sqrt(), self.bias_var.max(0.0));
+        let both = self.monitor + self.bias_monitor;
+        self.monitor -= gain * both;
+        self.bias_monitor -= bias_gain * both;
+    }
+
+    /// Errors of the sensor, with the monitor's part of them.
+    pub(crate) fn sensor(&self) -> SensorError {
+        SensorError {
+            var: self.bias_var + self.bias_monitor * self.bias_monitor,
+            covariance: self.covariance + self.monitor * self.bias_monitor,
+        }
     }
 
     /// A value that contradicts the estimate. Returns whether it still does.
@@ -135,8 +170,9 @@ impl BatteryState {
         let bias_var = measured.sd * measured.sd;
         self.soc = measured.soc;
         self.sd = (bias_var + measured.noise()).sqrt();
-        (self.below, self.above, self.jump) = (0.0, 0.0, f64::NAN);
+        (self.below, self.above, self.range_sd, self.jump) = (0.0, 0.0, 0.0, f64::NAN);
         (self.bias, self.bias_var, self.covariance) = (0.0, bias_var, -bias_var);
+        (self.monitor, self.bias_monitor) = (0.0, 0.0);
         self.fused = true;
     }
 }

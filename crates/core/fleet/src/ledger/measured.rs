@@ -36,6 +36,8 @@ impl Measured {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen {
     pub stamp_ns: u64,
+    /// Power, W. NaN without a reading.
+    pub reading_w: f32,
     pub charging: bool,
     /// True if it does not continue the samples before.
     pub broken: bool,

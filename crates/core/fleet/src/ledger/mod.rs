@@ -4,6 +4,7 @@ pub(crate) mod battery;
 pub(crate) mod departed;
 pub(crate) mod energy;
 mod fusion;
+pub(crate) mod gap;
 pub(crate) mod levels;
 pub(crate) mod measured;
 pub(crate) mod remaining;

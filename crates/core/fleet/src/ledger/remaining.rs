@@ -1,10 +1,10 @@
 //! Energy left in the battery, and time to empty.
 
+use joulebus_energy::EnergyLeft;
 use joulebus_predictor::nan::canonical;
 use joulebus_settings::Battery;
 
 use crate::layout::lanes::{LANES, block};
-use crate::ledger::battery::Estimate;
 
 /// Energy left of a robot. NaN if unknown.
 #[derive(Debug, Clone, Copy)]
@@ -32,19 +32,21 @@ impl Remaining {
     #[inline(always)]
     pub(crate) fn new(
         battery: &Battery,
-        estimate: &Estimate,
+        now: &EnergyLeft,
         mean_w: f32,
         range_w: impl Fn(f32) -> [f32; 2],
         charging: bool,
     ) -> Self {
         let capacity_j = battery.capacity_j;
         let mean_w = f64::from(mean_w).max(0.0);
-        let (lo, hi) = (estimate.lo(), estimate.hi());
+        let (lo, hi) = (now.lo().max(0.0), now.hi().min(1.0));
         let above = |share: f64| capacity_j * (share - battery.reserve).max(0.0);
-        let (usable_j, usable_lo_j, usable_hi_j) = (above(estimate.soc), above(lo), above(hi));
+        let (usable_j, usable_lo_j, usable_hi_j) = (above(now.left), above(lo), above(hi));
         let draws = (mean_w > 0.0) & !charging;
         // Twice as many divisions a vector as in double precision.
-        let (lo_j, middle_j, hi_j) = (usable_lo_j as f32, usable_j as f32, usable_hi_j as f32);
+        let [less, more] = EnergyLeft::counting_factors(battery.counting_sd);
+        let middle_j = usable_j as f32;
+        let (lo_j, hi_j) = ((less * usable_lo_j) as f32, (more * usable_hi_j) as f32);
         let mean_w = mean_w as f32;
         let seconds = middle_j / mean_w;
         // Under persistent bias the interval may exclude the forecast. The bounds stay
@@ -66,13 +68,13 @@ impl Remaining {
         let lasting = |seconds: f32| if draws & charge { canonical(seconds) } else { f32::NAN };
         Self {
             battery: true,
-            left_j: known((capacity_j * estimate.soc) as f32),
+            left_j: known((capacity_j * now.left) as f32),
             usable_j: known(middle_j),
-            usable_lo_j: known(lo_j),
-            soc: known(estimate.soc as f32),
+            usable_lo_j: known(usable_lo_j as f32),
+            soc: known(now.left as f32),
             soc_lo: known(lo as f32),
             soc_hi: known(hi as f32),
-            soc_sd: known(estimate.sd as f32),
+            soc_sd: known(now.whole_sd().min(1.0) as f32),
             time_to_empty_s: lasting(seconds),
             time_to_empty_lo_s: lasting(shortest_s),
             time_to_empty_hi_s: lasting(longest_s),

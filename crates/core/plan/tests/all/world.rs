@@ -114,6 +114,7 @@ impl Rows {
                 usable_lo_j: (0.9 * usable_j) as f32,
                 soc: (left_j / CAPACITY_J) as f32,
                 soc_lo: (lo_j / CAPACITY_J) as f32,
+                soc_sd: (0.5 * (left_j - lo_j) / CAPACITY_J) as f32,
                 ..Budget::default()
             },
             has_budget: true,

@@ -50,7 +50,8 @@ pub(crate) fn step(
             online.judge_first(members, pending.power_w, &window.lags_w());
             columns.online[block].set(lane, true, online);
         }
-        last.read(pending, network_w, elapsed_s);
+        // After a gap it does not represent the power during it.
+        last.read(pending, network_w, elapsed_s.min(seconds(context.platform.period_ns)));
         let forecast_w = (forecast_w, gap == Gap::None);
         let step = read(context.required, &mut window, pending, forecast_w, elapsed_s);
         let quality = quality(context.required, pending, window.have(), step.ready);

@@ -1,11 +1,13 @@
 //! Budgets.
 
+use joulebus_energy::EnergyLeft;
 use joulebus_predictor::nan::canonical;
 use joulebus_settings::Battery;
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
-use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting, Estimate};
+use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting};
+use crate::ledger::gap::GapPower;
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -42,9 +44,10 @@ impl<'a> Budgets<'a> {
             for lane in 0..LANES {
                 let (known, battery) = (budgets.remaining.battery[lane], batteries.get(lane));
                 let value = |value: f64| if known { canonical(value as f32) } else { f32::NAN };
+                let sensor = battery.sensor();
                 budgets.sensor_bias[lane] = value(battery.bias);
-                budgets.sensor_bias_sd[lane] = value(battery.bias_var.sqrt());
-                budgets.sensor_covariance[lane] = value(battery.covariance);
+                budgets.sensor_bias_sd[lane] = value(sensor.var.sqrt());
+                budgets.sensor_covariance[lane] = value(sensor.covariance);
             }
         }
         budgets
@@ -142,13 +145,12 @@ pub(crate) fn estimate(
     counting: &Counting,
     lane: usize,
     overdue_ns: u64,
-) -> Estimate {
+) -> EnergyLeft {
     let mut at = At::new(&block.ledgers.get(lane));
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
     // On a charger the anchor is at the last sample. The time since then counts as silence.
     let charging = Charging { metered: false, unmetered: robot.charging };
-    let mean_w = block.lasts.mean_power_w[lane];
-    robot.after(counting, at, mean_w.into(), charging)
+    robot.after(counting, at, &GapPower::mean(counting, robot.mean_w), charging)
 }
 
 /// Computes the robots of one platform.

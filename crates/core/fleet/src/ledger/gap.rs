@@ -1,0 +1,51 @@
+//! Power in time that no reading meters.
+
+use crate::ledger::battery::Counting;
+
+/// Periods up to which a gap is short: its power is that between the readings at its ends.
+const SHORT_PERIODS: u64 = 5;
+
+/// Power out of a robot's battery in a gap, W: the best estimate and its standard deviation.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct GapPower {
+    /// Negative if it charges.
+    pub mean_w: f64,
+    pub sd_w: f64,
+    /// True if the battery was charged throughout, by readings that meter the charge.
+    pub charges: bool,
+}
+
+impl GapPower {
+    /// Of a long gap, or of one that has not ended: the mean power before it. The robot may have
+    /// stood still or worked harder.
+    #[inline(always)]
+    pub(crate) fn mean(counting: &Counting, before_w: f32) -> Self {
+        let mean_w = f64::from(before_w).max(0.0);
+        Self { mean_w, sd_w: 0.5 * mean_w.min((counting.most_w - mean_w).max(0.0)), charges: false }
+    }
+
+    /// Of a short gap between two readings: the trapezoid. At least what was shown as drawn while it
+    /// lasted, so that the energy left does not rise. `None` if it is long, or a reading is unknown.
+    pub(crate) fn between(
+        counting: &Counting,
+        (from_w, to_w): (f32, f32),
+        before_w: f32,
+        unmetered_ns: u64,
+        charging: bool,
+    ) -> Option<Self> {
+        let is_short = (1..=SHORT_PERIODS * counting.period_ns).contains(&unmetered_ns);
+        let (from_w, to_w) = (f64::from(from_w), f64::from(to_w));
+        if !(is_short && (from_w + to_w).is_finite()) {
+            return None;
+        }
+        if charging {
+            let mean_w = -counting.stored(0.5 * (from_w + to_w))?;
+            return Some(Self { mean_w, sd_w: 0.0, charges: true });
+        }
+        let shown = unmetered_ns.saturating_sub(counting.period_ns) as f64 / unmetered_ns as f64;
+        let mean_w = (0.5 * (from_w + to_w)).max(shown * f64::from(before_w).max(0.0));
+        let apart_w = (from_w - to_w).abs() * std::f64::consts::FRAC_1_SQRT_2;
+        let sd_w = apart_w.min(0.5 * (counting.most_w - mean_w).max(0.0));
+        Some(Self { mean_w, sd_w, charges: false })
+    }
+}
