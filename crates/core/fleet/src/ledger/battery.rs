@@ -392,6 +392,14 @@ impl BatteryState {
         left.with_error_within_range(if unknown { 0.0 } else { used(gap.sd_w) })
     }
 
+    /// Same as [`BatteryState::after`], with a gap that has not ended.
+    #[inline(always)]
+    pub(crate) fn now(&self, counting: &Counting, at: At, charging: Charging) -> EnergyLeft {
+        let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
+        let gap = GapPower::open(counting, self.reading_w, self.mean_w, unmetered_ns);
+        self.after(counting, at, &gap, charging)
+    }
+
     /// Unmetered time since the anchor, s.
     #[inline(always)]
     fn unmetered_s(&self, at: At) -> f64 {

@@ -16,12 +16,20 @@ pub(crate) struct GapPower {
 }
 
 impl GapPower {
-    /// Of a long gap, or of one that has not ended: the mean power before it. The robot may have
-    /// stood still or worked harder.
+    /// Of a long gap: the mean power before it. The robot may have stood still or worked harder.
     #[inline(always)]
     pub(crate) fn mean(counting: &Counting, before_w: f32) -> Self {
         let mean_w = f64::from(before_w).max(0.0);
         Self { mean_w, sd_w: 0.5 * mean_w.min((counting.most_w - mean_w).max(0.0)), charges: false }
+    }
+
+    /// Of a gap that has not ended: as a long one. While it may turn out to be short, the last reading
+    /// if that is less, so that the energy left seldom has to rise when it ends.
+    #[inline(always)]
+    pub(crate) fn open(counting: &Counting, last_w: f32, before_w: f32, unmetered_ns: u64) -> Self {
+        let may_be_short = unmetered_ns <= SHORT_PERIODS * counting.period_ns;
+        let least_w = if may_be_short & (last_w < before_w) { last_w } else { before_w };
+        Self::mean(counting, least_w)
     }
 
     /// Of a short gap between two readings: the trapezoid. At least what was shown as drawn while it
@@ -43,7 +51,8 @@ impl GapPower {
             return Some(Self { mean_w, sd_w: 0.0, charges: true });
         }
         let shown = unmetered_ns.saturating_sub(counting.period_ns) as f64 / unmetered_ns as f64;
-        let mean_w = (0.5 * (from_w + to_w)).max(shown * f64::from(before_w).max(0.0));
+        let shown_w = shown * from_w.min(before_w.into()).max(0.0);
+        let mean_w = (0.5 * (from_w + to_w)).max(shown_w);
         let apart_w = (from_w - to_w).abs() * std::f64::consts::FRAC_1_SQRT_2;
         let sd_w = apart_w.min(0.5 * (counting.most_w - mean_w).max(0.0));
         Some(Self { mean_w, sd_w, charges: false })

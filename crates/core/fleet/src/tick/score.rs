@@ -18,7 +18,6 @@ use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::layout::slots;
 use crate::ledger::battery::{At, BatteryLanes, Charging, Counting};
 use crate::ledger::energy::LedgerLanes;
-use crate::ledger::gap::GapPower;
 use crate::ledger::levels;
 use crate::ledger::measured::Seen;
 use crate::state::columns::ColumnsMut;
@@ -275,8 +274,7 @@ fn follow(
     let driving = Charging { metered: false, unmetered: false };
     for lane in 0..LANES {
         let (robot, at) = (batteries.get(lane), At::new(&ledgers.get(lane)));
-        let gap = GapPower::mean(&counting, robot.mean_w);
-        let now = robot.after(&counting, at, &gap, driving);
+        let now = robot.now(&counting, at, driving);
         let raised = levels::judge(robot.raised, battery, &now, robot.return_j);
         lanes::put(&mut batteries.raised[lane], mask[lane], raised);
     }

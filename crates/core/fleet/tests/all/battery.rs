@@ -676,3 +676,209 @@ fn a_robot_whose_account_was_given_up_has_an_unknown_battery_until_it_is_known_a
         assert!(is_new(send(&mut fleet, 0, &|sample| sample.with(sample_flag::SWAPPED))));
     }
 }
+
+/// A robot of 10 samples a second with a battery of 5 Wh.
+mod gaps {
+    use super::*;
+
+    const PERIOD_NS: u64 = 100 * MS;
+    const SMALL_J: f64 = 18_000.0;
+    const LEAVES_NS: u64 = 30_000 * MS;
+
+    pub(super) fn small() -> Battery {
+        Battery {
+            initial_soc: 1.0,
+            initial_soc_lo: 0.98,
+            low: 0.1,
+            critical: 0.05,
+            ..Battery::new(SMALL_J, 0.05)
+        }
+    }
+
+    pub(super) fn fleet_of(battery: Battery) -> Fleet {
+        let mut settings = settings(battery, 8);
+        settings.intake.leave_after_ns = LEAVES_NS;
+        let platform = &mut settings.platforms[0];
+        platform.period_ns = PERIOD_NS;
+        platform.stale_after_ns = 10 * PERIOD_NS;
+        platform.power_min_w = 0.0;
+        platform.power_max_w = 20.0;
+        let residual = ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 };
+        let model = Model::Persistence(Persistence::new(residual).expect("finite and in order"));
+        Fleet::new(settings, vec![model]).expect("the settings are consistent")
+    }
+
+    /// A fleet, its source and the time.
+    pub(super) struct Line {
+        pub fleet: Fleet,
+        source: Source,
+        battery: Battery,
+        pub step: u64,
+        epoch: u64,
+    }
+
+    impl Line {
+        pub(super) fn new(battery: Battery) -> Self {
+            let fleet = fleet_of(battery);
+            Self { fleet, source: Source::new(1, 1), battery, step: 0, epoch: 1 }
+        }
+
+        pub(super) fn now_ns(&self) -> u64 {
+            START_NS + self.step * PERIOD_NS
+        }
+
+        /// Sends the samples of one period.
+        pub(super) fn send(&mut self, samples: &[(u32, f32)], flags: u32) {
+            self.step += 1;
+            let now_ns = self.now_ns();
+            let sample = |(robot, power_w): &(u32, f32)| {
+                Sample::new(*robot, self.step, now_ns).reading(*power_w, now_ns).with(flags)
+            };
+            let samples: Vec<Sample> = samples.iter().map(sample).collect();
+            self.source.tick(&mut self.fleet, &samples, now_ns);
+        }
+
+        /// Nobody sends for a while.
+        pub(super) fn silence(&mut self, seconds: u64) {
+            for _ in 0..10 * seconds {
+                self.step += 1;
+                self.fleet.tick(self.now_ns(), false);
+            }
+        }
+
+        pub(super) fn restart(&mut self) {
+            let mut after = fleet_of(self.battery);
+            for place in 0..self.fleet.len() {
+                let budget = self.fleet.budget(place);
+                let ledger = self.fleet.ledger(budget.robot).expect("it is there");
+                assert!(after.restore(budget.robot, ledger, false, SavedBattery::new(&budget)));
+            }
+            self.epoch += 1;
+            (self.fleet, self.source) = (after, Source::new(1, self.epoch));
+        }
+
+        pub(super) fn left_j(&self, robot: u32) -> f64 {
+            f64::from(world::budget(&self.fleet, robot).left_j)
+        }
+    }
+}
+
+#[test]
+fn lost_samples_are_settled_when_they_are_over_and_energy_left_never_rises() {
+    use gaps::{Line, small};
+    // 6 W for 20 minutes, then 3 W and 8 W for four each: one robot sends all, one loses a tenth.
+    let mut line = Line::new(small());
+    let mut before_j = [f64::INFINITY; 2];
+    for (power_w, minutes) in [(6.0, 20), (3.0, 4), (8.0, 4)] {
+        for tenth in 0..minutes * 600 {
+            let all = [(0, power_w), (1, power_w)];
+            line.send(&all[..if tenth % 10 == 9 { 1 } else { 2 }], 0);
+            for robot in 0..2 {
+                let left_j = line.left_j(robot);
+                let before_j = &mut before_j[robot as usize];
+                assert!(left_j <= *before_j, "robot {robot}: {left_j} after {before_j}");
+                *before_j = left_j;
+            }
+        }
+        let [all_j, some_j] = [0, 1].map(|robot| line.left_j(robot));
+        println!("{power_w} W: {all_j:.0} J, {some_j:.0} J with lost samples");
+        assert!((all_j - some_j).abs() < 5.0, "{all_j} {some_j}");
+    }
+}
+
+#[test]
+fn losing_one_sample_in_a_hundred_costs_no_accuracy_though_the_power_alternates() {
+    use gaps::{Line, small};
+    let mut line = Line::new(Battery { counting_sd: 0.0, ..small() });
+    for minute in 0..40 {
+        let power_w = if minute % 2 == 0 { 12.0 } else { 1.5 };
+        for tenth in 0..600 {
+            let all = [(0, power_w), (1, power_w)];
+            line.send(&all[..if tenth % 100 == 57 { 1 } else { 2 }], 0);
+        }
+    }
+    let [all_j, some_j] = [0, 1].map(|robot| line.left_j(robot));
+    assert!((all_j - some_j).abs() < 5.0, "{all_j} {some_j}");
+    // Its bounds do not pretend that the lost time was metered.
+    let [all, some] = [0, 1].map(|robot| world::budget(&line.fleet, robot));
+    assert!(some.soc_sd >= all.soc_sd && some.soc_lo < all.soc_lo, "{some:?}");
+}
+
+#[test]
+fn an_absence_is_valued_at_the_mean_before_it_whatever_the_first_reading_is() {
+    use gaps::{Line, small};
+    for restarts in [false, true] {
+        let mut line = Line::new(small());
+        let ones = [(0, 6.0), (1, 6.0), (2, 6.0)];
+        for _ in 0..3_000 {
+            line.send(&ones, 0);
+        }
+        let before_j = line.left_j(0);
+        if restarts {
+            line.restart();
+        }
+        line.silence(45);
+        assert!(line.fleet.is_empty(), "they have left");
+        line.send(&[(0, 6.0), (1, 1.0), (2, 15.0)], 0);
+        for robot in 0..3 {
+            let drawn_j = before_j - line.left_j(robot);
+            assert!((drawn_j - 45.1 * 6.0).abs() < 1.0, "robot {robot}: {drawn_j} J");
+            let shown = world::budget(&line.fleet, robot);
+            // One reading stands for a period.
+            assert!((f64::from(shown.mean_power_w) - 6.0).abs() < 0.1, "{shown:?}");
+        }
+        // Nor does a second silence count with it: the mean is of the whole time before.
+        line.silence(10);
+        let drawn_j = before_j - line.left_j(2);
+        assert!((drawn_j - 55.0 * 6.0).abs() < 3.0, "{drawn_j} J");
+    }
+}
+
+#[test]
+fn a_charge_is_unknown_if_an_absence_would_have_drawn_all_that_was_left_then() {
+    use gaps::{Line, small};
+    let mut line = Line::new(small());
+    // 16 % are left of what was full when the robot joined.
+    for _ in 0..(0.84 * 18_000.0 / 0.6) as u64 {
+        line.send(&[(0, 6.0)], 0);
+    }
+    // The mean draws 54 % meanwhile.
+    line.silence((0.54f64 * 18_000.0 / 6.0) as u64);
+    line.send(&[(0, 6.0)], 0);
+    assert_charge_is_unknown(&world::budget(&line.fleet, 0));
+    assert!(!world::diagnostic(&line.fleet, 0).alarms().has(Alarm::BatteryCritical));
+    // A battery that has enough for the absence is known after it.
+    let mut line = Line::new(small());
+    for _ in 0..3_000 {
+        line.send(&[(0, 6.0)], 0);
+    }
+    line.silence((0.54f64 * 18_000.0 / 6.0) as u64);
+    line.send(&[(0, 6.0)], 0);
+    let shown = world::budget(&line.fleet, 0);
+    assert!((f64::from(shown.soc) - 0.36).abs() < 0.01, "{shown:?}");
+}
+
+#[test]
+fn a_battery_that_stays_full_tells_no_more_with_every_sample() {
+    let full = |sample: Sample, truth: &Truth| charged(with_soc(sample, truth), truth);
+    let run = |steps: u64| {
+        let mut bench = Bench::new(battery());
+        (bench.truth.soc, bench.truth.bias) = (1.0, -0.03);
+        for _ in 0..steps {
+            bench.send(0.0, full);
+        }
+        bench
+    };
+    // With the sensor's step of 1 % a sample a second more or less tells nothing.
+    let [short, long] = [20, 1_000].map(|steps| run(steps).budget());
+    assert!(long.soc_sd > 0.004, "{long:?}");
+    assert!((0.5..2.0).contains(&(long.soc_sd / short.soc_sd)), "{long:?} {short:?}");
+    assert!(long.sensor_bias_sd < 0.03, "{long:?}");
+    // The errors of charge and sensor stay one error: where the one is wrong, the other is.
+    assert!(long.sensor_covariance < -0.5 * long.soc_sd * long.sensor_bias_sd, "{long:?}");
+    // Away from the charger and back it is full again, at once.
+    let mut bench = run(50);
+    bench.drive(HOUR / 4, with_soc);
+    let back = bench.send(0.0, full);
+    assert!((back.soc - 1.0).abs() < 0.02, "{back:?}");
+}

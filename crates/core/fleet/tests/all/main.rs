@@ -3,6 +3,7 @@
 
 mod allocations;
 mod battery;
+mod before;
 mod budgets;
 mod independence;
 mod intake;

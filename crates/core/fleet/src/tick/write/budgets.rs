@@ -7,7 +7,6 @@ use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting};
-use crate::ledger::gap::GapPower;
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -150,7 +149,7 @@ pub(crate) fn estimate(
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
     // On a charger the anchor is at the last sample. The time since then counts as silence.
     let charging = Charging { metered: false, unmetered: robot.charging };
-    robot.after(counting, at, &GapPower::mean(counting, robot.mean_w), charging)
+    robot.now(counting, at, charging)
 }
 
 /// Computes the robots of one platform.
