@@ -44,7 +44,7 @@ fn digest(fleet: &mut Fleet, source: &mut Source) -> u64 {
             }
         }
     }
-    joulebus_wire::fnv1a(&bytes)
+    joulebus_wire::fnv1a(bytes)
 }
 
 /// The source of the state, which goes on.
