@@ -1,5 +1,6 @@
 //! Recorded samples as training rows: the features at one time and the next reading.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
@@ -21,6 +22,55 @@ pub struct Row {
     pub features: Features,
     /// The next reading, W.
     pub target_w: f32,
+    /// Its recording and its robot, as numbers in the dataset. Errors in one recording are not
+    /// independent.
+    pub origin: RowOrigin,
+}
+
+/// Where a row was recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RowOrigin {
+    /// Number of the recording.
+    pub recording: u32,
+    /// Number of the robot. The recording's, if the robot is not known.
+    pub robot: u32,
+}
+
+impl RowOrigin {
+    /// A recording of a robot that is not known.
+    #[must_use]
+    pub const fn recording(number: usize) -> Self {
+        Self { recording: number as u32, robot: number as u32 }
+    }
+
+    /// Those of sources with these names of trial and robot. The parts of a trial of a robot are one
+    /// recording.
+    #[must_use]
+    pub fn of_sources<'a>(names: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<Self> {
+        let (mut recordings, mut robots) = (BTreeMap::new(), BTreeMap::new());
+        let origin = |(trial, robot)| {
+            let (recording, of_robot) = (recordings.len() as u32, robots.len() as u32);
+            Self {
+                recording: *recordings.entry((trial, robot)).or_insert(recording),
+                robot: *robots.entry(robot).or_insert(of_robot),
+            }
+        };
+        names.map(origin).collect()
+    }
+}
+
+impl Row {
+    /// A row of the dataset's first recording.
+    #[must_use]
+    pub fn new(features: Features, target_w: f32) -> Self {
+        Self { features, target_w, origin: RowOrigin::default() }
+    }
+
+    /// The same of another recording.
+    #[must_use]
+    pub const fn of(self, origin: RowOrigin) -> Self {
+        Self { origin, ..self }
+    }
 }
 
 /// Rows split by robot or trial, never by row, because neighbouring rows are correlated.
@@ -124,7 +174,7 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
         age.reading_age.fill(&mut features);
         found.sample_seq.push(sample.seq);
         found.reading_ages.push(age.reading_age);
-        found.rows.push(Row { features, target_w: next.power_w });
+        found.rows.push(Row::new(features, next.power_w));
     }
     found
 }

@@ -21,7 +21,7 @@ use std::str::FromStr;
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
 
-use crate::rows::{Dataset, TrialRows};
+use crate::rows::{Dataset, RowOrigin, TrialRows};
 use joulebus_statistics::noise::Noise;
 
 use source::median_s;
@@ -449,10 +449,15 @@ impl Assignment {
 
     /// The rows themselves.
     pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
+        let names = sources.iter().map(|source| (&*source.trial, &*source.robot));
+        let origins = RowOrigin::of_sources(names);
         let rows = |part: usize| {
-            let sources = sources.iter().zip(&self.ranges);
+            let sources = sources.iter().zip(&self.ranges).zip(&origins);
             sources
-                .flat_map(|(source, ranges)| source.rows.rows[ranges[part].clone()].iter().copied())
+                .flat_map(|((source, ranges), origin)| {
+                    let rows = source.rows.rows[ranges[part].clone()].iter();
+                    rows.map(|row| row.of(*origin))
+                })
                 .collect()
         };
         Dataset {

@@ -10,8 +10,7 @@ mod live;
 
 use std::path::{Path, PathBuf};
 
-use joulebus_dataset::rows::Dataset;
-use joulebus_dataset::rows::trial_rows;
+use joulebus_dataset::rows::{Dataset, RowOrigin, trial_rows};
 use joulebus_dataset::split::{
     Assignment, By, Source, Split, assign, assign_leaving_out, group_of,
 };
@@ -351,8 +350,11 @@ fn simulated() {
         let recipe = TrainSettings::new("simulated", "simulation", features, SEED);
         let learned = Recordings::new(trials.clone(), recipe.clone(), 0.01);
         let rows = |range: std::ops::Range<usize>| {
-            let sources = learned.sources[range].iter();
-            sources.flat_map(|source| source.rows.rows.iter().copied()).collect()
+            let numbered = range.map(|number| (RowOrigin::recording(number), number));
+            let rows = numbered.flat_map(|(origin, number)| {
+                learned.sources[number].rows.rows.iter().map(move |row| row.of(origin))
+            });
+            rows.collect()
         };
         let dataset = Dataset {
             training: rows(0..4),

@@ -16,7 +16,7 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use joulebus_dataset::rows::{Dataset, trial_rows};
+use joulebus_dataset::rows::{Dataset, RowOrigin, trial_rows};
 use joulebus_dataset::trial::Trial;
 use joulebus_energy::Calibration;
 use joulebus_eval::energy::EnergyScores;
@@ -99,7 +99,11 @@ fn evaluate(
         all().filter(|(place, trial)| trains(*place, trial)).map(|(_, trial)| trial).collect();
     let rows = |keep: fn(usize) -> bool| {
         let kept = own.iter().enumerate().filter(|(place, _)| keep(*place));
-        kept.flat_map(|(_, trial)| trial_rows(trial).rows).collect::<Vec<_>>()
+        let rows = kept.flat_map(|(place, trial)| {
+            let origin = RowOrigin::recording(place);
+            trial_rows(trial).rows.into_iter().map(move |row| row.of(origin))
+        });
+        rows.collect::<Vec<_>>()
     };
     let validation = rows(|place| place % 5 == 4);
     let dataset = Dataset {

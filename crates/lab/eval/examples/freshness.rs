@@ -11,8 +11,7 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_dataset::rows::{TrialRows, sample_rows, trial_rows};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin, TrialRows, sample_rows, trial_rows};
 use joulebus_dataset::split::{Source, Split, group_of, split};
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Network};
@@ -145,7 +144,10 @@ fn known(rows: Vec<Row>) -> Vec<Row> {
 fn simulated(name: &str, shown: Shown) -> Case {
     let trials = protocol::trials(SEED);
     let rows = |trials: &[Trial]| -> Vec<Row> {
-        let rows = trials.iter().flat_map(|trial| shown_rows(trial, shown).rows);
+        let rows = trials.iter().enumerate().flat_map(|(number, trial)| {
+            let origin = RowOrigin::recording(number);
+            shown_rows(trial, shown).rows.into_iter().map(move |row| row.of(origin))
+        });
         known(rows.collect())
     };
     let held_out = match name.contains("robots") {

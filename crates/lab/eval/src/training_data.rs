@@ -3,7 +3,7 @@
 
 use std::num::NonZeroUsize;
 
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_dataset::split::{
     Assignment, MAX_STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign_given,
     assign_unread, describe, median_period_s, resume,
@@ -100,14 +100,17 @@ fn assigned(parts: Parts<'_>) -> Result<Assigned<'_>, TrainingDataError> {
 
 fn rows(recordings: &[&Recording], thinned: &Thinned) -> Result<[Vec<Row>; 3], TrialError> {
     let mut parts = thinned.rows.map(Vec::with_capacity);
-    for (recording, ranges) in recordings.iter().zip(&thinned.ranges) {
+    let names = recordings.iter().map(|recording| (&*recording.trial, &*recording.robot));
+    let origins = RowOrigin::of_sources(names);
+    for ((recording, ranges), origin) in recordings.iter().zip(&thinned.ranges).zip(origins) {
         if ranges.iter().all(Vec::is_empty) {
             continue;
         }
         let contents = recording.contents()?;
         for (part, ranges) in parts.iter_mut().zip(ranges) {
             for range in ranges {
-                part.extend_from_slice(&contents.rows.rows[range.clone()]);
+                let rows = &contents.rows.rows[range.clone()];
+                part.extend(rows.iter().map(|row| row.of(origin)));
             }
         }
     }

@@ -1,8 +1,8 @@
 //! One draw of the simulated experiments: what a seed determines.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_eval::score::{Contents, Design, Options, Recording, Scored, Subject, score};
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::Protocol;
@@ -48,16 +48,21 @@ impl Recordings {
         experiment: &Simulated,
         mut progress: impl FnMut(Epoch) -> ControlFlow<()>,
     ) -> Result<Trained, ReportError> {
-        let rows = |trials: &[Recording]| -> Vec<Row> {
-            let contents = trials.iter().filter_map(Recording::in_memory);
-            let rows = contents.flat_map(|contents| &contents.rows.rows);
-            rows.copied().collect()
+        let rows = |trials: Range<usize>| -> Vec<Row> {
+            let numbered = trials.filter_map(|number| Some((number, self.trials.get(number)?)));
+            let contents =
+                numbered.filter_map(|(number, trial)| Some((number, trial.in_memory()?)));
+            let rows = contents.flat_map(|(number, contents)| {
+                let origin = RowOrigin::recording(number);
+                contents.rows.rows.iter().map(move |row| row.of(origin))
+            });
+            rows.collect()
         };
         let (seed, samples) = (self.seed, experiment.samples);
         let dataset = Dataset {
-            training: rows(&self.trials[..TRAINING]),
-            validation: rows(&self.trials[TRAINING..=TRAINING]),
-            held_out: rows(&self.trials[TRAINING + 1..]),
+            training: rows(0..TRAINING),
+            validation: rows(TRAINING..TRAINING + 1),
+            held_out: rows(TRAINING + 1..self.trials.len()),
             description: format!(
                 "simulated GTernal robot, seed {seed}, trials 1 to 4 of {samples} samples; 5 for \
                  validation, 6 held out"

@@ -1,6 +1,6 @@
 //! Training data from the simulated robots.
 
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_plant::protocol::{Protocol, SAMPLES};
 use joulebus_plant::{Plant, SimReading};
 use joulebus_predictor::{LAGS, ReadingAge, features};
@@ -77,7 +77,10 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
             recorder.add(*reading);
         }
     }
-    let mut rows = recorders.into_iter().map(|recorder| recorder.rows);
+    let mut rows = recorders.into_iter().enumerate().map(|(robot, recorder)| {
+        let origin = RowOrigin::recording(robot);
+        recorder.rows.into_iter().map(move |row| row.of(origin)).collect::<Vec<Row>>()
+    });
     let mut part = |robots: usize| rows.by_ref().take(robots).flatten().collect::<Vec<Row>>();
     let parts = [training_robots, validation_robots, held_out_robots].map(&mut part);
     let [mut training, validation, held_out] = parts;
@@ -116,7 +119,7 @@ impl Recorder {
             let previous = Some((before.v_mps, before.omega_radps, TICK_S as f32));
             let mut features = features(now.v_mps, now.omega_radps, previous, &lag_w);
             self.reading_age.fill(&mut features);
-            self.rows.push(Row { features, target_w: reading.power_w });
+            self.rows.push(Row::new(features, reading.power_w));
         }
         self.reading_age.read(!reading.held);
         self.readings.push_front(reading);

@@ -1,14 +1,20 @@
 //! The energy model of a platform, fitted to the rows that the network was trained on.
 //!
-//! Errors are estimated by cross-validation on two halves of the recordings, which have whole runs
-//! each: the model of one half is scored on the other. The stored model is fitted to all of them.
+//! Errors are estimated by cross-validation on two halves: the model of one half is scored on the
+//! other. A half has whole recordings, and all of a robot where robots differ: two parts of one
+//! recording have the same floor, load and battery, and show nothing of another day. The stored
+//! model is fitted to all of them.
 
-use joulebus_dataset::rows::{Dataset, Row};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_energy::{
     COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, QUANTILES,
     TERMS,
 };
 use joulebus_predictor::{FeatureSet, LAGS};
+use joulebus_statistics::metrics::quantile;
 
 /// Runs are cut into blocks of about this time, each with a level of its own, when the power of
 /// commands is fitted, s.
@@ -25,11 +31,14 @@ const ADDED_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
 const MEAN_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Maximum number of forecast origins per fit.
 const MAX_ORIGINS: usize = 1_500;
-/// Fewest origins, and fewest runs, from which the errors at a horizon are known.
+/// Fewest origins, and fewest runs, with which the parameters at a horizon are chosen.
 const FEWEST: (usize, usize) = (30, 4);
+/// Fewest recordings from which the errors at a horizon are known.
+pub(crate) const FEWEST_RECORDINGS: usize = 4;
 
 /// Consecutive rows of one recording.
 struct Run {
+    origin: RowOrigin,
     /// v, ω and their derivatives.
     motion: Vec<[f32; 4]>,
     /// The reading that ended each step, W.
@@ -50,10 +59,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         let motions = runs.iter_mut().flat_map(|run| &mut run.motion);
         motions.for_each(|motion| *motion = [f32::NAN; 4]);
     }
-    let halves: [Vec<&Run>; 2] = std::array::from_fn(|half| {
-        let own = runs.iter().enumerate().filter(|(place, _)| place % 2 == half);
-        own.map(|(_, run)| run).collect()
-    });
+    let halves = halves(&runs);
     let all: Vec<&Run> = runs.iter().collect();
     let commands = [CommandFit::new(&halves[0], period_s)?, CommandFit::new(&halves[1], period_s)?];
     let (prior_s, crossed) = crossed(&halves, &commands, period_s)?;
@@ -70,6 +76,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
             Known {
                 added_share: crossed.with.added as f32,
                 weights: origins.weights(&crossed.with).map(|weight| weight as f32),
+                is_calibrated: crossed.recordings.len() >= FEWEST_RECORDINGS,
                 errors: crossed.quantiles(mean_share, mean_w),
             }
         })
@@ -81,7 +88,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         prior_s: prior_s.map(|prior_s| prior_s as f32),
         added_shares: std::array::from_fn(|place| at(place).added_share),
         weights: std::array::from_fn(|place| at(place).weights),
-        calibrated: known.len(),
+        calibrated: known.iter().take_while(|known| known.is_calibrated).count(),
         errors: std::array::from_fn(|place| at(place).errors),
         mean_share: mean_share as f32,
         v_mps: ranges[0],
@@ -128,7 +135,43 @@ fn crossed(
 struct Known {
     added_share: f32,
     weights: [f32; LEVELS],
+    /// True if enough recordings show the errors.
+    is_calibrated: bool,
     errors: [f32; KNOTS],
+}
+
+/// Number of recordings in the rows that the energy model is fitted to.
+pub(crate) fn recordings(dataset: &Dataset) -> usize {
+    let rows = dataset.training.iter().chain(&dataset.validation);
+    rows.map(|row| row.origin.recording).collect::<BTreeSet<u32>>().len()
+}
+
+/// Two halves of about the same length, with whole robots each if there are several, or else whole
+/// recordings. Too few recordings are halved run by run: their errors are not known anyway.
+fn halves(runs: &[Run]) -> [Vec<&Run>; 2] {
+    let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
+    let robots: BTreeSet<u32> = runs.iter().map(|run| run.origin.robot).collect();
+    let unit = |place: usize| match (recordings.len() >= FEWEST_RECORDINGS, robots.len() > 1) {
+        (false, _) => place as u32,
+        (true, true) => runs[place].origin.robot,
+        (true, false) => runs[place].origin.recording,
+    };
+    // In the order of their first runs.
+    let mut units: Vec<(u32, Vec<&Run>)> = Vec::new();
+    for (place, run) in runs.iter().enumerate() {
+        match units.iter_mut().find(|(known, _)| *known == unit(place)) {
+            Some((_, of_unit)) => of_unit.push(run),
+            None => units.push((unit(place), vec![run])),
+        }
+    }
+    let rows = |runs: &[&Run]| runs.iter().map(|run| run.power_w.len()).sum::<usize>();
+    units.sort_by_key(|(_, of_unit)| Reverse(rows(of_unit)));
+    let mut halves = [Vec::new(), Vec::new()];
+    for (_, of_unit) in units {
+        let shorter = usize::from(rows(&halves[1]) < rows(&halves[0]));
+        halves[shorter].extend(of_unit);
+    }
+    halves
 }
 
 /// Lowest and highest velocities.
@@ -143,20 +186,26 @@ fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
     })
 }
 
-/// The products and changes of velocities reached in at least two runs. A single wrong stamp, which
-/// divides a change, therefore does not count. A quantile of all rows would not do: jumps between
+/// The products and changes of velocities reached in at least two recordings, or in two runs of too
+/// few recordings. A single wrong stamp, which divides a change, therefore does not count. A quantile of all rows would not do: jumps between
 /// commands are rare, and the plans of every follower begin and end with one.
 fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
-    let mut highest = [[0.0f32; 2]; COMBINED_TERMS];
-    for run in runs {
-        let mut of_run = [0.0f32; COMBINED_TERMS];
+    let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
+    let are_enough = recordings.len() >= FEWEST_RECORDINGS;
+    let mut units = BTreeMap::new();
+    for (place, run) in runs.iter().enumerate() {
+        let unit = if are_enough { run.origin.recording as usize } else { place };
+        let of_unit = units.entry(unit).or_insert([0.0f32; COMBINED_TERMS]);
         for motion in &run.motion {
             let terms = CommandModel::combined_terms(*motion);
-            for (highest, term) in of_run.iter_mut().zip(terms) {
+            for (highest, term) in of_unit.iter_mut().zip(terms) {
                 *highest = highest.max(if term.is_finite() { term } else { 0.0 });
             }
         }
-        for (highest, of_run) in highest.iter_mut().zip(of_run) {
+    }
+    let mut highest = [[0.0f32; 2]; COMBINED_TERMS];
+    for of_unit in units.into_values() {
+        for (highest, of_run) in highest.iter_mut().zip(of_unit) {
             let [first, second] = *highest;
             *highest = [first.max(of_run), second.max(first.min(of_run))];
         }
@@ -169,7 +218,8 @@ fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
 fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
     const LAG1: usize = 6;
     let follows = |before: &Row, row: &Row| {
-        row.features[LAG1].to_bits() == before.target_w.to_bits()
+        row.origin == before.origin
+            && row.features[LAG1].to_bits() == before.target_w.to_bits()
             && row.features[LAG1 + 1..LAG1 + 5] == before.features[LAG1..LAG1 + 4]
     };
     let parts = [training, validation].into_iter();
@@ -185,6 +235,7 @@ fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
     let usable = |row: &&Row| row.target_w.is_finite();
     cut.filter(|rows| rows.iter().any(|row| usable(&row)))
         .map(|rows| Run {
+            origin: rows[0].origin,
             motion: rows
                 .iter()
                 .filter(usable)
@@ -371,8 +422,9 @@ fn advance(levels: &mut [[f64; 3]; LEVELS], power_w: f64, command_w: f64, period
 /// The origins of all runs at one horizon.
 struct Origins {
     origins: Vec<Origin>,
-    /// Runs that have an origin.
+    /// Runs that have an origin, and their recordings.
     runs: usize,
+    recordings: BTreeSet<u32>,
     duration_s: f64,
 }
 
@@ -383,6 +435,7 @@ impl Origins {
         let total: usize = runs.iter().map(candidates).sum();
         let stride = total.div_ceil(MAX_ORIGINS).max(1);
         let (mut origins, mut used, mut number) = (Vec::new(), 0, 0);
+        let mut recordings = BTreeSet::new();
         for run in runs {
             let before = origins.len();
             let commands: Vec<f64> =
@@ -415,9 +468,12 @@ impl Origins {
                 }
                 advance(&mut levels, run.power_w[at], commands[at], period_s);
             }
-            used += usize::from(origins.len() > before);
+            if origins.len() > before {
+                used += 1;
+                recordings.insert(run.origin.recording);
+            }
         }
-        Self { origins, runs: used, duration_s: steps as f64 * period_s }
+        Self { origins, runs: used, recordings, duration_s: steps as f64 * period_s }
     }
 
     /// The energy by each level, J.
@@ -474,14 +530,6 @@ fn weighted(weights: &[f64; LEVELS], experts: &[f64; LEVELS]) -> f64 {
     weights.iter().zip(experts).map(|(weight, expert)| weight * expert).sum()
 }
 
-/// The quantile `p` of at least one ascending value, with linear interpolation.
-fn quantile(values: &[f64], p: f64) -> f64 {
-    let at = p * (values.len() - 1) as f64;
-    let below = (at as usize).min(values.len() - 1);
-    let above = (below + 1).min(values.len() - 1);
-    values[below] + (at - below as f64) * (values[above] - values[below])
-}
-
 /// Energies at one origin, J.
 struct Pair {
     forecast: f64,
@@ -493,6 +541,7 @@ struct Crossed {
     with: With,
     pairs: Vec<Pair>,
     runs: usize,
+    recordings: BTreeSet<u32>,
     duration_s: f64,
 }
 
@@ -503,12 +552,19 @@ impl Crossed {
         (horizon_s, period_s): (f64, f64),
         with: &With,
     ) -> Self {
-        let mut found = Self { with: *with, pairs: Vec::new(), runs: 0, duration_s: 0.0 };
+        let mut found = Self {
+            with: *with,
+            pairs: Vec::new(),
+            runs: 0,
+            recordings: BTreeSet::new(),
+            duration_s: 0.0,
+        };
         for (own, other) in [(0, 1), (1, 0)] {
             let command = &commands[own];
             let weights = Origins::new(&halves[own], command, horizon_s, period_s).weights(with);
             let scored = Origins::new(&halves[other], command, horizon_s, period_s);
             found.runs += scored.runs;
+            found.recordings.extend(&scored.recordings);
             found.duration_s = scored.duration_s;
             found.pairs.extend(scored.origins.iter().map(|origin| Pair {
                 forecast: weighted(&weights, &scored.experts(origin, with)),

@@ -9,7 +9,7 @@
 //!     .map(|at| {
 //!         let power_w = |at: usize| 4.0 + 0.1 * (at % 7) as f32;
 //!         let lags_w = [4, 3, 2, 1, 0].map(|before| power_w(at + before));
-//!         Row { features: features(0.2, 0.0, None, &lags_w), target_w: power_w(at + 5) }
+//!         Row::new(features(0.2, 0.0, None, &lags_w), power_w(at + 5))
 //!     })
 //!     .collect();
 //! let dataset = Dataset {

@@ -25,6 +25,10 @@ pub struct Findings {
     pub training_rows: usize,
     /// True if there are fewer training rows than weights, with a risk of overfitting.
     pub few_rows: bool,
+    /// Number of recordings that show the errors of the energy of plans.
+    pub recordings: usize,
+    /// True if they are too few: plans then have no interval.
+    pub few_recordings: bool,
 }
 
 /// The usable rows.

@@ -153,5 +153,14 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
         let rows = findings.training_rows;
         writeln!(out, "only {rows} training rows: the model may be overfitted")?;
     }
+    if findings.few_recordings {
+        let recordings = findings.recordings;
+        writeln!(
+            out,
+            "only {recordings} of at least {FEWEST_RECORDINGS} recordings: the energy of plans has no interval \
+             and no probability, because parts of one recording do not show how much another day \
+             differs. Record more"
+        )?;
+    }
     Ok(())
 }

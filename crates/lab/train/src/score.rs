@@ -12,7 +12,7 @@ use super::{TrainError, TrainSettings};
 use crate::energy::energy_model;
 use crate::linear::Terms;
 use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_statistics::metrics::Tally;
+use joulebus_statistics::metrics::{Tally, quantile};
 
 pub(super) fn finished(
     dataset: &Dataset,
@@ -101,9 +101,6 @@ pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     };
     let (_, std_w) = mean_and_std(network_errors.iter().map(|&error| error as f32));
     network_errors.sort_by(f64::total_cmp);
-    let quantile = |share: f64| {
-        let position = (share * (count - 1.0)).max(0.0) as usize;
-        network_errors.get(position).map_or(f32::NAN, |&error| error as f32)
-    };
-    (scores, ResidualStats { std_w, q05_w: quantile(0.05), q95_w: quantile(0.95) })
+    let [q05_w, q95_w] = [0.05, 0.95].map(|share| quantile(&network_errors, share) as f32);
+    (scores, ResidualStats { std_w, q05_w, q95_w })
 }

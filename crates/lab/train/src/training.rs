@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
 use super::chunk::{Chunk, Example, Prepared, ROWS};
+use super::energy::{FEWEST_RECORDINGS, recordings};
 use super::prepare::{Findings, constant_features, normalisation, usable, without_known};
 use super::score::finished;
 use super::weights::Weights;
@@ -122,6 +123,7 @@ impl Training {
             .build()
             .map_err(|error| TrainError::Threads { threads, reason: error.to_string() })?;
         let parts = settings.batch.min(training.len()).div_ceil(ROWS);
+        let recordings = recordings(&dataset);
         Ok(Self {
             findings: Findings {
                 unusable_rows,
@@ -129,6 +131,8 @@ impl Training {
                 constant_features: constant_features(&normalisation, settings.feature_set),
                 training_rows: training.len(),
                 few_rows: training.len() < weights.values.len(),
+                recordings,
+                few_recordings: recordings < FEWEST_RECORDINGS,
             },
             adam: Adam::new(weights.values.len()),
             prepared: Prepared::new(&weights),

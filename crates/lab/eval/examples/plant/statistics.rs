@@ -9,8 +9,7 @@ use std::fmt;
 
 use joulebus_predictor::{FeatureSet, Network};
 
-use joulebus_dataset::rows::trial_rows;
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin, trial_rows};
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::{Protocol, SAMPLES};
@@ -231,8 +230,12 @@ pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>)
 /// `rows` are those of the six trials, in order; further trials are ignored.
 pub(crate) fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
     let part = |range: std::ops::Range<usize>| -> Vec<Row> {
-        let parts = rows.iter().skip(range.start).take(range.len());
-        parts.flatten().copied().collect()
+        let parts = rows.iter().enumerate().skip(range.start).take(range.len());
+        let rows = parts.flat_map(|(number, rows)| {
+            let origin = RowOrigin::recording(number);
+            rows.iter().map(move |row| row.of(origin))
+        });
+        rows.collect()
     };
     Dataset {
         training: part(0..4),

@@ -259,9 +259,7 @@ mod tests {
     #[test]
     fn the_season_of_a_wave_is_its_period_and_steps_at_random_have_none() {
         let rows = |power_w: &dyn Fn(usize) -> f64| TrialRows {
-            rows: (0..2_000)
-                .map(|at| Row { features: [0.0; INPUTS], target_w: power_w(at) as f32 })
-                .collect(),
+            rows: (0..2_000).map(|at| Row::new([0.0; INPUTS], power_w(at) as f32)).collect(),
             sample_seq: (0..2_000).collect(),
             ..TrialRows::default()
         };

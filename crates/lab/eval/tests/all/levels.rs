@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use joulebus_config::Config;
-use joulebus_dataset::rows::{Dataset, Row, trial_rows};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin, trial_rows};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::calibrate::{Fault, Request, calibrate};
 use joulebus_fleet::Fleet;
@@ -50,7 +50,10 @@ fn network(trials: &[Trial], period_s: f32) -> Model {
     let part = |last: bool| -> Vec<Row> {
         let each = trials.iter().enumerate();
         each.filter(|(place, _)| (place % 7 == 6) == last)
-            .flat_map(|(_, trial)| trial_rows(trial).rows)
+            .flat_map(|(place, trial)| {
+                let origin = RowOrigin::recording(place);
+                trial_rows(trial).rows.into_iter().map(move |row| row.of(origin))
+            })
             .collect()
     };
     let dataset = Dataset {

@@ -1,6 +1,6 @@
 //! The energy model that training stores.
 
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_energy::{CommandModel, Commands, EnergyModel, EnergySample, EnergyState};
 use joulebus_predictor::{FeatureSet, INPUTS, LAGS, features};
 use joulebus_statistics::noise::Noise;
@@ -47,7 +47,7 @@ impl Robot {
                 let (v, omega) = self.commands[at];
                 let (v_before, omega_before) = self.commands[at - 1];
                 let previous = Some((v_before, omega_before, PERIOD_S));
-                Row { features: features(v, omega, previous, &lag_w), target_w: self.power_w[at] }
+                Row::new(features(v, omega, previous, &lag_w), self.power_w[at])
             })
             .collect()
     }
@@ -87,7 +87,14 @@ fn robots(numbers: std::ops::Range<u64>) -> Vec<Robot> {
 
 fn dataset(robots: &[Robot]) -> Dataset {
     Dataset {
-        training: robots.iter().flat_map(Robot::rows).collect(),
+        training: robots
+            .iter()
+            .enumerate()
+            .flat_map(|(number, robot)| {
+                let origin = RowOrigin::recording(number);
+                robot.rows().into_iter().map(move |row| row.of(origin))
+            })
+            .collect(),
         validation: Vec::new(),
         held_out: Vec::new(),
         description: "levels".to_owned(),
