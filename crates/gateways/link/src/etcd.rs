@@ -212,6 +212,10 @@ impl Etcd {
                 let ttl_ns = self.ttl_ns(renewed.result.ttl_s)?;
                 Ok(Reply::Renewed { ttl_ns })
             }
+            Call::Release { lease } => {
+                let body = json!({"ID": lease.to_string()});
+                self.post::<Value>("lease/revoke", &body).map(|_| Reply::Gone)
+            }
             Call::Look => self.look().map(Reply::StoreView),
             Call::Acquire { lease, term, term_revision } => {
                 let body = self.acquisition(*lease, *term, *term_revision)?;

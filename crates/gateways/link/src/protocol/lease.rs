@@ -71,6 +71,8 @@ pub(crate) enum Call {
     Acquire { lease: u64, term: u64, term_revision: u64 },
     /// Renews the lease.
     Renew { lease: u64 },
+    /// Gives the lease back. It would end by itself a little later.
+    Release { lease: u64 },
 }
 
 /// The store's reply to a call.
@@ -157,6 +159,8 @@ pub(crate) struct Candidate {
     term: Option<u64>,
     /// The shard is being given up: the lease is not renewed and runs out.
     resigns: bool,
+    /// A lease that was given up, and whose permit has ended.
+    released: Option<u64>,
     /// The worker of this host can lead.
     is_able: bool,
     /// Highest term that any candidate is known to have led in.
@@ -187,6 +191,7 @@ impl Candidate {
             }),
             term: leader_lease.map(|leader_lease| leader_lease.term),
             resigns: false,
+            released: None,
             is_able: true,
             highest_term: 0,
             free_since_ns: None,
@@ -226,7 +231,12 @@ impl Candidate {
     /// Next step at `now_ns`.
     pub(crate) fn next(&mut self, now_ns: u64) -> Next {
         if self.is_over(now_ns) {
+            let ended = self.lease.filter(|own| self.resigns && now_ns >= own.until_ns);
+            self.released = ended.map(|own| own.id);
             self.ends();
+        }
+        if let Some(lease) = self.released.take() {
+            return Next::Call(Call::Release { lease });
         }
         if self.term.is_some() {
             return self.next_of_holder(now_ns);

@@ -53,6 +53,11 @@ impl Store {
                 }
                 Reply::Acquired(is_free)
             }
+            Call::Release { lease } => {
+                self.leases.remove(lease);
+                self.expire(now_ns);
+                Reply::Gone
+            }
             Call::Renew { lease } => match self.leases.get_mut(lease) {
                 Some(until_ns) => {
                     *until_ns = (*until_ns).max(now_ns + ttl_ns);

@@ -521,7 +521,7 @@ fn a_lease_that_the_store_no_longer_knows_is_followed_by_another() {
             }
             let of_lease = match &call {
                 Call::Acquire { lease, .. } | Call::Renew { lease } => Some(*lease),
-                Call::Grant | Call::Look => None,
+                Call::Grant | Call::Look | Call::Release { .. } => None,
             };
             let reply = match of_lease {
                 Some(lease) if !store.leases.contains_key(&lease) => Reply::Gone,
