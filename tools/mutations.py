@@ -124,6 +124,13 @@ MUTATIONS = [
      "ttl_ns.saturating_sub(apart_ns).min(MAX_TTL_NS)", "(ttl_ns + apart_ns).max(MAX_TTL_NS)"),
     ("runs go back when a worker's host boots", "link/src/output_port.rs",
      "(run, run.max(last.saturating_add(1)))", "(run, run.min(last.saturating_add(run)))"),
+    ("a hang is forgotten with its term", "link/src/leadership.rs",
+     "permit.is_some_and(|permit| !permit.holds(clock::boot_ns()))", "permit.is_some_and(|_| false)"),
+    ("a link that starts again forgets a hang", "link/src/standby.rs",
+     "            None => None,\n        };\n        let ttl_ns",
+     "            None => {\n                leadership.withdraw()?;\n                None\n            }\n        };\n        let ttl_ns"),
+    ("messages to a host that was paused are from the future", "link/src/protocol/receiver.rs",
+     " && !self.has_stepped(status, now_ns)", ""),
 ]
 
 

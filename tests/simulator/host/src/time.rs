@@ -128,6 +128,16 @@ pub fn sleep(ns: u64) {
     });
 }
 
+/// All clocks stand still for `ns` of simulated time, as those of a virtual machine that is paused.
+pub fn stand_still(ns: u64) {
+    change(|clocks| {
+        clocks.of_ns = clocks.monotonic_ns();
+        clocks.now_ns += ns;
+        clocks.at_ns = clocks.now_ns;
+        clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_sub_unsigned(ns);
+    });
+}
+
 /// From now on the monotonic clock runs `ppm` millionths too fast.
 pub fn drift(ppm: i64) {
     change(|clocks| {

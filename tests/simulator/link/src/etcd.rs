@@ -16,6 +16,14 @@ const MAX_DELAY_NS: usize = 3_000_000;
 #[derive(Debug, Clone, Default)]
 pub struct SharedStore(Arc<Mutex<Store>>);
 
+impl SharedStore {
+    /// The link that holds the shard.
+    pub fn holder(&self) -> Option<String> {
+        let store = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        store.holder.as_ref().map(|holder| holder.name.clone())
+    }
+}
+
 /// Behaviour of the store towards this host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {

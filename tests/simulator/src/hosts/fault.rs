@@ -32,6 +32,8 @@ pub(super) enum Fault {
     Suspend(u64),
     /// The host stands still, for a time that its clocks leave out by a jump.
     Jump(u64),
+    /// The host, a virtual machine, is paused for a time, and its clocks stand still.
+    StandStill(u64),
     /// The wall clock is set, forward or back.
     WallClock(i64),
     /// The monotonic clock is adjusted by so many millionths.

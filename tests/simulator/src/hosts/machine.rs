@@ -32,6 +32,8 @@ pub(super) struct Seen {
     pub robots: usize,
     /// A hash of its rows, without times.
     pub digest: u64,
+    /// Samples that its worker has accepted or dropped.
+    pub known: u64,
 }
 
 /// Events of a host since the last report.
@@ -42,6 +44,8 @@ pub(super) struct Report {
     pub sent: Vec<Packet>,
     pub frames: Vec<Seen>,
     pub samples: u64,
+    /// Samples that the source of the newest frame has published, the newest one included.
+    pub published: Option<u64>,
     /// Frames that the planner was given.
     pub learned: u64,
     /// Processes started.
@@ -387,6 +391,7 @@ impl Machine {
             samples.clear();
             let samples = frame.copy_part(&mut samples).unwrap_or_default();
             self.report.samples += samples.len() as u64;
+            self.report.published = Some(header.samples_before + samples.len() as u64);
             let run = (header.source_id, header.source_epoch);
             let before = self.sources.insert(run, header.frame_seq);
             if before.is_some_and(|before| before >= header.frame_seq) {
@@ -409,6 +414,7 @@ impl Machine {
                 tick: header.tick,
                 robots: rows.len(),
                 digest: hasher.finish(),
+                known: header.samples_accepted + header.samples_dropped.total(),
             });
         });
         Ok(())
@@ -448,6 +454,10 @@ impl Machine {
             Fault::Suspend(ns) => time::sleep(ns),
             Fault::Jump(ns) => {
                 time::pass(ns);
+                self.received = Received::default();
+            }
+            Fault::StandStill(ns) => {
+                time::stand_still(ns);
                 self.received = Received::default();
             }
             Fault::WallClock(ns) => time::set_wall_clock(ns),

@@ -33,6 +33,10 @@ const LEAST_DELAY_NS: u64 = MS;
 const SETTLE_NS: u64 = 60 * SECOND;
 /// Time for which the settled hosts are watched.
 const WATCH_NS: u64 = 10 * SECOND;
+/// Time within which another worker's forecasts come if one hangs, with a lease of 3 s.
+const TAKEOVER_NS: u64 = 10 * SECOND;
+/// Time within which forecasts come again after clocks stood still, beside two ticks.
+const STEP_NS: u64 = SECOND / 2;
 /// Time after which a link notices that a peer is out of reach.
 const PEER_TIMEOUT_NS: u64 = SECOND;
 /// Frames of workers that are remembered.
@@ -143,6 +147,8 @@ struct World {
     serving: Option<(usize, u64)>,
     over: Vec<(usize, u64)>,
     newest: Option<Seen>,
+    /// Samples that the controller has published, and that the worker knows of.
+    samples: (u64, u64),
     /// Until when observers may miss frames of workers, since shared memory is full.
     blind_until_ns: u64,
     taken: [u64; 3],
@@ -192,6 +198,7 @@ impl World {
             serving: None,
             over: Vec::new(),
             newest: None,
+            samples: (0, 0),
             blind_until_ns: 0,
             taken: [0; 3],
             robots: setup.robots,
@@ -228,7 +235,7 @@ impl World {
         };
         let part = parts[self.noise.below(parts.len())];
         let for_ns = self.below(20_000) * MS;
-        let fault = match self.noise.below(16) {
+        let fault = match self.noise.below(17) {
             0..3 => Fault::Kill(part, 1 + self.below(20_000)),
             3 => Fault::KillAtDisk(part, 1 + self.below(40)),
             4 => Fault::End(part),
@@ -248,6 +255,10 @@ impl World {
                 let all = [Access::Cut, Access::Silent, Access::Lossy(3)];
                 Fault::Store(all[self.noise.below(3)], for_ns)
             }
+            // After a pause a worker may serve the host's neighbours for the rest of its permit. So
+            // only a host without one is paused.
+            15 if host == EDGE => Fault::StandStill(for_ns / 4),
+            15 => Fault::Pause(Part::Worker, 3 * for_ns),
             _ => {
                 let permille = [self.noise.below(300), self.noise.below(100)];
                 Fault::Weather(permille, LEAST_DELAY_NS + self.below(300) * MS, for_ns)
@@ -336,6 +347,9 @@ impl World {
     fn takes(&mut self, at: usize, report: Report) -> Checked {
         self.hosts[at].due_ns = report.due_ns;
         self.taken[at] += report.samples;
+        if let Some(published) = report.published.filter(|_| at == EDGE) {
+            self.samples.0 = published;
+        }
         self.outcome.processes += report.processes;
         self.outcome.ticks += report.learned;
         for _ in 0..report.links_ended {
@@ -354,6 +368,7 @@ impl World {
 
     /// A worker of the host `at` has sent a frame: no worker may, once another has.
     fn serves(&mut self, at: usize, frame: Seen) -> Checked {
+        self.samples.1 = frame.known;
         let own = (at, frame.run);
         if self.over.contains(&own) {
             let found = format!("{} sends {frame:?}, although {:?}", HOSTS[at], self.serving);
@@ -417,6 +432,79 @@ impl World {
         // A host may be suspended, or off.
         let due_ns = self.hosts.iter().map(|host| host.due_ns).max().unwrap_or_default();
         self.run_until(due_ns.max(self.now_ns) + SETTLE_NS)?;
+        self.goes_on()?;
+        self.link_starts_again()?;
+        self.clocks_stand_still()?;
+        self.worker_hangs()?;
+        self.goes_on()
+    }
+
+    /// The controller's link alone starts again, some times. What was published meanwhile is lost,
+    /// and counted.
+    fn link_starts_again(&mut self) -> Checked {
+        let before = self.samples;
+        for _ in 0..5 {
+            self.happens(EDGE, Fault::End(Part::Link))?;
+            self.run_until(self.now_ns + 4 * SECOND)?;
+        }
+        let (published, known) = (self.samples.0 - before.0, self.samples.1 - before.1);
+        // Some samples are on their way, or wait for the next tick.
+        if published.abs_diff(known) > 4 * self.robots as u64 {
+            let found = format!("{published} samples were published, and the worker knows {known}");
+            return Err(broken("every sample is accepted or dropped", found));
+        }
+        Ok(())
+    }
+
+    /// A virtual machine with planners is paused. The others go on.
+    fn clocks_stand_still(&mut self) -> Checked {
+        let pause_ns = SECOND;
+        self.happens(EDGE, Fault::StandStill(pause_ns))?;
+        let resumed_ns = self.now_ns + pause_ns;
+        self.run_until(resumed_ns + STEP_NS + 2 * self.period_ns)?;
+        let newest_ns = self.newest.map_or(0, |frame| frame.at_ns);
+        if newest_ns <= resumed_ns + 3 * LEAST_DELAY_NS {
+            let found = format!("after a pause until {resumed_ns} ns: {:?}", self.newest);
+            return Err(broken("a step of a clock is measured at once", found));
+        }
+        Ok(())
+    }
+
+    /// The worker that serves hangs, and nothing else. Then its link alone starts again, and the
+    /// other link is stopped until its lease has ended.
+    fn worker_hangs(&mut self) -> Checked {
+        let Some((hung, _)) = self.serving else {
+            return Err(broken("everything goes on", "no worker has served"));
+        };
+        let other = HOSTS.len() - hung;
+        self.happens(hung, Fault::Pause(Part::Worker, 1_000 * SECOND))?;
+        self.run_until(self.now_ns + TAKEOVER_NS)?;
+        let is_back = self.newest.is_some_and(|frame| {
+            let every_ns = 2 * self.period_ns + SECOND / 5;
+            frame.at_ns + every_ns > self.now_ns
+        });
+        if !is_back || self.serving.is_none_or(|(at, _)| at != other) {
+            let found = format!("{:?} serves, the newest frame is {:?}", self.serving, self.newest);
+            return Err(broken("another takes over from a worker that hangs", found));
+        }
+        self.happens(hung, Fault::End(Part::Link))?;
+        self.run_until(self.now_ns + 3 * SECOND)?;
+        self.happens(other, Fault::Pause(Part::Link, 6 * SECOND))?;
+        for _ in 0..200 {
+            self.run_until(self.now_ns + SECOND / 10)?;
+            if self.store.holder().is_some_and(|holder| holder == HOSTS[hung]) {
+                let found = format!("{} holds the shard again", HOSTS[hung]);
+                return Err(broken("a worker that hangs gets no shard", found));
+            }
+        }
+        self.hosts[hung].due_ns = self.hosts[hung].ask(|machine| {
+            machine.spare();
+            machine.due_ns()
+        })?;
+        self.run_until(self.now_ns + 10 * SECOND)
+    }
+
+    fn goes_on(&mut self) -> Checked {
         let (taken, frames, serving) = (self.taken, self.outcome.ticks, self.serving);
         self.run_until(self.now_ns + WATCH_NS)?;
         let expected = WATCH_NS / self.period_ns * 7 / 10;
