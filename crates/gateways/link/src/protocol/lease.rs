@@ -14,10 +14,10 @@
 //! therefore higher than all earlier terms, even if the store has lost its data or a candidate has
 //! led without it.
 
-/// Possible drift between two clocks as a share of the time to live. `chrony` slews a clock by up to
-/// 83,333 ppm by default (`maxslewrate`), and a crystal is within 100 ppm of its frequency. If this
-/// host's clock is that slow and the store's that fast, they differ by 15.4 %. `DRIFT_MARGIN_NS` is
-/// added for rounding.
+/// Possible drift between two clocks as a share of the time to live. `chrony` slews a clock by up
+/// to 83,333 ppm by default (`maxslewrate`), and a crystal is within 100 ppm of its frequency. If
+/// this host's clock is that slow and the store's that fast, they differ by 15.4 %.
+/// `DRIFT_MARGIN_NS` is added for rounding.
 const DRIFT_DIVISOR: u64 = 6;
 const DRIFT_MARGIN_NS: u64 = 10_000_000;
 /// Renewals per time to live. One or two may be lost.
@@ -282,7 +282,7 @@ impl Candidate {
     /// When this candidate may take the shard. `None` if it may not.
     ///
     /// It does not wait for its next poll. A candidate further down the list waits until all before
-    /// it have polled once more and made their calls. So the first one that is able takes the shard.
+    /// it have polled once more and made their calls. So the first that is able takes the shard.
     fn turn_ns(&self) -> Option<u64> {
         let since_ns = self.free_since_ns.filter(|_| self.is_able)?;
         let behind_ns = self.rank * (self.poll_interval_ns() + ACQUISITION_NS);

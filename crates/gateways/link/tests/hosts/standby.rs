@@ -451,7 +451,8 @@ fn a_host_that_was_stopped_and_goes_on_too_late_sends_nothing_any_more() {
     assert_eq!(report["taken"].as_array().unwrap().len(), 2, "{report}");
 }
 
-/// A worker that hangs is still there, and its link works. `JOULEBUS_HANGS` states how many in turn.
+/// A worker that hangs is still there, and its link works. `JOULEBUS_HANGS` states how many hang in
+/// turn.
 #[test]
 fn a_worker_that_hangs_alone_loses_the_shard_and_its_host_leads_again_only_with_another() {
     let Some((mut scene, etcd)) = Scene::with_lease() else {
