@@ -135,9 +135,10 @@ fn a_robot_whose_sensor_is_stuck_is_never_yes_and_is_ranked_behind_the_others() 
     let fleet = fleet();
     let worker = fleet.worker();
     let source = Program::start(fleet.joulebus("publish sim --robots 3 --fault 1=stuck"));
+    let path = fleet.path("p.csv").display().to_string();
     let named = |asked: &Output| stdout(asked).contains("StuckSensor");
     for through in ["", " --through worker"] {
-        let question = format!("ask --robot 1 --path p.csv{through}");
+        let question = format!("ask --robot 1 --path {path}{through}");
         let text = stdout(&outcome(&fleet, &question, named));
         assert!(!text.starts_with("robot 1 (gternal): yes"), "{text}");
         let ranked = ask(&fleet, &format!("--rank 1,2,0 --path FILE{through}"));

@@ -75,8 +75,13 @@
 #define JOULEBUS_SAMPLE_SWAPPED 0x400u
 /** return_j is known. */
 #define JOULEBUS_SAMPLE_RETURN 0x800u
+/**
+ * The source finds what the robot reports implausible: the alarm Implausible. From this bit on
+ * flags are the source's judgement.
+ */
+#define JOULEBUS_SAMPLE_IMPLAUSIBLE 0x10000u
 /** All defined bits. */
-#define JOULEBUS_SAMPLE_ALL 0xfffu
+#define JOULEBUS_SAMPLE_ALL 0x10fffu
 
 /** power_w is known. */
 #define JOULEBUS_FORECAST_POWER 0x1u
@@ -139,6 +144,18 @@
 #define JOULEBUS_PLAN_STATE_LEARNED 0x10u
 /** The last row of the model lay outside the range that it was trained on. */
 #define JOULEBUS_PLAN_STATE_OUTSIDE_TRAINING 0x20u
+/** The alarm NoData is raised: no sample for too long. */
+#define JOULEBUS_PLAN_STATE_ALARM_NO_DATA 0x40u
+/** The alarm OutOfRange is raised: samples are refused. */
+#define JOULEBUS_PLAN_STATE_ALARM_OUT_OF_RANGE 0x80u
+/** The alarm StuckSensor is raised: the reading does not change. */
+#define JOULEBUS_PLAN_STATE_ALARM_STUCK_SENSOR 0x100u
+/** The alarm HeldTooLong is raised: the same measurement is repeated. */
+#define JOULEBUS_PLAN_STATE_ALARM_HELD_TOO_LONG 0x200u
+/** The alarm SocImplausible is raised: the measured state of charge is not used. */
+#define JOULEBUS_PLAN_STATE_ALARM_SOC_IMPLAUSIBLE 0x400u
+/** The alarm Implausible is raised: the source doubts what it reports. */
+#define JOULEBUS_PLAN_STATE_ALARM_IMPLAUSIBLE 0x800u
 
 /** After the path, return to return_x_m, return_y_m. */
 #define JOULEBUS_QUERY_RETURN 0x1u
@@ -169,6 +186,18 @@
 #define JOULEBUS_ANSWER_NO_READING 0x80u
 /** The robot's newest row lay outside the range that its model was trained on. */
 #define JOULEBUS_ANSWER_OUTSIDE_TRAINING 0x100u
+/** The robot's alarm NoData is raised. */
+#define JOULEBUS_ANSWER_ALARM_NO_DATA 0x200u
+/** The robot's alarm OutOfRange is raised. */
+#define JOULEBUS_ANSWER_ALARM_OUT_OF_RANGE 0x400u
+/** The robot's alarm StuckSensor is raised. */
+#define JOULEBUS_ANSWER_ALARM_STUCK_SENSOR 0x800u
+/** The robot's alarm HeldTooLong is raised. */
+#define JOULEBUS_ANSWER_ALARM_HELD_TOO_LONG 0x1000u
+/** The robot's alarm SocImplausible is raised. */
+#define JOULEBUS_ANSWER_ALARM_SOC_IMPLAUSIBLE 0x2000u
+/** The robot's alarm Implausible is raised. */
+#define JOULEBUS_ANSWER_ALARM_IMPLAUSIBLE 0x4000u
 
 #define JOULEBUS_QUALITY_UNKNOWN 0u
 #define JOULEBUS_QUALITY_FRESH 1u
@@ -894,11 +923,14 @@ typedef struct joulebus_answer_row {
     float left_j;
     /** Conservative, J. */
     float left_lo_j;
-    /** Probability of finishing above the reserve. */
+    /**
+     * Probability of finishing above the reserve. NaN where the model's errors do not cover the
+     * plan.
+     */
     float probability;
-    /** What the battery can spare at least, less the upper end of the energy, J. */
+    /** A bound: what the battery can spare at least, less the upper end of the energy, J. */
     float margin_j;
-    /** Until when the robot can turn back, s. */
+    /** Until when the robot must turn back, s. NaN with a yes: it can drive the whole path. */
     float turn_back_s;
     /** Steps whose commands lie outside the training data. */
     uint32_t outside_training;
@@ -1415,7 +1447,8 @@ typedef struct joulebus_waypoint {
      */
     double y_m;
     /**
-     * Speed towards it, m/s, limited by the platform's. That of the first point is not used.
+     * Speed towards it, m/s. One above the platform's is refused, and infinity is the highest that
+     * the model was trained on. That of the first point is not used.
      */
     double speed_mps;
 } joulebus_waypoint;

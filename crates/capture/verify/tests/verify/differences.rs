@@ -14,12 +14,12 @@ use joulebus_testkit_fleets::{self as world, PERIOD_NS};
 use joulebus_wire::{
     AnswerHeader, Budgets, Channel, Diagnostics, Forecast, ForecastHeader, Forecasts,
     MAX_QUERY_STEPS, Outlooks, PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample,
-    Samples, State, Ticks, fnv1a,
+    Samples, State, Ticks, answer_flag, fnv1a,
 };
 use proptest::prelude::*;
 
 use crate::simulation::{
-    CAPACITY, EPOCH, KEYFRAME_EVERY, KEYFRAME_LATE, LOADED, NEW_NORMAL_AT, Simulation, entries,
+    CAPACITY, DOUBTED, EPOCH, KEYFRAME_EVERY, KEYFRAME_LATE, LOADED, NEW_NORMAL_AT, Simulation, entries,
     recorded, tick_of, verify, verify_by,
 };
 
@@ -465,13 +465,13 @@ fn rows_of<C: Channel>(messages: &[Message], tick: u64) -> &[C::Row] {
     &of_tick.filter_map(Message::frame::<C>).next().unwrap().rows
 }
 
-/// A question about robot 2, and what the worker answers as of a tick.
+/// A question about [`DOUBTED`], and what the worker answers as of a tick.
 fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
     let states = rows_of::<PlanStates>(messages, tick);
     let budgets = rows_of::<Budgets>(messages, tick);
     let question = Question {
         plan: Plan::WhatIf {
-            robot: 2,
+            robot: DOUBTED,
             candidates: 3,
             period_s: 1.0 / 30.0,
             v_mps: vec![v_mps; 30],
@@ -516,6 +516,9 @@ fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is
     let queries = [asked(&messages, 65, 1, 0.1), asked(&messages, 66, 2, 0.1)];
     let refused = asked(&messages, 66, 3, 99.0);
     assert!(queries.iter().all(|query| query.rows.len() == 3 && query.power_w.len() == 30));
+    // An answer that an alarm weakens follows from the recorded samples too.
+    let rows = queries.iter().flat_map(|query| &query.rows);
+    assert!(rows.clone().all(|row| row.flags & answer_flag::ALARM_IMPLAUSIBLE != 0));
     assert!(refused.rows.is_empty() && refused.text.contains("99"), "{refused:?}");
     let with = |queries: &[Query], place: usize| {
         let mut messages = messages.clone();

@@ -21,6 +21,8 @@ pub(crate) const START_NS: u64 = 60_000 * MS;
 pub(crate) const KEYFRAME_EVERY: u64 = 40;
 pub(crate) const KEYFRAME_LATE: u64 = 6;
 pub(crate) const PIECE_BYTES: usize = 1_000;
+/// A robot that its source finds implausible.
+pub(crate) const DOUBTED: u32 = 2;
 /// A robot that draws three times as much from a step on, and the tick in which a person has
 /// acknowledged that as its new normal. Every third reading is new, so it takes a while to be
 /// judged.
@@ -102,6 +104,9 @@ impl Simulation {
             let mut sample = healthy(*robot, self.step, self.now_ns, PERIOD_NS);
             if *robot == LOADED && self.step >= LOADED_FROM {
                 sample.power_w *= 3.0;
+            }
+            if *robot == DOUBTED {
+                sample.flags |= sample_flag::IMPLAUSIBLE;
             }
             match self.noise.next_u64() % 40 {
                 0 => continue,

@@ -369,11 +369,11 @@ fn alarms_on_the_readings_are_in_the_plan_state_of_the_same_tick() {
     for (alarm, send) in sources {
         let (mut fleet, mut source) = warm();
         let (mut raised, mut cleared) = (false, false);
-        for step in 8..4_000 {
+        for step in 8..2_000 {
             let now_ns = NOW + (step - 7) * PERIOD_NS;
             // Healthy again at last.
             let again = healthy(ROBOT, step, now_ns, PERIOD_NS).state_of_charge(0.5);
-            let sample = if step < 2_000 { send(step, now_ns) } else { Some(again) };
+            let sample = if raised { Some(again) } else { send(step, now_ns) };
             source.tick(&mut fleet, sample.as_slice(), now_ns);
             let alarms = diagnostic(&fleet, ROBOT).alarms();
             let flags = fleet.plan_state(place(&fleet, ROBOT).expect("it is there")).flags;
