@@ -133,12 +133,13 @@ impl AnswerReport {
 /// The line of the spare energy, which is a bound: of the battery the lower one, of the energy the
 /// upper one.
 fn spare(margin_j: f32) -> String {
-    let bounds = "(lower bound of the battery, upper bound of the energy)";
+    let bound = "at the upper bound of the energy";
     if margin_j < 0.0 {
         let missing = Joules((-margin_j).into());
-        format!("spare   nothing for sure: at worst {missing:#} below the reserve {bounds}")
+        format!("spare   nothing for sure: at worst {missing:#} are missing, {bound}")
     } else {
-        format!("spare   at least {:#} above the reserve {bounds}", Joules(margin_j.into()))
+        let spare = Joules(margin_j.into());
+        format!("spare   at least {spare:#} above the reserve, even {bound}")
     }
 }
 

@@ -12,8 +12,9 @@ const TOLERANCE_M: f64 = 1e-3;
 /// Distance by which a robot may pass beside the path's vertices where it sees past them, m: half
 /// of that at which a point is reached.
 pub(crate) const BESIDE_M: f64 = 0.025;
-/// Vertices that a robot looks past, at most. This bounds the time of a step.
-const MAX_PASSED: usize = 256;
+/// Vertices that a robot looks past, at most. This bounds the time of a step: a metre of a path whose
+/// speed changes every millimetre.
+const MAX_PASSED: usize = 1_024;
 
 /// The vertices of a path: the points at which its direction or its speed changes, and both ends.
 #[derive(Debug, Clone)]
