@@ -561,6 +561,12 @@ struct Answer : joulebus_answer_row {
     Answer() noexcept : joulebus_answer_row{} {}
 
     Verdict kind() const noexcept { return static_cast<Verdict>(verdict); }
+    /** True if an alarm casts doubt on the robot's readings: `flags` has its JOULEBUS_ANSWER_ALARM bit. */
+    bool is_doubted() const noexcept {
+        return (flags & (JOULEBUS_ANSWER_ALARM_NO_DATA | JOULEBUS_ANSWER_ALARM_OUT_OF_RANGE | JOULEBUS_ANSWER_ALARM_STUCK_SENSOR
+                         | JOULEBUS_ANSWER_ALARM_HELD_TOO_LONG | JOULEBUS_ANSWER_ALARM_SOC_IMPLAUSIBLE
+                         | JOULEBUS_ANSWER_ALARM_IMPLAUSIBLE)) != 0;
+    }
     /** Energy expected, J. */
     std::optional<float> energy_j() const noexcept { return known(JOULEBUS_ANSWER_ENERGY, mean_j); }
     /** Upper end of the energy at the asked coverage, J. */
