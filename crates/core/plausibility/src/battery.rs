@@ -85,8 +85,10 @@ pub fn charging_of_text(text: &str, is_status: bool) -> Option<bool> {
     }
 }
 
-/// True if a power is that of the battery on its charger, and so no consumption. `of_battery`: it is
-/// voltage times current of the battery. `product_w` is that product, NaN where it is not known.
+/// True if a power is that of the battery on its charger, and so no consumption.
+///
+/// `of_battery`: it is voltage times current of the battery. `product_w` is that product, NaN where
+/// it is not known.
 #[must_use]
 pub fn is_charge(power_w: f64, product_w: f64, of_battery: bool, charging: Option<bool>) -> bool {
     let (share, least_w) = AGREE;
@@ -169,8 +171,8 @@ impl CurrentMonitor {
             && !only_rested
     }
 
-    /// True if a current of exactly [`UNMEASURED_A`] is a reading: of a coarse monitor, among others
-    /// of about its size.
+    /// True if a current of exactly [`UNMEASURED_A`] is a reading of a coarse monitor, which has
+    /// others of about that size.
     #[must_use]
     pub const fn measures_one_ampere(&self) -> bool {
         self.has_near && self.is_coarse
