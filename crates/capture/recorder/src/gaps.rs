@@ -247,7 +247,8 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use joulebus_wire::{
-        Channel, DiagnosticHeader, ForecastHeader, Forecasts, FrameHeader as _, SampleHeader,
+        Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts, FrameHeader as _,
+        Outlooks, PlanStates, SampleHeader, tick_flag,
     };
 
     use super::*;

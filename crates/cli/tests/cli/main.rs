@@ -19,6 +19,7 @@ mod new;
 mod next_commands;
 mod plausible;
 mod printable;
+mod proofs;
 mod service;
 mod signals;
 mod special_files;
