@@ -56,6 +56,7 @@ mod keyframes;
 mod output;
 mod queries;
 mod report;
+mod robots;
 mod what_if;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -74,6 +75,7 @@ use joulebus_capture_format::{Entry, MessageKind, Query};
 use keyframes::{Sequence, States};
 use output::has_same_bits;
 use queries::Queries;
+use robots::RobotRows;
 
 pub use compare::Value;
 pub use coverage::{ChannelCoverage, RunCoverage};
@@ -106,6 +108,7 @@ pub struct Verifier {
     /// First and last tick of each run.
     spans: BTreeMap<u64, (u64, u64)>,
     sequences: BTreeMap<String, u32>,
+    robot_rows: RobotRows,
     queries: Queries,
     tick_rules: u32,
     period_ns: Option<u64>,
@@ -182,6 +185,7 @@ impl Verifier {
             beginning: Beginning::default(),
             spans: BTreeMap::new(),
             sequences: BTreeMap::new(),
+            robot_rows: RobotRows::default(),
             tick_rules: TICK_RULES,
             period_ns: None,
             report,
@@ -227,6 +231,9 @@ impl Verifier {
     /// Takes the next message of the fleet's channels. Of split files in their order.
     pub fn push(&mut self, entry: Entry) {
         self.count(&entry);
+        if let Some((channel, tick)) = self.robot_rows.take(&entry.message) {
+            self.report.contradict(tick, Loss::Differing(channel));
+        }
         match entry.message.take::<Query>() {
             Ok(query) => self.queries.take(query, &entry.fleet, &mut self.report),
             Err(message) => self.assembler.push(message),

@@ -1,6 +1,6 @@
 //! Mutations of a recording, each with its verdict. What a capture alone cannot show is among them.
 
-use joulebus_capture_format::{Frame, Message, MessageKind};
+use joulebus_capture_format::{Frame, Message, MessageKind, RobotRow};
 use joulebus_capture_verify::Verdict::{self, Different, Incomplete, NotCompared, Verified};
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, Outlooks, PlanStates, Row, Samples, State,
@@ -413,6 +413,29 @@ fn each_mutation_of_a_recording_has_its_verdict() {
     }
     assert!(TABLE.len() >= 60, "{}", TABLE.len());
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// What `record --per-robot` adds: each frame's rows again, one message for each robot.
+#[test]
+fn rows_of_single_robots_are_compared_with_their_frames() {
+    let mut messages = Messages::new();
+    for message in recorded(4, 90) {
+        let mut rows = Messages::new();
+        if message.kind().unwrap().has_robots() {
+            message.each_robot(|row| rows.push(row));
+        }
+        messages.push(message);
+        messages.extend(rows);
+    }
+    assert!(verify(entries(messages.clone())).is_clean());
+    let is_row = |place: &usize| messages[*place].get::<RobotRow<Forecasts>>().is_some();
+    let places: Vec<usize> = (0..messages.len()).filter(is_row).collect();
+    for place in [places[0], places[places.len() / 2]] {
+        let mut mutated = messages.clone();
+        mutated[place].get_mut::<RobotRow<Forecasts>>().unwrap().0.stamp_ns ^= 1;
+        let report = verify(entries(mutated));
+        assert_eq!((report.verdict, report.frames_ambiguous), (Incomplete, 1), "{report}");
+    }
 }
 
 /// Fields of headers that do not follow from samples: times of sending, the process, its schedule.
