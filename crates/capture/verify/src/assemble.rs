@@ -272,7 +272,10 @@ impl Assembler {
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
         self.kinds.insert(kind);
-        self.first.get_or_insert((worker_epoch, tick));
+        // A new reader first receives the newest frame of some channels, which may be old.
+        if kind == MessageKind::of::<Ticks>() {
+            self.first.get_or_insert((worker_epoch, tick));
+        }
         let run = self.runs.entry(worker_epoch).or_default();
         run.newest = run.newest.max(tick);
         run.ticks.entry(tick).or_default()

@@ -118,7 +118,7 @@ pub struct Verifier {
 /// The beginning of a recording, where the worker's state is unknown.
 #[derive(Debug, Default)]
 struct Beginning {
-    /// Run and number of the first tick.
+    /// Run and number of the first tick with a journal.
     first: Option<(u64, u64)>,
     /// Start of the first tick, and of the newest one, monotonic ns.
     times: Option<(u64, u64)>,
@@ -128,15 +128,16 @@ struct Beginning {
 
 impl Beginning {
     fn note(&mut self, place: (u64, u64), start_ns: Option<u64>) {
+        let Some(start_ns) = start_ns else {
+            return;
+        };
         if self.first.is_none() {
             self.first = Some(place);
             // A keyframe of an earlier tick may come first.
             self.until.take().into_iter().for_each(|keyframe| self.end(keyframe));
         }
-        if let Some(start_ns) = start_ns {
-            let (from_ns, newest_ns) = self.times.unwrap_or((start_ns, start_ns));
-            self.times = Some((from_ns, newest_ns.max(start_ns)));
-        }
+        let (from_ns, newest_ns) = self.times.unwrap_or((start_ns, start_ns));
+        self.times = Some((from_ns, newest_ns.max(start_ns)));
     }
 
     /// Ends with a keyframe of `place`, unless the ticks that follow it were not recorded.
@@ -342,6 +343,7 @@ impl Verifier {
         let why = match span {
             // The state from which a worker began that was ended before its first tick.
             None if tick == 0 => Loss::Given,
+            None if self.beginning.first.is_some_and(|first| place < first) => Loss::Before,
             Some((first, _)) if tick < first => Loss::Before,
             Some((_, last)) if tick <= last && !self.states.is_forgotten(place) => {
                 Loss::NotRecomputed
@@ -373,6 +375,7 @@ impl Verifier {
 
     fn tick(&mut self, next: Waiting) {
         let place = (next.worker_epoch, next.tick);
+        let start_ns = next.start_ns();
         let is_first_run = self.spans.is_empty();
         let begins_inside = !is_first_run || self.keyframes.contains_key(&(place.0, 0));
         let absent = match self.spans.get_mut(&place.0) {
@@ -381,13 +384,15 @@ impl Verifier {
                 return self.report.contradict(next.tick, Loss::Stray(Ticks::SERVICE.name()));
             }
             Some((_, last)) => next.tick - std::mem::replace(last, next.tick) - 1,
+            // A recording begins with its first journal: a new reader of some channels receives
+            // the newest frame, which may be of a tick long before.
+            None if is_first_run && start_ns.is_none() => 0,
             None => {
                 self.spans.insert(place.0, (next.tick, next.tick));
                 if begins_inside { next.tick.saturating_sub(1) } else { 0 }
             }
         };
         self.report.note_tick(place, absent);
-        let start_ns = next.start_ns();
         self.beginning.note(place, start_ns);
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(next),

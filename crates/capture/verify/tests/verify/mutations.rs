@@ -160,6 +160,15 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
     ("the first ticks and their keyframe removed", Verified, |messages| {
         remove_ticks(messages, 0..=10);
     }),
+    (
+        "a recording from the middle, with an old frame that a new reader receives",
+        Verified,
+        |messages| {
+            let old = messages[at::<PlanStates>(messages, 5)].clone();
+            remove_ticks(messages, 0..=60);
+            messages.insert(0, old);
+        },
+    ),
     ("the last tick removed", Verified, |messages| remove_ticks(messages, TICKS..=TICKS)),
     ("the last frame of forecasts removed", Verified, |messages| {
         messages.remove(at::<Forecasts>(messages, TICKS));
