@@ -261,7 +261,7 @@ for _ in $(seq {PATIENCE_S}); do
 done
 cat said
 [ $code != 124 ] || {{ code=0; ready='{prints}' lasting {program}; }}
-[ -z '{prints}' ] || cat said "$LASTING"/*.log | grep -qE '{prints}' || {{ echo 'not printed: {prints}'; exit 1; }}
+[ -z '{prints}' ] || grep -qsE '{prints}' said "$LASTING"/*.log || {{ echo 'not printed: {prints}'; exit 1; }}
 exit $code""")
 
     def toml(self, block):

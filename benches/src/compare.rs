@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::report::{Facts, shown, significant};
+use crate::machine::Facts;
+use crate::report::{shown, significant};
 use crate::{Better, Distribution, Figure, SCHEMA, Suite};
 
 /// Change of a figure.

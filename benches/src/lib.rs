@@ -29,7 +29,8 @@ pub use joulebus_latency::{Spread, histogram};
 pub use compare::{Change, Comparison, Verdict};
 pub use distribution::Distribution;
 pub use figure::{Better, Figure};
-pub use report::{Facts, Report, SCHEMA, Suite};
+pub use machine::Facts;
+pub use report::{Report, SCHEMA, Suite};
 pub use run::main;
 
 #[cfg(test)]

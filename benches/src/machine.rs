@@ -1,13 +1,17 @@
 //! The machine and the build of a measurement.
 
+use std::collections::BTreeMap;
 use std::fs;
 
-use crate::report::Facts;
+use serde_json::Value;
 
 /// The version pinned in the workspace.
 const ICEORYX2: &str = "0.10.0";
 /// Value of unknown properties.
 const UNKNOWN: &str = "unknown";
+
+/// Properties of a machine, a build or an input, by name.
+pub type Facts = BTreeMap<String, Value>;
 
 /// This machine, as far as Linux reports it.
 pub(crate) fn machine() -> Facts {

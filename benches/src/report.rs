@@ -1,18 +1,15 @@
 //! Figures with machine, build and input, as text and as JSON.
 
-use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{Distribution, Figure, machine};
+use crate::machine::{self, Facts};
+use crate::{Distribution, Figure};
 
 /// Version of the layout: figures of other versions are not comparable.
 pub const SCHEMA: &str = "joulebus-bench/1";
-
-/// Properties of a machine, a build or an input, by name.
-pub type Facts = BTreeMap<String, Value>;
 
 /// One run: a machine, a build, and the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
