@@ -90,6 +90,9 @@ pub(crate) struct Account {
     /// `None` for a platform without one, and in files of version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     battery: Option<SavedBattery>,
+    /// Mean power at the last sample, W. `None` without a battery, and before version 5.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_power_w: Option<f32>,
 }
 
 /// One robot's account as the fleet takes it.
@@ -138,6 +141,8 @@ impl Checkpoint {
             // counts the silence again.
             let known = self.robots.get(&budget.robot);
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
+            let battery = SavedBattery::new(budget);
+            let mean_power_w = battery.and_then(|battery| battery.mean_power_w());
             let account = Account {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
@@ -148,7 +153,8 @@ impl Checkpoint {
                 charged: budget.flags & budget_flag::CHARGED != 0,
                 battery: silent
                     .and_then(|known| known.battery)
-                    .or_else(|| SavedBattery::new(budget)),
+                    .or_else(|| battery.map(|battery| battery.with_mean_power_w(None))),
+                mean_power_w,
             };
             self.robots.insert(budget.robot, account);
         }
@@ -245,7 +251,9 @@ impl Checkpoint {
                 unmetered_ns,
                 account.stamp_ns,
             );
-            Restored { robot: *robot, ledger, charged: account.charged, battery: account.battery }
+            let mean_power_w = account.mean_power_w;
+            let battery = account.battery.map(|battery| battery.with_mean_power_w(mean_power_w));
+            Restored { robot: *robot, ledger, charged: account.charged, battery }
         };
         robots.into_iter().map(ledger).collect()
     }
@@ -327,6 +335,27 @@ pub(crate) mod tests {
         let account = &other.robots[&3];
         assert_eq!(account.unmetered_ns, 20 + 10_000 + 100);
         assert_eq!(account.stamp_ns, 5);
+    }
+
+    #[test]
+    fn the_mean_power_is_kept_with_an_account_and_comes_back_with_its_battery() {
+        for (power_w, kept) in [(6.5, Some(6.5)), (f32::NAN, None)] {
+            let budget = Budget {
+                robot: 3,
+                flags: budget_flag::LEDGER | budget_flag::BATTERY,
+                mean_power_w: power_w,
+                stamp_ns: 1_000,
+                ..Budget::default()
+            };
+            let mut ledger = Checkpoint::new("lab", "boot-a");
+            ledger.take(&sent(1_000), &[budget], (9, |_| true));
+            let text = serde_json::to_string(&ledger).unwrap();
+            assert_eq!(text.contains("mean_power_w"), kept.is_some(), "{text}");
+            let read: Checkpoint = serde_json::from_str(&text).unwrap();
+            assert_eq!(read, ledger);
+            let battery = read.ledgers()[0].battery.unwrap();
+            assert_eq!(battery.mean_power_w(), kept);
+        }
     }
 
     #[test]

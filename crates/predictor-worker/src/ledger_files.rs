@@ -20,10 +20,12 @@ use crate::checkpoint::Checkpoint;
 const PLAIN: u32 = 3;
 /// The version of files that have them. Releases that do not know them must not take such batteries
 /// for new.
-const NEWEST: u32 = 4;
+const LOST: u32 = 4;
+/// The version of files that also have the mean power of robots with a battery.
+const NEWEST: u32 = 5;
 /// The version before, without batteries: it is read, and written as a newer one.
 const BEFORE: u32 = 2;
-const KNOWN: [u32; 3] = [NEWEST, PLAIN, BEFORE];
+const KNOWN: [u32; 4] = [NEWEST, LOST, PLAIN, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -308,7 +310,8 @@ fn is_cut_off(path: &Path) -> io::Result<bool> {
         beginning.as_bytes().starts_with(first) || first.iter().all(|byte| *byte == 0)
     };
     // Whole, it is another fleet's, or of another version.
-    Ok((begins(PLAIN) || begins(NEWEST)) && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
+    let begins = [PLAIN, LOST, NEWEST].into_iter().any(begins);
+    Ok(begins && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
 }
 
 fn checksum(
@@ -324,8 +327,13 @@ fn checksum(
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
-    let plain = ledger.lost.is_empty() && ledger.errors.is_empty();
-    let schema = if plain { PLAIN } else { NEWEST };
+    let has_means = ledger.robots.values().any(|account| account.mean_power_w.is_some());
+    let is_plain = ledger.lost.is_empty() && ledger.errors.is_empty();
+    let schema = match (has_means, is_plain) {
+        (true, _) => NEWEST,
+        (false, false) => LOST,
+        (false, true) => PLAIN,
+    };
     let fnv1a = checksum(schema, generation, ledger)?;
     serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
 }
@@ -611,6 +619,19 @@ mod tests {
         // It refuses unknown fields, versions other than 2 and 3, and any other checksum.
         assert_eq!(String::from_utf8(encode(41, &ledger).unwrap()).unwrap(), text);
         files.write(&ledger).unwrap();
+        assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(ledger));
+    }
+
+    #[test]
+    fn the_mean_power_is_in_a_version_that_releases_without_it_refuse() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let mut ledger = drawn(77);
+        ledger.robots.values_mut().for_each(|account| account.mean_power_w = Some(6.25));
+        LedgerFiles::new(&path).write(&ledger).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with("{\"schema\":5,\"generation\":1,"), "{text}");
+        assert!(text.contains("\"mean_power_w\":6.25"), "{text}");
         assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(ledger));
     }
 

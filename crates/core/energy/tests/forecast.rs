@@ -719,3 +719,73 @@ fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
         model.outlook(horizons_s).of(&EnergyState::new(0), &PlatformErrors::TRAINED, f32::NAN);
     assert!(new.energy_j.into_iter().zip(horizons_s).all(|(joules, s)| near(joules, 5.0 * s)));
 }
+
+/// A robot at rest, with samples of this power.
+fn at_rest(power_w: f32) -> EnergySample {
+    EnergySample { power_w, elapsed_s: 0.1, v_mps: 0.2, omega_radps: 0.0 }
+}
+
+#[test]
+fn a_shadow_forecast_is_judged_with_the_trust_and_the_shares_that_it_was_made_with() {
+    let model = model(&[0.5; TERMS], 0.0);
+    let mut made = EnergyState::new(0);
+    (0..40).for_each(|_| made.observe(&model, &at_rest(9.0)));
+    // What the robot and its platform show before it ends has no part in it.
+    let mut shown = made;
+    shown.learned.command_trust = 0.0;
+    let mut platform = PlatformErrors::TRAINED;
+    platform.shares = [[1.0, 0.0, 0.0]; SHADOWS];
+    let (mut ended, mut apart) = (0, 0);
+    for step in 0..1_200 {
+        let sample = at_rest(if step % 7 < 3 { 2.0 } else { 14.0 });
+        let before = shown;
+        let errors = made.observe_among(&model, &PlatformErrors::TRAINED, &sample);
+        let found = shown.observe_among(&model, &platform, &sample);
+        for shadow in 0..SHADOWS {
+            if errors.classes[shadow].is_some() {
+                assert_eq!(errors.classes[shadow], found.classes[shadow], "shadow {shadow}");
+                let ahead = SHADOWS + shadow;
+                assert_eq!(errors.classes[ahead], found.classes[ahead], "shadow {shadow}");
+                ended |= 1 << shadow;
+            }
+        }
+        // Those that are made now are made alike again, with the trust that is shown now.
+        let is_made = shown.made != before.made;
+        apart += usize::from(is_made && shown.made != made.made);
+        shown.made = made.made;
+        shown.learned = Learned { command_trust: 0.0, ..made.learned };
+        shown.ahead = made.ahead;
+    }
+    assert_eq!(ended, 7, "all three have ended");
+    assert!(apart > 0, "what is shown counts for the next ones");
+}
+
+#[test]
+fn a_probability_is_exact_where_quantiles_have_kinks() {
+    for errors in [
+        [-0.5, -0.02, -0.015, -0.01, 0.0, 0.3, 0.31, 0.32, 0.33],
+        [-0.16, -0.1, -0.08, -0.04, 0.0, 0.04, 0.08, 0.1, 0.16],
+        [-0.3, -0.3, -0.3, -0.01, 0.0, 0.0, 0.0, 0.5, 0.9],
+    ] {
+        let model = EnergyModel { errors: [errors; 6], ..model(&[0.5; TERMS], 0.0) };
+        let state = observed(&model, &[]);
+        let forecast = model.forecast(&state, commands(0.5, &[0.0; 4], &[0.0; 4]));
+        for share in [-0.4f32, -0.02, 0.0, 0.05, 0.3, 0.5] {
+            for sd in [1e-4f32, 0.01, 0.05, 0.2, 1.0] {
+                let (about_j, sd_j) = (forecast.energy_j * (1.0 + share), forecast.energy_j * sd);
+                let found = forecast.probability_below(about_j, sd_j).expect("known");
+                let (mut mean, mut weight) = (0.0, 0.0);
+                for place in -5_000..=5_000 {
+                    let deviations = place as f32 * 1e-3;
+                    let density = f64::from(-0.5 * deviations * deviations).exp();
+                    let below = forecast.probability_below(about_j + deviations * sd_j, 0.0);
+                    mean += density * f64::from(below.expect("known"));
+                    weight += density;
+                }
+                let expected = mean / weight;
+                let off = (f64::from(found) - expected).abs();
+                assert!(off < 0.004, "{errors:?} {share} {sd}: {found} for {expected}");
+            }
+        }
+    }
+}

@@ -51,7 +51,7 @@ pub use cell::{
     Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, IntervalScore, Role, Skill,
 };
 pub use common::BaselineReport;
-pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
+pub use compare::{Comparison, Difference, FEWEST_TRIALS, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
 pub use error::{MAX_HORIZON, ScoreError};
 pub(crate) use open::each;

@@ -7,6 +7,7 @@ use std::time::Duration;
 use joulebus_dataset::split::SplitSummary;
 use serde::Serialize;
 
+use super::energy::FEWEST_RECORDINGS;
 use super::{Findings, Trained};
 
 /// Report of a training run. `Display` is text.

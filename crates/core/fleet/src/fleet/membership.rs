@@ -37,7 +37,7 @@ impl Fleet {
             robot,
             charged,
             ledger,
-            battery: battery.map_or(Known::Nothing, Known::Saved),
+            battery: battery.map_or(Known::Nothing, Known::saved),
         })
     }
 

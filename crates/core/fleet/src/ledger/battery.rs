@@ -516,9 +516,8 @@ impl BatteryState {
     }
 
     /// A battery that an earlier run wrote down.
-    fn restored(saved: &SavedBattery, battery: &Battery, ledger: &Ledger) -> Self {
+    fn restored(saved: &SavedBattery, mean_w: f32, battery: &Battery, ledger: &Ledger) -> Self {
         let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
-        let mean_w = saved.mean_power_w.filter(|watts| watts.is_finite()).unwrap_or(f32::NAN);
         let Some(estimate) = saved.estimate(battery.counting_sd) else {
             return Self { mean_w, ..Self::unknown(battery, at) };
         };
@@ -546,7 +545,7 @@ impl BatteryState {
     pub(crate) fn joining(battery: &Battery, known: Known, used: bool, ledger: &Ledger) -> Self {
         let mut joining = match known {
             Known::Kept(kept) => kept,
-            Known::Saved(saved) => Self::restored(&saved, battery, ledger),
+            Known::Saved(saved, mean_w) => Self::restored(&saved, mean_w, battery, ledger),
             // Charged by an earlier version, which did not meter it, or its account was given up.
             Known::Nothing if used => Self::unknown(battery, At::new(ledger)),
             Known::Nothing => Self::new(battery),
@@ -598,8 +597,8 @@ pub struct SavedBattery {
     changes: u32,
     charging: bool,
     measured: bool,
-    /// Mean power at the last sample, W. `None` if there was none, and in ledgers before version 5.
-    #[serde(default, deserialize_with = "added::read")]
+    /// Mean power at the last sample, W. Apart from the others wherever they are stored.
+    #[serde(skip)]
     mean_power_w: Option<f32>,
 }
 
@@ -630,6 +629,17 @@ impl SavedBattery {
     /// Times that another battery was noticed.
     pub const fn changes(&self) -> u32 {
         self.changes
+    }
+
+    /// Mean power at the last sample, W, which is stored apart: an older ledger lacks it.
+    pub const fn mean_power_w(&self) -> Option<f32> {
+        self.mean_power_w
+    }
+
+    /// The same battery with another mean power.
+    #[must_use]
+    pub const fn with_mean_power_w(self, mean_power_w: Option<f32>) -> Self {
+        Self { mean_power_w, ..self }
     }
 
     /// The same battery after an unknown time, when anything may be left.
@@ -674,6 +684,23 @@ pub(crate) enum Known {
     Nothing,
     /// The robot has left.
     Kept(BatteryState),
-    /// Saved by an earlier run.
-    Saved(SavedBattery),
+    /// Saved by an earlier run, with the mean power then, W, NaN if unknown. A gap since is valued by
+    /// it.
+    Saved(SavedBattery, #[serde(deserialize_with = "added::read")] f32),
+}
+
+impl Known {
+    /// Completes one of the version before: the mean power is unknown.
+    pub(crate) fn complete(&mut self) {
+        match self {
+            Self::Kept(kept) => (kept.mean_w, kept.reading_w) = (f32::NAN, f32::NAN),
+            Self::Saved(_, mean_w) => *mean_w = f32::NAN,
+            Self::Nothing => {}
+        }
+    }
+
+    pub(crate) fn saved(battery: SavedBattery) -> Self {
+        let mean_w = battery.mean_power_w.filter(|watts| watts.is_finite());
+        Self::Saved(battery, mean_w.unwrap_or(f32::NAN))
+    }
 }

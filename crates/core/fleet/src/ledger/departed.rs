@@ -25,7 +25,7 @@ impl Account {
         match battery {
             Known::Kept(kept) => kept.shift(shift),
             // Without instants.
-            Known::Nothing | Known::Saved(_) => {}
+            Known::Nothing | Known::Saved(..) => {}
         }
     }
 }

@@ -180,6 +180,7 @@ impl FleetState {
             added::decode_before(|| postcard::take_from_bytes(encoded)).map(
                 |(mut state, rest): (Self, &[u8])| {
                     state.columns.complete();
+                    state.departed.iter_mut().for_each(|account| account.battery.complete());
                     (state, rest)
                 },
             )

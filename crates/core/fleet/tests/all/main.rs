@@ -5,6 +5,7 @@ mod allocations;
 mod battery;
 mod before;
 mod budgets;
+mod day;
 mod independence;
 mod intake;
 mod left_out;

@@ -30,6 +30,26 @@ fn intervals_cover_the_true_mean_at_about_the_nominal_rate() {
     assert!((0.85..=0.94).contains(&share), "{share}");
 }
 
+#[test]
+fn of_ten_trials_with_effects_of_their_own_equal_means_differ_as_rarely_as_stated() {
+    let settings = Bootstrap { resamples: 400, ..Bootstrap::default() };
+    let mut random = Pcg64::seed_from_u64(8);
+    let tries = 1_000;
+    for trials in [10, 20] {
+        let mut differ = 0;
+        for _ in 0..tries {
+            // The sum of twelve is nearly normal.
+            let effect = |_| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>();
+            let effects: Vec<f64> = (0..trials).map(effect).collect();
+            let found = of_mean(settings, &effects).widened_for(trials);
+            differ += usize::from(found.is_above(0.0) || found.is_below(0.0));
+        }
+        let share = differ as f64 / tries as f64;
+        // 5 % are stated, and chance adds 0.7.
+        assert!((0.025..=0.07).contains(&share), "{trials} trials: {share}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 30, failure_persistence: None, ..ProptestConfig::default() })]
 

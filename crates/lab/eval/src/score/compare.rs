@@ -15,6 +15,10 @@ use super::trained_on::ScoredRows;
 use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 
+/// Fewest trials from which a comparison tells anything. Rows of one trial share its floor and load,
+/// so that one trial is one observation, however long it is.
+pub const FEWEST_TRIALS: usize = 10;
+
 /// Index of the two models among the forecasters.
 const OLD: usize = 0;
 const NEW: usize = 1;
@@ -136,8 +140,10 @@ pub enum Verdict {
     Better,
     /// The interval is below 0.
     Worse,
-    /// The interval includes 0, or there is none: too few blocks, or no error to compare.
+    /// The interval includes 0, or there is none, because there is no error to compare.
     Undecided,
+    /// There are fewer than [`FEWEST_TRIALS`] trials.
+    CannotTell,
 }
 
 impl fmt::Display for Verdict {
@@ -146,13 +152,16 @@ impl fmt::Display for Verdict {
             Self::Better => "better",
             Self::Worse => "worse",
             Self::Undecided => "undecided",
+            Self::CannotTell => "cannot tell",
         })
     }
 }
 
 impl Verdict {
-    fn new(skill: &Estimate) -> Self {
-        if skill.is_above(0.0) {
+    fn new(skill: &Estimate, trials: usize) -> Self {
+        if trials < FEWEST_TRIALS {
+            Self::CannotTell
+        } else if skill.is_above(0.0) {
             Self::Better
         } else if skill.is_below(0.0) {
             Self::Worse
@@ -207,9 +216,9 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
 }
 
 fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference {
-    let (blocks, _) = tallied.blocks(set, bootstrap);
+    let blocks = tallied.whole_trials(set);
     let draws = Draws::new(&blocks);
-    let estimates = bootstrap.estimate(blocks.len(), |drawn| {
+    let estimates = of_trials(bootstrap, blocks.len(), |drawn| {
         let Block { forecasters, intervals } = draws.merged(drawn);
         let (old, new) = (&forecasters[OLD], &forecasters[NEW]);
         vec![
@@ -245,8 +254,18 @@ fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference
         rmse_w: estimates[2],
         skill: estimates[3],
         coverage: estimates[4],
-        verdict: Verdict::new(&estimates[3]),
+        verdict: Verdict::new(&estimates[3], blocks.len()),
     }
+}
+
+/// Scores with intervals from draws of whole trials, if there are enough.
+fn of_trials<S>(bootstrap: &Bootstrap, trials: usize, statistics: S) -> Vec<Estimate>
+where
+    S: Fn(&[usize]) -> Vec<f64> + Sync,
+{
+    let resamples = if trials < FEWEST_TRIALS { 0 } else { bootstrap.resamples };
+    let estimates = Bootstrap { resamples, ..*bootstrap }.estimate(trials, statistics);
+    estimates.into_iter().map(|estimate| estimate.widened_for(trials)).collect()
 }
 
 fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
@@ -257,7 +276,7 @@ fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
             tallied.horizon(&all, place).filter(|sums| sums.power[OLD].count() > 0).collect();
         let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
         let draws = Draws::new(&blocks);
-        let estimates = options.bootstrap.estimate(blocks.len(), |drawn| {
+        let estimates = of_trials(&options.bootstrap, blocks.len(), |drawn| {
             match draws.merged(drawn).forecasters.as_slice() {
                 [old, new, ..] => vec![new.mae_w() - old.mae_w(), new.skill(old)],
                 _ => vec![f64::NAN; 2],

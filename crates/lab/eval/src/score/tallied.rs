@@ -156,12 +156,16 @@ impl Tallied {
         set.places.iter().map(|at| &self.recordings[*at])
     }
 
+    /// One block for each trial.
+    pub(crate) fn whole_trials(&self, set: &Set) -> Vec<Block> {
+        self.of(set).map(|named| Block::merged(&named.blocks)).collect()
+    }
+
     /// The blocks to resample, and whether each is a whole trial.
     pub(crate) fn blocks(&self, set: &Set, bootstrap: &Bootstrap) -> (Vec<Block>, bool) {
         let whole = set.trials() >= bootstrap.trials_from;
         let blocks = if whole {
-            let trials = self.of(set).map(|named| Block::merged(&named.blocks));
-            trials.collect()
+            self.whole_trials(set)
         } else {
             let blocks = self.of(set).flat_map(|named| &named.blocks);
             blocks.cloned().collect()

@@ -496,6 +496,14 @@ fn write_sides(out: &mut Formatter<'_>, all: &Difference) -> fmt::Result {
     let spread = between(&all.skill, 1.0, 4);
     let skill = Number(all.skill.value, 0, 4);
     writeln!(out, "new against old: skill {skill} {spread}: {}", all.verdict)?;
+    if all.verdict == super::Verdict::CannotTell {
+        let (trials, fewest) = (all.trials, super::FEWEST_TRIALS);
+        writeln!(
+            out,
+            "{trials} of at least {fewest} trials: rows of one trial share its floor and load, so \
+             that fewer do not tell which model is better. Compare on more recordings"
+        )?;
+    }
     write!(out, "{} rows", all.rows)?;
     if all.unscored > 0 {
         write!(out, "; {} left out, one of the models has no forecast for them", all.unscored)?;
@@ -546,11 +554,12 @@ fn write_differences(out: &mut Formatter<'_>, what: &str, all: &[Difference]) ->
     let count = |verdict| all.iter().filter(|one| one.verdict == verdict).count();
     writeln!(
         out,
-        "({} {what}s: {} better, {} worse, {} undecided)",
+        "({} {what}s: {} better, {} worse, {} undecided, {} with too few trials to tell)",
         all.len(),
         count(super::Verdict::Better),
         count(super::Verdict::Worse),
-        count(super::Verdict::Undecided)
+        count(super::Verdict::Undecided),
+        count(super::Verdict::CannotTell)
     )
 }
 

@@ -19,6 +19,7 @@ use crate::judgement::report;
     Both are scored on the rows for which both have a forecast and that neither was trained on. \
     Differences are new less old. Skill is 1 - squared error of the new over that of the old. \
     Better or worse means that the whole confidence interval of the skill lies on one side of 0. \
+    The intervals are of draws of whole trials. Fewer than 10 trials cannot tell. \
     Of twenty robots, one will do so by chance at 95 %.\n\n\
     Exits with 0 whichever is better. With --fail-worse, exits with 3 if the new one is worse on \
     all recordings of a platform together.")]

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
 fn row(features: &[f32], target_w: f32) -> Row {
-    let mut row = Row { features: [0.0; INPUTS], target_w };
+    let mut row = Row::new([0.0; INPUTS], target_w);
     row.features[..features.len()].copy_from_slice(features);
     row
 }

@@ -766,12 +766,18 @@ fn a_comparison_states_which_model_is_better_and_where() {
     assert_eq!((forwards.trials.len(), forwards.groups.len()), (12, 2));
     for (one, other) in forwards.trials.iter().zip(&backwards.trials) {
         assert!(near(one.mae_w.value, -other.mae_w.value));
-        assert!(near(one.mae_w.lo, -other.mae_w.hi), "the same draws");
+        // A trial is one observation.
+        assert!(one.mae_w.lo.is_nan() && one.verdict == Verdict::CannotTell);
         assert!(near(one.mae_w.value, one.new.mae_w - one.old.mae_w));
         assert!(near(one.r2.value, one.new.r2 - one.old.r2));
         let ratio = (one.new.rmse_w / one.old.rmse_w).powi(2);
         assert!(near(one.skill.value, 1.0 - ratio));
     }
+    let (one, other) = (&forwards.all, &backwards.all);
+    assert!(near(one.mae_w.lo, -other.mae_w.hi), "the same draws");
+    let few = compared(&recordings[..9], &[poor.clone(), persistence()]);
+    assert_eq!(few.all.verdict, Verdict::CannotTell);
+    assert!(few.to_string().contains("9 of at least 10 trials"), "{few}");
     let same = compared(&recordings, &[poor.clone(), poor]);
     assert_eq!(same.all.verdict, Verdict::Undecided);
     assert_eq!((same.all.skill.value, same.all.mae_w.value), (0.0, 0.0));

@@ -1,0 +1,406 @@
+//! A day of simulated robots, whose truth is known, with all that a day has: lost samples, absences,
+//! restarts of the worker, charging, a night, gauges that are wrong. What budgets and answers state
+//! is compared with what happened.
+
+use joulebus_fleet::{Fleet, SavedBattery};
+use joulebus_plan::{Fleet as PlanFleet, Frames, Platform as PlanPlatform};
+use joulebus_predictor::{FeatureSet, Model};
+use joulebus_settings::{Battery, ChargeReading, FleetSettings, Platform};
+use joulebus_testkit_fleets::random::{self, Noise};
+use joulebus_testkit_fleets::{self as world, MS, Source};
+use joulebus_wire::{
+    Budget, BudgetHeader, PlanStateHeader, SCHEMA_VERSION, Sample, budget_flag, sample_flag,
+};
+
+const STEP_NS: u64 = 4_000 * MS;
+const STEP_S: f64 = 4.0;
+const START_NS: u64 = 60_000 * MS;
+const HOUR: u64 = 900;
+const DAY: u64 = 24 * HOUR;
+/// Seven hours at the mean power.
+const CAPACITY_J: f64 = 93_000.0;
+const MEAN_W: f64 = 3.7;
+const ROBOTS: usize = 300;
+/// Charge when the charger reports full, with the deviation of that.
+const FULL: (f64, f64) = (0.97, 0.01);
+
+fn battery() -> Battery {
+    Battery {
+        initial_soc: 0.9,
+        initial_soc_lo: 0.86,
+        charge_reading: ChargeReading::Battery,
+        charge_efficiency: 0.9,
+        charge_power_w: Some(30.0),
+        on_full_soc: FULL.0,
+        counting_sd: 0.03,
+        ..Battery::new(CAPACITY_J, 0.05)
+    }
+}
+
+fn settings() -> FleetSettings {
+    let settings = world::settings(ROBOTS as u32);
+    let platform = Platform {
+        robots: vec![0..=ROBOTS as u32 - 1],
+        period_ns: STEP_NS,
+        stale_after_ns: 10 * STEP_NS,
+        hold_max_ns: 10 * STEP_NS,
+        stuck_after_ns: 1_000 * STEP_NS,
+        power_min_w: -30.0,
+        battery: Some(battery()),
+        ..settings.platforms[0].clone()
+    };
+    let intake = joulebus_settings::Intake {
+        max_jump_ns: u64::MAX,
+        leave_after_ns: 30 * STEP_NS,
+        ..settings.intake
+    };
+    FleetSettings { platforms: vec![platform], intake, ..settings }
+}
+
+fn fleet() -> Fleet {
+    let model = Model::Network(random::network(1, FeatureSet::Full));
+    Fleet::new(settings(), vec![model]).expect("the settings are consistent")
+}
+
+fn uniform(noise: &mut Noise) -> f64 {
+    (noise.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+fn normal(noise: &mut Noise) -> f64 {
+    (0..12).map(|_| uniform(noise)).sum::<f64>() - 6.0
+}
+
+/// Draws of a normal distribution in any order, one in each of as many equal parts of it: a table of
+/// shares then has little error of its own.
+fn normals(noise: &mut Noise) -> Vec<f64> {
+    let (mut below, mut all) = (0.0, Vec::new());
+    for place in -40_000..40_000 {
+        let value = f64::from(place) * 1e-4;
+        below += 1e-4 * (-0.5 * value * value).exp() / std::f64::consts::TAU.sqrt();
+        if below * ROBOTS as f64 >= all.len() as f64 + 0.5 {
+            all.push(value);
+        }
+    }
+    all.resize(ROBOTS, 0.0);
+    for place in (1..ROBOTS).rev() {
+        all.swap(place, (uniform(noise) * (place + 1) as f64) as usize);
+    }
+    all
+}
+
+/// What a robot is really like.
+struct Robot {
+    soc: f64,
+    /// Error of its power monitor, relative.
+    gain: f64,
+    /// Its charge when it is full.
+    full: f64,
+    level: f64,
+    mission: f64,
+    mission_ends: u64,
+    away_until: u64,
+    /// Share of its samples that are lost.
+    lost: f64,
+    /// Error of its gauge. `None`: it has none. Infinite: it is stuck.
+    gauge: Option<f64>,
+    is_charging: bool,
+    is_full: bool,
+    left_j: f64,
+}
+
+impl Robot {
+    /// Robots work until this much is left. Each has its own time of day.
+    fn works(number: usize, step: u64) -> bool {
+        (step + 37 * number as u64) % (8 * HOUR) < 5 * HOUR
+    }
+
+    fn is_off(step: u64) -> bool {
+        (15 * HOUR..21 * HOUR).contains(&step)
+    }
+
+    /// Power out of the battery over the next step, W.
+    fn power_w(&mut self, number: usize, step: u64, noise: &mut Noise) -> f64 {
+        self.is_charging = !Self::works(number, step);
+        if step >= self.mission_ends {
+            self.mission_ends = step + 30 + (uniform(noise) * 90.0) as u64;
+            self.mission = 1.0 + 0.1 * normal(noise);
+        }
+        match (self.is_charging, self.soc >= self.full) {
+            (true, true) => 0.0,
+            (true, false) => -12.0,
+            _ => MEAN_W * self.level * self.mission * (1.0 + 0.1 * normal(noise)),
+        }
+    }
+
+    /// The monitor reads `power_w`, of which it is wrong.
+    fn draw(&mut self, power_w: f64) {
+        let stored = if power_w < 0.0 { 0.9 } else { 1.0 };
+        self.soc -= stored * power_w * (1.0 + self.gain) * STEP_S / CAPACITY_J;
+        self.soc = self.soc.clamp(0.0, if self.is_charging { self.full } else { 1.0 });
+        self.is_full = self.is_charging && self.soc >= self.full;
+    }
+}
+
+/// A question that was answered, and the step at which its plan ends.
+struct Asked {
+    robot: usize,
+    ends: u64,
+    reserve: f64,
+    stated: f64,
+    is_yes: bool,
+}
+
+/// Stated probabilities in tenths, with what happened.
+#[derive(Default, Clone, Copy)]
+struct Tenth {
+    count: f64,
+    stated: f64,
+    happened: f64,
+}
+
+struct Day {
+    fleet: Fleet,
+    source: Source,
+    noise: Noise,
+    robots: Vec<Robot>,
+    asked: Vec<Asked>,
+    tenths: [Tenth; 10],
+    beyond: usize,
+    yes: [usize; 2],
+    inside: [usize; 2],
+    rises: usize,
+}
+
+impl Day {
+    fn new(seed: u64) -> Self {
+        let mut noise = Noise(seed);
+        let battery = battery();
+        let initial_sd = (battery.initial_soc - battery.initial_soc_lo) / 2.0;
+        let [charges, gains, fulls] = std::array::from_fn(|_| normals(&mut noise));
+        let robot = |number: usize| Robot {
+            soc: battery.initial_soc + initial_sd * charges[number],
+            gain: battery.counting_sd * gains[number],
+            full: FULL.0 + FULL.1 * fulls[number],
+            level: 1.0 + 0.03 * normal(&mut Noise(seed + number as u64)),
+            mission: 1.0,
+            mission_ends: 0,
+            away_until: 0,
+            lost: [0.0, 0.01, 0.1][number % 3],
+            gauge: match number % 20 {
+                7 => Some(0.05 * normal(&mut Noise(number as u64))),
+                13 => Some(f64::INFINITY),
+                _ => None,
+            },
+            is_charging: false,
+            is_full: false,
+            left_j: f64::INFINITY,
+        };
+        Self {
+            robots: (0..ROBOTS).map(robot).collect(),
+            fleet: fleet(),
+            source: Source::new(1, 1),
+            noise,
+            asked: Vec::new(),
+            tenths: [Tenth::default(); 10],
+            beyond: 0,
+            yes: [0; 2],
+            inside: [0; 2],
+            rises: 0,
+        }
+    }
+
+    fn run(&mut self) {
+        for step in 0..DAY {
+            self.step(step);
+            if [3, 11, 22].map(|hour| hour * HOUR + 77).contains(&step) {
+                self.restart(2 + step);
+            }
+            self.watch(step);
+            for _ in 0..2 {
+                self.ask(step);
+            }
+            self.judge(step);
+        }
+    }
+
+    fn step(&mut self, step: u64) {
+        let now_ns = START_NS + step * STEP_NS;
+        let mut samples = Vec::new();
+        for (number, robot) in self.robots.iter_mut().enumerate() {
+            if Robot::is_off(step) {
+                // Somebody charges them in the night, and nobody says so.
+                robot.soc = (robot.soc + 0.0002).min(robot.full);
+                continue;
+            }
+            let power_w = robot.power_w(number, step, &mut self.noise);
+            robot.draw(power_w);
+            let noise = &mut self.noise;
+            if robot.away_until <= step && uniform(noise) < 1.0 / 3_000.0 && !robot.is_charging {
+                robot.away_until = step + 5 + (uniform(noise) * 70.0) as u64;
+            }
+            let is_away = step < robot.away_until && !robot.is_charging;
+            if is_away || uniform(noise) < robot.lost {
+                continue;
+            }
+            let mut sample = Sample::new(number as u32, step, now_ns)
+                .command(0.0, 0.0)
+                .reading(power_w as f32, now_ns);
+            if robot.is_charging {
+                sample = sample.with(sample_flag::CHARGING);
+            }
+            if robot.is_full {
+                sample = sample.with(sample_flag::FULL);
+            }
+            if let Some(error) = robot.gauge {
+                let shown = if error.is_finite() { robot.soc + error } else { 0.7 };
+                sample = sample
+                    .state_of_charge((100.0 * shown).round().clamp(0.0, 100.0) as f32 / 100.0);
+            }
+            samples.push(sample);
+        }
+        self.source.tick(&mut self.fleet, &samples, now_ns);
+    }
+
+    /// Another worker continues from what this one saved.
+    fn restart(&mut self, epoch: u64) {
+        let mut after = fleet();
+        for place in 0..self.fleet.len() {
+            let budget = self.fleet.budget(place);
+            let ledger = self.fleet.ledger(budget.robot).expect("it is in the fleet");
+            after.restore(budget.robot, ledger, true, SavedBattery::new(&budget));
+        }
+        (self.fleet, self.source) = (after, Source::new(1, epoch));
+    }
+
+    /// Energy left never rises without charge, and the truth is inside the bounds.
+    fn watch(&mut self, step: u64) {
+        for place in 0..self.fleet.len() {
+            let budget = self.fleet.budget(place);
+            let robot = &mut self.robots[budget.robot as usize];
+            let is_known = budget.flags & budget_flag::CHARGE != 0;
+            let left_j = f64::from(budget.left_j);
+            // A ledger's numbers have single precision.
+            let rises = is_known && left_j > robot.left_j + 0.02;
+            let may_rise = robot.is_charging || robot.gauge.is_some() || Robot::is_off(step);
+            self.rises += usize::from(rises && !may_rise);
+            robot.left_j = if may_rise || !is_known { f64::INFINITY } else { left_j };
+            if is_known && (step + 11 * place as u64).is_multiple_of(150) {
+                let bounds = f64::from(budget.soc_lo)..=f64::from(budget.soc_hi);
+                self.inside[usize::from(bounds.contains(&robot.soc))] += 1;
+            }
+        }
+    }
+
+    /// Asks a robot about a plan of 10 s to an hour, whose energy is about what it can spare: the
+    /// reserve is chosen so.
+    fn ask(&mut self, step: u64) {
+        let number = (uniform(&mut self.noise) * ROBOTS as f64) as usize;
+        let duration_s = 10.0 * 360f64.powf(uniform(&mut self.noise));
+        let place = world::place(&self.fleet, number as u32);
+        let ends = step + (duration_s / STEP_S).round().max(1.0) as u64;
+        let works = (step..=ends).all(|step| Robot::works(number, step) && !Robot::is_off(step));
+        let (Some(place), true, true) = (place, works, ends < DAY) else {
+            return;
+        };
+        let (state, budget) = (self.fleet.plan_state(place), self.fleet.budget(place));
+        if budget.flags & budget_flag::CHARGE == 0 || self.robots[number].gauge.is_some() {
+            return;
+        }
+        let steps_s = (ends - step) as f64 * STEP_S;
+        let spread = 5.0 * uniform(&mut self.noise) - 2.5;
+        let wanted = f64::from(budget.soc) - MEAN_W * steps_s / CAPACITY_J;
+        let reserve = wanted + spread * f64::from(budget.soc_sd);
+        if !(0.01..0.95).contains(&reserve) {
+            return;
+        }
+        let Some((probability, is_yes, is_beyond)) =
+            self.answer(&state, &budget, reserve, steps_s as f32, step)
+        else {
+            return;
+        };
+        if is_beyond {
+            // Longer than the longest horizon whose errors are known.
+            self.beyond += 1;
+            return;
+        }
+        let stated = f64::from(probability);
+        self.asked.push(Asked { robot: number, ends, reserve, stated, is_yes });
+    }
+
+    fn answer(
+        &self,
+        state: &joulebus_wire::PlanState,
+        budget: &Budget,
+        reserve: f64,
+        duration_s: f32,
+        step: u64,
+    ) -> Option<(f32, bool, bool)> {
+        let mut platform = settings().platforms[0].clone();
+        platform.battery = Some(Battery { reserve, ..battery() });
+        let above = |share: f32| ((f64::from(share) - reserve).max(0.0) * CAPACITY_J) as f32;
+        let budget =
+            Budget { usable_j: above(budget.soc), usable_lo_j: above(budget.soc_lo), ..*budget };
+        let energy = self.fleet.energy_model(0)?.clone();
+        let fleet = PlanFleet::of(vec![PlanPlatform::new(platform, energy, 0)], 0);
+        let sent_ns = START_NS + step * STEP_NS;
+        let schema = SCHEMA_VERSION;
+        let header =
+            PlanStateHeader { schema, period_ns: STEP_NS, sent_ns, tick: 1, ..Default::default() };
+        let of = BudgetHeader { schema, sent_ns, tick: 1, ..Default::default() };
+        let budget = Some((&of, &budget));
+        let frames = Frames { header: &header, state, budget, now_ns: sent_ns };
+        let answer = fleet.robot(&frames)?.idle(duration_s, 0.9).expect("it may be asked");
+        let is_yes = answer.verdict == joulebus_plan::Verdict::Yes;
+        let is_beyond = answer.caveats.beyond_horizon;
+        let probability = answer.probability.or(is_beyond.then_some(f32::NAN))?;
+        Some((probability, is_yes, is_beyond))
+    }
+
+    /// Whether the plans that end now left the reserve untouched.
+    fn judge(&mut self, step: u64) {
+        let (ended, asked): (Vec<Asked>, Vec<Asked>) =
+            std::mem::take(&mut self.asked).into_iter().partition(|asked| asked.ends == step);
+        self.asked = asked;
+        for asked in ended {
+            let happened = self.robots[asked.robot].soc > asked.reserve;
+            let tenth = &mut self.tenths[((10.0 * asked.stated) as usize).min(9)];
+            tenth.count += 1.0;
+            tenth.stated += asked.stated;
+            tenth.happened += f64::from(u8::from(happened));
+            if asked.is_yes {
+                self.yes[usize::from(happened)] += 1;
+            }
+        }
+    }
+}
+
+#[test]
+fn over_a_day_energy_left_never_rises_bounds_hold_and_probabilities_are_what_happens() {
+    let mut day = Day::new(5);
+    day.run();
+    println!("| stated % | happened % | plans |\n|---|---|---|");
+    for tenth in day.tenths {
+        let [stated, happened] =
+            [tenth.stated, tenth.happened].map(|sum| 100.0 * sum / tenth.count);
+        println!("| {stated:.1} | {happened:.1} | {} |", tenth.count);
+    }
+    let [outside, inside] = day.inside.map(|count| count as f64);
+    let inside = inside / (inside + outside);
+    let [wrong, right] = day.yes;
+    println!(
+        "{} plans beyond the longest horizon; {right} of {} yes right; {inside:.4} inside, {} rises",
+        day.beyond,
+        right + wrong,
+        day.rises
+    );
+    assert_eq!(day.rises, 0, "energy left rises without charge");
+    assert!(inside >= 0.95, "{inside}");
+    assert!(right as f64 >= 0.97 * (right + wrong) as f64, "{right} {wrong}");
+    let asked: f64 = day.tenths.iter().map(|tenth| tenth.count).sum();
+    assert!(asked >= 1_000.0 && day.beyond > 100, "{asked}");
+    for tenth in day.tenths {
+        assert!(tenth.count >= 100.0, "{} plans", tenth.count);
+        let [stated, happened] = [tenth.stated, tenth.happened].map(|sum| sum / tenth.count);
+        assert!((stated - happened).abs() < 0.03, "{stated:.3} stated, {happened:.3} happened");
+    }
+}
