@@ -40,7 +40,6 @@ mod info;
 mod keys;
 mod man;
 mod new;
-mod other_users;
 mod publish;
 mod record;
 mod recover;

@@ -10,6 +10,7 @@ use joulebus_wire::{Acknowledgement, Alarm, AlarmCard, MAX_NAME_BYTES};
 use serde::Serialize;
 
 use super::Args;
+use crate::ask::refused;
 
 /// Timeout of an answer of the worker.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -50,7 +51,8 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
     let config = args.config.load()?;
     let mut client = PlanClient::with_config(&config, "acknowledge")?;
     let new_normal = args.new_normal;
-    client.acknowledge(robot, alarm, &by, new_normal, ANSWER_TIMEOUT)?;
+    let taken = client.acknowledge(robot, alarm, &by, new_normal, ANSWER_TIMEOUT);
+    taken.map_err(|error| refused(error, &config))?;
     let (fleet, alarm) = (config.fleet().to_owned(), alarm.name());
     output.report(&Taken { fleet, robot, alarm, by, new_normal })?;
     Ok(Outcome::Done)

@@ -1,7 +1,7 @@
 //! The changes of a running fleet.
 
 use joulebus_board::AlarmRecord;
-use joulebus_bus::clock;
+use joulebus_bus::{NoWorker, clock};
 use joulebus_capture_format::Clock;
 use joulebus_capture_recorder::host_clock;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
@@ -24,6 +24,9 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let until = args.duration.map_or("until Ctrl-C".to_owned(), |s| format!("for {s} s"));
     log_line(&format!("alarms of fleet {}, {until}", config.fleet()));
+    if let Some(no_worker) = NoWorker::look(&config.domain()?) {
+        log_line(&format!("{no_worker}. Waiting for one"));
+    }
     let length_ns = args.duration.map_or(u64::MAX, |s| (s * 1e9) as u64);
     let until_ns = clock::monotonic_ns().saturating_add(length_ns);
     let mut watched = Ok(());

@@ -6,11 +6,13 @@ mod point;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use clap::ArgGroup;
+use joulebus_bus::NoWorker;
 use joulebus_config::Config;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
 use joulebus_plan::{MAX_STEPS, Plan, Question, QuestionError, Reply};
-use joulebus_planner::{ClientError, PlanClient, Planner};
+use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -20,6 +22,8 @@ use point::{PointArgument, ReturnTo};
 
 /// Timeout for a frame of the worker, or its answer.
 const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
+/// The same where there is none when it is asked: one may be starting.
+const START_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Ask what energy a plan of a robot costs, whether its battery suffices, and which robot needs
 /// least
@@ -145,7 +149,16 @@ impl Args {
     fn compute(&self, config: &Config, question: Question) -> anyhow::Result<AnswersReport> {
         let mut planner = Planner::with_config(config, "ask")?;
         let fleet = planner.fleet().clone();
-        let view = planner.wait(WORKER_TIMEOUT)?;
+        let domain = config.domain()?;
+        let timeout = match NoWorker::look(&domain) {
+            Some(_) => START_TIMEOUT,
+            None => WORKER_TIMEOUT,
+        };
+        let view =
+            planner.wait(timeout).map_err(|error| match (error, NoWorker::look(&domain)) {
+                (ViewError::Nothing { .. }, Some(no_worker)) => anyhow!("{no_worker}"),
+                (error, _) => error.into(),
+            })?;
         let (question, missing) = self.among(question, |robot| Ok(view.rows(robot).is_some()))?;
         let answered = question.answer(&fleet, |robot| view.rows(robot), MAX_STEPS);
         let reply = answered.map_err(|error| match error {
@@ -165,7 +178,7 @@ impl Args {
                 let plan = Plan::Idle { robots: vec![robot], duration_s: 1.0 };
                 let asked = client.ask(&Question { plan, ..Question::default() }, WORKER_TIMEOUT);
                 match asked {
-                    Err(error) if !is_unknown_robot(&error) => Err(error.into()),
+                    Err(error) if !is_unknown_robot(&error) => Err(refused(error, config)),
                     asked => Ok(asked.is_ok()),
                 }
             })?;
@@ -178,7 +191,7 @@ impl Args {
             ClientError::Refused(refused) if is_wrong(refused.reason) => {
                 UsageError(refused.text).into()
             }
-            error => anyhow::Error::from(error),
+            error => refused(error, config),
         })?;
         let of = (answered.tick, answered.age_ns);
         Ok(self.report(config, of, &answered.reply, missing))
@@ -229,6 +242,17 @@ impl Args {
             answers: answers.collect(),
             missing,
         }
+    }
+}
+
+/// The error of a question that the worker does not answer. Where there is no worker, it says whose
+/// there is.
+pub(crate) fn refused(error: ClientError, config: &Config) -> anyhow::Error {
+    match (&error, config.domain()) {
+        (ClientError::Unanswered(QueryError::NoWorker), Ok(domain)) => {
+            anyhow!("{}", NoWorker::seen_nowhere(&domain))
+        }
+        _ => error.into(),
     }
 }
 

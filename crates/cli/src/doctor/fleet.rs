@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{
-    CapacityError, Domain, Inspection, NodeInfo, Ports, RemovedFiles, RootError, check_capacity,
-    clock,
+    CapacityError, Domain, Inspection, NodeInfo, OtherRoot, Ports, RemovedFiles, RootError,
+    check_capacity, clock, other_roots,
 };
 use joulebus_config::Config;
 use joulebus_consumer::{Event, Subscriber};
@@ -14,7 +14,6 @@ use joulebus_standby::{Permit, Places};
 use rustix::fs::{Access, access, statfs};
 
 use super::{Check, Status};
-use crate::other_users;
 
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Magic number of tmpfs.
@@ -204,13 +203,13 @@ fn linked(config: &Config, pid: u32) -> Check {
 /// Other users' fleets, where this user's has no worker.
 pub(super) fn other_users(domain: &Domain, inspection: &Inspection) -> Option<Check> {
     let others = match inspection.worker {
-        None => other_users::other_roots(domain.root()),
+        None => other_roots(domain.root()),
         Some(_) => Vec::new(),
     };
     let shown: Vec<String> = others.iter().map(ToString::to_string).collect();
     (!shown.is_empty()).then(|| {
         let found = shown.join("; ");
-        Check::new("other users", Status::Warn, found, other_users::REMEDY)
+        Check::new("other users", Status::Warn, found, OtherRoot::REMEDY)
     })
 }
 

@@ -11,7 +11,7 @@ use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use joulebus_publisher::{Grid, PublishError};
 use joulebus_settings::Platform;
-use joulebus_source::link::{Link, warn_without_worker};
+use joulebus_source::link::Link;
 use joulebus_source::rate::{Hertz, seconds};
 use joulebus_source::report::PublishReport;
 use joulebus_wire::{Sample, sample_flag};
@@ -69,9 +69,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => format!("sim-{}", ids[0]),
     };
     let mut link = Link::open(&config, &name)?;
-    if !link.has_worker()? {
-        warn_without_worker();
-    }
+    link.warn_without_worker()?;
     let mut source = Source {
         link,
         plant,

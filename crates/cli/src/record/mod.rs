@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use joulebus_bus::clock;
+use joulebus_bus::{NoWorker, clock};
 use joulebus_capture_format::{CaptureSettings, Preset};
 use joulebus_capture_recorder::{
     Options, Recorder, Snapshot, Suits, Summary, Target, attach, host_clock,
@@ -134,6 +134,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         args.target(),
         &options,
     )?;
+    for config in &configs {
+        if let Some(no_worker) = NoWorker::look(&config.domain()?) {
+            log_line(&format!("{no_worker}. Waiting for one"));
+        }
+    }
     let file = args.out.display();
     log_line(&format!("recording {} into {file}", names.join(", ")));
     let end_ns = args.duration.map(|seconds| began_ns.saturating_add(ns(seconds)));

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_bus::{Domain, clock, set_timer_slack};
+use joulebus_bus::{Domain, NoWorker, clock, set_timer_slack};
 use joulebus_capture_format::{Clock, Entry, MessageKind};
 use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
 use joulebus_config::{Config, is_below};
@@ -328,7 +328,8 @@ fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let patience_ns = clock::monotonic_ns() + 10 * POLL_INTERVAL_NS;
     while !flow.has_seen_worker()? {
         if !is_logged && clock::monotonic_ns() > patience_ns {
-            log_line("no worker runs, waiting for one (`joulebus run` starts it)");
+            let no_worker = NoWorker::seen_nowhere(flow.domain());
+            log_line(&format!("{no_worker}. Waiting for one"));
             is_logged = true;
         }
         if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {

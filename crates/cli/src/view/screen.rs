@@ -7,7 +7,7 @@ use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style, Stylize as _};
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Cell, Paragraph, Row as TableRow, Table, TableState};
+use ratatui::widgets::{Cell, Paragraph, Row as TableRow, Table, TableState, Wrap};
 
 use super::cells::{HEADS, cells, count, fitting, state_within};
 use super::choice::{Choice, Listed};
@@ -46,6 +46,8 @@ pub(crate) struct Screen {
     /// Events instead of the chart where they have no room beside it.
     events: bool,
     table: TableState,
+    /// What the table says until a worker is seen.
+    waiting: String,
 }
 
 /// Heights of the screen's parts.
@@ -66,7 +68,13 @@ impl Screen {
             mode: Mode::List,
             events: false,
             table: TableState::default(),
+            waiting: "waiting for a worker: `joulebus run` starts one".to_owned(),
         }
+    }
+
+    /// What the table says until a worker is seen.
+    pub(crate) fn say_while_waiting(&mut self, text: String) {
+        self.waiting = text;
     }
 
     /// Handles a key. True if it requests the end.
@@ -231,10 +239,10 @@ impl Screen {
         if listed.robots.is_empty() {
             let text = match board.link {
                 _ if !board.rows.is_empty() => "no robot is found: Esc lists all",
-                Link::Waiting => "waiting for a worker: `joulebus run` starts one",
+                Link::Waiting => &self.waiting,
                 _ => "the worker has received no samples yet: `joulebus publish` sends some",
             };
-            let text = Paragraph::new(text).style(QUIET).centered();
+            let text = Paragraph::new(text).style(QUIET).centered().wrap(Wrap { trim: true });
             let text = match block {
                 Some(block) => text.block(block),
                 None => text,

@@ -7,14 +7,13 @@ use std::io::IsTerminal as _;
 use std::time::Duration;
 
 use joulebus_board::{Board, Feed, FrameRecord, Link, Platforms, Reading, Row};
-use joulebus_bus::clock;
-use joulebus_config::Config;
+use joulebus_bus::{NoWorker, clock};
+use joulebus_config::{Config, Domain};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Format, Output, log_line, text};
 use joulebus_program::stop::Stop;
 
-use crate::other_users;
 use crate::view::{Screen, line, show, table};
 
 pub(crate) use summary::PlannerReport;
@@ -22,7 +21,7 @@ pub(crate) use summary::PlannerReport;
 /// A worker that answers questions sends their counts to a new reader within 100 ms, ns.
 const COUNTS_WITHIN_NS: u64 = 500_000_000;
 /// Timeout of `--once` for a worker, ns.
-const PATIENCE_NS: u64 = 3_000_000_000;
+const PATIENCE_NS: u64 = 2_500_000_000;
 /// Interval between plain lines, ns.
 const LINE_EVERY_NS: u64 = 1_000_000_000;
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
@@ -42,7 +41,7 @@ pub(crate) struct Args {
     /// Only this robot, or in the live view the initial selection
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Show the newest frame and exit, with code 1 if there is no worker within 3 s
+    /// Show the newest frame and exit, with code 1 if there is no worker within 2.5 s
     #[arg(long, conflicts_with_all = ["duration", "summary"])]
     once: bool,
     /// Stop after this time, s [default: at a signal]
@@ -108,15 +107,7 @@ impl Args {
         }
         let board = board.borrow();
         let Some(record) = FrameRecord::newest(&board, self.robot) else {
-            log_line(&format!(
-                "no worker serves fleet {} of {}: start one with `joulebus run`, or give the \
-                 fleet's config with --config. `joulebus doctor` finds the cause",
-                config.fleet(),
-                self.config.name()
-            ));
-            for other in other_users::other_roots(config.root()) {
-                log_line(&format!("{other}: {}", other_users::REMEDY));
-            }
+            log_line(&NoWorker::seen_nowhere(&config.domain()?).to_string());
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
@@ -145,7 +136,7 @@ impl Args {
         let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;
         reading.want_outlooks(self.outlook)?;
-        let mut reporter = LinkReporter::default();
+        let mut reporter = LinkReporter::new(config)?;
         while !stop.is_asked() && clock::monotonic_ns() < end_ns {
             let came = reading.poll(|| board.borrow_mut())?;
             let board = board.borrow();
@@ -164,13 +155,16 @@ impl Args {
         if !self.plain && std::io::stdout().is_terminal() && std::io::stdin().is_terminal() {
             let mut screen =
                 Screen::new(config.fleet(), Platforms::new(config.settings()), self.robot);
+            if let Some(no_worker) = NoWorker::look(&config.domain()?) {
+                screen.say_while_waiting(no_worker.to_string());
+            }
             show(&feed, &mut screen, stop, || {
                 let now_ns = clock::monotonic_ns();
                 let seconds = (now_ns - began_ns) as f64 * 1e-9;
                 Ok((now_ns < end_ns).then(|| format!("{seconds:.0} s")))
             })?;
         } else {
-            let mut reporter = LinkReporter::default();
+            let mut reporter = LinkReporter::new(config)?;
             let mut next_ns = began_ns + LINE_EVERY_NS;
             while !stop.is_asked() && feed.is_reading() && clock::monotonic_ns() < end_ns {
                 std::thread::sleep(POLL_INTERVAL);
@@ -189,16 +183,24 @@ impl Args {
 }
 
 /// State of the worker last reported on stderr.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct LinkReporter {
+    domain: Domain,
     link: Option<Link>,
     noted_s: f64,
 }
 
 impl LinkReporter {
+    fn new(config: &Config) -> anyhow::Result<Self> {
+        Ok(Self { domain: config.domain()?, link: None, noted_s: 0.0 })
+    }
+
     fn report_changes(&mut self, board: &Board) {
         if self.link != Some(board.link) && board.link == Link::Waiting {
-            log_line("waiting for a worker: `joulebus run` starts one");
+            match NoWorker::look(&self.domain) {
+                Some(no_worker) => log_line(&format!("{no_worker}. Waiting for one")),
+                None => log_line("waiting for the first frame of the worker"),
+            }
         }
         self.link = Some(board.link);
         for (at_s, note) in board.notes.iter().filter(|(at_s, _)| *at_s > self.noted_s) {

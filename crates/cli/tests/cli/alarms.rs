@@ -213,7 +213,7 @@ fn of_robot_1(program: &mut Program, alarm: &str) -> Vec<String> {
 fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_state_by_whom() {
     let fleet = Fleet::new();
     let (_, none) = acknowledge(&fleet, &["1", "NoData"]);
-    assert!(none.contains("has no worker"), "{none}");
+    assert!(none.contains("no worker serves fleet cli"), "{none}");
     let worker = fleet.worker();
     let capture = fleet.path("run.mcap");
     let mut record = fleet.joulebus("record");

@@ -288,7 +288,7 @@ fn watch_without_a_worker_prints_a_hint() {
 fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
     let arena = Arena::new(2);
     let mut watch = arena.program(&["watch", "--format", "json"]);
-    watch.wait_for("waiting for a worker");
+    watch.wait_for("Waiting for one");
     let mut source = arena.program(&["publish", "sim", "--robots", "2"]);
     for _ in 0..2 {
         let mut worker = arena.program(&["run"]);

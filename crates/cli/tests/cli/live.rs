@@ -47,7 +47,7 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     play.arg(format!("{}@7", one.display()));
     play.arg(format!("{}@rover", fleet.path("rovers").display()));
     let played = play.output().unwrap().exits(0);
-    assert_contains(&stderr(&played), ["no worker runs"]);
+    assert_contains(&stderr(&played), ["no worker serves fleet cli"]);
     let played = json(&played);
     let trial = |robot: u32, file: &std::path::Path| (robot, file.display().to_string());
     let found: Vec<_> = played["trials"]
@@ -177,7 +177,7 @@ fn a_signal_ends_a_source_cleanly() {
             source.arg(fleet.recording("a.csv", 30));
         }
         let mut source = Program::start(source);
-        source.wait_for_stderr("no worker runs");
+        source.wait_for_stderr("no worker serves fleet cli");
         let ended = source.end(signal);
         assert_eq!(code(&ended), 0, "{verb}: {}", stderr(&ended));
         assert_eq!(json(&ended)["fleet"], "cli", "{verb}");

@@ -17,6 +17,7 @@ mod live;
 mod model;
 mod new;
 mod next_commands;
+mod no_worker;
 mod plausible;
 mod printable;
 mod proofs;

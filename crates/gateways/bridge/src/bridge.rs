@@ -8,7 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use joulebus_bus::{Background, clock, yield_to_the_worker};
+use joulebus_bus::{Background, NoWorker, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
 use joulebus_consumer::FleetAlarms;
 use joulebus_program::exit::Outcome;
@@ -117,6 +117,9 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
         return Ok(Outcome::Done);
     }
     let mut bridge = Bridge::start(&config, &settings)?;
+    if let Some(no_worker) = NoWorker::look(&config.domain()?) {
+        log_line(&format!("{no_worker}. Samples sent before one starts are lost"));
+    }
     while !stop.is_asked() && !bridge.is_over() {
         thread::sleep(POLL_INTERVAL);
         bridge.shared.log_clock();

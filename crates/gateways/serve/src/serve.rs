@@ -4,6 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use crate::arguments::ServeArguments;
+use joulebus_bus::NoWorker;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
@@ -50,6 +51,9 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     }
     if let Some(webhooks) = &webhooks {
         log_line(&format!("telling {} of alarms of fleet {fleet}", webhooks.hosts()));
+    }
+    if let Some(no_worker) = NoWorker::look(&config.domain()?) {
+        log_line(&format!("{no_worker}. Waiting for one"));
     }
     let is_over = || {
         webhooks.as_ref().is_some_and(Webhooks::is_over)

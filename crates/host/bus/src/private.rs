@@ -52,8 +52,9 @@ pub enum RootError {
     },
     /// Another user owns it.
     #[error(
-        "{path:?} belongs to uid {found}, expected uid {expected}. Set another `root`, or have its \
-         owner remove it"
+        "{path:?} belongs to uid {found}, expected uid {expected}: only its owner can join the \
+         fleets in it. Run this as that user, have that user pass the fleet on with `joulebus \
+         serve --socket PATH` or `--http ADDRESS`, or set another `root`"
     )]
     Owner {
         /// The path.

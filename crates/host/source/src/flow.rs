@@ -68,6 +68,12 @@ impl Flow {
         })
     }
 
+    /// The fleet's domain.
+    #[must_use]
+    pub const fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
     /// Waits until the worker has answered enough for `frame`.
     ///
     /// # Errors

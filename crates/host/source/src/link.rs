@@ -1,6 +1,6 @@
 //! Connection to a worker: publishing, and detecting a reader.
 
-use joulebus_bus::{Domain, WorkerLock, clock};
+use joulebus_bus::{Domain, NoWorker, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_program::output::log_line;
 use joulebus_program::stop::Stop;
@@ -108,6 +108,18 @@ impl Link {
         }
     }
 
+    /// Warns if there is no worker: nobody reads the frames.
+    ///
+    /// # Errors
+    /// Same as [`Link::has_worker`].
+    pub fn warn_without_worker(&mut self) -> anyhow::Result<()> {
+        if !self.has_worker()? {
+            let no_worker = NoWorker::seen_nowhere(&self.domain);
+            log_line(&format!("{no_worker}. Samples sent before one starts are lost"));
+        }
+        Ok(())
+    }
+
     /// Waits for a worker. Returns `false` at a signal.
     ///
     /// # Errors
@@ -116,7 +128,8 @@ impl Link {
         if self.has_worker()? {
             return Ok(true);
         }
-        log_line("no worker runs, waiting for one (`joulebus run` starts it)");
+        let no_worker = NoWorker::seen_nowhere(&self.domain);
+        log_line(&format!("{no_worker}. Waiting for one"));
         while !self.has_worker()? {
             if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
                 return Ok(false);
@@ -124,9 +137,4 @@ impl Link {
         }
         Ok(true)
     }
-}
-
-/// Warns that frames have no reader.
-pub fn warn_without_worker() {
-    log_line("no worker runs: samples sent before one starts are lost (`joulebus run` starts it)");
 }

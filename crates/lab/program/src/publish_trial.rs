@@ -11,7 +11,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use joulebus_source::flow::{Flow, SendWindow};
-use joulebus_source::link::{Fate, Link, warn_without_worker};
+use joulebus_source::link::{Fate, Link};
 use joulebus_source::rate::{Hertz, Passes, Rate, seconds};
 use joulebus_source::report::{PlayedTrial, PublishReport};
 use joulebus_source::window::Window;
@@ -112,9 +112,7 @@ impl Args {
         if !self.no_wait {
             return link.wait_for_worker(stop);
         }
-        if !link.has_worker()? {
-            warn_without_worker();
-        }
+        link.warn_without_worker()?;
         Ok(true)
     }
 

@@ -135,6 +135,8 @@ pub(super) struct Around<'a> {
     pub(super) distributions: &'a Distributions,
     pub(super) recorders: Option<Vec<Recorder>>,
     pub(super) model_warnings: &'a [String],
+    /// What to do if no worker is seen.
+    pub(super) without_worker: &'a str,
 }
 
 impl FleetRecord {
@@ -174,10 +176,9 @@ impl WorkerRecord {
         let age_ns = header.map(|header| around.now_ns.saturating_sub(header.sent_ns));
         let age_s = age_ns.map(|age_ns| age_ns as f64 * 1e-9);
         let (state, reason) = match board.link {
-            Link::Waiting => (
-                "waiting",
-                Some("no frame has arrived: start a worker with `joulebus run`".to_owned()),
-            ),
+            Link::Waiting => {
+                ("waiting", Some(format!("no frame has arrived: {}", around.without_worker)))
+            }
             Link::Live => ("alive", None),
             Link::Stale => (
                 "stale",

@@ -480,6 +480,7 @@ mod tests {
             distributions: &Distributions::default(),
             recorders: None,
             model_warnings: &[],
+            without_worker: "",
         };
         Arc::new(Snapshot::new(
             board,

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use joulebus_board::{Board, Platforms, Reading};
-use joulebus_bus::{Background, Rounds, clock, yield_to_the_worker};
+use joulebus_bus::{Background, NoWorker, Rounds, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmFeed, ReadError, SourceAlarms};
@@ -108,6 +108,8 @@ struct Work {
     recorders: watch::Receiver<Option<Vec<Recorder>>>,
     platforms: Arc<Platforms>,
     model_warnings: Vec<String>,
+    /// What the page says until a frame arrives.
+    without_worker: String,
     plan_rows: PlanRows,
     outlooks: OutlookRequests,
     asked: Receiver<Ask>,
@@ -132,6 +134,11 @@ impl Work {
         let models = load_models(config).unwrap_or_default();
         let model_warnings = model_range::warnings(config, &models);
         let model_warnings: Vec<String> = model_warnings.iter().map(ToString::to_string).collect();
+        let no_worker = config.domain().ok().and_then(|domain| NoWorker::look(&domain));
+        let without_worker = match no_worker {
+            Some(no_worker) => no_worker.to_string(),
+            None => "its worker has just started".to_owned(),
+        };
         let around = Around {
             fleet: config.fleet(),
             period_ns: config.tick_period_ns(),
@@ -141,6 +148,7 @@ impl Work {
             distributions: &distributions,
             recorders: None,
             model_warnings: &model_warnings,
+            without_worker: &without_worker,
         };
         let first = Snapshot::new(
             &board,
@@ -164,6 +172,7 @@ impl Work {
             recorders,
             platforms,
             model_warnings,
+            without_worker,
             plan_rows: PlanRows::default(),
             outlooks: OutlookRequests::default(),
             asked,
@@ -190,6 +199,7 @@ impl Work {
             distributions: &self.distributions,
             recorders: self.recorders.borrow().clone(),
             model_warnings: &self.model_warnings,
+            without_worker: &self.without_worker,
         };
         let snapshot = Snapshot::new(
             &board,

@@ -486,7 +486,10 @@ pub enum QueryError {
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
     /// There is no worker.
-    #[error("the fleet has no worker: start it (`joulebus run --config …`)")]
+    #[error(
+        "the fleet has no worker: start it (`joulebus run --config …`). If another user runs it, \
+         `joulebus doctor` says who"
+    )]
     NoWorker,
     /// The worker has ended while it was asked.
     #[error("the worker ended before it answered: ask again when it has been started again")]
