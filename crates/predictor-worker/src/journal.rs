@@ -1,4 +1,5 @@
-//! The worker's journal: which frames each tick took, in which order, at which time.
+//! The worker's journal: which frames each tick took, in which order, at which time, and which
+//! sources had ended.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -44,6 +45,11 @@ impl Journal {
     /// Records that the power of a robot becomes its normal.
     pub(crate) fn note_new_normal(&mut self, robot: u32, now_ns: u64) {
         self.list(TakenFrame::new_normal(robot, now_ns));
+    }
+
+    /// Records that the run of a source has ended.
+    pub(crate) fn note_source_ended(&mut self, (source_id, epoch): (u64, u64), now_ns: u64) {
+        self.list(TakenFrame::source_ended(source_id, epoch, now_ns));
     }
 
     fn list(&mut self, row: TakenFrame) {

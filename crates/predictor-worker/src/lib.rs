@@ -53,6 +53,7 @@ mod outbox;
 mod report;
 mod save_schedule;
 mod shedding;
+mod source_ports;
 mod standby;
 mod state_directory;
 mod tick_pool;

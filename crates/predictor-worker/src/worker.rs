@@ -24,6 +24,7 @@ use crate::ledger_files::LedgerFileError;
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, by_name};
 use crate::shedding::Shedding;
+use crate::source_ports::SourcePorts;
 use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
 use crate::standby::watch::{self, CurrentPermit, PermitOver};
@@ -45,6 +46,7 @@ pub struct Worker {
     schedule: Schedule,
     // Drop order: ports before the bus, the bus before the lock.
     samples: SampleReader,
+    source_ports: SourcePorts,
     outbox: Outbox,
     journal: Journal,
     keyframes: Keyframes,
@@ -267,6 +269,7 @@ impl Worker {
             fleet,
             schedule,
             samples,
+            source_ports: SourcePorts::new(),
             outbox,
             journal,
             keyframes,
@@ -531,22 +534,35 @@ impl Worker {
     }
 
     /// Receives all waiting frames: a bounded drain would starve the last sources. The buffers
-    /// bound the work.
+    /// bound the work. Sources whose ports were gone before have sent nothing since: they end.
     fn drain(&mut self) {
+        self.source_ports.look(clock::monotonic_ns());
         loop {
             let since_ns = clock::monotonic_ns();
             match self.samples.next(self.fleet.capacity() as usize) {
                 Ok(Some(mut incoming)) => {
                     let now_ns = clock::monotonic_ns();
+                    if self.source_ports.begin(&incoming) {
+                        end_gone(
+                            (&mut self.source_ports, &mut self.journal, &mut self.fleet),
+                            now_ns,
+                        );
+                    }
                     self.journal.note(&incoming, now_ns);
                     let count = incoming.len() as u64;
                     let frame = self.fleet.begin_frame(incoming.header(), count, now_ns);
+                    if frame.is_admitted() {
+                        self.source_ports.admitted(&incoming);
+                    }
                     while let Some(part) = incoming.copy_part(&mut self.part) {
                         self.fleet.take_part(&frame, part);
                     }
                     self.intake_ns += clock::monotonic_ns().saturating_sub(since_ns);
                 }
-                Ok(None) => return,
+                Ok(None) => {
+                    let all = (&mut self.source_ports, &mut self.journal, &mut self.fleet);
+                    return end_gone(all, clock::monotonic_ns());
+                }
                 Err(_) => {
                     self.failures.receive.fetch_add(1, Ordering::Relaxed);
                     return;
@@ -614,6 +630,14 @@ impl Worker {
             ..self.header
         }
     }
+}
+
+/// Ends the sources whose ports are gone.
+fn end_gone((ports, journal, fleet): (&mut SourcePorts, &mut Journal, &mut Fleet), now_ns: u64) {
+    ports.end_gone(|(source, epoch)| {
+        journal.note_source_ended((source, epoch), now_ns);
+        fleet.end_source(source, epoch);
+    });
 }
 
 #[cfg(test)]

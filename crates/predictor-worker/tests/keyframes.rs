@@ -156,6 +156,10 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
                 fleet.take_as_normal(robot);
                 continue;
             }
+            if let Some((source_id, epoch)) = taken.ended_source() {
+                fleet.end_source(source_id, epoch);
+                continue;
+            }
             let key = (taken.source_epoch, taken.frame_seq);
             let Some((header, samples)) = recorded.samples.get(&key) else {
                 return compared; // The recorder was too slow, which this test does not cover.

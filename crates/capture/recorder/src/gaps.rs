@@ -131,8 +131,7 @@ impl Gaps {
         let kind = MessageKind::of::<Samples>();
         let is_missing = |taken: &&TakenFrame| {
             let key = (Arc::clone(fleet), kind, taken.source_id, taken.source_epoch);
-            taken.new_normal_of().is_none()
-                && self.runs.get(&key).is_some_and(|run| taken.frame_seq < run.from)
+            taken.is_frame() && self.runs.get(&key).is_some_and(|run| taken.frame_seq < run.from)
         };
         journal.rows.iter().filter(is_missing).count() as u64
     }

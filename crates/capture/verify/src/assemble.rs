@@ -574,7 +574,7 @@ impl FrameStore {
         parts.frames.resize_with(taken.len(), || None);
         for (place, taken) in taken.iter().enumerate() {
             let frame = &mut parts.frames[place];
-            if frame.is_none() && taken.new_normal_of().is_none() {
+            if frame.is_none() && taken.is_frame() {
                 let key = (taken.source_id, taken.source_epoch, taken.frame_seq);
                 *frame = self.get(key);
                 if frame.is_none() {

@@ -517,7 +517,7 @@ impl Verifier {
         }
         let mut frames = journal.rows.iter().zip(&next.parts.frames);
         frames.find_map(|(taken, frame)| match frame {
-            None if taken.new_normal_of().is_some() => None,
+            None if !taken.is_frame() => None,
             None => Some(self.assembler.lack_of_frame(place, taken)),
             Some(frame) => {
                 let sent = u64::from(taken.samples) + u64::from(taken.truncated);
@@ -615,11 +615,14 @@ impl Waiting {
     }
 }
 
-/// Takes the frames and the new normals like the worker.
+/// Takes the frames, the ends of sources and the new normals like the worker.
 fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>]) {
     for (taken, frame) in taken.iter().zip(frames) {
         if let Some(robot) = taken.new_normal_of() {
             fleet.take_as_normal(robot);
+        }
+        if let Some((source_id, epoch)) = taken.ended_source() {
+            fleet.end_source(source_id, epoch);
         }
         let Some(frame) = frame else {
             continue;

@@ -147,7 +147,7 @@ impl WhatIf {
                 let taken = parts.journal.iter().flat_map(|journal| &journal.rows);
                 let missing = taken
                     .zip(&parts.frames)
-                    .filter(|(taken, frame)| frame.is_none() && taken.new_normal_of().is_none());
+                    .filter(|(taken, frame)| frame.is_none() && taken.is_frame());
                 self.frames_missing += missing.count() as u64;
                 self.ticks += u64::from(parts.journal.is_some());
                 self.recorded.tick(&parts);

@@ -24,6 +24,7 @@ mod proofs;
 mod service;
 mod signals;
 mod special_files;
+mod successors;
 mod terminal;
 mod train;
 

@@ -1,5 +1,5 @@
-//! The journal: which frames the worker took in each tick, in which order and at which time, and
-//! which levels became the new normal. It suffices to recompute the tick.
+//! The journal: which frames the worker took in each tick, in which order and at which time, which
+//! sources had ended, and which levels became the new normal. It suffices to recompute the tick.
 
 use crate::declare::ZeroCopySend;
 use crate::rows;
@@ -20,8 +20,9 @@ rows! {
     /// One frame of samples that a tick took. 40 bytes.
     ///
     /// Identifies the frame. Its samples are those of the frame with the same source, epoch and
-    /// number on [`crate::Samples`]. A row may instead be a new normal: `truncated` is 2³² − 1, and
-    /// `frame_seq` is the id of the robot whose own level was forgotten before the tick.
+    /// number on [`crate::Samples`]. A row whose `truncated` is 2³² − 1 is no frame. If its
+    /// `samples` is 0 it is a new normal: `frame_seq` is the id of the robot whose own level was
+    /// forgotten before the tick. If it is 1, the run of the source has ended.
     #[derive(Eq)]
     pub struct TakenFrame: "joulebus.TakenFrame.v1", 40 {
         /// [`crate::SampleHeader::source_id`] of the frame.
@@ -58,17 +59,46 @@ impl TakenFrame {
         }
     }
 
+    /// Not a frame: the run of a source had ended, so that others may publish for its robots.
+    #[must_use]
+    pub const fn source_ended(source_id: u64, source_epoch: u64, taken_ns: u64) -> Self {
+        Self {
+            source_id,
+            source_epoch,
+            frame_seq: 0,
+            taken_ns,
+            samples: 1,
+            truncated: Self::NO_FRAME,
+        }
+    }
+
+    /// True if the row is a frame.
+    #[must_use]
+    pub const fn is_frame(&self) -> bool {
+        self.truncated != Self::NO_FRAME
+    }
+
     /// The robot, if the row is a [new normal](TakenFrame::new_normal).
     #[must_use]
     pub const fn new_normal_of(&self) -> Option<u32> {
         // Only the worker writes it: a robot's id.
-        if self.truncated == Self::NO_FRAME { Some(self.frame_seq as u32) } else { None }
+        if !self.is_frame() && self.samples == 0 { Some(self.frame_seq as u32) } else { None }
+    }
+
+    /// The source and its run, if the row is the [end of a source](TakenFrame::source_ended).
+    #[must_use]
+    pub const fn ended_source(&self) -> Option<(u64, u64)> {
+        if !self.is_frame() && self.samples == 1 {
+            Some((self.source_id, self.source_epoch))
+        } else {
+            None
+        }
     }
 }
 
 rows! {
-    /// Header of a tick's journal: the slice lists the frames taken since the previous tick, in the
-    /// order in which they were taken, and then the new normals.
+    /// Header of a tick's journal: the slice lists the frames taken since the previous tick and the
+    /// ends of sources, in the order in which they were taken, and then the new normals.
     #[derive(Eq)]
     pub struct TickHeader: "joulebus.TickHeader.v1", 48 {
         /// [`crate::SCHEMA_VERSION`].

@@ -184,7 +184,7 @@ rows! {
     pub struct SampleHeader: "joulebus.SampleHeader.v1", 64 {
         /// [`crate::SCHEMA_VERSION`].
         pub schema: u32,
-        /// Process id of the source.
+        /// Process id of the source. That of a link has the bit 2³¹ beside it.
         pub pid: u32,
         /// Id of the source, stable over restarts (a hash of its name).
         pub source_id: u64,
@@ -205,5 +205,28 @@ rows! {
         pub sent_ns: u64,
         /// When the frame was sent, Unix ns: informative only, never used for an interval.
         pub sent_unix_ns: u64,
+    }
+}
+
+impl SampleHeader {
+    /// Bit of [`SampleHeader::pid`] of a frame that a link passed on: the end of the link is not
+    /// the end of the source. Process ids are smaller.
+    const RELAYED: u32 = 1 << 31;
+
+    /// Marks the frame as passed on by a link, whose process is `pid`.
+    pub const fn relay(&mut self, pid: u32) {
+        self.pid = pid | Self::RELAYED;
+    }
+
+    /// True if a link passed the frame on.
+    #[must_use]
+    pub const fn is_relayed(&self) -> bool {
+        self.pid & Self::RELAYED != 0
+    }
+
+    /// The process that sent the frame on this host.
+    #[must_use]
+    pub const fn process(&self) -> u32 {
+        self.pid & !Self::RELAYED
     }
 }

@@ -140,7 +140,7 @@ fn publish(
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header: SampleHeader = frame.header();
     shift(&mut header, offset_ns);
-    header.pid = process_id();
+    header.relay(process_id());
     header.source_id = source_here(from, header.source_id);
     let samples = (0..frame.len()).map(|at| frame.element::<Sample>(at));
     let mut kept: Vec<Sample> = samples.filter(|sample| has(sample.robot)).collect();

@@ -95,7 +95,7 @@ pub use os::scheduling::{
 pub use ports::{
     Frame, FrameBuf, IncomingFrame, Loan, OpenError, OpenQuery, Poller, QueryClient, QueryError,
     QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter, SendError, Sent,
-    WaitError, Waiter, Waker, Woken, Writer,
+    WaitError, Waiter, Waker, Woken, Writer, WriterWatch,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity, check_stack};
 pub use private::{DomainWarning, RootError};

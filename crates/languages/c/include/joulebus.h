@@ -347,7 +347,7 @@ typedef struct joulebus_sample {
 typedef struct joulebus_sample_header {
     /** SCHEMA_VERSION. */
     uint32_t schema;
-    /** Process id of the source. */
+    /** Process id of the source. That of a link has the bit 2³¹ beside it. */
     uint32_t pid;
     /** Id of the source, stable over restarts (a hash of its name). */
     uint64_t source_id;

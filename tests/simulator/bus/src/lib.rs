@@ -29,7 +29,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
     Frame, FrameBuf, IncomingFrame, Loan, Reader, SampleReader, SampleWriter, Taken, Writer,
-    taken_frames,
+    WriterWatch, taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use wait::{Poller, Readiness, Waiter, Waker};

@@ -336,6 +336,21 @@ pub fn taken_frames(pid: u32) -> Vec<Taken> {
     all.filter(|(of, _)| *of == pid).map(|(_, taken)| taken).collect()
 }
 
+/// Watches a port of samples.
+#[derive(Debug, Clone)]
+pub struct WriterWatch(u128);
+
+impl WriterWatch {
+    const fn new(_: &Member, port: u128) -> Self {
+        Self(port)
+    }
+
+    /// True while the port can send frames.
+    pub fn is_open(&self) -> bool {
+        with(Samples::SERVICE, |state| state.writers.iter().any(|(port, _)| *port == self.0))
+    }
+}
+
 /// Notes each frame that is taken: by the worker, or by a view.
 #[derive(Debug)]
 struct Noted;

@@ -41,6 +41,12 @@ impl Fleet {
         FrameIntake { header: *header, now_ns, admitted }
     }
 
+    /// The run `epoch` of a source has ended: it was dropped, or its process is dead. From now on
+    /// other sources may publish for its robots. Does nothing if a later run of it has been seen.
+    pub fn end_source(&mut self, source_id: u64, epoch: u64) {
+        self.sources.end(source_id, epoch);
+    }
+
     /// Takes the next samples of a frame.
     pub fn take_part(&mut self, frame: &FrameIntake, samples: &[Sample]) {
         let FrameIntake { header, now_ns, admitted } = frame;
@@ -82,7 +88,9 @@ impl Fleet {
         now_ns: u64,
     ) -> Result<(), DropReason> {
         let slot = self.slot(header, sample.robot, now_ns)?;
-        check::sender(&mut self.columns.admissions[slot], header, sample.seq)?;
+        let sources = &self.sources;
+        let admission = &mut self.columns.admissions[slot];
+        check::sender(admission, header, sample.seq, |owner| sources.has_ended(owner))?;
         let most = self.tick.settings.intake.max_samples_per_tick;
         check::backlog(&self.columns.admissions[slot], most)?;
         if !self.columns.pending[slot / LANES].is(slot % LANES, PendingState::None) {
@@ -110,7 +118,7 @@ impl Fleet {
 
     fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
         self.drops.add(reason, 1);
-        self.refused.note(sample.robot, reason, header.pid);
+        self.refused.note(sample.robot, reason, header.process());
         let (Some(invalid), Some(slot)) = (check::invalid(reason), self.find(sample.robot)) else {
             return;
         };

@@ -4,17 +4,21 @@ use joulebus_wire::{DropReason, InvalidReason, SampleHeader};
 
 use crate::ingest::admission::AdmissionState;
 
-/// Checks that the source owns the robot, and that its numbers rise. The frame belongs to its
-/// source's present run: another one than the robot's has taken over.
+/// Checks that the source owns the robot, and that its numbers rise. A robot whose owner has ended
+/// (`is_free`) becomes this source's, as with another run of the same source. The frame belongs to
+/// its source's present run: another one than the robot's has taken over.
 pub(crate) fn sender(
     admission: &mut AdmissionState,
     header: &SampleHeader,
     seq: u64,
+    is_free: impl FnOnce(u64) -> bool,
 ) -> Result<(), DropReason> {
-    if admission.source_id != header.source_id {
+    let is_owner = admission.source_id == header.source_id;
+    if !is_owner && !is_free(admission.source_id) {
         return Err(DropReason::ForeignSource);
     }
-    if header.source_epoch != admission.source_epoch {
+    if !is_owner || header.source_epoch != admission.source_epoch {
+        admission.source_id = header.source_id;
         (admission.source_epoch, admission.ordered, admission.renewed) =
             (header.source_epoch, false, true);
     }

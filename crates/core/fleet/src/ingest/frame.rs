@@ -34,3 +34,11 @@ pub struct FrameIntake {
     /// Result of the frame's checks: its samples may be checked, or the reason why not.
     pub(crate) admitted: Result<(), DropReason>,
 }
+
+impl FrameIntake {
+    /// True if it is a frame of its source's present run, whatever its samples are.
+    #[must_use]
+    pub const fn is_admitted(&self) -> bool {
+        self.admitted.is_ok()
+    }
+}

@@ -36,7 +36,8 @@ pub(crate) struct Source {
     run: Run,
     /// The previous run. If it turns out to be the newer one, its samples are not counted again.
     other: Option<Run>,
-    /// When a frame of it was last taken, monotonic ns of the worker.
+    /// When a frame of it was last taken, monotonic ns of the worker. 0 once its run has ended:
+    /// from then on it counts as silent for ever.
     taken_ns: u64,
 }
 
@@ -81,6 +82,11 @@ impl Source {
         Ok(())
     }
 
+    /// True if it has ended, or is silent for longer than `allowed_ns`.
+    const fn is_silent_for(&self, allowed_ns: u64, now_ns: u64) -> bool {
+        self.taken_ns == 0 || now_ns.saturating_sub(self.taken_ns) > allowed_ns
+    }
+
     /// Moves the instants to another clock.
     pub(crate) fn shift(&mut self, shift: Shift) {
         let Self {
@@ -103,7 +109,8 @@ impl Source {
 ///
 /// A source that has been silent for the time after which a robot leaves gives its slot to another.
 /// A run that has been silent for the time after which a robot is stale is replaced by any run that
-/// sends. One false frame therefore shuts a source out for that time.
+/// sends. One false frame therefore shuts a source out for that time. A source that has ended counts
+/// as silent for ever, until a frame of it is taken.
 #[derive(Debug)]
 pub(crate) struct Sources {
     sources: Vec<Source>,
@@ -157,6 +164,22 @@ impl Sources {
         Ok(())
     }
 
+    /// The run `epoch` of a source has ended: its process is gone, or has closed its port. A run
+    /// that has been replaced means nothing.
+    pub(crate) fn end(&mut self, id: u64, epoch: u64) {
+        if let Some(source) = self.sources.iter_mut().find(|source| source.id == id)
+            && source.run.epoch == epoch
+        {
+            source.taken_ns = 0;
+        }
+    }
+
+    /// True if a source has ended, or its place was given to another: its robots are free.
+    pub(crate) fn has_ended(&self, id: u64) -> bool {
+        let source = self.sources.iter().find(|source| source.id == id);
+        source.is_none_or(|source| source.taken_ns == 0)
+    }
+
     /// True if a frame that came at `now_ns`, or a later one of its source, has been taken,
     /// refused, or counted as lost.
     ///
@@ -178,7 +201,7 @@ impl Sources {
 
     /// True if the accepted run gives way to any other.
     const fn is_silent(&self, source: &Source, now_ns: u64) -> bool {
-        now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns
+        source.is_silent_for(self.yield_after_ns, now_ns)
     }
 
     /// The place of the source that has been silent longest, if that is long enough to give it to
@@ -186,7 +209,7 @@ impl Sources {
     fn silent(&self, now_ns: u64) -> Option<usize> {
         let sources = self.sources.iter().enumerate();
         let (at, oldest) = sources.min_by_key(|(_, source)| source.taken_ns)?;
-        (now_ns.saturating_sub(oldest.taken_ns) > self.leave_after_ns).then_some(at)
+        oldest.is_silent_for(self.leave_after_ns, now_ns).then_some(at)
     }
 
     pub(crate) fn all(&self) -> &[Source] {
@@ -286,6 +309,31 @@ mod tests {
             // Refused samples are not counted as lost too.
             assert_eq!(drops, lost, "{epoch} {before}");
         }
+    }
+
+    #[test]
+    fn a_source_has_ended_until_a_frame_of_it_is_taken_and_an_earlier_run_ends_nothing() {
+        let (mut sources, mut drops) = (sources(2), DropCounts::default());
+        assert!(sources.has_ended(1), "never seen");
+        for (step, epoch) in [5, 6].into_iter().enumerate() {
+            let taken = sources.frame(&header(1, epoch, 0), 10, 1_000, &mut drops);
+            assert_eq!(taken, Ok(()), "step {step}");
+        }
+        sources.end(1, 5);
+        sources.end(2, 6);
+        assert!(!sources.has_ended(1), "run 5 was replaced by run 6");
+        sources.end(1, 6);
+        assert!(sources.has_ended(1));
+        // A refused frame revives nobody.
+        let strange = sources.frame(&header(2, 1, 0), 10, 1_001, &mut drops);
+        assert_eq!((strange, sources.has_ended(1)), (Ok(()), true));
+        assert_eq!(sources.frame(&header(1, 6, 10), 10, 1_002, &mut drops), Ok(()));
+        assert!(!sources.has_ended(1));
+        // Its slot is given away at once where there is no other.
+        sources.end(1, 6);
+        assert_eq!(sources.frame(&header(3, 1, 0), 10, 1_003, &mut drops), Ok(()));
+        assert!(sources.has_ended(1) && !sources.has_ended(2));
+        assert_eq!(drops.total(), 0);
     }
 
     #[test]

@@ -178,6 +178,31 @@ fn each_bad_frame_is_counted_and_affects_no_robot() {
 }
 
 #[test]
+fn a_robot_whose_source_has_ended_goes_to_the_first_that_publishes_for_it() {
+    let (mut fleet, mut source) = warm();
+    let mut heir = Source::new(2, 1);
+    let sample = |at: u64| healthy(ROBOT, at, NOW + at * PERIOD_NS, PERIOD_NS);
+    heir.tick(&mut fleet, &[sample(1)], NOW + PERIOD_NS);
+    assert_eq!(fleet.drops().get(DropReason::ForeignSource), 1);
+    // Neither an earlier run's end nor another source's frees it.
+    let run = source.header.source_epoch;
+    for (id, epoch) in [(1, run - 1), (1, run + 1), (2, 1), (9, run)] {
+        fleet.end_source(id, epoch);
+        heir.tick(&mut fleet, &[sample(2)], NOW + 2 * PERIOD_NS);
+    }
+    assert_eq!(fleet.drops().get(DropReason::ForeignSource), 5);
+    let accepted = fleet.accepted();
+    fleet.end_source(1, run);
+    heir.tick(&mut fleet, &[sample(3)], NOW + 3 * PERIOD_NS);
+    assert_eq!(fleet.accepted(), accepted + 1);
+    // The first comes too late, and its return takes nothing back.
+    source.tick(&mut fleet, &[sample(4)], NOW + 4 * PERIOD_NS);
+    assert_eq!(fleet.drops().get(DropReason::ForeignSource), 6);
+    heir.tick(&mut fleet, &[sample(5)], NOW + 5 * PERIOD_NS);
+    assert_eq!((fleet.accepted(), fleet.drops().total()), (accepted + 2, 6));
+}
+
+#[test]
 fn lost_samples_are_counted_from_the_headers() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
     source.frame(30);

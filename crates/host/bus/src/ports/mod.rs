@@ -16,6 +16,7 @@ mod repair;
 mod samples;
 mod service;
 mod wait;
+mod writer_watch;
 
 use self::channel::Received;
 pub use self::channel::{Loan, Reader, Writer};
@@ -30,3 +31,4 @@ pub use self::reading::Frame;
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
+pub use self::writer_watch::WriterWatch;

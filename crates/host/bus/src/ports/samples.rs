@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use joulebus_wire::{Sample, SampleHeader, Samples, Service, WakeEvent};
 
-use super::{Noted, Received};
+use super::{Member, Noted, Received, WriterWatch};
 use crate::{Bus, Limits, OpenError, Reader, ReceiveError, SendError, Sent, Waker, Writer};
 
 /// The worker's port for samples of all sources.
@@ -50,6 +50,7 @@ impl SampleReader {
         };
         self.noted.note(&received);
         Ok(Some(IncomingFrame {
+            member: self.reader.member().clone(),
             header: *received.user_header(),
             kept: received.payload().len().min(most),
             received,
@@ -70,6 +71,7 @@ impl SampleReader {
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
     received: Received<Samples>,
+    member: Member,
     header: SampleHeader,
     kept: usize,
     copied: usize,
@@ -81,6 +83,18 @@ impl IncomingFrame<'_> {
     #[must_use]
     pub const fn header(&self) -> &SampleHeader {
         &self.header
+    }
+
+    /// Id of the port that sent it: unique among all ports, also those that are gone.
+    #[must_use]
+    pub fn port(&self) -> u128 {
+        self.received.writer()
+    }
+
+    /// Watches the port that sent it. Allocates.
+    #[must_use]
+    pub fn watch_port(&self) -> WriterWatch {
+        WriterWatch::new(&self.member, self.port())
     }
 
     /// Number of samples that will be copied.

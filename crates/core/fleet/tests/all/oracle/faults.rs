@@ -65,6 +65,11 @@ impl Sender {
         }
     }
 
+    /// The header of its present run.
+    pub(crate) const fn header(&self) -> SampleHeader {
+        self.source.header
+    }
+
     /// Frames that arrive up to `now_ns`, in the order in which they were sent.
     pub(crate) fn arrivals(
         &mut self,

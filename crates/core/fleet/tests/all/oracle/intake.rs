@@ -45,6 +45,8 @@ pub(crate) struct Oracle {
     sources: Vec<Known>,
     /// Sources that had to make room for others.
     pub recycled: u64,
+    /// Ends of sources.
+    pub ended: u64,
     pub accepted: u64,
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -60,6 +62,7 @@ impl Oracle {
             departed: VecDeque::new(),
             sources: Vec::new(),
             recycled: 0,
+            ended: 0,
             accepted: 0,
             drops: BTreeMap::new(),
         }
@@ -124,6 +127,16 @@ impl Oracle {
         known.received_ns = now_ns;
         self.sources[at] = known;
         Ok(())
+    }
+
+    /// The present run of a source has ended.
+    pub(crate) fn end(&mut self, id: u64, epoch: u64) {
+        for known in &mut self.sources {
+            if (known.id, known.run.0) == (id, epoch) {
+                known.received_ns = 0;
+                self.ended += 1;
+            }
+        }
     }
 
     /// The source's slot. A new source gets a free one, or that of the source that was silent
@@ -213,10 +226,14 @@ impl Oracle {
         self.join(header, sample.robot, now_ns)?;
         let intake = self.settings.intake;
         let member = self.members.get_mut(&sample.robot).expect("the robot has joined");
-        if member.owner != header.source_id {
+        let owner = self.sources.iter().find(|known| known.id == member.owner);
+        let is_free = owner.is_none_or(|owner| owner.received_ns == 0);
+        let is_own = member.owner == header.source_id;
+        if !is_own && !is_free {
             return Err(DropReason::ForeignSource);
         }
-        if header.source_epoch != member.epoch {
+        member.owner = header.source_id;
+        if !is_own || header.source_epoch != member.epoch {
             member.epoch = header.source_epoch;
             member.seqs.clear();
             member.fresh_run = true;

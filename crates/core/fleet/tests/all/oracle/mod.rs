@@ -125,6 +125,7 @@ fn simulate(
     let mut oracle = Oracle::new(settings, models());
     let mut senders = senders();
     let (mut now_ns, mut sent) = (START_NS, 0);
+    let mut ends = Noise(!seed);
     let mut qualities = Vec::new();
     for _ in 0..ticks {
         now_ns += PERIOD_NS / 2 + noise.next_u64() % jitter_ns.max(PERIOD_NS);
@@ -136,6 +137,13 @@ fn simulate(
             .flat_map(|sender| sender.arrivals(now_ns, rates, &mut noise))
             .collect();
         arrived.sort_by_key(|frame| frame.at_ns);
+        if rarely(&mut ends, rates.frame) {
+            // Of a run that sends on, or has been replaced, as well.
+            let header = senders[(ends.next_u64() % 5) as usize].header();
+            let epoch = header.source_epoch - ends.next_u64() % 2;
+            fleet.end_source(header.source_id, epoch);
+            oracle.end(header.source_id, epoch);
+        }
         for frame in arrived {
             let taken_ns = frame.at_ns;
             let source_id = frame.header.source_id;
@@ -157,5 +165,6 @@ fn simulate(
         }
         qualities.extend((0..fleet.len()).map(|at| format!("{:?}", fleet.forecast(at).quality())));
     }
+    prop_assert!(ticks < 400 || oracle.ended > 0, "no source has ended");
     Ok((oracle.drops.into_keys().collect(), qualities))
 }
