@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Bus, Reader, clock};
 use joulebus_config::Config;
+use joulebus_connect::raises::raises;
 use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{
     Acknowledgement, AcknowledgementHeader, Acknowledgements, Alarm, AlarmSet, Diagnostic,
@@ -56,9 +57,11 @@ pub struct AlarmChange {
     pub alarm: Alarm,
     /// The change.
     pub change: Change,
-    /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
+    /// When, as the caller of [`AlarmHistory::take`] counts time, ns. Of a raise that was [known
+    /// before](AlarmHistory::know), when it was raised.
     pub at_ns: u64,
-    /// When it was raised, ns. If the first frame had it already, the time of that frame.
+    /// When it was raised, ns. If the first frame had it already and that is not known, the time of
+    /// that frame.
     pub raised_ns: u64,
     /// The acknowledgement of this raise, if there is one. Earlier raises do not count.
     pub acknowledged: Option<Acknowledgement>,
@@ -82,6 +85,8 @@ pub struct AlarmChange {
 #[derive(Debug, Clone, Default)]
 pub struct AlarmHistory {
     robots: HashMap<u32, Raised>,
+    /// When alarms of the next frame were raised, by robot and code.
+    known: HashMap<(u32, u16), u64>,
     /// Run of the worker, and tick, of the newest frame.
     newest_tick: Option<(u64, u64)>,
     ticks: u64,
@@ -119,6 +124,18 @@ struct Raised {
 }
 
 impl AlarmHistory {
+    /// The next frame may have alarms that were raised before: these, by robot and code, with their
+    /// times as the caller of [`AlarmHistory::take`] counts time, ns.
+    pub fn know(&mut self, raises: HashMap<(u32, u16), u64>) {
+        self.known = raises;
+    }
+
+    /// Run of the worker of the newest frame that was taken.
+    #[must_use]
+    pub fn run(&self) -> Option<u64> {
+        self.newest_tick.map(|(run, _)| run)
+    }
+
     /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every
     /// change: robots in the order of the frame, then robots that left, by id. Skips earlier ticks.
     pub fn take(
@@ -149,6 +166,7 @@ impl AlarmHistory {
         if waiting > 0 {
             self.remove_others(at_ns, &mut each);
         }
+        self.known.clear();
     }
 
     fn update(
@@ -167,11 +185,12 @@ impl AlarmHistory {
         let changed = AlarmSet(raised.alarms.0 ^ alarms.0);
         for alarm in changed.iter() {
             let since_ns = &mut raised.since_ns[usize::from(alarm.code()) - 1];
-            let change = if alarms.has(alarm) {
-                *since_ns = at_ns;
-                Change::Raised
+            let (change, at_ns) = if alarms.has(alarm) {
+                let known_ns = self.known.get(&(robot, alarm.code()));
+                *since_ns = known_ns.map_or(at_ns, |known_ns| at_ns.min(*known_ns));
+                (Change::Raised, *since_ns)
             } else {
-                Change::Cleared
+                (Change::Cleared, at_ns)
             };
             let raised_ns = *since_ns;
             report(
@@ -327,6 +346,7 @@ pub struct AlarmFeed {
     acknowledgements: Reader<Acknowledgements>,
     history: AlarmHistory,
     look_every: Duration,
+    config: Config,
     // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
 }
@@ -344,6 +364,7 @@ impl AlarmFeed {
             acknowledgements: bus.reader(&limits)?,
             history: AlarmHistory::default(),
             look_every: look_every(config),
+            config: config.clone(),
             _bus: bus,
         })
     }
@@ -355,17 +376,22 @@ impl AlarmFeed {
     }
 
     /// Takes everything that the worker has sent since the last call, and calls `each` for every
-    /// change, with monotonic times. Does not wait, nor listen to events, which would cost the
-    /// worker time in every tick.
+    /// change, with monotonic times. Of alarms that were raised before this began, the process of
+    /// the worker states when. Does not wait, nor listen to events, which would cost the worker
+    /// time in every tick.
     ///
     /// # Errors
     /// [`ReadError`]. The next call may succeed, unless the fleet's files were removed.
     pub fn changes(&mut self, mut each: impl FnMut(AlarmChange)) -> Result<(), ReadError> {
         let (now_ns, history) = (clock::monotonic_ns(), &mut self.history);
+        let config = &self.config;
         let (mut foreign, mut found) = (None, false);
         self.reader.take_all(|header, robots| {
             if header.schema == SCHEMA_VERSION {
                 found = true;
+                if history.run() != Some(header.worker_epoch) {
+                    history.know(raises(config, header.worker_epoch));
+                }
                 history.take(header, robots, now_ns, &mut each);
             } else {
                 foreign = Some(header.schema);
@@ -407,6 +433,33 @@ mod tests {
 
     fn row((robot, alarms): (&u32, &u32)) -> Diagnostic {
         Diagnostic { robot: *robot, alarms: *alarms, ..Default::default() }
+    }
+
+    #[test]
+    fn an_alarm_that_the_first_frame_has_is_raised_when_it_is_known_to_have_been() {
+        let mut history = AlarmHistory::default();
+        let alarms = AlarmSet::default().with(Alarm::NoData).with(Alarm::BiasHigh).0;
+        let (seven, nine) = (row((&7, &alarms)), row((&9, &alarms)));
+        let no_data = Alarm::NoData.code();
+        // A time in the future is not believed.
+        history.know([((7, no_data), 1_000), ((9, no_data), 9_000)].into());
+        let mut raises = Vec::new();
+        let mut each = |change: AlarmChange| {
+            raises.push((change.robot, change.alarm, change.at_ns, change.raised_ns));
+        };
+        history.take(&header(1, 1), &[seven, nine], 5_000, &mut each);
+        let expected = [
+            (7, Alarm::NoData, 1_000, 1_000),
+            (7, Alarm::BiasHigh, 5_000, 5_000),
+            (9, Alarm::NoData, 5_000, 5_000),
+            (9, Alarm::BiasHigh, 5_000, 5_000),
+        ];
+        assert_eq!(raises, expected);
+        let mut raises = Vec::new();
+        // It was known of the first frame alone.
+        history.take(&header(1, 2), &[], 6_000, |_| ());
+        history.take(&header(1, 3), &[seven], 7_000, |change| raises.push(change.raised_ns));
+        assert_eq!(raises, [7_000, 7_000]);
     }
 
     /// Expected changes from one frame to the next, for each alarm of each robot.

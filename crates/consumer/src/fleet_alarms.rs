@@ -38,8 +38,9 @@ pub struct FleetAlarm {
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,
-    /// When it was raised, monotonic ns. If that was before the program began, when the program
-    /// first saw it.
+    /// When it was raised, monotonic ns, also if that was before this program began. If that is not
+    /// known, when the program first saw it: an alarm of the worker or of a source, and one on a
+    /// host that a link joins.
     pub raised_ns: u64,
     /// The acknowledgement since it was raised.
     pub acknowledged: Option<Acknowledgement>,

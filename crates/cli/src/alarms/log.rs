@@ -8,6 +8,7 @@ use std::time::Duration;
 use joulebus_bus::{Background, Steps, ThreadWatch};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
+use joulebus_connect::raises::RaisesFile;
 use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
 use joulebus_plan::report::Lasting;
 use joulebus_program::logging::ALARMS;
@@ -52,6 +53,7 @@ impl AlarmLog {
         let worker_is_open = Arc::clone(&may_open);
         let thread = Background::start("joulebus-alarms", move || {
             Ok::<_, std::io::Error>(Logging {
+                raises: RaisesFile::new(&config).ok(),
                 config,
                 feed: None,
                 before: AlarmReport::default(),
@@ -84,6 +86,8 @@ impl AlarmLog {
 
 struct Logging {
     config: Config,
+    /// For readers that start later.
+    raises: Option<RaisesFile>,
     feed: Option<AlarmFeed>,
     /// Totals of earlier feeds.
     before: AlarmReport,
@@ -134,6 +138,13 @@ impl Steps for Logging {
             }
         });
         let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
+        let run = feed.history().run().filter(|_| !changes.is_empty());
+        let raised: Vec<_> = run.iter().flat_map(|_| feed.history().raised()).collect();
+        if let (Some(raises), Some(run)) = (&self.raises, run)
+            && let Err(error) = raises.write(run, raised.into_iter())
+        {
+            tracing::debug!(%error, "readers that start later count alarms from their start");
+        }
         report.ticks_missed = self.before.ticks_missed.saturating_add(missed);
         *self.report.lock().unwrap_or_else(PoisonError::into_inner) = report;
         log_all(&mut changes);

@@ -32,8 +32,9 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms --acknowledge 7 LevelHigh --new-normal    the load stays: compare with it\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, each change is one line, or one object with --format json. WorkerGone and WorkerStale \
-    are alarms of the worker itself. Alarms that are already raised at the start are shown as \
-    raised at that time.\n\
+    are alarms of the worker itself. Alarms that are already raised at the start are shown with the \
+    time at which they were raised. On a host that a link joins that time is not known, and they \
+    are shown as raised at the start.\n\
     An acknowledgement lasts until the alarm ends. If the alarm returns, it is raised again. \
     With --new-normal an alarm of the robot's own level ends within a tick: the robot learns its \
     level anew, and a further change is found after some three seconds. \

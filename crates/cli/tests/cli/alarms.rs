@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use std::time::{Duration, SystemTime};
 
 use joulebus_testkit::eventually;
 use rustix::process::Signal;
@@ -169,6 +170,44 @@ fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
     let report = json(&ended);
     assert_eq!(report["alarms"]["raised"], raised.len(), "{report}");
     assert_eq!(report["alarms"]["ended"], over.len(), "{report}");
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_reader_that_starts_later_shows_when_an_alarm_was_raised_and_so_does_the_next() {
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    publish(&fleet);
+    for _ in 0..ROBOTS {
+        worker.wait_for_stderr("NoData");
+    }
+    let unix_ns = || {
+        let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap();
+        u64::try_from(since.as_nanos()).unwrap()
+    };
+    let raised_by_ns = unix_ns();
+    std::thread::sleep(Duration::from_secs(2));
+    let stamps_ns: Vec<u64> = (0..2)
+        .map(|_| {
+            let mut late = Program::start(fleet.joulebus("alarms --format json"));
+            late.wait_for_stdout("\"robot\":1,\"alarm\":\"NoData\"");
+            let lines = late.shown();
+            let mut lines = lines.iter().map(|line| serde_json::from_str::<Value>(line).unwrap());
+            let line = lines.find(|line| line["robot"] == 1 && line["alarm"] == "NoData");
+            let line = line.unwrap();
+            assert_eq!(line["change"], "raised", "{line}");
+            late.end(Signal::TERM);
+            line["stamp_ns"].as_u64().unwrap()
+        })
+        .collect();
+    for stamp_ns in &stamps_ns {
+        assert!(*stamp_ns <= raised_by_ns, "{stamps_ns:?}, raised before {raised_by_ns}");
+        assert!(stamp_ns.abs_diff(stamps_ns[0]) < 1_000_000_000, "{stamps_ns:?}");
+    }
+    let mut watch = Program::start(fleet.joulebus("watch --plain"));
+    watch.wait_for_stderr("robot 1: NoData, since ");
+    watch.end(Signal::TERM);
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
     assert!(fleet.stale_files().is_empty());
 }
 

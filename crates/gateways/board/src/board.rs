@@ -146,6 +146,8 @@ pub struct Board {
     pub outlooks: HashMap<u32, Outlook>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
     pub raised: BTreeMap<u32, Vec<Raised>>,
+    /// When alarms of the next diagnostics were raised.
+    raises: HashMap<(u32, u16), u64>,
     /// Runs of workers, oldest first.
     pub runs: Vec<WorkerRun>,
     /// Runs merged into the one after them.
@@ -179,6 +181,7 @@ impl Board {
             rows: BTreeMap::new(),
             outlooks: HashMap::new(),
             raised: BTreeMap::new(),
+            raises: HashMap::new(),
             runs: Vec::new(),
             merged_runs: 0,
             stages: Stages::new(),
@@ -307,6 +310,12 @@ impl Board {
         row.frame = frame;
     }
 
+    /// The next diagnostics may have alarms that were raised before: these, by robot and code, with
+    /// their monotonic times, ns.
+    pub fn know_raises(&mut self, raises: HashMap<(u32, u16), u64>) {
+        self.raises = raises;
+    }
+
     /// Adds a frame of diagnostics.
     pub fn diagnostics(&mut self, diagnostics: &[Diagnostic], now_ns: u64) {
         let at_s = self.seconds(now_ns);
@@ -319,11 +328,16 @@ impl Board {
                 let raised = self.raised.entry(diagnostic.robot).or_default();
                 if raised.iter().all(|raised| raised.alarm != alarm) {
                     raised.push(Raised { alarm, at_s });
-                    let note = format!("robot {}: {}", diagnostic.robot, alarm.name());
+                    let mut note = format!("robot {}: {}", diagnostic.robot, alarm.name());
+                    if let Some(raised_ns) = self.raises.get(&(diagnostic.robot, alarm.code())) {
+                        let for_s = now_ns.saturating_sub(*raised_ns) as f64 * 1e-9;
+                        note.push_str(&format!(", since {for_s:.0} s"));
+                    }
                     self.notes.push_back((at_s, note));
                 }
             }
         }
+        self.raises.clear();
         while self.notes.len() > NOTES {
             self.notes.pop_front();
         }

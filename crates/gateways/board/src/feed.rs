@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Background, Bus, FrameBuf, Rounds, SampleReader, clock};
 use joulebus_config::Config;
+use joulebus_connect::raises::raises;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
     self as consumer, Budgets, Diagnostics, End, Outlooks, Queries, ReadError, Subscriber,
@@ -45,6 +46,8 @@ pub struct Reading {
     queries: Option<consumer::Feed<Queries>>,
     tap: Option<Tap>,
     polls: bool,
+    /// Until the first diagnostics.
+    config: Option<Config>,
     planner: Subscriber,
 }
 
@@ -55,7 +58,7 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, ConnectError> {
-        let mut reading = Self::new(Subscriber::with_config(config, name)?)?;
+        let mut reading = Self::new(Subscriber::with_config(config, name)?, config)?;
         if taps {
             reading.tap = Some(Tap::open(config)?);
         }
@@ -69,11 +72,11 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
-        let reading = Self::new(Subscriber::polling(config, name, every)?)?;
+        let reading = Self::new(Subscriber::polling(config, name, every)?, config)?;
         Ok(Self { polls: true, ..reading })
     }
 
-    fn new(planner: Subscriber) -> Result<Self, ConnectError> {
+    fn new(planner: Subscriber, config: &Config) -> Result<Self, ConnectError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
@@ -81,6 +84,7 @@ impl Reading {
             queries: planner.queries().ok(),
             tap: None,
             polls: false,
+            config: Some(config.clone()),
             planner,
         })
     }
@@ -181,6 +185,9 @@ impl Reading {
             if (diagnosed && budgeted) || now_ns >= give_up_ns {
                 let mut board = borrow();
                 if let Some(diagnostics) = diagnostics {
+                    if let Some(config) = self.config.take() {
+                        board.know_raises(raises(&config, diagnostics.header().worker_epoch));
+                    }
                     board.diagnostics(diagnostics.robots(), now_ns);
                 }
                 if let Some(budgets) = budgets {

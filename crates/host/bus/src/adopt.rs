@@ -8,7 +8,7 @@ use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use crate::cleanup::objects::{NODES, SERVICES, is_of, is_of_node, is_of_standby, list};
+use crate::cleanup::objects::{NODES, SERVICES, is_of, is_of_node, is_of_worker, list};
 use crate::marker::Marked;
 use crate::os::files::effective_uid;
 use crate::private::{check_own, check_private};
@@ -83,7 +83,7 @@ fn is_made_again(domain: &Domain) -> bool {
         true if path == nodes => holds_only(path, is_node),
         true => path == services && holds_only(path, is_file),
         // The socket of an event.
-        false => is_of(domain, path) || is_of_standby(path),
+        false => is_of(domain, path) || is_of_worker(path),
     };
     (nodes.is_dir() || services.is_dir()) && holds_only(&directory, is_known)
 }

@@ -29,6 +29,7 @@
 #![forbid(unsafe_code)]
 
 pub mod findings;
+pub mod raises;
 
 use joulebus_bus::{Bus, JoinError, OpenError};
 use joulebus_config::{Config, ConfigError};

@@ -10,6 +10,7 @@ use super::claim::Claim;
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError, STANDBY_FILES};
+use joulebus_domain::RAISES_FILE;
 
 /// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";
@@ -132,11 +133,11 @@ pub(crate) fn is_of(domain: &Domain, path: &Path) -> bool {
     name.starts_with(domain.shm_prefix().as_bytes())
 }
 
-/// True if a link or a worker that stands by uses such a name for a file in a fleet's directory.
-pub(crate) fn is_of_standby(path: &Path) -> bool {
+/// True if a link or a worker uses such a name for a file in a fleet's directory.
+pub(crate) fn is_of_worker(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.map(|name| name.strip_suffix(".new").unwrap_or(name));
-    name.is_some_and(|name| STANDBY_FILES.contains(&name))
+    name.is_some_and(|name| STANDBY_FILES.contains(&name) || name == RAISES_FILE)
 }
 
 /// True if iceoryx2 uses such a name for a node's directory.

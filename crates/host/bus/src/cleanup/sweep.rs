@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
-use super::objects::{NODES, SERVICES, is_of, is_of_node, is_of_standby, list_own, objects};
+use super::objects::{NODES, SERVICES, is_of, is_of_node, is_of_worker, list_own, objects};
 use super::report::SweepReport;
 use crate::directory::RETRY_TIMEOUT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
@@ -99,7 +99,7 @@ fn remove_contents(domain: &Domain, report: &mut SweepReport) -> Result<(), Swee
         let _ = fs::remove_dir(&inner);
     }
     remove_files(&directory, report, |path| {
-        is_of(domain, path) || iceoryx_config::is_config(domain, path) || is_of_standby(path)
+        is_of(domain, path) || iceoryx_config::is_config(domain, path) || is_of_worker(path)
     })
 }
 
