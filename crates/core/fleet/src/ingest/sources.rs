@@ -48,7 +48,7 @@ impl Source {
             id: header.source_id,
             run: Run { epoch: header.source_epoch, accounted },
             other: None,
-            taken_ns: now_ns,
+            taken_ns: seen_at(now_ns),
         }
     }
 
@@ -103,6 +103,11 @@ impl Source {
         self.other = Some(self.run);
         self.run = Run { epoch, accounted };
     }
+}
+
+/// `now_ns` as an instant that is not taken for an end.
+const fn seen_at(now_ns: u64) -> u64 {
+    if now_ns == 0 { 1 } else { now_ns }
 }
 
 /// The sources that have sent a frame.
@@ -160,7 +165,7 @@ impl Sources {
         let silent = self.is_silent(&self.sources[at], now_ns);
         let source = &mut self.sources[at];
         source.frame(header, samples, silent, drops)?;
-        source.taken_ns = now_ns;
+        source.taken_ns = seen_at(now_ns);
         Ok(())
     }
 
