@@ -25,6 +25,11 @@ impl<C: Channel> Sent<C> {
     pub(crate) fn payload(&self) -> &[C::Row] {
         &self.payload
     }
+
+    /// The port that sent it.
+    pub(crate) const fn writer(&self) -> u128 {
+        self.port
+    }
 }
 
 /// Frames of one writer that a reader has not taken.
