@@ -19,8 +19,8 @@ use joulebus_wire::{
 use proptest::prelude::*;
 
 use crate::simulation::{
-    CAPACITY, DOUBTED, EPOCH, KEYFRAME_EVERY, KEYFRAME_LATE, LOADED, NEW_NORMAL_AT, Simulation, entries,
-    recorded, tick_of, verify, verify_by,
+    CAPACITY, DOUBTED, EPOCH, KEYFRAME_EVERY, KEYFRAME_LATE, LOADED, NEW_NORMAL_AT, Simulation,
+    entries, recorded, tick_of, verify, verify_by,
 };
 
 /// True if it is a certain frame of samples.
