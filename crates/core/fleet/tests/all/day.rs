@@ -2,14 +2,15 @@
 //! restarts of the worker, charging, a night, gauges that are wrong. What budgets and answers state
 //! is compared with what happened.
 
-use joulebus_fleet::{Fleet, SavedBattery};
+use joulebus_fleet::{Fleet, Ledger, SavedBattery};
 use joulebus_plan::{Fleet as PlanFleet, Frames, Platform as PlanPlatform};
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, Platform};
 use joulebus_testkit_fleets::random::{self, Noise};
 use joulebus_testkit_fleets::{self as world, MS, Source};
 use joulebus_wire::{
-    Budget, BudgetHeader, PlanStateHeader, SCHEMA_VERSION, Sample, budget_flag, sample_flag,
+    Budget, BudgetHeader, ChargeState, PlanStateHeader, SCHEMA_VERSION, Sample, budget_flag,
+    sample_flag,
 };
 
 const STEP_NS: u64 = 4_000 * MS;
@@ -106,6 +107,7 @@ struct Robot {
     is_charging: bool,
     is_full: bool,
     left_j: f64,
+    saved: Option<Budget>,
 }
 
 impl Robot {
@@ -194,6 +196,7 @@ impl Day {
             is_charging: false,
             is_full: false,
             left_j: f64::INFINITY,
+            saved: None,
         };
         Self {
             robots: (0..ROBOTS).map(robot).collect(),
@@ -212,11 +215,11 @@ impl Day {
     fn run(&mut self) {
         for step in 0..DAY {
             self.step(step);
+            self.watch(step);
             if [3, 11, 22].map(|hour| hour * HOUR + 77).contains(&step) {
                 self.restart(2 + step);
             }
-            self.watch(step);
-            for _ in 0..2 {
+            for _ in 0..8 {
                 self.ask(step);
             }
             self.judge(step);
@@ -264,9 +267,10 @@ impl Day {
     /// Another worker continues from what this one saved.
     fn restart(&mut self, epoch: u64) {
         let mut after = fleet();
-        for place in 0..self.fleet.len() {
-            let budget = self.fleet.budget(place);
-            let ledger = self.fleet.ledger(budget.robot).expect("it is in the fleet");
+        for budget in self.robots.iter().filter_map(|robot| robot.saved) {
+            let drawn = (budget.drawn_uj, budget.drawn_remainder);
+            let times = (budget.metered_ns, budget.unmetered_ns, budget.stamp_ns);
+            let ledger = Ledger::restored(drawn, budget.forecast_uj, times.0, times.1, times.2);
             after.restore(budget.robot, ledger, true, SavedBattery::new(&budget));
         }
         (self.fleet, self.source) = (after, Source::new(1, epoch));
@@ -277,12 +281,20 @@ impl Day {
         for place in 0..self.fleet.len() {
             let budget = self.fleet.budget(place);
             let robot = &mut self.robots[budget.robot as usize];
+            // As the worker saves it: the account begins at the last sample.
+            if robot.saved.is_none_or(|saved| saved.stamp_ns != budget.stamp_ns) {
+                robot.saved = Some(budget);
+            }
             let is_known = budget.flags & budget_flag::CHARGE != 0;
             let left_j = f64::from(budget.left_j);
             // A ledger's numbers have single precision.
             let rises = is_known && left_j > robot.left_j + 0.02;
-            let may_rise = robot.is_charging || robot.gauge.is_some() || Robot::is_off(step);
-            self.rises += usize::from(rises && !may_rise);
+            let charges = robot.is_charging || budget.charge_state() != ChargeState::Discharging;
+            let may_rise = charges || robot.gauge.is_some() || Robot::is_off(step);
+            if rises && !may_rise {
+                println!("step {step}: {left_j} J after {} J, {budget:?}", robot.left_j);
+                self.rises += 1;
+            }
             robot.left_j = if may_rise || !is_known { f64::INFINITY } else { left_j };
             if is_known && (step + 11 * place as u64).is_multiple_of(150) {
                 let bounds = f64::from(budget.soc_lo)..=f64::from(budget.soc_hi);
