@@ -231,3 +231,42 @@ fn recordings_without_information_give_no_model() {
         assert_eq!(model.check(), Ok(()));
     }
 }
+
+/// A dataset whose rows are all of one recording of a robot, or of several.
+fn recorded(robots: &[Robot], origin: impl Fn(usize) -> RowOrigin) -> Dataset {
+    let mut dataset = dataset(robots);
+    for row in &mut dataset.training {
+        row.origin = origin(row.origin.recording as usize);
+    }
+    dataset
+}
+
+#[test]
+fn pieces_of_too_few_recordings_state_no_errors_and_recordings_of_one_robot_do() {
+    let robots = robots(0..16);
+    let longest_s = |origin: &dyn Fn(usize) -> RowOrigin| {
+        let model = energy_model(&recorded(&robots, origin), FeatureSet::Full);
+        model.expect("long enough").longest_s()
+    };
+    // Sixteen stretches between gaps.
+    assert_eq!(longest_s(&|_| RowOrigin::default()), 0.0);
+    assert_eq!(longest_s(&|place| RowOrigin::recording(place % 3)), 0.0);
+    let of_one_robot = |place: usize| RowOrigin { recording: place as u32 % 4, robot: 0 };
+    assert!(longest_s(&of_one_robot) >= 10.0);
+    assert!(longest_s(&|place| RowOrigin::recording(place)) >= 100.0);
+}
+
+#[test]
+fn robots_that_differ_are_not_on_both_sides_of_the_cross_validation() {
+    // Eight recordings of each of two robots, one of which is unlike the other.
+    let robots: Vec<Robot> =
+        (0..16).map(|number| Robot::new(number, 0.6 + 0.8 * (number % 2) as f32, 1_200)).collect();
+    let width = |origin: &dyn Fn(usize) -> RowOrigin| {
+        let model = energy_model(&recorded(&robots, origin), FeatureSet::Full).expect("enough");
+        assert!(model.calibrated >= 3, "{model:?}");
+        model.errors[0][7] - model.errors[0][1]
+    };
+    let by_recording = width(&|place| RowOrigin { recording: place as u32, robot: 0 });
+    let by_robot = width(&|place| RowOrigin { recording: place as u32, robot: place as u32 % 2 });
+    assert!(by_robot > by_recording, "{by_robot} {by_recording}");
+}
