@@ -772,7 +772,7 @@ mod tests {
         assert!(matches!(error("lab"), LedgerFileError::Damaged { .. }), "{}", error("lab"));
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
         for (text, found) in
-            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":5}", 5)]
+            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":6}", 6)]
         {
             fs::write(&path, text).unwrap();
             let error = error("lab");

@@ -5,7 +5,6 @@
 //! recording have the same floor, load and battery, and show nothing of another day. The stored
 //! model is fitted to all of them.
 
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
@@ -146,8 +145,7 @@ pub(crate) fn recordings(dataset: &Dataset) -> usize {
     rows.map(|row| row.origin.recording).collect::<BTreeSet<u32>>().len()
 }
 
-/// Two halves of about the same length, with whole robots each if there are several, or else whole
-/// recordings. Too few recordings are halved run by run: their errors are not known anyway.
+/// Two halves by turns, with whole robots each if there are several, or else whole recordings. Too few recordings are halved run by run: their errors are not known anyway.
 fn halves(runs: &[Run]) -> [Vec<&Run>; 2] {
     let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
     let robots: BTreeSet<u32> = runs.iter().map(|run| run.origin.robot).collect();
@@ -164,12 +162,9 @@ fn halves(runs: &[Run]) -> [Vec<&Run>; 2] {
             None => units.push((unit(place), vec![run])),
         }
     }
-    let rows = |runs: &[&Run]| runs.iter().map(|run| run.power_w.len()).sum::<usize>();
-    units.sort_by_key(|(_, of_unit)| Reverse(rows(of_unit)));
     let mut halves = [Vec::new(), Vec::new()];
-    for (_, of_unit) in units {
-        let shorter = usize::from(rows(&halves[1]) < rows(&halves[0]));
-        halves[shorter].extend(of_unit);
+    for (place, (_, of_unit)) in units.into_iter().enumerate() {
+        halves[place % 2].extend(of_unit);
     }
     halves
 }

@@ -258,15 +258,21 @@ fn pieces_of_too_few_recordings_state_no_errors_and_recordings_of_one_robot_do()
 
 #[test]
 fn robots_that_differ_are_not_on_both_sides_of_the_cross_validation() {
-    // Eight recordings of each of two robots, one of which is unlike the other.
-    let robots: Vec<Robot> =
-        (0..16).map(|number| Robot::new(number, 0.6 + 0.8 * (number % 2) as f32, 1_200)).collect();
+    // Eight recordings of each of two robots. What the second draws does not depend on commands.
+    let mut robots = robots(0..16);
+    for robot in &mut robots[8..] {
+        let mut noise = Noise::new(9, 0);
+        robot
+            .power_w
+            .iter_mut()
+            .for_each(|power_w| *power_w = 4.0 + noise.between(0.0, 0.1) as f32);
+    }
     let width = |origin: &dyn Fn(usize) -> RowOrigin| {
         let model = energy_model(&recorded(&robots, origin), FeatureSet::Full).expect("enough");
         assert!(model.calibrated >= 3, "{model:?}");
         model.errors[0][7] - model.errors[0][1]
     };
     let by_recording = width(&|place| RowOrigin { recording: place as u32, robot: 0 });
-    let by_robot = width(&|place| RowOrigin { recording: place as u32, robot: place as u32 % 2 });
+    let by_robot = width(&|place| RowOrigin { recording: place as u32, robot: place as u32 / 8 });
     assert!(by_robot > by_recording, "{by_robot} {by_recording}");
 }

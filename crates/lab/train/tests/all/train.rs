@@ -362,7 +362,7 @@ fn the_shipped_models_state_that_they_come_from_this_simulation() {
         let (scores, residual) = scored(&network, &expected.held_out);
         // The card was written by earlier kernels: their last bits may change, the model's may not.
         // Its quantiles are those of a row, not between two.
-        let close = |(found, stated): (f32, f32)| (found - stated).abs() <= 1e-4 * stated.abs();
+        let close = |(found, stated): (f32, f32)| (found - stated).abs() <= 1e-3 * stated.abs();
         let figures = |scores: Scores, residual: ResidualStats| {
             let ResidualStats { std_w, q05_w, q95_w } = residual;
             let network = [scores.network_r2, scores.network_mae_w];
