@@ -424,6 +424,21 @@ fn each_mutation_of_a_recording_has_its_verdict() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+#[test]
+fn the_beginning_of_a_recording_excuses_ten_seconds_without_a_keyframe() {
+    let messages = recorded(4, 400);
+    // The next keyframes follow after 8 s, and after 11 s.
+    for (last, verdict) in [(200, Verified), (280, Incomplete)] {
+        let mut mutated = messages.clone();
+        remove(&mut mutated, |message| {
+            message.frame::<State>().is_some_and(|piece| piece.header.tick <= last)
+        });
+        let report = verify(entries(mutated));
+        assert_eq!(report.verdict, verdict, "{report}");
+        assert_eq!(report.coverage[0].recomputed, [(last + KEYFRAME_EVERY + 1, 400)], "{report}");
+    }
+}
+
 /// What `record --per-robot` adds: each frame's rows again, one message for each robot.
 #[test]
 fn rows_of_single_robots_are_compared_with_their_frames() {
