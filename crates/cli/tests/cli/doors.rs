@@ -37,7 +37,7 @@ const DOORS: [(&str, &str); 11] = [
 ];
 
 /// Planted faults: the finding, and its cause.
-const PLANTED: [(&str, &str); 15] = [
+const PLANTED: [(&str, &str); 17] = [
     ("", "nothing"),
     ("sign", "a current that is negative while discharging"),
     ("unit", "V, A and W in columns of mV, mA and mW"),
@@ -53,6 +53,8 @@ const PLANTED: [(&str, &str); 15] = [
     ("sentinel", "−999 in every tenth reading"),
     ("mismatch", "a power of another circuit"),
     ("constant", "a current of 0 in every reading"),
+    ("constant", "a current of 0.25 A in every reading, and power made of it"),
+    ("", "a charger in the second half"),
 ];
 
 /// Columns that only a text has.
@@ -91,9 +93,21 @@ fn row(number: u32, planted: &str) -> [f64; 9] {
         "a speed of 30 m/s in a tenth of the rows" if number.is_multiple_of(10) => v = 30.0,
         "a monitor at 2^15 − 1" if number % 7 < 4 => i = 327.67,
         "a current of 0 in every reading" => i = 0.0,
+        "a current of 0.25 A in every reading, and power made of it" => [i, p] = [250.0, 0.25 * u],
+        "a current that nobody measures" => [i, p] = [1000.0, u],
+        _ if is_docked(number, planted) => {
+            [i, p, v, omega, v_meas] = [-2900.0 + i, u * (-2.9 + 1e-3 * i), 0.0, 0.0, 0.0];
+        }
         _ => {}
     }
     [t, u, i, p, v, omega, v_meas, 0.0, soc]
+}
+
+fn is_docked(number: u32, planted: &str) -> bool {
+    match planted {
+        "a charger in the second half" => number >= ROWS / 2,
+        planted => planted == "nothing but a charger",
+    }
 }
 
 fn table(planted: &str, is_array: bool) -> String {
@@ -121,7 +135,7 @@ fn table(planted: &str, is_array: bool) -> String {
 }
 
 /// A bag with batteries and commands as ROS has them; `None` where it cannot have this.
-fn bag(planted: &str) -> Option<Vec<u8>> {
+pub(super) fn bag(planted: &str) -> Option<Vec<u8>> {
     let write = |f: &mut Vec<u8>, number: f32| f.extend(number.to_le_bytes());
     let mut writer =
         mcap::WriteOptions::new().profile("ros2").create(Cursor::new(Vec::new())).unwrap();
@@ -166,8 +180,11 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
         for value in [volt * 1e-3, f64::NAN, ampere * 1e-3, f64::NAN, f64::NAN, f64::NAN, soc] {
             write(&mut data, value as f32);
         }
-        // Discharging, health and technology unknown, present; no cells, no names.
-        data.extend([2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]);
+        // Charging or discharging, health and technology unknown, present; no cells, no names.
+        let status = if is_docked(number, planted) { 1 } else { 2 };
+        data.extend([
+            status, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0,
+        ]);
         message(battery, at_ns, &data);
         if planted != "a command that never ends" || number < 100 {
             let mut data = vec![0, 1, 0, 0];
@@ -253,6 +270,8 @@ fn cell(door: &str, kind: &str, printed: &Output) -> &'static str {
     let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(printed) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
+        // Accepted, a current that nobody measures would be a number.
+        1 if refused && errors.contains("it is not measured") => "refused",
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
         3 if door == "data check" && !kind.is_empty() && out.contains("fault: ") => "fault",
         _ if is_read && warns(kind) => "warned",

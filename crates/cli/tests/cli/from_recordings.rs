@@ -4,8 +4,10 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::doors::bag;
 use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 use joulebus_testkit::assert_contains;
+use joulebus_testkit::trials::Files;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -312,4 +314,38 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
     assert!(stderr(&again).contains("mine.safetensors exists"));
     let kept = fs::read(out.join("models/mine.safetensors")).unwrap();
     assert_eq!(kept, b"of somebody");
+}
+
+#[test]
+fn a_recording_without_any_power_that_is_consumed_is_refused() {
+    let files = Files::new();
+    let table = |header: &str, row: &dyn Fn(u32) -> String| {
+        let rows = (0..200).map(|number| format!("{},{}\n", 0.1 * f64::from(number), row(number)));
+        header.to_owned() + "\n" + &rows.collect::<String>()
+    };
+    let volt = |number: u32| 24.6 + 0.01 * f64::from(number % 7);
+    let docked = table("timestamp_s,voltage_V,current_A,is_charging", &|number| {
+        format!("{},{},true", volt(number), -2.9 + 0.01 * f64::from(number % 5))
+    });
+    let unmeasured =
+        table("timestamp_s,voltage_V,current_A", &|number| format!("{},-1", volt(number)));
+    let mut cases = vec![
+        (files.write("docked.csv", docked.as_bytes()), ""),
+        (files.write("unmeasured.csv", unmeasured.as_bytes()), "--map missing:=-1"),
+    ];
+    for (name, planted) in [
+        ("docked.mcap", "nothing but a charger"),
+        ("unmeasured.mcap", "a current that nobody measures"),
+    ] {
+        cases.push((files.write(name, &bag(planted).unwrap()), ""));
+    }
+    for (path, options) in cases {
+        let out = path.with_extension("out.csv");
+        let words = ["import", text(&path), "-o", text(&out)];
+        let options = options.split_whitespace();
+        let refused = output(words.into_iter().chain(options)).exits(1);
+        let errors = stderr(&refused);
+        assert!(errors.contains("no reading has a power that it consumes"), "{path:?}: {errors}");
+        assert!(!out.exists(), "{path:?}");
+    }
 }

@@ -105,7 +105,8 @@ pub struct CurrentMonitor {
     varies: bool,
     voltage_v: f64,
     voltage_changes: u64,
-    moved: bool,
+    /// Readings of a robot that moves.
+    moving: u64,
     rested: bool,
     /// True if another current was near the reserved one, and if all have few digits.
     has_near: bool,
@@ -128,7 +129,7 @@ impl CurrentMonitor {
             varies: false,
             voltage_v: f64::NAN,
             voltage_changes: 0,
-            moved: false,
+            moving: 0,
             rested: false,
             has_near: false,
             is_coarse: true,
@@ -152,7 +153,7 @@ impl CurrentMonitor {
             self.voltage_v = voltage_v;
         }
         match moves(seen) {
-            Some(true) => self.moved = true,
+            Some(true) => self.moving += 1,
             Some(false) => self.rested = true,
             None => {}
         }
@@ -162,13 +163,24 @@ impl CurrentMonitor {
     }
 
     /// True if the current never changes while the voltage does. At rest alone it need not.
+    ///
+    /// It says enough of a recording, of which nothing more will come.
     #[must_use]
     pub const fn is_constant(&self) -> bool {
-        let only_rested = self.rested && !self.moved;
+        let only_rested = self.rested && self.moving < MIN_READINGS;
         self.readings >= MIN_CONSTANT
             && !self.varies
             && self.voltage_changes >= MIN_CHANGES
             && !only_rested
+    }
+
+    /// True if it is certain that nobody measures the current, though more will come: it is the same
+    /// however long the robot moves, or always [`UNMEASURED_A`].
+    ///
+    /// A coarse monitor shows one current while a robot rests, and not every robot reports motion.
+    #[must_use]
+    pub fn is_unmeasured(&self) -> bool {
+        self.is_constant() && (self.moving >= MIN_CONSTANT || self.first_a == UNMEASURED_A)
     }
 
     /// True if a current of exactly [`UNMEASURED_A`] is a reading of a coarse monitor, which has
@@ -287,6 +299,8 @@ mod tests {
             for step in 0..200 {
                 monitor.take(&seen(step, volt(step), current(step), v_mps));
             }
+            let is_certain = v_mps > 0.0 || current(0) == UNMEASURED_A;
+            assert_eq!(monitor.is_unmeasured(), monitor.is_constant() && is_certain);
             monitor.is_constant()
         };
         let sags = |step: u32| 24.0 - 0.001 * f64::from(step % 7);

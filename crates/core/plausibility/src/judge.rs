@@ -418,11 +418,18 @@ impl Judge {
         })
     }
 
+    /// True if the current is no measurement. A robot at rest that does not say so may show a
+    /// constant one, until it drives.
+    fn is_unmeasured(&self) -> bool {
+        let current = &self.columns[Quantity::Current as usize];
+        let is_constant = self.known.whole && self.monitor.is_constant();
+        !current.is_zero() && (is_constant || self.monitor.is_unmeasured())
+    }
+
     /// True if the current is no measurement, and power is made of it.
     fn makes_power(&self) -> bool {
         let is_product = self.products >= self.known.least(MIN_ROWS) && self.mismatches == 0;
-        let current = &self.columns[Quantity::Current as usize];
-        self.monitor.is_constant() && !current.is_zero() && is_product
+        is_product && self.is_unmeasured()
     }
 
     /// A current that never changes while the voltage does.
@@ -444,7 +451,7 @@ impl Judge {
     }
 
     fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
-        if quantity == Quantity::Current && !column.is_zero() && self.monitor.is_constant() {
+        if quantity == Quantity::Current && self.is_unmeasured() {
             return Some(self.unmeasured(column));
         }
         let power = &self.columns[Quantity::Power as usize];

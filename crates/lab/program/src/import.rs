@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::import::{Imported, Mapping, RobotReport, Row as ImportedRow};
-use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
+use joulebus_dataset::trial::{Column, ColumnMap, Row, Trial, is_capture};
 use joulebus_files::{disk, ends_in, without_ending};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -194,15 +194,17 @@ fn runs<'a>(
     })
 }
 
+/// A recording that would teach nothing.
+const WITHOUT_POWER: &str = "no reading has a power that it consumes: each is on the charger, or \
+    its current is not measured. Record the robot while it drives, with a driver that measures the \
+    current";
+
 fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::Result<Recording> {
     let Some(first) = rows.first() else {
         bail!("no row of it can be used");
     };
     if rows.iter().all(|row| row.power_w.is_nan()) {
-        bail!(
-            "no reading has a power that it consumes: each is on the charger, or its current is \
-             not measured. Record the robot while it drives, with a driver that measures the current"
-        );
+        bail!(WITHOUT_POWER);
     }
     let start_ns = first.time_ns;
     let rows = rows.iter().map(|row| Row {
@@ -243,7 +245,7 @@ fn read_trials(
         false => one_robot(path, map)?,
     };
     let notes: Vec<String> = trials.iter().map(|trial| trial.notes().to_string()).collect();
-    let source = Source {
+    let mut source = Source {
         file: path.display().to_string(),
         imported: None,
         trial: Some(notes.join("; ")),
@@ -267,6 +269,10 @@ fn read_trials(
             (true, 1) => format!("{}_robot_{robot}", stem(path)),
             (true, run) => format!("{}_robot_{robot}_run_{run}", stem(path)),
         };
+        if trial.column(Column::Power).is_none() {
+            source.left_out.push(format!("{name}: {WITHOUT_POWER}"));
+            continue;
+        }
         recordings.push(Recording {
             name,
             id: robot.parse().ok().filter(|_| from_capture && *run == 1),

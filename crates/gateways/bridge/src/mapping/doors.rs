@@ -2,15 +2,16 @@
 //! table.
 
 use joulebus_plausibility::Expired;
+use joulebus_publisher::Charger;
 use joulebus_ros_messages::{BatteryState, Header, Time, encode};
 use joulebus_settings::ChargeReading;
 use serde_json::{Value, json};
 
 use crate::mapping::account::Account;
-use crate::mapping::fields::{Fields, Number};
+use crate::mapping::fields::{Fields, Flag, Number};
 use crate::mapping::intake::{Holds, Intake};
 use crate::mapping::observation::{Observation, PowerOf};
-use crate::mapping::ros::incoming::{BatteryFields, DISCHARGING, Received, RosRoute};
+use crate::mapping::ros::incoming::{BatteryFields, CHARGING, DISCHARGING, Received, RosRoute};
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Quantity;
 
@@ -30,11 +31,19 @@ const TABLE: &str = "
 | `sentinel` | −999 in every tenth reading | alarm | alarm | alarm |
 | `mismatch` | a power of another circuit | alarm | – | – |
 | `constant` | a current of 0 in every reading | alarm | alarm | alarm |
+| `constant` | a current of 0.01 A in every reading of a robot that drives | alarm | alarm | alarm |
+| `constant` | a current of −1 A in every reading | alarm | alarm | told |
+|  | a current of 0.3 A in every reading of a robot that rests | read | read | read |
+|  | the charger, with a current into the battery, and a message that says so | no power | no power | no power |
+|  | the charger, with a current of the other sign, and a message that says so | no power | no power | no power |
+|  | the charger, with a full battery, and a message that says so | no power | no power | no power |
+|  | the charger, and no message that says so | no power | no power | no power |
+|  | energy fed back, and a message that says that it does not charge | read | read | read |
 
 ";
 
 /// Planted faults, each with its finding.
-const PLANTED: [(&str, &str); 12] = [
+const PLANTED: [(&str, &str); 20] = [
     ("", "nothing"),
     ("sign", "a current of the other sign"),
     ("unit", "mV, mA and mW without a unit in the mapping"),
@@ -47,6 +56,14 @@ const PLANTED: [(&str, &str); 12] = [
     ("sentinel", "−999 in every tenth reading"),
     ("mismatch", "a power of another circuit"),
     ("constant", "a current of 0 in every reading"),
+    ("constant", "a current of 0.01 A in every reading of a robot that drives"),
+    ("constant", "a current of −1 A in every reading"),
+    ("", "a current of 0.3 A in every reading of a robot that rests"),
+    ("", "the charger, with a current into the battery, and a message that says so"),
+    ("", "the charger, with a current of the other sign, and a message that says so"),
+    ("", "the charger, with a full battery, and a message that says so"),
+    ("", "the charger, and no message that says so"),
+    ("", "energy fed back, and a message that says that it does not charge"),
 ];
 const FORMATS: [&str; 3] = ["MQTT, fields", "VDA 5050", "ROS 2, BatteryState"];
 const STEP_NS: u64 = 100_000_000;
@@ -56,14 +73,37 @@ fn robot(step: u64, planted: &str) -> [f64; 4] {
     let at = step as f64;
     let mut load_a = 2.0 + 0.2 * (0.7 * at).sin() + 0.1 * (2.9 * at).cos();
     let volt = 24.0 - 0.1 * load_a + 0.01 * (5.1 * at).sin();
-    let v = 0.2 + 0.05 * (0.3 * at).sin();
+    let mut v = 0.2 + 0.05 * (0.3 * at).sin();
     match planted {
         "a monitor at 2^15 − 1" if step % 7 < 4 => load_a = 3.2767,
         "−999 in every tenth reading" if step.is_multiple_of(10) => load_a = -999.0,
         "a current of 0 in every reading" => load_a = 0.0,
+        _ if planted.starts_with("a current of 0.01 A") => load_a = 0.01,
+        _ if planted.starts_with("a current of −1 A") => load_a = -1.0,
+        _ if planted.starts_with("a current of 0.3 A") => [load_a, v] = [0.3, 0.0],
+        _ if is_docked(step, planted) => {
+            v = 0.0;
+            load_a = if planted.contains("other sign") { 2.9 } else { -2.9 } + 0.1 * load_a;
+        }
         _ => {}
     }
     [volt, load_a, v, 0.8 - 1e-5 * at]
+}
+
+/// True if a robot is where its battery is charged: after it has driven.
+fn is_docked(step: u64, planted: &str) -> bool {
+    step >= 150 && (planted.starts_with("the charger") || planted.starts_with("energy"))
+}
+
+/// True if no monitor measures the current.
+fn is_unmeasured(planted: &str) -> bool {
+    ["a current of 0.01 A", "a current of −1 A"].iter().any(|current| planted.starts_with(current))
+}
+
+/// What a message says of charging.
+fn says_charging(step: u64, planted: &str) -> Option<bool> {
+    let is_silent = planted.ends_with("no message that says so");
+    (!is_silent).then(|| is_docked(step, planted) && planted.starts_with("the charger"))
 }
 
 fn document(fields: &Fields, document: &Value, account: &mut Account) -> Observation {
@@ -97,10 +137,14 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
             let si = |quantity, at| Some(Number::si(quantity, at));
             let fields = Fields {
                 v: si(Quantity::Speed, "v"),
-                power: si(Quantity::Power, "power"),
+                // Of a robot that measures no power.
+                power: si(Quantity::Power, "power").filter(|_| !is_unmeasured(planted)),
+                power_of_current: is_unmeasured(planted),
+                power_of: PowerOf::Battery,
                 voltage: si(Quantity::Voltage, "volt"),
                 current: si(Quantity::Current, "ampere"),
                 soc: si(Quantity::Share, "soc"),
+                charging: says_charging(step, planted).map(|_| Flag::at("/charging")),
                 ..Fields::default()
             };
             let power = volt
@@ -112,6 +156,9 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
                     _ => 1.0,
                 };
             let mut sent = json!({"stamp": stamp, "power": power, "volt": volt, "ampere": ampere});
+            if let Some(charging) = says_charging(step, planted) {
+                sent["charging"] = json!(charging);
+            }
             if commands {
                 sent["v"] = json!(v);
             }
@@ -121,8 +168,10 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
             document(&fields, &sent, account)
         }
         "VDA 5050" => {
-            let mut supply =
-                json!({"batteryVoltage": volt, "batteryCurrent": ampere, "charging": false});
+            let mut supply = json!({"batteryVoltage": volt, "batteryCurrent": ampere});
+            if let Some(charging) = says_charging(step, planted) {
+                supply["charging"] = json!(charging);
+            }
             if has_soc {
                 supply["stateOfCharge"] = json!(100.0 * soc);
             }
@@ -151,13 +200,19 @@ fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Obs
                 },
                 voltage: volt as f32,
                 temperature: f32::NAN,
-                // Negative while discharging.
-                current: -ampere as f32,
+                // Negative while discharging, and where it is not measured.
+                current: if ampere == -1.0 { -1.0 } else { -ampere as f32 },
                 charge: f32::NAN,
                 capacity: f32::NAN,
                 design_capacity: f32::NAN,
                 percentage: if has_soc { soc as f32 } else { f32::NAN },
-                power_supply_status: DISCHARGING,
+                power_supply_status: match says_charging(step, planted) {
+                    None => 0,
+                    Some(true) if planted.contains("full") => 4,
+                    Some(true) => CHARGING,
+                    Some(false) if is_docked(step, planted) => 3,
+                    Some(false) => DISCHARGING,
+                },
                 power_supply_health: 0,
                 power_supply_technology: 0,
                 present: true,
@@ -194,6 +249,17 @@ fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
     let found = intake.judgement().records();
     let of_kind = found.iter().find(|one| one.finding.kind.name() == kind);
     let unmapped = account.records();
+    let state = last.as_ref().unwrap();
+    if is_unmeasured(planted) {
+        assert!(state.current_a.is_none(), "{format}, {planted}: {state:?}");
+    }
+    let is_charging = planted.starts_with("the charger");
+    if is_charging || is_unmeasured(planted) {
+        assert!(state.power_w.is_none(), "{format}, {planted}: {state:?}");
+    } else if kind.is_empty() {
+        assert!(state.power_w.is_some(), "{format}, {planted}: {state:?}");
+    }
+    assert_eq!(state.charger != Charger::Disconnected, is_charging, "{format}, {planted}");
     if let Some(found) = of_kind {
         let severity = if found.finding.is_error() { "alarm" } else { "told" };
         assert!(!found.remedy.is_empty());
@@ -202,7 +268,12 @@ fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
     assert!(found.is_empty(), "{format}, {planted}: {found:?}");
     let expired = last.is_some_and(|state| state.v_mps.is_none());
     match kind {
+        // VDA 5050 requires the field that says so.
+        "" if is_charging && unmapped.iter().all(|one| one.reason == "never_came") => {
+            "no power".to_owned()
+        }
         "" | "clock" if unmapped.is_empty() => "read".to_owned(),
+        "constant" if unmapped.iter().any(|one| one.reason == "unknown") => "told".to_owned(),
         "hold" if expired => "expires".to_owned(),
         "never-came" if unmapped.iter().any(|one| one.reason == "never_came") => "told".to_owned(),
         // A percentage that is NaN.

@@ -17,7 +17,7 @@
 //! - On the charger the battery's power is no consumption. A robot of which no message reports
 //!   charging is on its charger while its power is negative at rest for seconds.
 //! - A current that nobody measures is unknown, and so is the power made of it: the number that a
-//!   format reserves, or one that never changes while the voltage does.
+//!   format reserves, or one that never changes while the robot moves and the voltage changes.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
@@ -136,7 +136,7 @@ impl Intake {
             return;
         };
         self.observations += 1;
-        let seen = &known.measured(seen);
+        let seen = &known.measured(seen, self.holds, at_ns);
         known.any_ns = Some(at_ns);
         known.first_ns = known.first_ns.min(at_ns);
         known.has_reported |= seen.reports_charging;
@@ -263,14 +263,14 @@ impl Robot {
     }
 
     /// The observation without a current that is not measured, and without the power made of it.
-    fn measured(&mut self, seen: &Observation) -> Observation {
+    fn measured(&mut self, seen: &Observation, holds: Holds, at_ns: u64) -> Observation {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
         let voltage_v = seen.voltage_v.or(self.voltage_v.map(|timed| timed.value));
         self.monitor.take(&plausibility::Observation {
             voltage_v: number(voltage_v),
             current_a: number(seen.current_a),
-            v_mps: number(self.v_mps.map(|timed| timed.value)),
-            omega_radps: number(self.omega_radps.map(|timed| timed.value)),
+            v_mps: number(seen.v_mps.or(command(self.v_mps, holds, at_ns))),
+            omega_radps: number(seen.omega_radps.or(command(self.omega_radps, holds, at_ns))),
             ..plausibility::Observation::at(0.0)
         });
         if !seen.is_reserved || self.monitor.measures_one_ampere() {
@@ -282,7 +282,7 @@ impl Robot {
 
     /// Leaves out of a sample what is no consumption, though it was judged.
     fn leave_out(&mut self, state: &mut RobotState, now_ns: u64) {
-        if self.monitor.is_constant() {
+        if self.monitor.is_unmeasured() {
             state.current_a = None;
         }
         let by_sign = !self.says_charging && self.charge_reading == ChargeReading::Load;
@@ -299,7 +299,7 @@ impl Robot {
         if is_on_charger {
             state.charger = Charger::Charging;
         }
-        if is_on_charger || (self.power_of_current && self.monitor.is_constant()) {
+        if is_on_charger || (self.power_of_current && self.monitor.is_unmeasured()) {
             (state.power_w, state.measured_ns, state.held) = (None, None, false);
         }
     }
@@ -522,10 +522,13 @@ mod tests {
                 }
             }
         }
-        // A coarse monitor at rest may stand still, and one ampere may be measured.
+        // A coarse monitor at rest may stand still, whether or not a message says that the robot
+        // rests, and one ampere may be measured.
         for (current, v_mps, reserved) in [
-            ((|_| 0.3) as Current, 0.0, false),
-            (|step| [-0.9, -1.0, -1.1][(step % 3) as usize], 0.3, true),
+            ((|_| 0.3) as Current, Some(0.0), false),
+            (|_| 0.3, None, false),
+            (|_| 1.0, None, false),
+            (|step| [-0.9, -1.0, -1.1][(step % 3) as usize], Some(0.3), true),
         ] {
             let mut intake = intake(HOLDS, ChargeReading::Load);
             let mut known = 0;
@@ -541,13 +544,16 @@ mod tests {
                     }),
                     voltage_v: Some(volt),
                     current_a: Some(ampere.abs()),
-                    v_mps: Some(v_mps),
+                    v_mps: v_mps.or((step < 20).then_some(0.3)),
                     ..Observation::default()
                 };
                 intake.take(7, &seen, 10 * step);
                 known += u32::from(intake.sample(7, 10 * step).unwrap().power_w.is_some());
             }
-            assert_eq!(known, 300, "{v_mps} m/s");
+            assert_eq!(known, 300, "{v_mps:?} m/s");
+            let found = intake.judgement().records();
+            let is_told = found.iter().any(|one| one.finding.kind == plausibility::Kind::Constant);
+            assert!(!is_told, "{v_mps:?} m/s: {found:?}");
         }
     }
 
