@@ -100,7 +100,7 @@ fn assigned(parts: Parts<'_>) -> Result<Assigned<'_>, TrainingDataError> {
 
 fn rows(recordings: &[&Recording], thinned: &Thinned) -> Result<[Vec<Row>; 3], TrialError> {
     let mut parts = thinned.rows.map(Vec::with_capacity);
-    let names = recordings.iter().map(|recording| (&*recording.trial, &*recording.robot));
+    let names = recordings.iter().map(|recording| (&*recording.name, &*recording.robot));
     let origins = RowOrigin::of_sources(names);
     for ((recording, ranges), origin) in recordings.iter().zip(&thinned.ranges).zip(origins) {
         if ranges.iter().all(Vec::is_empty) {
