@@ -298,7 +298,7 @@ impl Assembler {
             None => {
                 let (source_id, _, frame_seq) = key;
                 if let Some((hash, tick)) = self.frames.taken.get(&key).copied()
-                    && self.hasher.hash_one(&Bits(&frame)) != hash
+                    && self.hasher.hash_one(Bits(&frame)) != hash
                 {
                     let why = Loss::Ambiguous { source_id, frame_seq };
                     self.events.push_back(Event::Contradiction { tick, why });
@@ -396,7 +396,7 @@ impl Assembler {
                 let mut parts = Box::new(head.remove());
                 parts.ambiguous = self.frames.ambiguous(&parts.frames);
                 for frame in parts.frames.iter().flatten() {
-                    let hash = self.hasher.hash_one(&Bits(frame));
+                    let hash = self.hasher.hash_one(Bits(frame));
                     self.frames.remember(key_of(&frame.header), hash, tick);
                 }
                 let released = self.released.entry(*worker_epoch).or_default();
@@ -437,7 +437,7 @@ impl TickParts {
     fn hashes(&self, hasher: &RandomState) -> Vec<(MessageKind, u64)> {
         let journal = self.journal.as_ref();
         let journal =
-            journal.map(|journal| (MessageKind::of::<Ticks>(), hasher.hash_one(&Bits(journal))));
+            journal.map(|journal| (MessageKind::of::<Ticks>(), hasher.hash_one(Bits(journal))));
         let outputs = self.outputs.iter();
         let outputs = outputs.filter_map(|frame| Some((frame.kind()?, hasher.hash_one(frame))));
         journal.into_iter().chain(outputs).collect()

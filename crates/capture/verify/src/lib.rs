@@ -395,7 +395,7 @@ impl Verifier {
         self.report.note_tick(place, absent);
         self.beginning.note(place, start_ns);
         match self.at {
-            Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
+            Some((run, tick)) if (run, tick + 1) == place => self.compute(&next),
             // Before the keyframe, or the last, partly published tick of a worker that was
             // replaced.
             Some(at) if place <= at => self.give_up(&next),
@@ -494,7 +494,7 @@ impl Verifier {
             }
             self.waiting_bytes -= first.parts.bytes();
             if let Some(first) = self.waiting.pop_front() {
-                self.compute(first);
+                self.compute(&first);
             }
         }
     }
@@ -530,9 +530,9 @@ impl Verifier {
         })
     }
 
-    fn compute(&mut self, next: Waiting) {
+    fn compute(&mut self, next: &Waiting) {
         let place = (next.worker_epoch, next.tick);
-        let lack = self.lack(&next);
+        let lack = self.lack(next);
         let (None, Some(_)) = (lack, &next.parts.journal) else {
             self.at = None;
             let lack = lack.unwrap_or(Loss::Journal);
