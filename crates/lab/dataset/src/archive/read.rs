@@ -65,6 +65,8 @@ pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
 struct Values {
     row: Vec<u32>,
     timestamp_s: Vec<f64>,
+    /// Flags of samples, 0 where the recording has none.
+    flags: Vec<u32>,
     /// The columns in the order of [`Column::ALL`], NaN for missing values.
     of_trial: [Vec<f64>; Column::ALL.len()],
 }
@@ -236,6 +238,10 @@ fn read_column(
             let found = column_values(reader, field, rows, 0)?;
             values.row.extend(found.into_iter().map(i32::cast_unsigned));
         }
+        (ColumnReader::Int32ColumnReader(reader), Kind::U32, None) if field.name == "flags" => {
+            let found = column_values(reader, field, rows, 0)?;
+            values.flags.extend(found.into_iter().map(i32::cast_unsigned));
+        }
         // Exact integers are for other programs.
         _ => {}
     }
@@ -297,7 +303,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         is_turned: false,
         ..Table::default()
     };
-    let Values { row, timestamp_s, of_trial } = values;
+    let Values { row, timestamp_s, flags, of_trial } = values;
     for (row, time_s) in row.iter().zip(timestamp_s) {
         let row = *row as usize;
         table.push_time(Cell { path, row }, time_s)?;
@@ -312,6 +318,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
             table.push(Cell { path, row }, column, value)?;
         }
     }
+    table.leave_out_charging(flags);
     table.path = PathBuf::from(&head.recording);
     Ok(table)
 }

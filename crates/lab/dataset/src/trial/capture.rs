@@ -58,7 +58,7 @@ pub struct CaptureRun {
 impl CaptureRun {
     /// The rows, of which those on the charger have no power that flows into the battery.
     fn consumption(mut self) -> Table {
-        self.table.leave_out_charging(&self.stamps);
+        self.table.leave_out_charging(self.stamps.iter().map(|stamp| stamp.flags));
         self.table
     }
 }

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
 use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
-use crate::archive::RowStamp;
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -364,12 +363,12 @@ impl Table {
     }
 
     /// Makes the power unknown that flows into the battery, in samples on the charger.
-    pub(crate) fn leave_out_charging(&mut self, stamps: &[RowStamp]) {
+    pub(crate) fn leave_out_charging(&mut self, flags: impl IntoIterator<Item = u32>) {
         let Some(power) = &mut self.columns[Column::Power as usize] else {
             return;
         };
-        for ((power, stamp), row) in power.iter_mut().zip(stamps).zip(&self.file_row) {
-            let charging = Some(stamp.flags & sample_flag::CHARGING != 0);
+        for ((power, flags), row) in power.iter_mut().zip(flags).zip(&self.file_row) {
+            let charging = Some(flags & sample_flag::CHARGING != 0);
             if is_charge(*power, f64::NAN, false, charging) {
                 *power = f64::NAN;
                 self.on_charger.push(*row);
