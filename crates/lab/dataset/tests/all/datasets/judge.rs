@@ -269,7 +269,8 @@ fn power_on_the_charger_is_no_consumption_in_any_format() {
         let notes = trial.notes().to_string();
         assert!(notes.contains("150 of 300 readings are on the charger"), "{name}: {notes}");
         assert!(trial.notes().ignored_columns.is_empty(), "{name}: {notes}");
-        let check = check_files(&[path.clone()], &ColumnMap::default(), &Limits::default(), 3);
+        let check =
+            check_files(std::slice::from_ref(&path), &ColumnMap::default(), &Limits::default(), 3);
         assert!(check.is_sound(), "{name}: {check:?}");
         // Written again, it is the same: no missing readings, and no power of the product.
         let again = path.with_extension("again.csv");
