@@ -81,7 +81,7 @@ fn dataset(
         let mut features = [f32::NAN; INPUTS];
         features[..width].copy_from_slice(values);
         let target_w = *target_w;
-        Row { features, target_w }
+        Row::new(features, target_w)
     };
     let mut rows: Vec<Row> =
         rows.values.chunks_exact(width).zip(&targets.values).map(row).collect();

@@ -22,6 +22,9 @@ pub use reading::Frame;
 pub use samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 
 type Received<C> = Rc<Sent<C>>;
+/// A frame keeps no membership.
+#[derive(Debug, Clone)]
+struct Member;
 
 /// The limit of the real reader.
 const MAX_PASSED_OVER: u32 = 4_096;
@@ -225,6 +228,7 @@ pub struct Reader<C: Channel> {
     /// Frames that can be queued at once, of all writers.
     queued: usize,
     worker: Option<WorkerPorts>,
+    member: Member,
     bus: Bus,
 }
 
@@ -255,6 +259,7 @@ impl<C: Channel> Reader<C> {
             queue,
             queued: shape.buffer * shape.publishers,
             worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(&bus.domain)),
+            member: Member,
             bus: bus.clone(),
         })
     }
@@ -270,6 +275,10 @@ impl<C: Channel> Reader<C> {
 
     const fn worker(&self) -> Option<&WorkerPorts> {
         self.worker.as_ref()
+    }
+
+    const fn member(&self) -> &Member {
+        &self.member
     }
 
     fn receive(&mut self) -> Result<Option<Received<C>>, ReceiveError> {

@@ -12,9 +12,9 @@ use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, PERIOD_NS};
 use joulebus_wire::{
-    AnswerHeader, Budgets, Channel, Diagnostics, Forecast, ForecastHeader, Forecasts,
-    MAX_QUERY_STEPS, Outlooks, PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample,
-    Samples, State, Ticks, answer_flag, fnv1a,
+    Alarm, AlarmSet, AnswerHeader, Budgets, Channel, Diagnostics, Forecast, ForecastHeader,
+    Forecasts, MAX_QUERY_STEPS, Outlooks, PlanStates, QueryRecord, QueryRefusal, Row,
+    SCHEMA_VERSION, Sample, Samples, State, Ticks, answer_flag, fnv1a,
 };
 use proptest::prelude::*;
 
@@ -428,6 +428,51 @@ fn excluded_topics_are_recomputed_and_not_compared_which_is_a_verdict_of_its_own
     assert_eq!((kept.sent, kept.recomputed, kept.compared), (60, 60, 60), "{report}");
     assert_eq!((left_out.sent, left_out.recomputed, left_out.compared), (60, 60, 0), "{report}");
     assert_eq!(left_out.missing["not recorded"], 60, "{report}");
+}
+
+/// Rules 7 value energy left anew. What does not depend on it is compared with captures of before.
+#[test]
+fn budgets_of_older_rules_are_excused_by_name_and_the_rest_is_compared() {
+    let messages = recorded(8, 60);
+    let older = |change: &dyn Fn(&mut Message)| {
+        let mut messages = messages.clone();
+        let mut of_tick = messages.iter_mut().filter(|message| tick_of(message) == 50);
+        of_tick.by_ref().for_each(change);
+        let verifier = Verifier::new(world::settings(CAPACITY), world::models());
+        verify_by(verifier.unwrap().with_tick_rules(6), entries(messages))
+    };
+    let report = older(&|message| {
+        if let Some(frame) = message.frame_mut::<Budgets>() {
+            frame.rows[0].left_j += 1.0;
+        }
+        // The alarms of a battery follow from its budget.
+        if let Some(frame) = message.frame_mut::<Diagnostics>() {
+            frame.rows[0].alarms ^= AlarmSet::default().with(Alarm::CannotReturn).0;
+        }
+    });
+    assert_eq!(report.verdict, Verdict::Verified, "{report}");
+    for (channel, of) in &report.coverage[0].channels {
+        let excused = of.excused.get("computed by older rules (6)").copied().unwrap_or(0);
+        let is_older = !["forecasts", "diagnostics"].contains(channel);
+        assert_eq!(excused, if is_older { of.sent } else { 0 }, "{channel}: {report}");
+        assert_eq!(of.compared, of.sent - excused, "{channel}: {report}");
+    }
+    assert!(report.to_string().contains("computed by older rules (6)"), "{report}");
+    let different = [
+        older(&|message| {
+            if let Some(frame) = message.frame_mut::<Diagnostics>() {
+                frame.rows[0].alarms ^= AlarmSet::default().with(Alarm::StuckSensor).0;
+            }
+        }),
+        older(&|message| {
+            if let Some(frame) = message.frame_mut::<Forecasts>() {
+                frame.rows[0].power_w += 1.0;
+            }
+        }),
+    ];
+    for report in different {
+        assert_eq!((report.verdict, report.differences), (Verdict::Different, 1), "{report}");
+    }
 }
 
 /// Through the files of a split recording, bit for bit.

@@ -482,7 +482,7 @@ fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
     // The last leg, and so the path back, is slow: from the middle it takes more than three
     // minutes.
     let path = Path { speed_mps: vec![0.2, 0.2, 0.2, 0.01], ..Path::new(&points, 0.2) };
-    for max_steps in [2_000, 4_000] {
+    for (max_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
         let trip = robot.can_finish_within(&path, Some(dock), 0.9, max_steps);
         let trip = trip.expect("the whole trip fits");
         assert!(trip.answer.duration_s < 60.0, "{:?}", trip.answer);

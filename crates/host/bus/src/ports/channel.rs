@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 
 use joulebus_wire::Channel;
 
-use super::inlet::{InFrame, Inlet};
+use super::inlet::{InFrame, Inlet, Member};
 use super::outlet::{OutFrame, Outlet};
 use super::service::{FrameTypes, OpenError};
 use super::{ReceiveError, SendError};
@@ -45,6 +45,10 @@ impl<C: Channel> Reader<C> {
     /// None for services on which every process may send.
     pub(super) const fn worker(&self) -> Option<&WorkerPorts> {
         self.inlet.worker()
+    }
+
+    pub(super) const fn member(&self) -> &Member {
+        self.inlet.member()
     }
 }
 

@@ -33,7 +33,7 @@ type Sample = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 struct Lender {
     // Dropped in this order.
     port: Kept<Port>,
-    _member: Rc<Membership>,
+    _member: Member,
 }
 
 /// A frame that was received. It owns the port that received it: iceoryx2 takes all that a dropped
@@ -63,6 +63,9 @@ impl InFrame {
     }
 }
 
+/// Membership that keeps the domain as long as a frame.
+pub(super) type Member = Rc<Membership>;
+
 /// Receives frames of one channel. On the worker's channels, only those of the holder of the
 /// worker's lock.
 #[derive(Debug)]
@@ -77,7 +80,7 @@ pub(super) struct Inlet {
     repair: Repair,
     /// None for services on which every process may send.
     worker: Option<WorkerPorts>,
-    member: Rc<Membership>,
+    member: Member,
 }
 
 impl Inlet {
@@ -125,6 +128,10 @@ impl Inlet {
     }
 
     /// None for services on which every process may send.
+    pub(super) const fn member(&self) -> &Member {
+        &self.member
+    }
+
     pub(super) const fn worker(&self) -> Option<&WorkerPorts> {
         self.worker.as_ref()
     }
@@ -193,7 +200,7 @@ impl Inlet {
     }
 }
 
-fn lender(port: Port, factory: &Factory, member: &Rc<Membership>) -> Rc<Lender> {
+fn lender(port: Port, factory: &Factory, member: &Member) -> Rc<Lender> {
     let need = service::need(member, factory, None);
     Rc::new(Lender { port: Kept::new(port, need), _member: Rc::clone(member) })
 }

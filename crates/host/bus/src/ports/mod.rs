@@ -20,6 +20,7 @@ mod writer_watch;
 
 use self::channel::Received;
 pub use self::channel::{Loan, Reader, Writer};
+use self::inlet::Member;
 pub use self::inlet::ReceiveError;
 use self::noted::Noted;
 pub use self::outlet::{SendError, Sent};

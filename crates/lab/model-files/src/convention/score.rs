@@ -206,7 +206,7 @@ fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
         let target_w = at(power, row);
         let is_whole = features[set.range()].iter().all(|value| value.is_finite());
         if is_whole && target_w.is_finite() {
-            rows.push(Row { features, target_w });
+            rows.push(Row::new(features, target_w));
         }
     }
     rows
