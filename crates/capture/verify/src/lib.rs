@@ -65,8 +65,8 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    ANSWER_RULES, Budgets, Channel as _, ForecastHeader, PlanStates, State, TICK_RULES, TakenFrame,
-    TickHeader, Ticks, tick_flag,
+    ANSWER_RULES, Budgets, Channel as _, Diagnostics, ForecastHeader, PlanStates, State,
+    TICK_RULES, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
