@@ -130,12 +130,12 @@ impl Fleet {
         self.joulebus(verb).output().unwrap()
     }
 
-    /// A recording of `rows` rows at 30 Hz whose power changes in every row.
+    /// A recording of `rows` rows at 30 Hz whose power changes in every row, and does not repeat.
     pub(crate) fn recording(&self, name: &str, rows: u32) -> PathBuf {
         let mut text = "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
         for row in 0..rows {
             let time_s = f64::from(row) / 30.0;
-            let power_mw = 3_600 + row % 97 + 10 * (row % 7);
+            let power_mw = 3_600 + (row.wrapping_mul(2_654_435_761) >> 16) % 997;
             text += &format!("{time_s},{power_mw},0.1,{}\n", f64::from(row % 5) * 0.1);
         }
         let path = self.path(name);

@@ -72,7 +72,7 @@ fn a_trial_waits_for_the_worker_and_loses_nothing() {
     let mut play = fleet.joulebus("publish trial --first-robot 0 --rate 4 --format json");
     play.arg(&file);
     let mut play = Program::start(play);
-    play.wait_for_stderr("waiting for one");
+    play.wait_for_stderr("Waiting for one");
     let worker = fleet.worker();
     let played = play.wait().exits(0);
     assert_eq!(json(&played)["samples_sent"], 60);
@@ -114,7 +114,7 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
         assert!(code(&removed) < 2, "{}", stderr(&removed));
         play.signal(Signal::CONT);
     }
-    play.wait_for_stderr("waiting for one");
+    play.wait_for_stderr("Waiting for one");
     let worker = fleet.worker();
     let played = play.wait();
     let report = json(&played);

@@ -26,7 +26,6 @@ const WAITS: &[&str] = &[
     "publish trial TRIAL --first-robot 0 --loop --no-wait",
     "replay CAPTURE",
     "serve --http 127.0.0.1:0",
-    "serve --foxglove --port 0",
     "bridge BRIDGE",
 ];
 

@@ -31,9 +31,10 @@ fn rows(trials: &[Trial]) -> Vec<Row> {
 fn judged(terrain: &str) -> Option<Judged> {
     let (asphalt, flooring) = (trials("ASPHALT", 7)?, trials("FLOORING", 6)?);
     let validation = rows(&flooring[4..]);
+    let tested = trials(terrain, 6)?;
     let dataset = Dataset {
         training: [rows(&asphalt), rows(&flooring[..4])].concat(),
-        held_out: validation.clone(),
+        held_out: rows(&tested),
         validation,
         description: "asphalt and flooring".to_owned(),
         period_s: 0.0,
@@ -43,7 +44,6 @@ fn judged(terrain: &str) -> Option<Judged> {
         ..TrainSettings::new("husky", "recordings", FeatureSet::Full, 1)
     };
     let network = train(&dataset, &recipe, |_| ()).expect("sound rows").network;
-    let tested = trials(terrain, 6)?;
     let platform = Platform { power_resolution_w: 0.24, ..recorded_platform(0, &tested[0]) };
     let tested: Vec<&Trial> = tested.iter().collect();
     Some(judge(&network, &platform, &settings(), &tested).expect("settings that agree"))

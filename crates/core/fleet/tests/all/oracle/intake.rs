@@ -319,7 +319,7 @@ impl Oracle {
 
 fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
     let full = sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
-    if sample.flags > 0xfff || sample.reserved != 0 || full {
+    if sample.flags & !0x1_0fff != 0 || sample.reserved != 0 || full {
         return Err(DropReason::BadFlags);
     }
     let known = |flag, value: f32| sample.has(flag).then_some(value);
