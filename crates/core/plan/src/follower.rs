@@ -1,4 +1,4 @@
-//! Paths, and the unicycle follower that turns them into commands.
+//! The unicycle follower that turns paths into commands.
 //!
 //! The robot heads for the farthest point of the path that it sees: it could drive there in a
 //! straight line and pass each vertex in between within 2.5 cm. With d the distance to that point, e
@@ -26,11 +26,11 @@
 
 use std::f64::consts::PI;
 
-use joulebus_settings::Platform as Settings;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::error::PathError;
 use crate::limits::MAX_STEPS;
+use crate::path::{Path, Point, REACH_M, distance_m};
 use crate::platform::Platform;
 use crate::shape::{Ahead, Shape};
 
@@ -38,29 +38,8 @@ use crate::shape::{Ahead, Shape};
 const GAIN: f64 = 0.8;
 /// Angular velocity per angle, 1/s.
 const TURN_GAIN: f64 = 2.0;
-/// Distance at which a point is reached, m.
-pub(crate) const REACH_M: f64 = 0.05;
-/// Largest coordinate, m.
-const MAX_COORDINATE_M: f64 = 1e6;
 /// A leg may take this much longer than at its speed.
 const PATIENCE: f64 = 20.0;
-
-/// A point in the plane.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// East, m.
-    pub x_m: f64,
-    /// North, m.
-    pub y_m: f64,
-}
-
-impl Point {
-    /// Creates it from its coordinates, m.
-    #[must_use]
-    pub const fn new(x_m: f64, y_m: f64) -> Self {
-        Self { x_m, y_m }
-    }
-}
 
 /// A robot's position and heading.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -69,74 +48,6 @@ pub struct Pose {
     pub at: Point,
     /// Heading, rad, counter-clockwise from east.
     pub heading_rad: f64,
-}
-
-/// A path: from the first point to the last, with a speed towards each.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Path {
-    /// The points. The robot is at the first.
-    pub points: Vec<Point>,
-    /// Speed towards each point, m/s, at most the platform's. The first one is not used. Infinity
-    /// means as fast as the model knows.
-    pub speed_mps: Vec<f64>,
-    /// Heading at the first point, rad. `None`: towards the first point that is elsewhere.
-    pub heading_rad: Option<f64>,
-}
-
-impl Path {
-    /// With one speed for all legs, m/s.
-    #[must_use]
-    pub fn new(points: &[Point], speed_mps: f64) -> Self {
-        Self {
-            points: points.to_vec(),
-            speed_mps: vec![speed_mps; points.len()],
-            heading_rad: None,
-        }
-    }
-
-    /// Number of legs.
-    #[must_use]
-    pub fn legs(&self) -> usize {
-        self.points.len().saturating_sub(1)
-    }
-
-    /// Refuses a speed above a platform's: the answer would be about another plan. Infinity asks
-    /// for none.
-    ///
-    /// # Errors
-    /// [`PathError::TooFast`]. A platform that cannot drive at all is refused with the question.
-    pub fn check_speeds(&self, platform: &Settings) -> Result<(), PathError> {
-        let allowed = platform.v_max_mps;
-        let is_above = |speed: f64| speed.is_finite() && speed as f32 > allowed && allowed > 0.0;
-        let above = (1..self.speed_mps.len()).find(|point| is_above(self.speed_mps[*point]));
-        above.map_or(Ok(()), |point| {
-            let (found, platform) = (self.speed_mps[point], platform.name.clone());
-            Err(PathError::TooFast { point, found, platform, allowed })
-        })
-    }
-
-    fn check(&self) -> Result<(), PathError> {
-        if self.points.len() < 2 || self.speed_mps.len() != self.points.len() {
-            return Err(PathError::Points { found: self.points.len().min(self.speed_mps.len()) });
-        }
-        let coordinate = |column, point, found: f64| {
-            if found.abs() <= MAX_COORDINATE_M {
-                return Ok(());
-            }
-            Err(PathError::Coordinate { column, point, found, allowed: MAX_COORDINATE_M })
-        };
-        for (place, point) in self.points.iter().enumerate() {
-            coordinate("x_m", place, point.x_m)?;
-            coordinate("y_m", place, point.y_m)?;
-        }
-        coordinate("heading_rad", 0, self.heading_rad.unwrap_or(0.0))?;
-        for (point, speed) in self.speed_mps.iter().enumerate().skip(1) {
-            if !(0.0 < *speed && *speed <= f64::INFINITY) {
-                return Err(PathError::Speed { point, found: *speed });
-            }
-        }
-        Ok(())
-    }
 }
 
 /// Commands of a path.
@@ -354,10 +265,6 @@ fn start(path: &Path, shape: &Shape<'_>) -> Pose {
 fn error_rad(pose: &Pose, goal: Point) -> f64 {
     let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
     wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad)
-}
-
-pub(crate) fn distance_m(from: Point, to: Point) -> f64 {
-    libm::hypot(to.x_m - from.x_m, to.y_m - from.y_m)
 }
 
 /// An angle within ±π.

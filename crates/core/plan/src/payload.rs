@@ -8,7 +8,7 @@ use joulebus_wire::{
 
 use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
 use crate::error::{QuestionError, Refused};
-use crate::follower::{Path, Point};
+use crate::path::{Path, Point};
 use crate::question::{Plan, Question, Reply, Row};
 
 /// Values of a point of a path.

@@ -4,7 +4,7 @@ use crate::answer::{Answer, Verdict};
 use crate::candidates::Candidates;
 use crate::error::QuestionError;
 use crate::fleet::Fleet;
-use crate::follower::{Path, Point};
+use crate::path::{Path, Point};
 use crate::platform::RobotRows;
 use crate::robot::{Robot, stale};
 use crate::route::{Route, Ways};

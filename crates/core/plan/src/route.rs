@@ -2,7 +2,8 @@
 
 use crate::error::{AskError, PathError};
 use crate::estimate::Rest;
-use crate::follower::{Followed, Follower, Path, Point};
+use crate::follower::{Followed, Follower};
+use crate::path::{Path, Point};
 use crate::robot::Robot;
 
 /// Times at which turning back is tried, at most.

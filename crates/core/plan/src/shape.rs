@@ -3,7 +3,7 @@
 //! Planners give the same path with two points or with a point every millimetre. A point that lies
 //! on the straight line between its neighbours, or that repeats one, says nothing about the shape.
 
-use crate::follower::{Path, Point, REACH_M, distance_m};
+use crate::path::{Path, Point, REACH_M, distance_m};
 
 /// Points this close to the line through their neighbours are rounded, m.
 const ROUNDING_M: f64 = 1e-5;

@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use serde::{Deserialize, Deserializer};
 
-std::thread_local! {
+thread_local! {
     /// True while a state of the version before is decoded. The format names no fields, so a field
     /// alone cannot tell.
     static IS_BEFORE: Cell<bool> = const { Cell::new(false) };

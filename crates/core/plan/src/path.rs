@@ -1,0 +1,101 @@
+//! Paths: points in the plane, with a speed towards each.
+
+use joulebus_settings::Platform as Settings;
+use serde::{Deserialize, Serialize};
+
+use crate::error::PathError;
+
+/// Distance at which a point is reached, m.
+pub(crate) const REACH_M: f64 = 0.05;
+
+/// Largest coordinate, m.
+const MAX_COORDINATE_M: f64 = 1e6;
+
+/// A point in the plane.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// East, m.
+    pub x_m: f64,
+    /// North, m.
+    pub y_m: f64,
+}
+
+impl Point {
+    /// Creates it from its coordinates, m.
+    #[must_use]
+    pub const fn new(x_m: f64, y_m: f64) -> Self {
+        Self { x_m, y_m }
+    }
+}
+
+/// A path: from the first point to the last, with a speed towards each.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Path {
+    /// The points. The robot is at the first.
+    pub points: Vec<Point>,
+    /// Speed towards each point, m/s, at most the platform's. The first one is not used. Infinity
+    /// means as fast as the model knows.
+    pub speed_mps: Vec<f64>,
+    /// Heading at the first point, rad. `None`: towards the first point that is elsewhere.
+    pub heading_rad: Option<f64>,
+}
+
+impl Path {
+    /// With one speed for all legs, m/s.
+    #[must_use]
+    pub fn new(points: &[Point], speed_mps: f64) -> Self {
+        Self {
+            points: points.to_vec(),
+            speed_mps: vec![speed_mps; points.len()],
+            heading_rad: None,
+        }
+    }
+
+    /// Number of legs.
+    #[must_use]
+    pub fn legs(&self) -> usize {
+        self.points.len().saturating_sub(1)
+    }
+
+    /// Refuses a speed above a platform's: the answer would be about another plan. Infinity asks
+    /// for none.
+    ///
+    /// # Errors
+    /// [`PathError::TooFast`]. A platform that cannot drive at all is refused with the question.
+    pub fn check_speeds(&self, platform: &Settings) -> Result<(), PathError> {
+        let allowed = platform.v_max_mps;
+        let is_above = |speed: f64| speed.is_finite() && speed as f32 > allowed && allowed > 0.0;
+        let above = (1..self.speed_mps.len()).find(|point| is_above(self.speed_mps[*point]));
+        above.map_or(Ok(()), |point| {
+            let (found, platform) = (self.speed_mps[point], platform.name.clone());
+            Err(PathError::TooFast { point, found, platform, allowed })
+        })
+    }
+
+    pub(crate) fn check(&self) -> Result<(), PathError> {
+        if self.points.len() < 2 || self.speed_mps.len() != self.points.len() {
+            return Err(PathError::Points { found: self.points.len().min(self.speed_mps.len()) });
+        }
+        let coordinate = |column, point, found: f64| {
+            if found.abs() <= MAX_COORDINATE_M {
+                return Ok(());
+            }
+            Err(PathError::Coordinate { column, point, found, allowed: MAX_COORDINATE_M })
+        };
+        for (place, point) in self.points.iter().enumerate() {
+            coordinate("x_m", place, point.x_m)?;
+            coordinate("y_m", place, point.y_m)?;
+        }
+        coordinate("heading_rad", 0, self.heading_rad.unwrap_or(0.0))?;
+        for (point, speed) in self.speed_mps.iter().enumerate().skip(1) {
+            if !(0.0 < *speed && *speed <= f64::INFINITY) {
+                return Err(PathError::Speed { point, found: *speed });
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(crate) fn distance_m(from: Point, to: Point) -> f64 {
+    libm::hypot(to.x_m - from.x_m, to.y_m - from.y_m)
+}
