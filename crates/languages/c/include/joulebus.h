@@ -599,7 +599,10 @@ typedef struct joulebus_budget {
     float time_to_empty_hi_s;
     /** State of charge, upper bound. */
     float soc_hi;
-    /** Standard deviation of soc, without the range of unmetered time. */
+    /**
+     * Standard deviation of soc, by which probabilities are computed: errors of the monitor, and
+     * what is likely within the range of unmetered time.
+     */
     float soc_sd;
     /** Estimated error of the measured state of charge: measured minus true. */
     float sensor_bias;
