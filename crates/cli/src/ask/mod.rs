@@ -88,7 +88,7 @@ pub(crate) struct Args {
     dock: Option<PointArgument>,
     /// Speed where the path file states none, m/s [default: the highest that the model was trained
     /// on]
-    #[arg(long, value_name = "M/S", conflicts_with = "idle")]
+    #[arg(long, value_name = "M/S", conflicts_with = "idle", value_parser = speed)]
     speed: Option<f64>,
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
@@ -226,7 +226,7 @@ impl Args {
         reply: &Reply,
         missing: Vec<u32>,
     ) -> AnswersReport {
-        let answers = reply.rows.iter().map(|row| {
+        let answers = reply.ranked().into_iter().map(|row| {
             let mut answer = AnswerReport::new(config.settings(), row);
             answer.asked_to_return = self.return_to.is_some();
             if self.power {
@@ -258,6 +258,15 @@ pub(crate) fn refused(error: ClientError, config: &Config) -> anyhow::Error {
 
 fn is_unknown_robot(error: &ClientError) -> bool {
     matches!(error, ClientError::Refused(refused) if refused.reason == QueryRefusal::UnknownRobot)
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    let found: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    if 0.0 < found && found.is_finite() {
+        return Ok(found);
+    }
+    Err("a speed is a number above 0, m/s. Leave it out for the highest that the model knows"
+        .to_owned())
 }
 
 /// Refuses speeds above the platform's before a worker is looked for.

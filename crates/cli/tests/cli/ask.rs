@@ -141,12 +141,17 @@ fn a_robot_whose_sensor_is_stuck_is_never_yes_and_is_ranked_behind_the_others() 
         let question = format!("ask --robot 1 --path {path}{through}");
         let text = stdout(&outcome(&fleet, &question, named));
         assert!(!text.starts_with("robot 1 (gternal): yes"), "{text}");
-        let ranked = ask(&fleet, &format!("--rank 1,2,0 --path FILE{through}"));
-        let answers = ranked["answers"].as_array().unwrap();
-        assert_eq!(answers[2]["robot"], 1, "{ranked}");
-        assert_eq!(answers[2]["caveats"]["alarms"][0], "StuckSensor", "{ranked}");
-        assert_eq!(answers[0]["caveats"]["alarms"], serde_json::json!([]), "{ranked}");
+        for plan in ["--path FILE", "--idle 20"] {
+            let ranked = ask(&fleet, &format!("--rank 1,2,0 {plan}{through}"));
+            let answers = ranked["answers"].as_array().unwrap();
+            assert_eq!(answers[2]["robot"], 1, "{ranked}");
+            assert_eq!(answers[2]["probability"], Value::Null, "{ranked}");
+            assert_eq!(answers[2]["caveats"]["alarms"][0], "StuckSensor", "{ranked}");
+            assert_eq!(answers[0]["caveats"]["alarms"], serde_json::json!([]), "{ranked}");
+        }
     }
+    let endless = outcome(&fleet, &format!("ask --robot 0 --path {path} --speed inf"), |_| true);
+    assert_eq!(code(&endless), 2, "{}", stderr(&endless));
     source.end(Signal::INT);
     assert_eq!(code(&worker.end(Signal::INT)), 0);
 }

@@ -41,7 +41,8 @@ pub struct Answer {
     pub left: Option<Left>,
     /// Probability of finishing above the reserve, with the errors of the energy and of the battery.
     /// `None` where it is not known: with steps outside the training data, beyond the longest
-    /// horizon, and if the model states no distribution of its errors.
+    /// horizon, if the model states no distribution of its errors, and if the robot's state is weak
+    /// or an alarm casts doubt on its readings.
     pub probability: Option<f32>,
     /// A bound, not an expectation: the lower bound of the spare energy in the battery, less the
     /// upper bound of the energy and the error of counting it, J. Negative if as much may be

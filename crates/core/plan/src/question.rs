@@ -295,6 +295,17 @@ fn powers(robot: &Robot<'_>, plans: &Candidates<'_>) -> Result<Vec<f32>, Questio
     Ok(power_w)
 }
 
+impl Reply {
+    /// The rows, the best first: by verdict (yes, tight, no, unknown), then robots without alarms on
+    /// their readings, then by the expected energy, then by id.
+    #[must_use]
+    pub fn ranked(&self) -> Vec<&Row> {
+        let mut rows: Vec<&Row> = self.rows.iter().collect();
+        rows.sort_by(|one, other| best_first(one, other));
+        rows
+    }
+}
+
 /// Orders by verdict (yes, tight, no, unknown), then robots without alarms on their readings first,
 /// then by the expected energy, then by id.
 pub(crate) fn best_first(one: &Row, other: &Row) -> std::cmp::Ordering {

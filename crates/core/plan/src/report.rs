@@ -105,7 +105,7 @@ impl AnswerReport {
             lines.push(match self.probability {
                 Some(probability) => format!("above the reserve with probability {probability:.3}"),
                 None => "above the reserve with unknown probability: the model's errors do not \
-                         cover this plan"
+                         cover this plan or this robot's state"
                     .to_owned(),
             });
         }

@@ -247,8 +247,12 @@ impl<'a> Robot<'a> {
                 mean_j: (battery.left_j - energy.mean_j).max(0.0),
                 lo_j: (battery.left_lo_j - battery.at_most_j(&energy)).max(0.0),
             }),
-            probability: estimate
-                .probability_below(battery.spare.left as f32, battery.sd_after_j(&energy)),
+            // Nobody knows how wrong a doubtful state is.
+            probability: if answer.caveats.bar_yes() {
+                None
+            } else {
+                estimate.probability_below(battery.spare.left as f32, battery.sd_after_j(&energy))
+            },
             margin_j: Some(battery.usable_lo_j - battery.at_most_j(&energy)),
             verdict,
             limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),

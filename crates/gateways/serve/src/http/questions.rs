@@ -166,7 +166,7 @@ pub(super) fn report(
     rows: Option<&RobotRows>,
     reply: &Reply,
 ) -> AnswersReport {
-    let answers = reply.rows.iter();
+    let answers = reply.ranked().into_iter();
     AnswersReport {
         fleet: config.fleet().to_owned(),
         tick: rows.map_or(0, |rows| rows.header.tick),

@@ -455,7 +455,7 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
     let data = Dataset {
         training: robots(0..12),
         validation: robots(12..14),
-        held_out: robots(2..5),
+        held_out: robots(14..17),
         description: "swinging".to_owned(),
         period_s: 0.0,
     };
