@@ -60,19 +60,20 @@ impl SourceAlarms {
         self.look_at_ns = now_ns + POLL_INTERVAL_NS;
         let found = implausible_robots(&self.config);
         let mut pass_on = |robot, change, raised_ns| {
-            each(SourceChange { robot, change, at_ns: now_ns, raised_ns });
+            let at_ns = if change == Change::Raised { raised_ns } else { now_ns };
+            each(SourceChange { robot, change, at_ns, raised_ns });
         };
         self.raised.retain(|robot, raised_ns| {
-            let stays = found.contains(robot);
+            let stays = found.contains_key(robot);
             if !stays {
                 pass_on(*robot, Change::Cleared, *raised_ns);
             }
             stays
         });
-        for robot in found {
+        for (robot, since_ns) in found {
             self.raised.entry(robot).or_insert_with(|| {
-                pass_on(robot, Change::Raised, now_ns);
-                now_ns
+                pass_on(robot, Change::Raised, since_ns);
+                since_ns
             });
         }
     }

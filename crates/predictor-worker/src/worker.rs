@@ -675,7 +675,8 @@ mod tests {
 
     #[test]
     fn the_end_of_a_thread_ends_the_run_with_its_name_and_planners_are_told() {
-        let replace: [(&str, fn(&mut Worker, &Config)); 3] = [
+        type Replace = fn(&mut Worker, &Config);
+        let replace: [(&str, Replace); 3] = [
             (CHECKPOINTER, |worker, _| worker.checkpointer = panicking()),
             (watch::THREAD, |worker, config| {
                 worker.standby = Some(Standby {

@@ -115,7 +115,7 @@ fn ticks_between_two_recordings_are_absent_and_a_snapshot_is_verified() {
     source.end(Signal::TERM);
     worker.end(Signal::TERM).exits(0);
 
-    assert_verified(&ended, &[file.clone()]);
+    assert_verified(&ended, std::slice::from_ref(&file));
     assert_verified(&kept, &[snapshot]);
     let (code, report) = verify(&[file, resumed]);
     assert_eq!((code, &report["verdict"]), (3, &"incomplete".into()), "{report:#}");
@@ -132,7 +132,7 @@ fn topics_that_were_not_recorded_are_recomputed_and_not_compared() {
     simulate(&fleet);
     assert!(matches!(code(&recorder.end(Signal::TERM)), 0 | 3));
     worker.end(Signal::TERM).exits(0);
-    let (code, report) = verify(&[file.clone()]);
+    let (code, report) = verify(std::slice::from_ref(&file));
     assert_eq!(code, 3, "{report:#}");
     let is_lossless = report["messages_lost"] == 0 && report["ticks_unverified"] == 0;
     assert!(!is_lossless || report["verdict"] == "not_compared", "{report:#}");

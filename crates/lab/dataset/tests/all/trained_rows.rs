@@ -177,7 +177,7 @@ fn a_short_recording_that_changes_rarely_is_recognised_as_a_whole_or_counted_as_
     for (times, is_told) in [(6, true), (15, false)] {
         let rows = held(5, 138, times);
         let seen = found(&rows.rows, &[held(6, 400, times), rows.clone()]);
-        let unseen = found(&held(7, 138, times).rows, &[rows.clone()]);
+        let unseen = found(&held(7, 138, times).rows, std::slice::from_ref(&rows));
         let untold = is_untold(&rows.rows);
         assert!(seen.iter().all(|trained| *trained == is_told), "{times}");
         assert!(unseen.iter().all(|trained| !trained), "{times}");
