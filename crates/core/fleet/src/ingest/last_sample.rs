@@ -56,7 +56,9 @@ impl Last {
         self.measured_ns = sample.measured_ns;
         let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
         let mean_w = self.mean_power_w + weight * (sample.power_w - self.mean_power_w);
-        self.mean_power_w = if self.mean_power_w.is_nan() { sample.power_w } else { mean_w };
+        let mean_w = if self.mean_power_w.is_nan() { sample.power_w } else { mean_w };
+        // The charger's power says nothing about time away from it.
+        put(&mut self.mean_power_w, !sample.has(sample_flag::CHARGING), mean_w);
     }
 }
 

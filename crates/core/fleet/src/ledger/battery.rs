@@ -65,6 +65,7 @@ impl Counting {
 impl Counting {
     /// Change of the stored energy on the charger by an amount that the monitor counts. `None` if
     /// it does not meter the charge.
+    #[inline(always)]
     pub(crate) fn stored(&self, amount: f64) -> Option<f64> {
         let is_metered = !matches!(self.reading, ChargeReading::Load);
         is_metered.then(|| counted(self, amount, true))
@@ -396,7 +397,8 @@ impl BatteryState {
     #[inline(always)]
     pub(crate) fn now(&self, counting: &Counting, at: At, charging: Charging) -> EnergyLeft {
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
-        let gap = GapPower::open(counting, self.reading_w, self.mean_w, unmetered_ns);
+        let readings_w = (self.reading_w, self.mean_w);
+        let gap = GapPower::open(counting, readings_w, unmetered_ns, charging.unmetered);
         self.after(counting, at, &gap, charging)
     }
 
@@ -431,7 +433,9 @@ impl BatteryState {
         let measured = !self.input.is_nan() & self.is_due(seen.stamp_ns);
         let joins = self.interrupted_ns == 0;
         let ends_gap = !seen.reading_w.is_nan() & (unmetered_ns != self.unmetered_ns);
-        let charges = seen.charging | self.charging | self.full;
+        // A sample on the charger without a reading leaves the gap open, as one away from it does.
+        let goes_on = seen.charging & self.charging & seen.reading_w.is_nan();
+        let charges = (seen.charging | self.charging | self.full) & !goes_on;
         measured | charges | seen.broken | joins | ends_gap | (self.events != 0)
     }
 

@@ -17,23 +17,36 @@ pub(crate) struct GapPower {
 
 impl GapPower {
     /// Of a long gap: the mean power before it. The robot may have stood still or worked harder.
+    /// Where that is unknown, half of the most.
     #[inline(always)]
     pub(crate) fn mean(counting: &Counting, before_w: f32) -> Self {
-        let mean_w = f64::from(before_w).max(0.0);
+        let known_w = f64::from(before_w).max(0.0);
+        let mean_w = if before_w.is_nan() { 0.5 * counting.most_w } else { known_w };
         Self { mean_w, sd_w: 0.5 * mean_w.min((counting.most_w - mean_w).max(0.0)), charges: false }
     }
 
     /// Of a gap that has not ended: as a long one. While it may turn out to be short, the last reading
-    /// if that is less, so that the energy left seldom has to rise when it ends.
+    /// if that is less, so that the energy left seldom has to rise when it ends. `charging`: the
+    /// charge goes on as the last reading metered it.
     #[inline(always)]
-    pub(crate) fn open(counting: &Counting, last_w: f32, before_w: f32, unmetered_ns: u64) -> Self {
+    pub(crate) fn open(
+        counting: &Counting,
+        (last_w, before_w): (f32, f32),
+        unmetered_ns: u64,
+        charging: bool,
+    ) -> Self {
         let may_be_short = unmetered_ns <= SHORT_PERIODS * counting.period_ns;
         let least_w = if may_be_short & (last_w < before_w) { last_w } else { before_w };
-        Self::mean(counting, least_w)
+        let drawn = Self::mean(counting, least_w);
+        let stored_w = counting.stored(last_w.into()).unwrap_or(f64::NAN);
+        let charges = charging & may_be_short & !stored_w.is_nan();
+        let mean_w = if charges { -stored_w } else { drawn.mean_w };
+        Self { mean_w, sd_w: if charges { 0.0 } else { drawn.sd_w }, charges }
     }
 
     /// Of a short gap between two readings: the trapezoid. At least what was shown as drawn while it
-    /// lasted, so that the energy left does not rise. `None` if it is long, or a reading is unknown.
+    /// lasted, so that the energy left does not rise. A charge without a reading at its end goes on
+    /// as before. `None` if it is long, or a reading is unknown.
     pub(crate) fn between(
         counting: &Counting,
         (from_w, to_w): (f32, f32),
@@ -42,6 +55,8 @@ impl GapPower {
         charging: bool,
     ) -> Option<Self> {
         let is_short = (1..=SHORT_PERIODS * counting.period_ns).contains(&unmetered_ns);
+        let goes_on = charging && to_w.is_nan();
+        let to_w = if goes_on { from_w } else { to_w };
         let (from_w, to_w) = (f64::from(from_w), f64::from(to_w));
         if !(is_short && (from_w + to_w).is_finite()) {
             return None;

@@ -270,11 +270,11 @@ fn follow(
         lanes::put(&mut batteries.reading_w[lane], mask[lane] & !reading_w.is_nan(), reading_w);
     }
     let counting = Counting::new(battery, platform);
-    // The anchors of robots on their chargers are at this sample.
-    let driving = Charging { metered: false, unmetered: false };
     for lane in 0..LANES {
         let (robot, at) = (batteries.get(lane), At::new(&ledgers.get(lane)));
-        let now = robot.now(&counting, at, driving);
+        // On a charger the anchor is at the last sample with a reading.
+        let charging = Charging { metered: false, unmetered: robot.charging };
+        let now = robot.now(&counting, at, charging);
         let raised = levels::judge(robot.raised, battery, &now, robot.return_j);
         lanes::put(&mut batteries.raised[lane], mask[lane], raised);
     }

@@ -701,7 +701,8 @@ mod gaps {
         let platform = &mut settings.platforms[0];
         platform.period_ns = PERIOD_NS;
         platform.stale_after_ns = 10 * PERIOD_NS;
-        platform.power_min_w = 0.0;
+        let is_signed = matches!(battery.charge_reading, ChargeReading::Battery);
+        platform.power_min_w = if is_signed { -20.0 } else { 0.0 };
         platform.power_max_w = 20.0;
         let residual = ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 };
         let model = Model::Persistence(Persistence::new(residual).expect("finite and in order"));
@@ -736,6 +737,20 @@ mod gaps {
             };
             let samples: Vec<Sample> = samples.iter().map(sample).collect();
             self.source.tick(&mut self.fleet, &samples, now_ns);
+        }
+
+        /// Robot 0 sends a sample without a reading.
+        pub(super) fn send_without_reading(&mut self, change: impl Fn(Sample) -> Sample) {
+            self.step += 1;
+            let now_ns = self.now_ns();
+            let sample = change(Sample::new(0, self.step, now_ns));
+            self.source.tick(&mut self.fleet, &[sample], now_ns);
+        }
+
+        /// A tick that comes late for the next sample, by a share of a period.
+        pub(super) fn late(&mut self, share: f64) {
+            let late_ns = ((1.0 + share) * PERIOD_NS as f64) as u64;
+            self.fleet.tick(self.now_ns() + late_ns, false);
         }
 
         /// Nobody sends for a while.
@@ -831,6 +846,121 @@ fn an_absence_is_valued_at_the_mean_before_it_whatever_the_first_reading_is() {
         line.silence(10);
         let drawn_j = before_j - line.left_j(2);
         assert!((drawn_j - 55.0 * 6.0).abs() < 3.0, "{drawn_j} J");
+    }
+}
+
+#[test]
+fn an_absence_is_valued_by_the_time_off_the_charger_only() {
+    use gaps::{Line, small};
+    let readings = [
+        (ChargeReading::Battery, -12.0),
+        (ChargeReading::Charger, 12.0),
+        (ChargeReading::Load, 1.0),
+    ];
+    for (charge_reading, charge_w) in readings {
+        let (initial_soc, initial_soc_lo, charge_power_w) = (0.5, 0.48, Some(12.0));
+        let battery =
+            Battery { charge_reading, initial_soc, initial_soc_lo, charge_power_w, ..small() };
+        let mut line = Line::new(battery);
+        let send = |line: &mut Line, seconds: u64, power_w: f32, flags: u32| {
+            (0..10 * seconds).for_each(|_| line.send(&[(0, power_w)], flags));
+        };
+        // A robot that joins on its charger has no mean yet.
+        send(&mut line, 30, charge_w, sample_flag::CHARGING);
+        assert!(world::budget(&line.fleet, 0).mean_power_w.is_nan());
+        send(&mut line, 60, 6.0, 0);
+        send(&mut line, 300, charge_w, sample_flag::CHARGING);
+        assert!((world::budget(&line.fleet, 0).mean_power_w - 6.0).abs() < 0.01);
+        send(&mut line, 30, 6.0, 0);
+        let before_j = line.left_j(0);
+        line.silence(200);
+        line.send(&[(0, 6.0)], 0);
+        let drawn_j = before_j - line.left_j(0);
+        assert!((drawn_j - 200.1 * 6.0).abs() < 2.0, "{charge_reading:?}: {drawn_j} J");
+    }
+}
+
+#[test]
+fn a_metered_charge_stays_known_if_a_tick_is_late_or_a_reading_is_missing() {
+    use gaps::{Line, small};
+    for (charge_reading, charge_w) in
+        [(ChargeReading::Battery, -12.0), (ChargeReading::Charger, 12.0)]
+    {
+        for measured in [false, true] {
+            let (initial_soc, initial_soc_lo) = (0.3, 0.28);
+            let battery = Battery {
+                charge_reading,
+                initial_soc,
+                initial_soc_lo,
+                low: 0.4,
+                charge_power_w: None,
+                sensor_sd: 0.05,
+                ..small()
+            };
+            let mut line = Line::new(battery);
+            (0..600).for_each(|_| line.send(&[(0, charge_w)], sample_flag::CHARGING));
+            let before = world::budget(&line.fleet, 0);
+            let raised =
+                |line: &Line| world::diagnostic(&line.fleet, 0).alarms().has(Alarm::BatteryLow);
+            let check = |line: &Line, what: &str| {
+                let now = world::budget(&line.fleet, 0);
+                let moved = (now.soc - before.soc).abs().max((now.soc_hi - before.soc_hi).abs());
+                let moved = moved.max((now.soc_lo - before.soc_lo).abs());
+                assert!(moved < 0.005, "{charge_reading:?}, {what}: {now:?} after {before:?}");
+                assert!(raised(line), "{what}");
+            };
+            check(&line, "before");
+            line.late(0.1);
+            check(&line, "a late tick");
+            line.send(&[(0, charge_w)], sample_flag::CHARGING);
+            check(&line, "the next sample");
+            for _ in 0..3 {
+                line.send_without_reading(|sample| {
+                    let sample = sample.with(sample_flag::CHARGING);
+                    if measured { sample.state_of_charge(0.33) } else { sample }
+                });
+                if !measured {
+                    check(&line, "a sample without a reading");
+                }
+            }
+            line.send(&[(0, charge_w)], sample_flag::CHARGING);
+            if measured {
+                let now = world::budget(&line.fleet, 0);
+                assert!((now.soc - before.soc).abs() < 0.02, "{now:?} after {before:?}");
+            } else {
+                check(&line, "the reading after it");
+            }
+            // Without any for long, everything may have happened.
+            (0..20).for_each(|_| {
+                line.send_without_reading(|sample| sample.with(sample_flag::CHARGING));
+            });
+            let unknown = world::budget(&line.fleet, 0);
+            assert!(unknown.soc_hi > 0.99, "{unknown:?}");
+        }
+    }
+}
+
+#[test]
+fn an_absence_before_which_no_power_is_known_costs_half_of_the_most_and_is_uncertain() {
+    use gaps::{Line, small};
+    let mut line = Line::new(small());
+    line.send_without_reading(|sample| sample);
+    let before = world::budget(&line.fleet, 0);
+    line.silence(20);
+    let silent = world::budget(&line.fleet, 0);
+    // Its sample has none either, and it leaves, and comes back.
+    line.send_without_reading(|sample| sample);
+    line.silence(45);
+    assert!(line.fleet.is_empty(), "it has left");
+    line.send_without_reading(|sample| sample);
+    let after = world::budget(&line.fleet, 0);
+    for (now, seconds) in [(silent, 20.0), (after, 65.2)] {
+        let drawn_j = f64::from(before.left_j - now.left_j);
+        assert!((drawn_j - 10.0 * seconds).abs() < 2.0, "{seconds} s: {drawn_j} J");
+        let sd_j =
+            18_000.0 * f64::from(now.soc_sd * now.soc_sd - before.soc_sd * before.soc_sd).sqrt();
+        assert!(sd_j > 3.0 * seconds, "{seconds} s: ± {sd_j} J");
+        assert!(now.soc_lo < before.soc_lo - (20.0 * seconds - 30.0) as f32 / 18_000.0, "{now:?}");
     }
 }
 

@@ -147,7 +147,8 @@ pub(crate) fn estimate(
 ) -> EnergyLeft {
     let mut at = At::new(&block.ledgers.get(lane));
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
-    // On a charger the anchor is at the last sample. The time since then counts as silence.
+    // On a charger the anchor is at the last sample with a reading. The time since then counts as
+    // silence.
     let charging = Charging { metered: false, unmetered: robot.charging };
     robot.now(counting, at, charging)
 }
