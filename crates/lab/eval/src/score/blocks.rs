@@ -119,6 +119,11 @@ impl HorizonSums {
         }
     }
 
+    /// True if there is any origin.
+    pub(crate) fn reaches(&self) -> bool {
+        self.power.first().is_some_and(|tally| tally.count() > 0)
+    }
+
     /// Powers and then energies as the forecasters of a block.
     pub(crate) fn block(&self) -> Block {
         Block {

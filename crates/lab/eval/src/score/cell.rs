@@ -330,27 +330,22 @@ pub(crate) fn horizon_cell(
     let period_s = tallied.period_s();
     let horizons = options.horizons.iter().enumerate();
     let horizons = horizons.map(|(place, &ticks)| {
-        let trials: Vec<&HorizonSums> = tallied.horizon(set, place).collect();
-        horizon(&trials, ticks, period_s, names, &options.bootstrap)
+        horizon(tallied.horizon(set, place), ticks, period_s, names, &options.bootstrap)
     });
     HorizonCell { name: set.name.clone(), trials: set.trials(), horizons: horizons.collect() }
 }
 
 fn horizon(
-    trials: &[&HorizonSums],
+    mut trials: Vec<HorizonSums>,
     ticks: usize,
     period_s: f64,
     names: &Names,
     bootstrap: &Bootstrap,
 ) -> Horizon {
+    let whole = HorizonSums::merged(&trials);
     // Trials too short for the horizon are ignored.
-    let reaching: Vec<&HorizonSums> = trials
-        .iter()
-        .copied()
-        .filter(|sums| sums.power.first().is_some_and(|tally| tally.count() > 0))
-        .collect();
-    let whole = HorizonSums::merged(trials.iter().copied());
-    let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+    trials.retain(HorizonSums::reaches);
+    let blocks: Vec<Block> = trials.iter().map(HorizonSums::block).collect();
     let draws = Draws::new(&blocks);
     let estimates = bootstrap.estimate(blocks.len(), |drawn| {
         let drawn = draws.merged(drawn).forecasters;

@@ -272,9 +272,9 @@ fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
     let all = tallied.all();
     let each = options.horizons.iter().enumerate();
     each.map(|(place, &ticks)| {
-        let reaching: Vec<&HorizonSums> =
-            tallied.horizon(&all, place).filter(|sums| sums.power[OLD].count() > 0).collect();
-        let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+        let mut reaching = tallied.horizon(&all, place);
+        reaching.retain(HorizonSums::reaches);
+        let blocks: Vec<Block> = reaching.iter().map(HorizonSums::block).collect();
         let draws = Draws::new(&blocks);
         let estimates = of_trials(&options.bootstrap, blocks.len(), |drawn| {
             match draws.merged(drawn).forecasters.as_slice() {
@@ -282,7 +282,7 @@ fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
                 _ => vec![f64::NAN; 2],
             }
         });
-        let whole = HorizonSums::merged(reaching.iter().copied()).power;
+        let whole = HorizonSums::merged(&reaching).power;
         let of = |at: usize| whole.get(at).copied().unwrap_or_default();
         HorizonDifference {
             ticks,

@@ -1,6 +1,6 @@
 //! The sums of all recordings, which are merged into every table.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::ops::Range;
 
@@ -73,16 +73,18 @@ impl Listed {
     }
 }
 
-/// Recordings scored together, by index.
+/// Recordings scored together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Set {
     pub(crate) name: String,
-    places: Vec<usize>,
+    /// Indices of each trial's recordings. The runs of a robot in one capture have one name: they
+    /// share its floor and load, so they are one trial.
+    trials: Vec<Vec<usize>>,
 }
 
 impl Set {
     pub(crate) fn trials(&self) -> usize {
-        self.places.len()
+        self.trials.len()
     }
 }
 
@@ -127,12 +129,13 @@ impl Tallied {
     }
 
     pub(crate) fn all(&self) -> Set {
-        Set { name: "all".to_owned(), places: (0..self.recordings.len()).collect() }
+        self.set("all", 0..self.recordings.len())
     }
 
     pub(crate) fn trials(&self) -> Vec<Set> {
-        let each = self.recordings.iter().enumerate();
-        each.map(|(at, named)| Set { name: named.listed.name.clone(), places: vec![at] }).collect()
+        let name = |trial: &Vec<usize>| self.recordings[trial[0]].listed.name.clone();
+        let trials = self.all().trials.into_iter();
+        trials.map(|trial| Set { name: name(&trial), trials: vec![trial] }).collect()
     }
 
     pub(crate) fn groups(&self) -> Vec<Set> {
@@ -148,17 +151,33 @@ impl Tallied {
         for (at, named) in self.recordings.iter().enumerate() {
             sets.entry(name(named)).or_default().push(at);
         }
-        let sets = sets.into_iter();
-        sets.map(|(name, places)| Set { name: name.clone(), places }).collect()
+        sets.into_iter().map(|(name, places)| self.set(name, places)).collect()
+    }
+
+    /// Recordings as trials, in the order of their first ones.
+    fn set(&self, name: &str, places: impl IntoIterator<Item = usize>) -> Set {
+        let mut named: HashMap<&str, usize> = HashMap::new();
+        let mut trials: Vec<Vec<usize>> = Vec::new();
+        for at in places {
+            let trial = *named.entry(&self.recordings[at].listed.name).or_insert(trials.len());
+            if trial == trials.len() {
+                trials.push(Vec::new());
+            }
+            trials[trial].push(at);
+        }
+        Set { name: name.to_owned(), trials }
     }
 
     fn of<'a>(&'a self, set: &'a Set) -> impl Iterator<Item = &'a Named> {
-        set.places.iter().map(|at| &self.recordings[*at])
+        set.trials.iter().flatten().map(|at| &self.recordings[*at])
     }
 
     /// One block for each trial.
     pub(crate) fn whole_trials(&self, set: &Set) -> Vec<Block> {
-        self.of(set).map(|named| Block::merged(&named.blocks)).collect()
+        let blocks = |trial: &Vec<usize>| {
+            Block::merged(trial.iter().flat_map(|at| &self.recordings[*at].blocks))
+        };
+        set.trials.iter().map(blocks).collect()
     }
 
     /// The blocks to resample, and whether each is a whole trial.
@@ -194,11 +213,11 @@ impl Tallied {
     }
 
     /// The sums of each trial at one horizon.
-    pub(crate) fn horizon<'a>(
-        &'a self,
-        set: &'a Set,
-        place: usize,
-    ) -> impl Iterator<Item = &'a HorizonSums> {
-        self.of(set).filter_map(move |named| named.horizons.get(place))
+    pub(crate) fn horizon(&self, set: &Set, place: usize) -> Vec<HorizonSums> {
+        let sums = |trial: &Vec<usize>| {
+            let recordings = trial.iter().map(|at| &self.recordings[*at]);
+            HorizonSums::merged(recordings.filter_map(|named| named.horizons.get(place)))
+        };
+        set.trials.iter().map(sums).collect()
     }
 }

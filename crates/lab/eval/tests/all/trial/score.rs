@@ -756,6 +756,35 @@ fn compared(recordings: &[Recording], models: &[Model]) -> Comparison {
 }
 
 #[test]
+fn the_runs_of_a_robot_in_one_capture_are_one_trial() {
+    // Twelve runs of six robots.
+    let mut named = made_up(12, 300);
+    for run in &mut named {
+        (run.name, run.robot) =
+            (format!("capture robot {}", run.id % 6), format!("{}", run.id % 6));
+    }
+    let models = [network(5, FeatureSet::Full, 30.0), persistence()];
+    let found = compared(&named, &models);
+    assert_eq!((found.all.trials, found.trials.len()), (6, 6), "{found}");
+    assert_eq!(found.all.verdict, Verdict::CannotTell, "{found}");
+    assert!(found.all.skill.lo.is_nan(), "{found}");
+    assert!(found.open_loop.iter().all(|horizon| horizon.mae_w.lo.is_nan()), "{found}");
+    let [rows, of_trials] = [found.all.rows, found.trials.iter().map(|trial| trial.rows).sum()];
+    assert_eq!(rows, of_trials);
+    assert!(found.robots.iter().all(|robot| robot.trials == 1), "{found}");
+    // The scores are those of the rows, whatever they are called.
+    let alone = compared(&made_up(12, 300), &models);
+    assert!(near(found.all.skill.value, alone.all.skill.value), "{found} {alone}");
+    for (one, other) in found.open_loop.iter().zip(&alone.open_loop) {
+        assert!(one.origins == other.origins && near(one.mae_w.value, other.mae_w.value));
+    }
+    // Nor are their tables resampled as more.
+    let report = run(&named, &models[..1], &Design::folds(&named), &quick()).report;
+    assert_eq!((report.all.trials, report.trials.len()), (6, 6));
+    assert_eq!(report.open_loop.trials, 6);
+}
+
+#[test]
 fn a_comparison_states_which_model_is_better_and_where() {
     let recordings = made_up(12, 300);
     let poor = network(5, FeatureSet::Full, 30.0);
