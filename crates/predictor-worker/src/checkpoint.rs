@@ -123,13 +123,13 @@ impl Checkpoint {
     }
 
     /// Takes the accounts of a frame of budgets. Keeps at most `most`: the frame's robots first,
-    /// then those that the config names, then those with the newest last sample. Returns the number
-    /// of dropped accounts.
+    /// then those of which the config states a period, then those with the newest last sample.
+    /// Returns the number of dropped accounts.
     pub(crate) fn take(
         &mut self,
         header: &BudgetHeader,
         budgets: &[Budget],
-        (most, is_configured): (usize, impl Fn(u32) -> bool),
+        (most, period_ns): (usize, impl Fn(u32) -> Option<u64>),
     ) -> usize {
         (self.written_ns, self.written_unix_ns) = (header.sent_ns, header.sent_unix_ns);
         let of_frame = || {
@@ -138,10 +138,12 @@ impl Checkpoint {
         };
         for budget in of_frame() {
             // While a robot is silent its budget falls. The account begins at its last sample, and
-            // counts the silence again.
+            // counts the silence again: the battery is that of the sample, or contains the silence.
             let known = self.robots.get(&budget.robot);
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
-            let battery = SavedBattery::new(budget);
+            let silent_ns = header.sent_ns.saturating_sub(budget.stamp_ns);
+            let silent_ns = silent_ns.saturating_sub(period_ns(budget.robot).unwrap_or(0));
+            let battery = SavedBattery::new(budget, silent_ns);
             let mean_power_w = battery.and_then(|battery| battery.mean_power_w());
             let account = Account {
                 drawn_uj: budget.drawn_uj,
@@ -163,7 +165,7 @@ impl Checkpoint {
             let present: BTreeSet<u32> = of_frame().map(|budget| budget.robot).collect();
             let rank = |(age, robot)| {
                 let is_present = present.contains(&robot);
-                (is_present, is_configured(robot), age, robot)
+                (is_present, period_ns(robot).is_some(), age, robot)
             };
             let mut oldest_first: Vec<(bool, bool, Age, u32)> = self.by_age().map(rank).collect();
             oldest_first.sort_unstable();
@@ -280,7 +282,7 @@ pub(crate) mod tests {
         };
         let absent = Budget { robot: 4, ..Budget::default() };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        assert_eq!(checkpoint.take(&sent(1_000), &[budget, absent], (9, |_| true)), 0);
+        assert_eq!(checkpoint.take(&sent(1_000), &[budget, absent], (9, |_| Some(100))), 0);
         checkpoint
     }
 
@@ -297,7 +299,7 @@ pub(crate) mod tests {
         for name in 0..100_000 {
             let stamp_ns = u64::from(name) + 1;
             let frame = [of(u32::MAX, stamp_ns), of(name, stamp_ns)];
-            gone += ledger.take(&sent(stamp_ns), &frame, (50, |_| true));
+            gone += ledger.take(&sent(stamp_ns), &frame, (50, |_| Some(100)));
             assert!(ledger.robots.len() <= 50, "robot {name}");
         }
         assert_eq!(gone, 100_001 - 50);
@@ -316,7 +318,7 @@ pub(crate) mod tests {
             stamp_ns,
             ..Budget::default()
         };
-        let renumbered = |robot: u32| robot < 20;
+        let renumbered = |robot: u32| (robot < 20).then_some(100);
         for robot in (0..20).chain(100..120) {
             let stamp_ns = 1_000 + u64::from(robot);
             ledger.take(&sent(stamp_ns), &[of(robot, stamp_ns)], (30, renumbered));
@@ -348,13 +350,38 @@ pub(crate) mod tests {
                 ..Budget::default()
             };
             let mut ledger = Checkpoint::new("lab", "boot-a");
-            ledger.take(&sent(1_000), &[budget], (9, |_| true));
+            ledger.take(&sent(1_000), &[budget], (9, |_| Some(100)));
             let text = serde_json::to_string(&ledger).unwrap();
             assert_eq!(text.contains("mean_power_w"), kept.is_some(), "{text}");
             let read: Checkpoint = serde_json::from_str(&text).unwrap();
             assert_eq!(read, ledger);
             let battery = read.ledgers()[0].battery.unwrap();
             assert_eq!(battery.mean_power_w(), kept);
+        }
+    }
+
+    #[test]
+    fn a_silence_in_the_saved_battery_counts_once() {
+        let of = |stamp_ns| Budget {
+            robot: 3,
+            flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::CHARGE,
+            soc: 0.5,
+            soc_hi: 1.0,
+            unmetered_ns: 7_000,
+            stamp_ns,
+            ..Budget::default()
+        };
+        // The first frame of the robot's last sample, or one in the middle of its silence.
+        for (sent_ns, contained_ns) in [(1_000, 0), (1_050, 0), (1_100, 0), (1_900, 800)] {
+            let mut ledger = Checkpoint::new("lab", "boot-a");
+            ledger.take(&sent(sent_ns), &[of(1_000)], (9, |_| Some(100)));
+            let saved = ledger.robots[&3].battery;
+            let wanted = SavedBattery::new(&of(1_000), contained_ns);
+            assert_eq!(saved, wanted.map(|of| of.with_mean_power_w(None)), "{sent_ns}");
+            // It stays as it was first seen, and the account begins at the sample.
+            ledger.take(&sent(9_000), &[of(1_000)], (9, |_| Some(100)));
+            let account = ledger.robots[&3];
+            assert_eq!((account.battery, account.unmetered_ns), (saved, 7_000), "{sent_ns}");
         }
     }
 
@@ -370,7 +397,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let mut ledger = Checkpoint::new("lab", "boot-a");
-        assert_eq!(ledger.take(&sent(1_000), &[budget], (9, |_| true)), 0);
+        assert_eq!(ledger.take(&sent(1_000), &[budget], (9, |_| Some(100))), 0);
         let whole = ledger.robots[&3].battery;
         let carried = |now_unix_ns| ledger.clone().carried_over("boot-b", 500, now_unix_ns);
         assert_eq!(carried(50_500).robots[&3].battery, whole);
@@ -392,7 +419,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let frame = [(7, 300), (1, 900), (5, 100), (9, 300)].map(of);
-        assert_eq!(ledger.take(&sent(1_000), &frame, (9, |_| true)), 0);
+        assert_eq!(ledger.take(&sent(1_000), &frame, (9, |_| Some(100))), 0);
         let carried = ledger.carried_over("boot-b", 5_000, 0);
         let order: Vec<u32> =
             carried.ledgers().into_iter().map(|restored| restored.robot).collect();
@@ -424,20 +451,20 @@ pub(crate) mod tests {
             let stamp_ns = far_ns[liar as usize % 3];
             // One of the robots is stamped a little ahead.
             let frame = [(1, now_ns), (2, now_ns + MAX_AHEAD_NS / 9), (900 + liar, stamp_ns)];
-            gone += ledger.take(&sent(now_ns), &frame.map(of), (16, |_| true));
+            gone += ledger.take(&sent(now_ns), &frame.map(of), (16, |_| Some(100)));
             assert!(ledger.robots.contains_key(&(900 + liar)), "it is there");
         }
         assert_eq!((ledger.robots.len(), gone), (16, 16));
         // As many as there are slots, the two among them. Then only the two.
         now_ns += MAX_AHEAD_NS;
         let all = [1, 2, 10, 11, 12, 13, 14, 15].map(|robot| of((robot, now_ns)));
-        assert_eq!(ledger.take(&sent(now_ns), &all, (16, |_| true)), 6);
+        assert_eq!(ledger.take(&sent(now_ns), &all, (16, |_| Some(100))), 6);
         assert_eq!(restored(&ledger), [1, 2, 10, 11, 12, 13, 14, 15]);
         let rebooted = ledger.clone().carried_over("boot-b", 5_000, 0);
         assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
         now_ns += MAX_AHEAD_NS;
         let two = [1, 2].map(|robot| of((robot, now_ns)));
-        assert_eq!(ledger.take(&sent(now_ns), &two, (2, |_| true)), 14);
+        assert_eq!(ledger.take(&sent(now_ns), &two, (2, |_| Some(100))), 14);
         assert_eq!(restored(&ledger), [1, 2]);
     }
 }

@@ -83,8 +83,8 @@ struct Checkpointer {
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
     max_accounts: usize,
-    /// Ids of the robots that the config names.
-    robots: Vec<RangeInclusive<u32>>,
+    /// Ids of the robots that the config names, and their periods, ns.
+    robots: Vec<(RangeInclusive<u32>, u64)>,
     schedule: SaveSchedule,
     changed: bool,
     drops: DropCounts,
@@ -131,7 +131,7 @@ impl Checkpointer {
                 .settings()
                 .platforms
                 .iter()
-                .flat_map(|platform| platform.robots.clone())
+                .flat_map(|of| of.robots.iter().map(|ids| (ids.clone(), of.period_ns)))
                 .collect(),
             schedule: SaveSchedule::new(every_ns.unwrap_or(u64::MAX), now_ns),
             changed: false,
@@ -147,7 +147,9 @@ impl Checkpointer {
     fn read_budgets(&mut self) {
         let (checkpoint, most) = (&mut self.checkpoint, self.max_accounts);
         let robots = &self.robots;
-        let is_configured = |robot| robots.iter().any(|ids| ids.contains(&robot));
+        let period_ns = |robot| {
+            robots.iter().find(|(ids, _)| ids.contains(&robot)).map(|(_, period_ns)| *period_ns)
+        };
         let (mut gone, mut changed) = (0, false);
         // Not the newest alone: of a worker that was stopped for long, robots that have left are in
         // the one before.
@@ -155,7 +157,7 @@ impl Checkpointer {
             for robot in checkpoint.exchanged(budgets) {
                 tracing::info!(robot, "the robot has another battery");
             }
-            gone += checkpoint.take(header, budgets, (most, is_configured));
+            gone += checkpoint.take(header, budgets, (most, period_ns));
             changed = true;
         });
         self.changed |= changed;

@@ -26,11 +26,14 @@ pub struct EnergyLeft {
 }
 
 impl EnergyLeft {
-    /// Energy left of which a standard deviation is all that is known. It counts as the monitor's:
-    /// its error has the sign of the errors to come.
+    /// Energy left of which a standard deviation is all that is known. Up to `most` of it is the
+    /// monitor's, whose error has the sign of the errors to come: that of counting what is missing
+    /// from a full battery.
     #[must_use]
-    pub const fn stated(left: f64, sd: f64) -> Self {
-        Self { left, own_sd: 0.0, monitor: -sd, below: 0.0, above: 0.0, range_sd: 0.0 }
+    pub fn stated(left: f64, sd: f64, most: f64) -> Self {
+        let by_monitor = sd.min(most.max(0.0));
+        let own_sd = (sd * sd - by_monitor * by_monitor).max(0.0).sqrt();
+        Self { left, own_sd, monitor: -by_monitor, below: 0.0, above: 0.0, range_sd: 0.0 }
     }
 
     /// The same after an amount is drawn, as counted by a monitor whose relative error has this
@@ -42,7 +45,7 @@ impl EnergyLeft {
     }
 
     /// The bounds' distance by the error of counting an amount that is yet to be drawn, as a bound
-    /// of [`EnergyLeft::stated`] falls by it beside the amount.
+    /// falls by it at most beside the amount.
     #[inline(always)]
     #[must_use]
     pub fn counting_error(amount: f64, counting_sd: f64) -> f64 {

@@ -343,9 +343,11 @@ impl<'a> Robot<'a> {
 
 impl Battery {
     /// Standard deviation of its energy after a plan. The monitor has the same error during the plan
-    /// as before it.
+    /// as before it. How much of the error before is the monitor's is known roughly, so regenerated
+    /// energy does not undo it.
     fn sd_after_j(&self, energy: &Range) -> f32 {
-        self.spare.after_drawing(energy.mean_j.into(), self.counting_sd).whole_sd() as f32
+        let amount_j = energy.mean_j.abs().into();
+        self.spare.after_drawing(amount_j, self.counting_sd).whole_sd() as f32
     }
 
     /// Upper bound of what a plan takes from the lower bound of the energy left: its upper end, and
@@ -446,6 +448,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
         spare: EnergyLeft::stated(
             f64::from(budget.left_j) - settings.reserve * settings.capacity_j,
             f64::from(budget.soc_sd) * settings.capacity_j,
+            settings.counting_sd * (settings.capacity_j - f64::from(budget.left_j)),
         ),
         counting_sd: settings.counting_sd,
     };

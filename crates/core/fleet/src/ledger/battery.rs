@@ -607,8 +607,9 @@ pub struct SavedBattery {
 }
 
 impl SavedBattery {
-    /// The battery in a budget. `None` if it has none.
-    pub fn new(budget: &Budget) -> Option<Self> {
+    /// The battery in a budget, which contains a silence since the last sample beside the budget's
+    /// unmetered time. `None` if it has none.
+    pub fn new(budget: &Budget, silent_ns: u64) -> Option<Self> {
         let has = |flag| budget.flags & flag != 0;
         let (soc, soc_lo, soc_hi, soc_sd) = match has(budget_flag::CHARGE) {
             true => (budget.soc, budget.soc_lo, budget.soc_hi, budget.soc_sd),
@@ -622,7 +623,7 @@ impl SavedBattery {
             sensor_bias: budget.sensor_bias,
             sensor_bias_sd: budget.sensor_bias_sd,
             sensor_covariance: budget.sensor_covariance,
-            unmetered_ns: budget.unmetered_ns,
+            unmetered_ns: budget.unmetered_ns.saturating_add(silent_ns),
             changes: budget.battery_changes,
             charging: budget.charge_state() == joulebus_wire::ChargeState::Charging,
             measured: has(budget_flag::MEASURED),
@@ -667,15 +668,12 @@ impl SavedBattery {
         // The monitor has at most the error of counting what is missing. The part that the sensor
         // shares is not the monitor's.
         let shared = covariance.powi(2) / self.bias_var().max(f64::MIN_POSITIVE);
-        let by_monitor = (sd * sd - shared).max(0.0).sqrt().min(counting_sd * (1.0 - soc));
+        let counted = (sd * sd - shared).max(0.0).sqrt().min(counting_sd * (1.0 - soc));
         (bounded && ordered && spread).then_some(EnergyLeft {
-            left: soc,
-            own_sd: (sd * sd - by_monitor * by_monitor).max(0.0).sqrt(),
-            monitor: -by_monitor,
             below: (soc - SIGMAS * sd - lo).max(0.0),
             above: (hi - soc - SIGMAS * sd).max(0.0),
-            // Part of the stated deviation.
-            range_sd: 0.0,
+            // Its range's is part of the stated deviation.
+            ..EnergyLeft::stated(soc, sd, counted)
         })
     }
 }

@@ -243,7 +243,7 @@ fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
             budget.unmetered_ns,
             budget.stamp_ns,
         );
-        assert!(after.restore(budget.robot, ledger, true, SavedBattery::new(&budget)));
+        assert!(after.restore(budget.robot, ledger, true, SavedBattery::new(&budget, 0)));
     }
     after
 }
@@ -589,7 +589,7 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     nonsense.soc_lo = 0.99;
     let mut fleet = fleet(battery(), 1);
     let ledger = bench.fleet.ledger(0).expect("it has one");
-    fleet.restore(0, ledger, false, SavedBattery::new(&nonsense));
+    fleet.restore(0, ledger, false, SavedBattery::new(&nonsense, 0));
     let mut source = Source::new(1, 3);
     let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
     source.tick(&mut fleet, &[sample], sample.stamp_ns);
@@ -766,7 +766,9 @@ mod gaps {
             for place in 0..self.fleet.len() {
                 let budget = self.fleet.budget(place);
                 let ledger = self.fleet.ledger(budget.robot).expect("it is there");
-                assert!(after.restore(budget.robot, ledger, false, SavedBattery::new(&budget)));
+                let silent_ns = self.now_ns() - budget.stamp_ns;
+                let saved = SavedBattery::new(&budget, silent_ns.saturating_sub(PERIOD_NS));
+                assert!(after.restore(budget.robot, ledger, false, saved));
             }
             self.epoch += 1;
             (self.fleet, self.source) = (after, Source::new(1, self.epoch));
@@ -822,17 +824,19 @@ fn losing_one_sample_in_a_hundred_costs_no_accuracy_though_the_power_alternates(
 #[test]
 fn an_absence_is_valued_at_the_mean_before_it_whatever_the_first_reading_is() {
     use gaps::{Line, small};
-    for restarts in [false, true] {
+    // The worker restarts never, or so many seconds after the last sample.
+    for restarts_s in [None, Some(0), Some(3), Some(20)] {
         let mut line = Line::new(small());
         let ones = [(0, 6.0), (1, 6.0), (2, 6.0)];
         for _ in 0..3_000 {
             line.send(&ones, 0);
         }
         let before_j = line.left_j(0);
-        if restarts {
+        line.silence(restarts_s.unwrap_or(0));
+        if restarts_s.is_some() {
             line.restart();
         }
-        line.silence(45);
+        line.silence(45 - restarts_s.unwrap_or(0));
         assert!(line.fleet.is_empty(), "they have left");
         line.send(&[(0, 6.0), (1, 1.0), (2, 15.0)], 0);
         for robot in 0..3 {

@@ -55,7 +55,7 @@ fn source() -> (Fleet, Source) {
     let mut budget = joulebus_wire::Budget { robot: 11, ..Default::default() };
     budget.flags = joulebus_wire::budget_flag::BATTERY | joulebus_wire::budget_flag::CHARGE;
     (budget.soc, budget.soc_hi) = (0.5, 0.8);
-    fleet.restore(11, ledger, true, SavedBattery::new(&budget));
+    fleet.restore(11, ledger, true, SavedBattery::new(&budget, 0));
     for step in 0..300 {
         tick(&mut fleet, &mut source, step);
     }

@@ -194,7 +194,7 @@ fn a_restored_account_continues_and_the_gap_is_charged_at_maximum_power() {
         saved.stamp_ns,
     );
     assert!(fleet.restore(8, account, false, None));
-    let battery = SavedBattery::new(&saved);
+    let battery = SavedBattery::new(&saved, 0);
     assert!(fleet.restore(ROBOT, account, false, battery));
     // A stored account can be replaced. There is capacity for two: the oldest is dropped.
     assert!(fleet.restore(ROBOT, account, false, battery));

@@ -2,15 +2,16 @@
 //! restarts of the worker, charging, a night, gauges that are wrong. What budgets and answers state
 //! is compared with what happened.
 
+use joulebus_energy::EnergyModel;
 use joulebus_fleet::{Fleet, Ledger, SavedBattery};
-use joulebus_plan::{Fleet as PlanFleet, Frames, Platform as PlanPlatform};
+use joulebus_plan::{Answer, Fleet as PlanFleet, Frames, Platform as PlanPlatform, Verdict};
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, Platform};
 use joulebus_testkit_fleets::random::{self, Noise};
 use joulebus_testkit_fleets::{self as world, MS, Source};
 use joulebus_wire::{
-    Budget, BudgetHeader, ChargeState, PlanStateHeader, SCHEMA_VERSION, Sample, budget_flag,
-    sample_flag,
+    Budget, BudgetHeader, ChargeState, PlanState, PlanStateHeader, SCHEMA_VERSION, Sample,
+    budget_flag, sample_flag,
 };
 
 const STEP_NS: u64 = 4_000 * MS;
@@ -21,7 +22,9 @@ const DAY: u64 = 24 * HOUR;
 /// Seven hours at the mean power.
 const CAPACITY_J: f64 = 93_000.0;
 const MEAN_W: f64 = 3.7;
-const ROBOTS: usize = 300;
+/// In each of as many days as there are seeds.
+const ROBOTS: usize = 100;
+const SEEDS: [u64; 4] = [5, 6, 7, 8];
 /// Charge when the charger reports full, with the deviation of that.
 const FULL: (f64, f64) = (0.97, 0.01);
 
@@ -143,6 +146,30 @@ impl Robot {
     }
 }
 
+/// The answer to standing still, from a battery with this reserve.
+fn answered(
+    battery: Battery,
+    energy: EnergyModel,
+    (state, budget): (&PlanState, &Budget),
+    duration_s: f32,
+    step: u64,
+) -> Option<Answer> {
+    let (reserve, capacity_j) = (battery.reserve, battery.capacity_j);
+    let above = |share: f32| ((f64::from(share) - reserve).max(0.0) * capacity_j) as f32;
+    let budget =
+        Budget { usable_j: above(budget.soc), usable_lo_j: above(budget.soc_lo), ..*budget };
+    let platform = Platform { battery: Some(battery), ..settings().platforms[0].clone() };
+    let fleet = PlanFleet::of(vec![PlanPlatform::new(platform, energy, 0)], 0);
+    let sent_ns = START_NS + step * STEP_NS;
+    let schema = SCHEMA_VERSION;
+    let header =
+        PlanStateHeader { schema, period_ns: STEP_NS, sent_ns, tick: 1, ..Default::default() };
+    let of = BudgetHeader { schema, sent_ns, tick: 1, ..Default::default() };
+    let budget = Some((&of, &budget));
+    let frames = Frames { header: &header, state, budget, now_ns: sent_ns };
+    Some(fleet.robot(&frames)?.idle(duration_s, 0.9).expect("it may be asked"))
+}
+
 /// A question that was answered, and the step at which its plan ends.
 struct Asked {
     robot: usize,
@@ -160,6 +187,29 @@ struct Tenth {
     happened: f64,
 }
 
+/// Adds what happened to robots of which the same was stated.
+fn add(tenths: &mut [Tenth; 10], stated: f64, happened: impl IntoIterator<Item = bool>) {
+    let tenth = &mut tenths[((10.0 * stated) as usize).min(9)];
+    for happened in happened {
+        tenth.count += 1.0;
+        tenth.stated += stated;
+        tenth.happened += f64::from(u8::from(happened));
+    }
+}
+
+/// Prints the table, and compares stated with happened.
+fn assert_calibrated(tenths: &[Tenth; 10], most: f64) {
+    println!("| stated % | happened % | plans |\n|---|---|---|");
+    let shares = tenths.map(|tenth| [tenth.stated, tenth.happened].map(|sum| sum / tenth.count));
+    for ([stated, happened], tenth) in shares.iter().zip(tenths) {
+        println!("| {:.1} | {:.1} | {} |", 100.0 * stated, 100.0 * happened, tenth.count);
+    }
+    for ([stated, happened], tenth) in shares.iter().zip(tenths) {
+        assert!(tenth.count >= 300.0, "{} plans", tenth.count);
+        assert!((stated - happened).abs() < most, "{stated:.3} stated, {happened:.3} happened");
+    }
+}
+
 struct Day {
     fleet: Fleet,
     source: Source,
@@ -167,7 +217,6 @@ struct Day {
     robots: Vec<Robot>,
     asked: Vec<Asked>,
     tenths: [Tenth; 10],
-    beyond: usize,
     yes: [usize; 2],
     inside: [usize; 2],
     rises: usize,
@@ -205,7 +254,6 @@ impl Day {
             noise,
             asked: Vec::new(),
             tenths: [Tenth::default(); 10],
-            beyond: 0,
             yes: [0; 2],
             inside: [0; 2],
             rises: 0,
@@ -219,7 +267,7 @@ impl Day {
             if [3, 11, 22].map(|hour| hour * HOUR + 77).contains(&step) {
                 self.restart(2 + step);
             }
-            for _ in 0..8 {
+            for _ in 0..4 {
                 self.ask(step);
             }
             self.judge(step);
@@ -271,7 +319,7 @@ impl Day {
             let drawn = (budget.drawn_uj, budget.drawn_remainder);
             let times = (budget.metered_ns, budget.unmetered_ns, budget.stamp_ns);
             let ledger = Ledger::restored(drawn, budget.forecast_uj, times.0, times.1, times.2);
-            after.restore(budget.robot, ledger, true, SavedBattery::new(&budget));
+            after.restore(budget.robot, ledger, true, SavedBattery::new(&budget, 0));
         }
         (self.fleet, self.source) = (after, Source::new(1, epoch));
     }
@@ -303,11 +351,11 @@ impl Day {
         }
     }
 
-    /// Asks a robot about a plan of 10 s to an hour, whose energy is about what it can spare: the
-    /// reserve is chosen so.
+    /// Asks a robot about a plan of 10 s to 5 minutes, the longest horizon. Its energy is about what
+    /// the robot can spare: the reserve is chosen so.
     fn ask(&mut self, step: u64) {
         let number = (uniform(&mut self.noise) * ROBOTS as f64) as usize;
-        let duration_s = 10.0 * 360f64.powf(uniform(&mut self.noise));
+        let duration_s = 10.0 * 30f64.powf(uniform(&mut self.noise));
         let place = world::place(&self.fleet, number as u32);
         let ends = step + (duration_s / STEP_S).round().max(1.0) as u64;
         let works = (step..=ends).all(|step| Robot::works(number, step) && !Robot::is_off(step));
@@ -325,47 +373,15 @@ impl Day {
         if !(0.01..0.95).contains(&reserve) {
             return;
         }
-        let Some((probability, is_yes, is_beyond)) =
-            self.answer(&state, &budget, reserve, steps_s as f32, step)
-        else {
+        let battery = Battery { reserve, ..battery() };
+        let energy = self.fleet.energy_model(0).expect("there is one").clone();
+        let answer = answered(battery, energy, (&state, &budget), steps_s as f32, step);
+        let answer = answer.expect("it is there");
+        let Some(probability) = answer.probability else {
             return;
         };
-        if is_beyond {
-            // Longer than the longest horizon whose errors are known.
-            self.beyond += 1;
-            return;
-        }
-        let stated = f64::from(probability);
-        self.asked.push(Asked { robot: number, ends, reserve, stated, is_yes });
-    }
-
-    fn answer(
-        &self,
-        state: &joulebus_wire::PlanState,
-        budget: &Budget,
-        reserve: f64,
-        duration_s: f32,
-        step: u64,
-    ) -> Option<(f32, bool, bool)> {
-        let mut platform = settings().platforms[0].clone();
-        platform.battery = Some(Battery { reserve, ..battery() });
-        let above = |share: f32| ((f64::from(share) - reserve).max(0.0) * CAPACITY_J) as f32;
-        let budget =
-            Budget { usable_j: above(budget.soc), usable_lo_j: above(budget.soc_lo), ..*budget };
-        let energy = self.fleet.energy_model(0)?.clone();
-        let fleet = PlanFleet::of(vec![PlanPlatform::new(platform, energy, 0)], 0);
-        let sent_ns = START_NS + step * STEP_NS;
-        let schema = SCHEMA_VERSION;
-        let header =
-            PlanStateHeader { schema, period_ns: STEP_NS, sent_ns, tick: 1, ..Default::default() };
-        let of = BudgetHeader { schema, sent_ns, tick: 1, ..Default::default() };
-        let budget = Some((&of, &budget));
-        let frames = Frames { header: &header, state, budget, now_ns: sent_ns };
-        let answer = fleet.robot(&frames)?.idle(duration_s, 0.9).expect("it may be asked");
-        let is_yes = answer.verdict == joulebus_plan::Verdict::Yes;
-        let is_beyond = answer.caveats.beyond_horizon;
-        let probability = answer.probability.or(is_beyond.then_some(f32::NAN))?;
-        Some((probability, is_yes, is_beyond))
+        let is_yes = answer.verdict == Verdict::Yes;
+        self.asked.push(Asked { robot: number, ends, reserve, stated: probability.into(), is_yes });
     }
 
     /// Whether the plans that end now left the reserve untouched.
@@ -375,10 +391,7 @@ impl Day {
         self.asked = asked;
         for asked in ended {
             let happened = self.robots[asked.robot].soc > asked.reserve;
-            let tenth = &mut self.tenths[((10.0 * asked.stated) as usize).min(9)];
-            tenth.count += 1.0;
-            tenth.stated += asked.stated;
-            tenth.happened += f64::from(u8::from(happened));
+            add(&mut self.tenths, asked.stated, [happened]);
             if asked.is_yes {
                 self.yes[usize::from(happened)] += 1;
             }
@@ -388,31 +401,166 @@ impl Day {
 
 #[test]
 fn over_a_day_energy_left_never_rises_bounds_hold_and_probabilities_are_what_happens() {
-    let mut day = Day::new(5);
-    day.run();
-    println!("| stated % | happened % | plans |\n|---|---|---|");
-    for tenth in day.tenths {
-        let [stated, happened] =
-            [tenth.stated, tenth.happened].map(|sum| 100.0 * sum / tenth.count);
-        println!("| {stated:.1} | {happened:.1} | {} |", tenth.count);
+    let (mut tenths, mut rises) = ([Tenth::default(); 10], 0);
+    let [mut inside, mut yes] = [[0; 2]; 2];
+    for seed in SEEDS {
+        let mut day = Day::new(seed);
+        day.run();
+        rises += day.rises;
+        for (all, of) in tenths.iter_mut().zip(day.tenths) {
+            all.count += of.count;
+            all.stated += of.stated;
+            all.happened += of.happened;
+        }
+        for at in 0..2 {
+            inside[at] += day.inside[at];
+            yes[at] += day.yes[at];
+        }
     }
-    let [outside, inside] = day.inside.map(|count| count as f64);
+    let [outside, inside] = inside.map(|count| count as f64);
     let inside = inside / (inside + outside);
-    let [wrong, right] = day.yes;
-    println!(
-        "{} plans beyond the longest horizon; {right} of {} yes right; {inside:.4} inside, {} rises",
-        day.beyond,
-        right + wrong,
-        day.rises
-    );
-    assert_eq!(day.rises, 0, "energy left rises without charge");
+    let [wrong, right] = yes;
+    println!("{right} of {} yes right; {inside:.4} inside, {rises} rises", right + wrong);
+    assert_eq!(rises, 0, "energy left rises without charge");
     assert!(inside >= 0.95, "{inside}");
     assert!(right as f64 >= 0.97 * (right + wrong) as f64, "{right} {wrong}");
-    let asked: f64 = day.tenths.iter().map(|tenth| tenth.count).sum();
-    assert!(asked >= 1_000.0 && day.beyond > 100, "{asked}");
-    for tenth in day.tenths {
-        assert!(tenth.count >= 100.0, "{} plans", tenth.count);
-        let [stated, happened] = [tenth.stated, tenth.happened].map(|sum| sum / tenth.count);
-        assert!((stated - happened).abs() < 0.03, "{stated:.3} stated, {happened:.3} happened");
+    assert_calibrated(&tenths, 0.03);
+}
+
+/// Robots that are full, and then drive at a power that their monitors read exactly but for their
+/// relative error. What they draw is certain, so that the battery's errors are all there is.
+mod certain {
+    use super::*;
+
+    /// Five minutes, the longest horizon, take a quarter of it.
+    const SMALL_J: f64 = 4.0 * MEAN_W * 300.0;
+    const QUARTER: u64 = 75;
+
+    fn small(reserve: f64) -> Battery {
+        Battery { capacity_j: SMALL_J, reserve, ..battery() }
+    }
+
+    /// Energy is as forecast, to a thousandth.
+    fn energy() -> EnergyModel {
+        let errors = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0].map(|part| part * 1e-3);
+        let model = EnergyModel::untrained(MEAN_W as f32);
+        EnergyModel { calibrated: 6, errors: [errors; 6], ..model }
+    }
+
+    pub(super) struct Fleet {
+        pub fleet: joulebus_fleet::Fleet,
+        source: Source,
+        pub step: u64,
+        robots: u32,
+    }
+
+    impl Fleet {
+        pub(super) fn new(robots: u32) -> Self {
+            let mut settings = settings();
+            settings.platforms[0].battery = Some(small(0.0));
+            let model = Model::Network(random::network(1, FeatureSet::Full));
+            let fleet = joulebus_fleet::Fleet::new(settings, vec![model]);
+            let fleet = fleet.expect("the settings are consistent");
+            let mut new = Self { fleet, source: Source::new(1, 1), step: 0, robots };
+            // Its network has all its readings, and then it is full.
+            new.drive(30, 0);
+            new.drive(1, sample_flag::CHARGING | sample_flag::FULL);
+            new
+        }
+
+        pub(super) fn drive(&mut self, steps: u64, flags: u32) {
+            for _ in 0..steps {
+                self.step += 1;
+                let now_ns = START_NS + self.step * STEP_NS;
+                let sample = |robot| {
+                    Sample::new(robot, self.step, now_ns)
+                        .command(0.0, 0.0)
+                        .reading(MEAN_W as f32, now_ns)
+                        .with(flags)
+                };
+                let samples: Vec<Sample> = (0..self.robots).map(sample).collect();
+                self.source.tick(&mut self.fleet, &samples, now_ns);
+            }
+        }
+
+        /// Answer about the next steps.
+        pub(super) fn ask(&self, robot: u32, steps: u64, reserve: f64) -> Answer {
+            let (state, budget) =
+                (world::plan_state(&self.fleet, robot), world::budget(&self.fleet, robot));
+            let duration_s = (steps as f64 * STEP_S) as f32;
+            let rows = (&state, &budget);
+            answered(small(reserve), energy(), rows, duration_s, self.step).expect("it is there")
+        }
+    }
+
+    /// Probability that a normal value with this mean and deviation is above a limit.
+    fn above(mean: f64, sd: f64, limit: f64) -> f64 {
+        let lowest = ((limit - mean) / sd).max(-8.0);
+        let density = |at: f64| (-0.5 * at * at).exp() / std::f64::consts::TAU.sqrt();
+        (0..16_000).map(|n| lowest + 1e-3 * (f64::from(n) + 0.5)).map(|at| 1e-3 * density(at)).sum()
+    }
+
+    #[test]
+    fn a_plan_states_before_it_what_the_budget_says_after_the_expected_energy() {
+        for before in [3, QUARTER, 2 * QUARTER] {
+            for sigmas in [-2.5, -1.0, -0.3, 0.0, 0.6, 1.3, 2.0, 4.0] {
+                let mut fleet = Fleet::new(1);
+                fleet.drive(before, 0);
+                let ask = |reserve| fleet.ask(0, QUARTER, reserve);
+                let shown = world::budget(&fleet.fleet, 0);
+                let reserve = f64::from(shown.soc) - 0.25 - sigmas * 0.02;
+                if reserve < 0.01 {
+                    continue;
+                }
+                let answer = ask(reserve);
+                fleet.drive(QUARTER, 0);
+                let after = world::budget(&fleet.fleet, 0);
+                assert!((shown.soc - after.soc - 0.25).abs() < 1e-4, "{after:?}");
+                let stated = f64::from(answer.probability.unwrap_or_else(|| panic!("{answer:?}")));
+                let found = above(after.soc.into(), after.soc_sd.into(), reserve);
+                println!(
+                    "after {before} steps, reserve {reserve:.3}: {stated:.4}, then {found:.4}"
+                );
+                assert!((stated - found).abs() < 0.01, "{stated} before, {found} after");
+                let is_yes = answer.verdict == Verdict::Yes;
+                let is_certain = f64::from(after.soc_lo) > reserve;
+                assert!(!is_yes || is_certain, "{answer:?}, {after:?}");
+                // The verdict adds up the errors that the probability adds as squares.
+                let margin = f64::from(after.soc_lo) - reserve;
+                assert!(is_yes || margin < 0.015, "{answer:?}, {after:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn of_plans_up_to_a_quarter_of_the_battery_as_many_succeed_as_stated() {
+        let mut tenths = [Tenth::default(); 10];
+        for seed in SEEDS {
+            let mut noise = Noise(seed);
+            let [fulls, gains] = std::array::from_fn(|_| normals(&mut noise));
+            let mut fleet = Fleet::new(1);
+            for driven in 1..3 * QUARTER {
+                fleet.drive(1, 0);
+                let steps = 3 + (uniform(&mut noise) * (QUARTER - 3) as f64) as u64;
+                let part = |steps: u64| 0.25 * steps as f64 / QUARTER as f64;
+                let shown = world::budget(&fleet.fleet, 0);
+                let spread = 5.0 * uniform(&mut noise) - 2.5;
+                let wanted = f64::from(shown.soc) - part(steps);
+                let reserve = wanted + spread * f64::from(shown.soc_sd);
+                if reserve < 0.01 {
+                    continue;
+                }
+                let answer = fleet.ask(0, steps, reserve);
+                let stated = f64::from(answer.probability.unwrap_or_else(|| panic!("{answer:?}")));
+                // To the worker all robots are the same one.
+                let happened = (0..ROBOTS).map(|robot| {
+                    let gain = battery().counting_sd * gains[robot];
+                    let drawn = part(driven + steps) * (1.0 + gain);
+                    FULL.0 + FULL.1 * fulls[robot] - drawn > reserve
+                });
+                add(&mut tenths, stated, happened);
+            }
+        }
+        assert_calibrated(&tenths, 0.02);
     }
 }
