@@ -61,7 +61,7 @@ rows! {
         /// Valid until, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
         #[instant]
         pub valid_until_ns: u64,
-        /// Mean power over the last minutes (exponentially weighted), W.
+        /// Mean power over the last minutes off the charger (exponentially weighted), W.
         pub mean_power_w: f32,
         /// Energy left in the battery, best estimate, J.
         pub left_j: f32,

@@ -579,7 +579,7 @@ typedef struct joulebus_budget {
     uint64_t stamp_ns;
     /** Valid until, monotonic ns: stamp_ns plus the platform's stale_after. */
     uint64_t valid_until_ns;
-    /** Mean power over the last minutes (exponentially weighted), W. */
+    /** Mean power over the last minutes off the charger (exponentially weighted), W. */
     float mean_power_w;
     /** Energy left in the battery, best estimate, J. */
     float left_j;
