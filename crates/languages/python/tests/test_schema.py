@@ -43,7 +43,7 @@ def tables(document):
 
 
 def test_every_shipped_file_is_as_its_schema_says(schemas):
-    assert all(len(paths) >= 2 for paths in KINDS.values())
+    assert all(KINDS.values())
     for kind, path in FILES:
         errors = list(schemas[kind].iter_errors(tomllib.loads(path.read_text())))
         assert not errors, f"{path}: {errors}"
@@ -78,7 +78,7 @@ def test_a_name_that_no_reader_knows_is_refused_by_the_schema_and_by_config_chec
             assert not schemas[kind].is_valid(document), f"{path}: {table}"
             del table["nmae_of_nothing"]
         assert schemas[kind].is_valid(document)
-        text, changed = re.subn(r"(?m)^(nam|broke|topi|forma)([erct]) = ", r"\1q\2 = ", path.read_text(), count=1)
+        text, changed = re.subn(r"(?m)^(nam|broke|topi|addres)([ercs]) = ", r"\1q\2 = ", path.read_text(), count=1)
         assert changed == 1, path
         wrong = tmp_path / path.name
         wrong.write_text(text)
