@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::last_sample::LastLanes;
 use crate::layout::lanes::{Block as _, LANES, block};
 use crate::layout::shift::Shift;
+use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;
 use crate::ledger::measured::{Measured, Seen};
@@ -26,51 +27,9 @@ const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
 /// not make such a deviation smaller. Only a measured, full or exchanged battery does.
 const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
-/// In place of an unknown charging power, W: it fills every battery at once.
-const ANY_W: f64 = 1e30;
 /// The charger or the battery reports that it is full. The battery was exchanged.
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
-
-/// A platform's settings for counting.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Counting {
-    /// 1 / J.
-    per_joule: f64,
-    sd: f64,
-    least_w: f64,
-    pub most_w: f64,
-    pub period_ns: u64,
-    reading: ChargeReading,
-    efficiency: f64,
-    charge_w: f64,
-}
-
-impl Counting {
-    #[inline(always)]
-    pub(crate) fn new(battery: &Battery, platform: &Platform) -> Self {
-        Self {
-            per_joule: 1.0 / battery.capacity_j,
-            sd: battery.counting_sd,
-            least_w: platform.power_min_w.into(),
-            most_w: f64::from(platform.power_max_w).max(0.0),
-            period_ns: platform.period_ns,
-            reading: battery.charge_reading,
-            efficiency: battery.charge_efficiency,
-            charge_w: battery.charge_power_w.unwrap_or(ANY_W),
-        }
-    }
-}
-
-impl Counting {
-    /// Change of the stored energy on the charger by an amount that the monitor counts. `None` if
-    /// it does not meter the charge.
-    #[inline(always)]
-    pub(crate) fn stored(&self, amount: f64) -> Option<f64> {
-        let is_metered = !matches!(self.reading, ChargeReading::Load);
-        is_metered.then(|| counted(self, amount, true))
-    }
-}
 
 /// An account of the ledger.
 #[derive(Debug, Clone, Copy)]
@@ -572,17 +531,6 @@ fn by_voltage(sample: &Sample, battery: &Battery) -> Option<f64> {
         power_w / voltage_v
     };
     table.soc(voltage_v.into(), current_a.into())
-}
-
-/// Change of the state of charge by a drawn share, negative if the power flowed the other way.
-#[inline(always)]
-fn counted(counting: &Counting, drawn: f64, charging: bool) -> f64 {
-    let stored = match counting.reading {
-        ChargeReading::Battery | ChargeReading::Load => -drawn,
-        ChargeReading::Charger => drawn,
-    };
-    let part = if stored > 0.0 { counting.efficiency } else { 1.0 };
-    if charging { part * stored } else { -drawn }
 }
 
 /// A battery's state from an earlier run, from a [`Budget`].

@@ -1,6 +1,6 @@
 //! Power in time that no reading meters.
 
-use crate::ledger::battery::Counting;
+use crate::ledger::counting::Counting;
 
 /// Periods up to which a gap is short: its power is that between the readings at its ends.
 const SHORT_PERIODS: u64 = 5;

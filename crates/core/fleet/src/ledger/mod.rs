@@ -1,6 +1,7 @@
 //! Energy: the ledger, and the energy left in the battery.
 
 pub(crate) mod battery;
+pub(crate) mod counting;
 pub(crate) mod departed;
 pub(crate) mod energy;
 mod fusion;

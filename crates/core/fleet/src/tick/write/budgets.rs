@@ -6,7 +6,8 @@ use joulebus_settings::Battery;
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
-use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting};
+use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging};
+use crate::ledger::counting::Counting;
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;

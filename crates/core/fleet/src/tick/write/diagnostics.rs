@@ -7,7 +7,7 @@ use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
-use crate::ledger::battery::Counting;
+use crate::ledger::counting::Counting;
 use crate::ledger::levels;
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
