@@ -14,9 +14,9 @@ const MIN_CONSTANT: u64 = 100;
 /// Changes of the voltage that a current should follow.
 const MIN_CHANGES: u64 = 10;
 /// Sizes of other currents among which that of [`UNMEASURED_A`] may be measured, A.
-const NEAR_A: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+pub(crate) const NEAR_A: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Steps in an ampere of a coarse monitor, which measures exactly 1 A now and then.
-const COARSE: f64 = 10.0;
+pub(crate) const COARSE: f64 = 10.0;
 /// Share of driving readings that are positive if the sign is right.
 const POSITIVE: f64 = 0.9;
 /// Power into the battery as a share of that of driving: less may be a monitor's offset.
@@ -172,6 +172,13 @@ impl CurrentMonitor {
             && !self.varies
             && self.voltage_changes >= MIN_CHANGES
             && !only_rested
+    }
+
+    /// True if the current has not changed yet, so that it may be no measurement: the voltage has
+    /// changed, or may do so before long.
+    pub(crate) const fn is_undecided(&self) -> bool {
+        let waits = self.voltage_changes >= MIN_CHANGES || self.readings < MIN_CONSTANT;
+        self.readings > 0 && !self.varies && waits
     }
 
     /// True if it is certain that nobody measures the current, though more will come: it is the same

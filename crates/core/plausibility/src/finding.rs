@@ -190,6 +190,11 @@ impl Finding {
         let quantity = self.quantity.map_or("time", Quantity::name);
         let column = column.unwrap_or("COLUMN");
         let accept = self.kind;
+        // The field of a mapping that may make power of the current.
+        let field = match self.quantity {
+            Some(Quantity::Power) => "power`, or `current",
+            _ => quantity,
+        };
         let remedy = match (self.remedy, source) {
             (Remedy::Turn, Source::Recording | Source::Array) => {
                 "turn the sign with --current discharge-negative".to_owned()
@@ -202,7 +207,8 @@ impl Finding {
                     .to_owned()
             }
             (Remedy::Turn, Source::Bridge) => format!(
-                "turn the sign with negate = true in the field `{quantity}`, or with current = \"discharge_positive\" of the battery"
+                "turn the sign: of MQTT with negate = true in the field `{field}`, of ROS 2 and VDA \
+                 5050 with the other `current`"
             ),
             (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
             (Remedy::Scale { .. } | Remedy::State(_), Source::Array) => format!(

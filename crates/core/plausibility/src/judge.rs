@@ -8,7 +8,7 @@ use crate::hold::Hold;
 use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
-use crate::sentinel::{dropped, sentinel, silent};
+use crate::sentinel::{Reserved, dropped, sentinel, silent};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
@@ -37,6 +37,7 @@ pub struct Known {
     unstated: [bool; 6],
     expected: [bool; 6],
     whole: bool,
+    turned: bool,
     time: TimeUnit,
 }
 
@@ -81,6 +82,19 @@ impl Known {
         self
     }
 
+    /// The sign of the current was turned after it was recorded: numbers that stand for no reading
+    /// are judged, and shown, as recorded.
+    #[must_use]
+    pub const fn turned(mut self, turned: bool) -> Self {
+        self.turned = turned;
+        self
+    }
+
+    /// A current as it was recorded, and the other way round.
+    const fn recorded(&self, current_a: f64) -> f64 {
+        if self.turned { -current_a } else { current_a }
+    }
+
     const fn least(&self, rows: u64) -> u64 {
         if self.whole { FEW_ROWS } else { rows }
     }
@@ -106,6 +120,7 @@ pub struct Judge {
     sign: Sign,
     hold: Hold,
     monitor: CurrentMonitor,
+    reserved: Reserved,
     /// Rows with power, voltage and current, and those where they differ.
     products: u64,
     mismatches: u64,
@@ -127,6 +142,7 @@ impl Judge {
             sign: Sign::default(),
             hold: Hold::default(),
             monitor: CurrentMonitor::default(),
+            reserved: Reserved::new(),
             products: 0,
             mismatches: 0,
             shift_s: Some(0.0),
@@ -158,6 +174,7 @@ impl Judge {
         self.sign.take(seen);
         self.hold.take(seen);
         self.monitor.take(seen);
+        self.reserved.take(self.known.recorded(seen.current_a));
     }
 
     /// Begins another recording of the same robot, or of one like it.
@@ -177,7 +194,13 @@ impl Judge {
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         // A current that nobody measures has no sign, and neither has the power made of it.
-        let mut found = if self.makes_power() { Vec::new() } else { self.signs() };
+        let of_current =
+            |one: Option<Quantity>| matches!(one, Some(Quantity::Power | Quantity::Current));
+        // Neither has it a unit. While it comes, it may turn out that nobody measures it.
+        let makes_power = self.makes_power();
+        let is_undecided = makes_power || self.is_undecided();
+        let mut found = if is_undecided { Vec::new() } else { self.signs() };
+        found.extend(self.voltage_sign());
         let magnitudes = Magnitudes {
             columns: &self.columns,
             ratios: &self.ratios,
@@ -187,14 +210,20 @@ impl Judge {
             unstated: &self.known.unstated,
             enough: self.known.least(MIN_ROWS),
         };
-        found.extend(magnitudes.judge());
+        let units = magnitudes.judge().into_iter();
+        found.extend(units.filter(|one| !(is_undecided && of_current(one.quantity))));
         found.extend(self.clock());
         found.extend(self.holds());
         for quantity in Quantity::ALL {
             let column = &self.columns[quantity as usize];
             found.extend(self.missing(quantity, column));
+            if makes_power && of_current(Some(quantity)) {
+                found.extend(self.constant(quantity, column));
+                continue;
+            }
             // Values in another unit or with the other sign are out of range as well.
-            let sentinel = sentinels(quantity, column);
+            let reserved = self.reserved().filter(|_| quantity == Quantity::Current);
+            let sentinel = reserved.or_else(|| self.sentinels(quantity, column));
             let is_read = sentinel.is_none();
             found.extend(sentinel);
             let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
@@ -251,18 +280,49 @@ impl Judge {
                 remedy: Remedy::Split,
             });
         }
-        if let Some(readings) = negative_voltage(&self.columns[Quantity::Voltage as usize]) {
-            found.push(Finding {
-                kind: Kind::Sign,
-                quantity: Some(Quantity::Voltage),
-                severity: Severity::Error,
-                readings,
-                found: format!("the voltage is negative in {readings} readings"),
-                allowed: "batteries have a positive voltage".to_owned(),
-                remedy: Remedy::Sensor,
-            });
-        }
         found
+    }
+
+    /// A number that means that there is no reading, as its file has it.
+    fn sentinels(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
+        let mut found = sentinels(quantity, column)?;
+        let is_turned = matches!(quantity, Quantity::Power | Quantity::Current);
+        if let (Remedy::Missing(written), true) = (&mut found.remedy, is_turned) {
+            *written = self.known.recorded(*written);
+        }
+        Some(found)
+    }
+
+    fn voltage_sign(&self) -> Option<Finding> {
+        let readings = negative_voltage(&self.columns[Quantity::Voltage as usize])?;
+        Some(Finding {
+            kind: Kind::Sign,
+            quantity: Some(Quantity::Voltage),
+            severity: Severity::Error,
+            readings,
+            found: format!("the voltage is negative in {readings} readings"),
+            allowed: "batteries have a positive voltage".to_owned(),
+            remedy: Remedy::Sensor,
+        })
+    }
+
+    /// The number among currents that drivers write where they measure none.
+    fn reserved(&self) -> Option<Finding> {
+        let (readings, recorded_a) = self.reserved.found()?;
+        let of = self.columns[Quantity::Current as usize].count;
+        Some(Finding {
+            kind: Kind::Sentinel,
+            quantity: Some(Quantity::Current),
+            severity: Severity::Error,
+            readings,
+            found: format!(
+                "current is exactly {} in {readings} of {of} readings, which drivers write where \
+                 they measure none",
+                Quantity::Current.shown(recorded_a)
+            ),
+            allowed: "a missing reading is empty or NaN".to_owned(),
+            remedy: Remedy::Unmeasured(self.known.recorded(recorded_a)),
+        })
     }
 
     /// Power that is not voltage times current, where no unit, and no full register or number for a
@@ -432,6 +492,13 @@ impl Judge {
         is_product && self.is_unmeasured()
     }
 
+    /// True if power is made of a current that may turn out to be no measurement.
+    fn is_undecided(&self) -> bool {
+        let is_product = self.products > 0 && self.mismatches == 0;
+        let current = &self.columns[Quantity::Current as usize];
+        !self.known.whole && is_product && !current.is_zero() && self.monitor.is_undecided()
+    }
+
     /// A current that never changes while the voltage does.
     fn unmeasured(&self, column: &Column) -> Finding {
         Finding {
@@ -442,7 +509,7 @@ impl Judge {
             found: format!(
                 "the current is {} in each of {} readings, while the voltage changes: it is not \
                  measured",
-                Quantity::Current.shown(column.first),
+                Quantity::Current.shown(self.known.recorded(column.first)),
                 column.count
             ),
             allowed: "a current changes with what the robot does".to_owned(),

@@ -73,7 +73,11 @@ impl Quantity {
 /// Four significant digits without an exponent, where that is short.
 pub(crate) fn number(value: f64) -> String {
     let size = value.abs();
-    if value == 0.0 || !value.is_finite() {
+    if value == 0.0 {
+        // Not that of a turned zero, which has a sign.
+        return "0".to_owned();
+    }
+    if !value.is_finite() {
         return format!("{value}");
     }
     if !(1e-4..1e7).contains(&size) {

@@ -95,7 +95,7 @@ impl Trial {
             mut on_charger,
             sources,
             left_out,
-            mut understood,
+            understood,
             time_name,
             states_time_unit,
             is_turned,
@@ -107,14 +107,7 @@ impl Trial {
         let by_sign = leave_out_charging(&timestamp_s, &mut columns);
         on_charger.extend(by_sign.into_iter().filter_map(|row| file_row.get(row).copied()));
         on_charger.sort_unstable();
-        if !on_charger.is_empty() {
-            understood.push(format!(
-                "{} of {} readings are on the charger: their power is no consumption, and \
-                 unknown",
-                on_charger.len(),
-                timestamp_s.len()
-            ));
-        }
+        on_charger.dedup();
         for column in &mut columns {
             if column.as_ref().is_some_and(|values| values.iter().all(|value| value.is_nan())) {
                 *column = None;
@@ -147,6 +140,7 @@ impl Trial {
             unnamed_rows,
             left_out,
             understood,
+            on_charger: trial.on_charger.len(),
             ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| trial.file_row(row))
         };
         let charged = (0..trial.rows()).filter(|row| trial.is_on_charger(*row)).count();
@@ -200,10 +194,14 @@ impl Trial {
     /// True if the power of `row` (from 0) is unknown because the robot is on its charger: the file
     /// says so, or the current flows into the battery.
     pub(crate) fn is_on_charger(&self, row: usize) -> bool {
-        let file_row = u32::try_from(self.file_row(row));
-        let is_said = file_row.is_ok_and(|row| self.on_charger.binary_search(&row).is_ok());
         let flows_in = || self.value(Column::Current, row).is_some_and(|current_a| current_a < 0.0);
-        self.value(Column::Power, row).is_none() && (is_said || flows_in())
+        self.value(Column::Power, row).is_none() && (self.is_said_to_charge(row) || flows_in())
+    }
+
+    /// True if the file says so, or the sign of power over seconds.
+    fn is_said_to_charge(&self, row: usize) -> bool {
+        let file_row = u32::try_from(self.file_row(row));
+        file_row.is_ok_and(|row| self.on_charger.binary_search(&row).is_ok())
     }
 
     /// Median step between rows whose time advances, ns. At least 1.
@@ -214,6 +212,16 @@ impl Trial {
     /// The columns of a CSV that were read. Empty for other formats, which state their units.
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
+    }
+
+    /// The name of a column in the file.
+    pub(crate) fn name_of(&self, column: Column) -> &str {
+        match self.sources.iter().find(|source| source.column == column) {
+            Some(source) => &source.name,
+            // Power of voltage and current has no column.
+            None if column == Column::Power && !self.sources.is_empty() => "power",
+            None => column.name(),
+        }
     }
 
     /// The name of a CSV's column with the time as a number.

@@ -88,6 +88,21 @@ struct Recording {
     /// Time of its first row, Unix ns, if the recording has it.
     start_unix_ns: Option<u64>,
     trial: Trial,
+    /// Powers that its messages had, and that were left out.
+    left_out: usize,
+}
+
+impl Recording {
+    /// The readings that are on the charger, though no message says so.
+    fn by_sign(&self) -> Option<String> {
+        let (by_sign, of) = (self.left_out, self.trial.rows());
+        (by_sign > 0).then(|| {
+            format!(
+                "{by_sign} of {of} readings are on the charger by the sign of their power at rest, \
+                 which no message says: their power is no consumption, and unknown"
+            )
+        })
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -162,15 +177,20 @@ fn read_bag(
     recordings: &mut Vec<Recording>,
 ) -> anyhow::Result<Source> {
     let named = || path.display().to_string();
-    let BagRead { imported, mut left_out } =
+    let BagRead { mut imported, mut left_out } =
         bag::read(path, &stem(path), mapping).with_context(named)?;
-    for robot in &imported.robots {
+    for robot in &mut imported.robots {
+        let mut notes = Vec::new();
         for found in runs(path, robot) {
             match found {
-                Ok(recording) => recordings.push(recording),
+                Ok(recording) => {
+                    notes.extend(recording.by_sign());
+                    recordings.push(recording);
+                }
                 Err(error) => left_out.push(format!("{}: {error}", robot.name)),
             }
         }
+        robot.notes.extend(notes);
     }
     Ok(Source { file: named(), imported: Some(imported), trial: None, left_out })
 }
@@ -207,6 +227,9 @@ fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::
         bail!(WITHOUT_POWER);
     }
     let start_ns = first.time_ns;
+    let known = rows.iter().filter(|row| row.power_w.is_finite()).count();
+    let charged = rows.iter().enumerate().filter(|(_, row)| row.on_charger);
+    let charged: Vec<usize> = charged.map(|(at, _)| at).collect();
     let rows = rows.iter().map(|row| Row {
         timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
         values: [
@@ -224,12 +247,16 @@ fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::
             row.soc,
         ],
     });
+    let trial = Trial::from_bag(path, &robot.name, rows, &charged, robot.is_turned)?;
+    let power_w = trial.column(Column::Power).unwrap_or_default();
+    let kept = power_w.iter().filter(|power_w| power_w.is_finite()).count();
     Ok(Recording {
         name: robot.name.clone(),
         id: robot.id,
         is_of_bag: true,
         start_unix_ns: Some(start_ns),
-        trial: Trial::from_rows(path, &robot.name, rows)?,
+        left_out: known - kept,
+        trial,
     })
 }
 
@@ -278,6 +305,7 @@ fn read_trials(
             id: robot.parse().ok().filter(|_| from_capture && *run == 1),
             is_of_bag: false,
             start_unix_ns: None,
+            left_out: 0,
             trial,
         });
     }

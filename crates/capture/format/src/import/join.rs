@@ -42,6 +42,8 @@ pub struct Row {
     pub v_measured_mps: f64,
     /// Measured angular velocity, rad/s.
     pub omega_measured_radps: f64,
+    /// The message says that the battery is on the charger.
+    pub on_charger: bool,
 }
 
 /// Times of a message, by clock.
@@ -622,5 +624,6 @@ fn row(time_ns: u64, reading: Reading, command: Option<Command>, motion: Option<
         soc: if reading.soc.is_finite() { reading.soc } else { unknown },
         v_measured_mps: motion.map_or(unknown, |motion| motion.v_mps),
         omega_measured_radps: motion.map_or(unknown, |motion| motion.omega_radps),
+        on_charger: reading.charging == Some(true),
     }
 }

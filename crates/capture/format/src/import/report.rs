@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::channel::Channel;
 use super::join::{Row, Track};
-use super::mapping::TimeSource;
+use super::mapping::{CurrentSign, TimeSource};
 use joulebus_ros_messages::RosError;
 
 /// Messages of a topic, used and refused.
@@ -51,6 +51,9 @@ pub struct RobotReport {
     pub command: Option<TopicReport>,
     /// Its odometry.
     pub odometry: Option<TopicReport>,
+    /// True if its current was turned, because it is negative while the battery discharges.
+    #[serde(skip)]
+    pub is_turned: bool,
     /// Readings merged into the last one of their burst.
     pub merged_in_bursts: u64,
     /// Rows.
@@ -141,6 +144,7 @@ fn robot(mut track: Track) -> RobotReport {
         battery: topic(robot.battery, battery.messages, battery.refused),
         command: robot.command.map(|name| topic(name, command.messages, command.refused)),
         odometry: robot.odometry.map(|name| topic(name, odometry.messages, odometry.refused)),
+        is_turned: robot.current == CurrentSign::DischargeNegative,
         merged_in_bursts: joined.merged,
         row_count: joined.rows.len() as u64,
         notes: joined.notes,

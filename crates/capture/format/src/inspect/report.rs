@@ -91,7 +91,9 @@ impl fmt::Display for Inspection {
             }
         };
         writeln!(out, "statistics   {statistics}")?;
-        writeln!(out, "findings     {} errors, {} notes", self.errors, self.notes)
+        let s = |count: u64| if count == 1 { "" } else { "s" };
+        let (errors, notes) = (self.errors, self.notes);
+        writeln!(out, "findings     {errors} error{}, {notes} note{}", s(errors), s(notes))
     }
 }
 

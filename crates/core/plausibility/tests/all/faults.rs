@@ -159,6 +159,63 @@ fn numbers_that_stand_for_no_reading_are_found() {
     }
 }
 
+/// A sign option hides no number for a missing value, and no remedy makes a reading of it.
+#[test]
+fn numbers_that_stand_for_no_reading_are_judged_as_recorded() {
+    for one in robots() {
+        for (number, turned, discharge) in [
+            (-1.0, false, 1.0),
+            (-1.0, false, -1.0),
+            (-1.0, true, 1.0),
+            (-1.0, true, -1.0),
+            (-999.0, true, -1.0),
+            (-999.0, true, 1.0),
+        ] {
+            let mut rows = one.rows();
+            let sign = if turned { -1.0 } else { 1.0 };
+            for (at, seen) in rows.iter_mut().enumerate() {
+                let recorded_a = if at % 3 == 0 { number } else { discharge * seen.current_a };
+                seen.current_a = sign * recorded_a;
+                seen.power_w = seen.voltage_v * seen.current_a;
+            }
+            let found = judged(Known::default().whole().turned(turned), &rows);
+            let of = (Kind::Sentinel, Some(Quantity::Current));
+            let sentinel = found.iter().find(|one| (one.kind, one.quantity) == of);
+            let case = format!("{number} {turned} {discharge} {one:?}");
+            let sentinel = sentinel.unwrap_or_else(|| panic!("{case}: {found:?}"));
+            let source = if turned { Source::TurnedRecording } else { Source::Recording };
+            let remedy = sentinel.remedy(source, Some("current_A"));
+            assert!(sentinel.is_error(), "{case}: {sentinel:?}");
+            assert!(remedy.contains(&format!("missing:={number}")), "{case}: {remedy}");
+            assert!(number != -1.0 || !remedy.contains("--accept"), "{case}: {remedy}");
+        }
+    }
+}
+
+/// While readings come, the first ones of a current that nobody measures have no other finding.
+#[test]
+fn a_current_that_is_no_measurement_has_no_sign_and_no_unit() {
+    for one in robots() {
+        for current_a in [-1.0, 0.01, -0.01, 1.0, -2.5, 1e3] {
+            let mut judge = Judge::new(Known::default());
+            for (at, seen) in one.rows().iter().enumerate() {
+                let voltage_v = seen.voltage_v + 1e-3 * (at % 7) as f64;
+                let power_w = voltage_v * current_a;
+                judge.take(&Observation { voltage_v, current_a, power_w, ..*seen });
+                if at % 32 == 0 {
+                    let found = judge.findings();
+                    let mut others = found.iter().filter(|found| {
+                        (found.kind, found.quantity) != (Kind::Constant, Some(Quantity::Current))
+                    });
+                    assert_eq!(others.next(), None, "{current_a} A, {at}: {one:?}");
+                }
+            }
+            let found = judge.findings();
+            assert!(is_found(&found, Kind::Constant, Quantity::Current), "{current_a}: {one:?}");
+        }
+    }
+}
+
 #[test]
 fn a_unit_or_a_sign_that_changes_is_found() {
     for one in robots() {

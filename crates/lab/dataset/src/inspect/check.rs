@@ -254,7 +254,7 @@ fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Occurr
     Occurrence {
         file: trial.path().to_owned(),
         row: Some(trial.file_row(row)),
-        column: column.map(|column| column.name().to_owned()),
+        column: column.map(|column| trial.name_of(column).to_owned()),
         what,
     }
 }
@@ -324,6 +324,8 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
 }
 
 fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
+    let power_w = trial.column(Column::Power);
+    let is_missing = |row: usize| power_w.is_none_or(|values| values[row].is_nan());
     for column in Column::ALL {
         let Some(values) = trial.column(column) else {
             found.add(FindingKind::MissingColumn, 1, || {
@@ -334,18 +336,22 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let range = limits.range(column);
         for (row, value) in values.iter().enumerate() {
             if value.is_nan() {
-                // Missing power has its own kind, and no capture has the command of its first
-                // reading.
+                // A row without a power has its own kind, with what power is made of, and no
+                // capture has the command of its first reading.
+                let is_reading = column == Column::Power
+                    || (matches!(column, Column::Voltage | Column::Current) && is_missing(row));
                 let is_first = row == 0 && matches!(column, Column::V | Column::Omega);
-                let counts = usize::from(column != Column::Power && !is_first);
+                let counts = usize::from(!is_reading && !is_first);
                 found.add(FindingKind::MissingValue, counts, || {
                     at(trial, row, Some(column), "not recorded".to_owned())
                 });
             } else if let Some(range) = range.filter(|range| !range.holds(*value)) {
                 found.add(FindingKind::OutOfRange, 1, || {
                     let what = format!(
-                        "{value} in SI units, allowed: {} to {}",
-                        range.least, range.greatest
+                        "{}, allowed: {} to {}",
+                        column.shown(*value),
+                        range.least,
+                        range.greatest
                     );
                     at(trial, row, Some(column), what)
                 });
@@ -353,7 +359,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
         }
         if let Some(value) = only_value(trial, column) {
             found.add(FindingKind::ConstantColumn, 1, || {
-                whole(trial, Some(column), format!("always {value} in SI units"))
+                whole(trial, Some(column), format!("always {}", column.shown(value)))
             });
         }
     }
@@ -394,6 +400,9 @@ fn check_file(trial: &Trial, found: &mut Findings) {
     }
     for understood in &notes.understood {
         found.add(FindingKind::Understood, 1, || whole(trial, None, understood.clone()));
+    }
+    if let Some(charged) = notes.charged() {
+        found.add(FindingKind::OnCharger, notes.on_charger, || whole(trial, None, charged));
     }
     let left_out = &notes.left_out;
     for (row, what) in &left_out.first {

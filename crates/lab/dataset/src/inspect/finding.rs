@@ -63,6 +63,8 @@ pub enum FindingKind {
     Held,
     /// A form of text that is not usual.
     Understood,
+    /// Readings on the charger.
+    OnCharger,
 }
 
 impl FindingKind {
@@ -101,6 +103,7 @@ impl FindingKind {
                 | Self::ConstantColumn
                 | Self::Held
                 | Self::Understood
+                | Self::OnCharger
         )
     }
 }
@@ -129,6 +132,7 @@ impl fmt::Display for FindingKind {
             Self::CutOff => "files that may be truncated",
             Self::NoRow => "lines that are no whole rows",
             Self::Understood => "forms of text that were recognised",
+            Self::OnCharger => "readings on the charger",
             Self::UnnamedRow => "rows without a robot name",
             Self::UnknownColumn => "unknown columns",
             Self::MissingColumn => "columns that are not recorded",

@@ -104,13 +104,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         let judged = JUDGED.iter().find(|(of, _)| *of == quantity);
         judged.map(|(_, column)| *column)
     });
-    let source = |column| trial.sources().iter().find(|source| source.column == column);
-    let name = column.map(|column| match source(column) {
-        Some(source) => source.name.clone(),
-        // Power of voltage and current has no column.
-        None if !trial.sources().is_empty() => "power".to_owned(),
-        None => column.name().to_owned(),
-    });
+    let name = column.map(|column| trial.name_of(column).to_owned());
     let from = match from {
         Source::Recording if trial.is_turned() => Source::TurnedRecording,
         Source::Recording if is_array(trial) => Source::Array,
@@ -135,7 +129,7 @@ fn known(trial: &Trial, limits: &Limits) -> Known {
         (Some(_), true) => TimeUnit::Named,
         (Some(_), false) => TimeUnit::Unstated,
     };
-    let mut known = Known::default().whole().timed(time);
+    let mut known = Known::default().whole().timed(time).turned(trial.is_turned());
     for (quantity, column) in JUDGED {
         if let Some(range) = limits.range(column) {
             known = known.within(quantity, range.least, range.greatest);

@@ -6,7 +6,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::limits::{InMemory, MAX_ROWS};
-use super::table::{Column, ROBOT_NAMES, TIME_NAMES, Table};
+use super::table::{CHARGING_NAME, Column, ROBOT_NAMES, TIME_NAMES, Table};
 
 /// The quantity of a file's column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -596,7 +596,8 @@ const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
 /// True if a header is that of a table which joulebus writes.
 fn is_converted(names: &[String]) -> bool {
     let first = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter();
-    let mut own = first.chain(Column::ALL.map(Column::name));
+    let last = [CHARGING_NAME];
+    let mut own = first.chain(Column::ALL.map(Column::name)).chain(last);
     names.first().is_some_and(|name| name == ROBOT_NAMES[0])
         && names.iter().all(|name| own.any(|one| one == name))
 }

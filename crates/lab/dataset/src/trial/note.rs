@@ -32,6 +32,8 @@ pub struct TrialNotes {
     pub left_out: LeftOut,
     /// Interpretation of the text of a CSV, where it is not usual.
     pub understood: Vec<String>,
+    /// Readings on the charger, whose power is no consumption, and unknown.
+    pub on_charger: usize,
 }
 
 /// A gap between rows.
@@ -54,6 +56,18 @@ impl TrialNotes {
             && self.ignored_columns.is_empty()
             && !self.no_final_line_break
             && self.left_out.lines == 0
+    }
+
+    /// The readings on the charger in words, if there are any.
+    #[must_use]
+    pub fn charged(&self) -> Option<String> {
+        let Self { on_charger, rows, .. } = self;
+        (*on_charger > 0).then(|| {
+            format!(
+                "{on_charger} of {rows} readings are on the charger: their power is no \
+                 consumption, and unknown"
+            )
+        })
     }
 }
 
@@ -88,6 +102,9 @@ impl fmt::Display for TrialNotes {
         }
         for understood in &self.understood {
             write!(out, ", {understood}")?;
+        }
+        if let Some(charged) = self.charged() {
+            write!(out, ", {charged}")?;
         }
         if self.left_out.lines > 0 {
             write!(out, ", {}", self.left_out)?;

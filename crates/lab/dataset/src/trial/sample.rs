@@ -13,7 +13,8 @@ impl Trial {
     /// row, so that every reading is scored against a forecast. `base_ns` is the time of the first
     /// row, monotonic ns.
     ///
-    /// A value that was not recorded has its flag cleared. A reading equal to the bit to that of
+    /// A value that was not recorded has its flag cleared, and a row on the charger has its flag set.
+    /// A reading equal to the bit to that of
     /// the row before (power, voltage and current) is held and keeps the measurement time of the
     /// first of its run. Times that do not advance are passed on unchanged: ingest refuses them.
     pub fn to_samples(&self, robot: u32, base_ns: u64) -> Vec<Sample> {
@@ -34,6 +35,9 @@ impl Trial {
             }
             if held {
                 sample.flags |= sample_flag::HELD;
+            }
+            if self.is_said_to_charge(row) {
+                sample.flags |= sample_flag::CHARGING;
             }
             let mut set = |field: &mut f32, flag, column, row| {
                 if let Some(value) = self.value(column, row) {

@@ -93,6 +93,16 @@ impl Column {
         }
     }
 
+    /// A value in SI units, with its unit.
+    pub(crate) fn shown(self, value: f64) -> String {
+        let unit = if self.is_milli() { &self.unit()[1..] } else { self.unit() };
+        // A turned zero has a sign.
+        match (value + 0.0, unit) {
+            (value, "1") => value.to_string(),
+            (value, unit) => format!("{value} {unit}"),
+        }
+    }
+
     /// Converts a value of a file to SI units.
     pub(super) const fn si(self, recorded: f64) -> f64 {
         if self.is_milli() { recorded / 1000.0 } else { recorded }
@@ -123,6 +133,8 @@ pub struct SourceColumn {
 
 /// Accepted names of the robot column in a CSV.
 pub(super) const ROBOT_NAMES: &[&str] = &["robot_id"];
+/// Name of the column that is 1 on the charger, in a CSV that has such rows.
+pub(super) const CHARGING_NAME: &str = "charging";
 /// Accepted names of the time column in a CSV.
 pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
 
@@ -291,6 +303,12 @@ impl Table {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
+    /// True if row `row` (from 0) is on the charger.
+    pub(super) fn is_on_charger(&self, row: usize) -> bool {
+        let file_row = u32::try_from(self.file_row(row));
+        file_row.is_ok_and(|row| self.on_charger.binary_search(&row).is_ok())
+    }
+
     /// True if the file, a CSV, does not end with a newline.
     pub fn no_final_line_break(&self) -> bool {
         self.no_final_line_break
@@ -369,7 +387,9 @@ impl Table {
         };
         for ((power, flags), row) in power.iter_mut().zip(flags).zip(&self.file_row) {
             let charging = Some(flags & sample_flag::CHARGING != 0);
-            if is_charge(*power, f64::NAN, false, charging) {
+            // One that is unknown was left out before.
+            let is_left_out = power.is_nan() && charging == Some(true);
+            if is_left_out || is_charge(*power, f64::NAN, false, charging) {
                 *power = f64::NAN;
                 self.on_charger.push(*row);
             }

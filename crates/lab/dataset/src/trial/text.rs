@@ -1003,7 +1003,7 @@ impl Layout {
         let table = tables.of(cell, &name)?;
         table.push_any_time(cell, time_s)?;
         // Whether the meter is the battery's or the robot's is not known.
-        if charging == Some(true) && !values[Column::Power as usize].is_nan() {
+        if charging == Some(true) {
             values[Column::Power as usize] = f64::NAN;
             table.on_charger.push(cell.row as u32);
         }

@@ -7,7 +7,7 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use joulebus_files::ends_in;
 
-use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
+use super::table::{CHARGING_NAME, Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
 use crate::npy;
 use joulebus_predictor::nan::canonical_f64;
@@ -32,7 +32,24 @@ impl Trial {
         robot_name: &str,
         rows: impl IntoIterator<Item = Row>,
     ) -> Result<Self, TrialError> {
+        Self::from_bag(path, robot_name, rows, &[], false)
+    }
+
+    /// The same of a bag, whose messages say which rows (from 0) are on the charger. `is_turned`:
+    /// the sign of their current was turned.
+    ///
+    /// # Errors
+    /// As [`Trial::from_rows`].
+    pub fn from_bag(
+        path: &Path,
+        robot_name: &str,
+        rows: impl IntoIterator<Item = Row>,
+        on_charger: &[usize],
+        is_turned: bool,
+    ) -> Result<Self, TrialError> {
         let mut table = Table {
+            is_turned,
+            on_charger: on_charger.iter().map(|row| *row as u32 + 1).collect(),
             path: path.to_owned(),
             robot_name: (!robot_name.is_empty()).then(|| robot_name.to_owned()),
             ..Table::default()
@@ -173,7 +190,8 @@ pub enum WriteError {
 impl Table {
     /// Writes the table in the format given by the file name's extension. The file must not exist
     /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs.
-    /// Columns without values may be missing.
+    /// Columns without values may be missing. A CSV with rows on the charger has a column that says
+    /// which.
     ///
     /// # Errors
     /// [`WriteError`]: what the format cannot represent is refused, never dropped.
@@ -203,12 +221,18 @@ impl Table {
             .collect::<Vec<_>>();
         let names = columns.iter().map(|(column, _)| column.name());
         let names = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter().chain(names);
+        // Otherwise a power that was left out would be one that is missing.
+        let charging = (!self.on_charger.is_empty()).then_some(CHARGING_NAME);
+        let names = names.chain(charging);
         writeln!(out, "{}", names.collect::<Vec<_>>().join(","))?;
         let robot = quoted(self.robot_name().unwrap_or("NaN"));
         for (row, time_s) in self.timestamp_s.iter().enumerate() {
             write!(out, "{robot},{time_s}")?;
             for (_, values) in &columns {
                 write!(out, ",{}", values.get(row).copied().unwrap_or(f64::NAN))?;
+            }
+            if charging.is_some() {
+                write!(out, ",{}", u8::from(self.is_on_charger(row)))?;
             }
             writeln!(out)?;
         }

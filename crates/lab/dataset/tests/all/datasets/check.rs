@@ -77,7 +77,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
             row[10] = NAN;
         }),
         (MissingValue, &[10], "v_cmd_mps", 9..10, |row| row[3] = NAN),
-        (OutOfRange, &[10], "12 in SI units", 9..10, |row| {
+        (OutOfRange, &[10], "12 m/s, allowed", 9..10, |row| {
             row[3] = 12.0;
         }),
         (OutOfRange, &[10], "voltage_mV", 9..10, |row| row[8] *= -1.0),

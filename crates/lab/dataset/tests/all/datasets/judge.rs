@@ -273,9 +273,17 @@ fn power_on_the_charger_is_no_consumption_in_any_format() {
             check_files(std::slice::from_ref(&path), &ColumnMap::default(), &Limits::default(), 3);
         assert!(check.is_sound(), "{name}: {check:?}");
         // Written again, it is the same: no missing readings, and no power of the product.
-        let again = path.with_extension("again.csv");
-        trial.write_csv(&again).unwrap();
-        let again = Trial::read(&again).unwrap();
+        let written = path.with_extension("again.csv");
+        trial.write_csv(&written).unwrap();
+        let check = check_files(
+            std::slice::from_ref(&written),
+            &ColumnMap::default(),
+            &Limits::default(),
+            3,
+        );
+        assert!(check.is_sound(), "{name}: {check:?}");
+        let again = Trial::read(&written).unwrap();
+        assert!(again.notes().charged().unwrap().contains("150 of 300"), "{name}");
         let power = again.column(Column::Power).unwrap();
         assert_eq!(power.iter().filter(|power_w| power_w.is_finite()).count(), 150, "{name}");
         if name != "positive.csv" && name != "flag.csv" && name != "status.csv" {
