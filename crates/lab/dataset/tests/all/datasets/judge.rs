@@ -331,3 +331,44 @@ fn a_current_that_is_not_measured_stops_and_no_remedy_makes_a_power_of_it() {
         .write("measured.csv", table(in_amperes, &|row| 0.3 + 0.1 * (row % 3) as f64).as_bytes());
     assert_eq!(errors(&measured, &ColumnMap::default()), []);
 }
+
+/// What a bag's messages say of the charger stays said, and a row without a reading counts once.
+#[test]
+fn rows_of_a_bag_on_the_charger_are_no_faults_and_others_count_once() {
+    let files = Files::new();
+    let known = |row: usize, current_a: f64, power_w: f64| joulebus_dataset::trial::Row {
+        timestamp_s: 0.1 * row as f64,
+        values: std::array::from_fn(|at| match at {
+            6 => 24.0 - 0.01 * (row % 7) as f64,
+            7 => current_a,
+            8 => power_w,
+            1 | 2 => 0.1 * (row % 5) as f64,
+            _ => f64::NAN,
+        }),
+    };
+    let drives = |row: usize| {
+        let current_a = 0.4 + 0.1 * (1.3 * row as f64).sin();
+        known(row, current_a, (24.0 - 0.01 * (row % 7) as f64) * current_a)
+    };
+    let charged: Vec<usize> = (150..300).collect();
+    for (name, current_a, on_charger, faults) in [
+        ("in", -2.9, &charged[..], 0),
+        ("out", 2.9, &charged[..], 0),
+        ("unmeasured", f64::NAN, &[][..], 150),
+    ] {
+        let rows = (0..300).map(|row| match row {
+            150.. => known(row, current_a + 0.01 * (row % 3) as f64, f64::NAN),
+            _ => drives(row),
+        });
+        let path = files.write(&format!("{name}.bag"), b"");
+        let trial = Trial::from_bag(&path, "r", rows, on_charger, true).unwrap();
+        let written = path.with_extension("csv");
+        trial.write_csv(&written).unwrap();
+        let (map, limits) = (ColumnMap::default(), Limits::default());
+        let check = check_files(std::slice::from_ref(&written), &map, &limits, 3);
+        assert_eq!(check.faults, faults, "{name}: {check:?}");
+        let flags = trial.to_samples(7, 1).into_iter();
+        let flags = flags.filter(|one| one.has(joulebus_wire::sample_flag::CHARGING));
+        assert_eq!(flags.count(), on_charger.len(), "{name}");
+    }
+}
