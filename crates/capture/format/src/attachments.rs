@@ -14,7 +14,7 @@ use crate::Clock;
 
 /// Name of the metadata record that describes the file.
 const ABOUT: &str = "joulebus";
-/// Name of the metadata record with the hash of each attachment.
+/// Name of the metadata record with the hash of each attachment, and of the record above.
 const HASHES: &str = "joulebus.sha256";
 /// Version of the whole format: topics, attachments, metadata.
 const FORMAT: &str = "1";
@@ -152,23 +152,37 @@ impl Attachments {
         Ok(found.then(|| directory.join(CONFIG)))
     }
 
-    /// Attachments whose bytes differ from their hash in the capture, or that have no hash.
+    /// Attachments whose bytes differ from their hash in the capture, or that have no hash, and the
+    /// [`joulebus` record](Attachments::about) if it differs. Earlier versions have no hash of that.
     #[must_use]
     pub fn altered(&self) -> Vec<&str> {
         let hashes = self.metadata.get(HASHES);
+        let of_about = hashes.and_then(|hashes| hashes.get(ABOUT));
+        let is_other = of_about.is_some_and(|hash| *hash != self.hash_of_about());
         let is_altered = |file: &&Attached| {
             let hash = hashes.and_then(|hashes| hashes.get(&file.name));
             hash != Some(&hex(&file.bytes))
         };
         let altered = self.files.iter().filter(is_altered);
-        altered.map(|file| file.name.as_str()).collect()
+        let altered = altered.map(|file| file.name.as_str());
+        altered.chain(is_other.then_some(ABOUT)).collect()
+    }
+
+    fn hash_of_about(&self) -> String {
+        let mut text = String::new();
+        for (key, value) in self.metadata.get(ABOUT).into_iter().flatten() {
+            // Writing to a String cannot fail.
+            let _ = write!(text, "{}:{key}{}:{value}", key.len(), value.len());
+        }
+        hex(text.as_bytes())
     }
 
     pub(crate) fn metadata_records(&self) -> Vec<mcap::write::Metadata> {
         let mut records = self.metadata.clone();
         let files = self.files.iter();
         let hashes = files.map(|file| (file.name.clone(), hex(&file.bytes)));
-        records.insert(HASHES.to_owned(), hashes.collect());
+        let about = (ABOUT.to_owned(), self.hash_of_about());
+        records.insert(HASHES.to_owned(), hashes.chain([about]).collect());
         let records = records.into_iter();
         records.map(|(name, metadata)| mcap::write::Metadata { name, metadata }).collect()
     }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::hash::{BuildHasher as _, Hash, Hasher, RandomState};
 
 use joulebus_wire::{
-    Channel, Forecasts, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
+    Channel, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
 };
 
 use crate::output::Output;
@@ -14,8 +14,8 @@ use joulebus_capture_format::{Content as _, Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
 const MAX_LEAD_TICKS: u64 = 64;
-/// Maximum number of ticks that are incomplete at the end of a run or a recording: a worker is
-/// killed between two outputs of a tick, and a recorder between two messages.
+/// Maximum number of ticks that are incomplete at either end of a run or a recording: a worker is
+/// killed between two outputs of a tick, and a recorder begins and ends between two messages.
 const MAX_CUT_OFF_TICKS: u64 = 2;
 /// Number of the last ticks of a run, and of the last frames of samples, whose bits are remembered
 /// to recognise copies.
@@ -30,6 +30,11 @@ const MAX_RUNS: usize = 8;
 const MAX_KEYFRAME_BYTES: u64 = 512 << 20;
 
 pub(super) type SampleFrame = Frame<Samples>;
+
+/// True if a tick may be cut off by the end of its run, whose last one is `last`.
+pub(super) const fn is_among_last(tick: u64, last: u64) -> bool {
+    tick.saturating_add(MAX_CUT_OFF_TICKS) > last
+}
 
 /// Recorded parts of one tick.
 #[derive(Debug, Default)]
@@ -53,8 +58,8 @@ pub(super) struct TickParts {
 pub(super) enum Event {
     /// A tick with all its parts. Ticks of a run are in order.
     Tick { worker_epoch: u64, tick: u64, parts: Box<TickParts> },
-    /// A complete keyframe: the state after `tick`. `before_hash` names the one before it.
-    Keyframe { worker_epoch: u64, tick: u64, bytes: Vec<u8>, before_hash: u64 },
+    /// A complete keyframe, with the header of its first piece.
+    Keyframe { header: StateHeader, bytes: Vec<u8> },
     /// A keyframe with a missing piece. `is_cut_off` if its run ended before it was complete.
     Broken { worker_epoch: u64, tick: u64, is_cut_off: bool },
     /// A frame that contradicts an earlier one, or belongs to no tick.
@@ -229,7 +234,8 @@ impl Assembler {
 
     /// Frames of samples that no tick took, as far as known.
     pub(super) fn untaken_frames(&self) -> u64 {
-        self.frames.untaken + self.frames.held as u64
+        let held = self.frames.frames.keys();
+        self.frames.untaken + held.filter(|key| !self.frames.taken.contains_key(key)).count() as u64
     }
 
     /// Cause that a message of `kind` is missing: lost, or never sent because the run ended.
@@ -237,6 +243,12 @@ impl Assembler {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let is_cut_off = self.kinds.contains(&kind) && self.is_over(run, tick) && tick > newest;
         if is_cut_off { Loss::End } else { lost }
+    }
+
+    /// The newest tick of a run of which the capture has anything.
+    pub(super) fn last_tick(&self, run: u64) -> u64 {
+        let kinds = self.kinds.iter().map(|kind| self.newest.get(&(run, *kind)));
+        kinds.flatten().copied().max().unwrap_or_default()
     }
 
     /// Same as [`Assembler::lack`], for a frame of samples.
@@ -254,16 +266,14 @@ impl Assembler {
 
     /// True if the run has ended, and `tick` is among its last.
     fn is_over(&self, run: u64, tick: u64) -> bool {
-        let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
-        let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
         let is_newest = self.runs.keys().next_back().is_none_or(|newest| *newest <= run);
-        (self.ended || !is_newest) && tick.saturating_add(MAX_CUT_OFF_TICKS) > last
+        (self.ended || !is_newest) && is_among_last(tick, self.last_tick(run))
     }
 
     /// True if `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
         self.first.is_some_and(|(first_run, first)| {
-            run == first_run && tick < first.saturating_add(MAX_LEAD_TICKS)
+            run == first_run && tick < first.saturating_add(MAX_CUT_OFF_TICKS)
         })
     }
 
@@ -363,12 +373,7 @@ impl Assembler {
         let is_whole =
             |(first, sofar): &mut (StateHeader, Vec<u8>)| sofar.len() as u64 == first.total_bytes;
         if let Some((first, whole)) = pieces.open.take_if(is_whole) {
-            self.events.push_back(Event::Keyframe {
-                worker_epoch: first.worker_epoch,
-                tick: first.tick,
-                bytes: whole.clone(),
-                before_hash: first.before_hash,
-            });
+            self.events.push_back(Event::Keyframe { header: first, bytes: whole.clone() });
             pieces.whole = Some((first, whole));
         }
     }
@@ -502,7 +507,9 @@ impl FrameStore {
             };
             // A tick may have taken it: the order keeps entries of taken frames.
             if self.holds(number, oldest) {
-                self.untaken += u64::from(self.get(oldest).is_some());
+                // Copies of one that a tick took do not count.
+                let is_other = !self.taken.contains_key(&oldest);
+                self.untaken += u64::from(self.get(oldest).is_some() && is_other);
             }
         }
         // Taken frames are removed from the order once they are more than half of it.
@@ -589,7 +596,7 @@ impl FrameStore {
 #[cfg(test)]
 mod tests {
     use joulebus_wire::{
-        BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, TickHeader,
+        BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts, TickHeader,
     };
 
     use super::*;

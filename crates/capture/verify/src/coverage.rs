@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use joulebus_wire::{Channel as _, State};
 use serde::Serialize;
 
 use crate::report::Loss;
@@ -57,6 +58,19 @@ pub(super) enum Settled {
 }
 
 impl ChannelCoverage {
+    fn add(&mut self, other: Self) {
+        self.sent += other.sent;
+        self.recomputed += other.recomputed;
+        self.compared += other.compared;
+        for (reasons, others) in
+            [(&mut self.excused, other.excused), (&mut self.missing, other.missing)]
+        {
+            for (reason, count) in others {
+                *reasons.entry(reason).or_default() += count;
+            }
+        }
+    }
+
     pub(super) fn settle(&mut self, settled: &Settled) {
         self.sent += 1;
         let lack = match settled {
@@ -95,6 +109,30 @@ impl Coverage {
         self.run(run).channels.entry(channel).or_default().settle(settled);
     }
 
+    /// Messages whose numbers are left out.
+    pub(super) fn settle_absent(&mut self, run: u64, channel: &'static str, absent: u64) {
+        if absent > 0 {
+            let channel = self.run(run).channels.entry(channel).or_default();
+            channel.sent = channel.sent.saturating_add(absent);
+            let reason = "absent: their numbers have a gap".to_owned();
+            let count = channel.missing.entry(reason).or_default();
+            *count = count.saturating_add(absent);
+        }
+    }
+
+    /// Frames at what is not the end of the run are missing.
+    pub(super) fn refute_end(&mut self, run: u64) {
+        let (end, missing) = (Loss::End.reason(), Loss::Output.reason());
+        for (name, channel) in &mut self.run(run).channels {
+            // A keyframe lags behind its tick.
+            if *name != State::SERVICE.name()
+                && let Some(count) = channel.excused.remove(&end)
+            {
+                *channel.missing.entry(missing.clone()).or_default() += count;
+            }
+        }
+    }
+
     pub(super) fn recomputed(&mut self, (run, tick): (u64, u64)) {
         let run = self.run(run);
         let follows = |(_, last): &&mut (u64, u64)| last.checked_add(1) == Some(tick);
@@ -107,7 +145,17 @@ impl Coverage {
         }
     }
 
-    pub(super) fn into_runs(self) -> Vec<RunCoverage> {
+    pub(super) fn into_runs(mut self) -> Vec<RunCoverage> {
+        // Messages of no run are counted with the first one.
+        let is_of_none = self.runs.len() > 1 && self.runs.get(&0).is_some_and(|run| run.ticks == 0);
+        if is_of_none
+            && let Some(of_none) = self.runs.remove(&0)
+            && let Some(mut first) = self.runs.first_entry()
+        {
+            for (name, channel) in of_none.channels {
+                first.get_mut().channels.entry(name).or_default().add(channel);
+            }
+        }
         self.runs.into_values().collect()
     }
 }

@@ -25,9 +25,9 @@ pub(super) struct States {
     /// With keys of its own, so that nobody can make bytes of the same hash.
     hasher: RandomState,
     hashes: BTreeMap<TickId, u64>,
-    /// The newest keyframe of the newest run, by [`fnv1a`], and whether the run's keyframes name
-    /// the one before them.
-    newest: Option<(u64, u64)>,
+    /// The newest keyframe of the newest run, by [`fnv1a`], `None` of a broken one.
+    newest: Option<(u64, Option<u64>)>,
+    /// True if keyframes of the run name the one before them.
     has_names: bool,
     /// The last keyframes, each with its hash.
     seen: BTreeMap<TickId, u64>,
@@ -87,7 +87,15 @@ impl States {
     }
 
     /// Compares a keyframe with those before it in the capture, and with the one that it names.
-    pub(super) fn sequence(&mut self, place: TickId, before_hash: u64, bytes: &[u8]) -> Sequence {
+    /// `is_first_run`: of the recording, which may begin inside it. `must_name`: by the version that
+    /// recorded it.
+    pub(super) fn sequence(
+        &mut self,
+        place: TickId,
+        before_hash: u64,
+        bytes: &[u8],
+        (is_first_run, must_name): (bool, bool),
+    ) -> Sequence {
         let (run, hash) = (place.0, fnv1a(bytes.iter().copied()));
         match self.seen.get(&place) {
             Some(seen) if *seen == hash => return Sequence::Copy,
@@ -99,21 +107,25 @@ impl States {
         }
         let before = self.newest.filter(|(newest, _)| *newest == run);
         if before.is_none() {
-            self.has_names = false;
+            self.has_names = must_name;
         }
         // Earlier versions name none.
         let follows = match before {
-            Some((_, hash)) if before_hash > 0 => hash == before_hash,
+            Some((_, Some(hash))) if before_hash > 0 => hash == before_hash,
+            // Of a broken keyframe nothing is known: the next one may name any.
+            Some((_, None)) if before_hash > 0 => true,
             Some(_) => !self.has_names,
-            None => true,
+            None => is_first_run || before_hash == 0,
         };
         self.has_names |= before_hash > 0;
-        self.newest = Some((run, hash));
+        self.newest = Some((run, Some(hash)));
         if follows { Sequence::Follows } else { Sequence::Gap }
     }
 
-    /// Of a broken keyframe nothing is known: the next one may name any.
-    pub(super) fn forget_newest(&mut self) {
-        self.newest = None;
+    /// Notes a broken keyframe of a run.
+    pub(super) fn note_broken(&mut self, run: u64) {
+        if self.newest.is_none_or(|(newest, _)| newest <= run) {
+            self.newest = Some((run, None));
+        }
     }
 }

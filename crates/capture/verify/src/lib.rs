@@ -65,8 +65,8 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    ANSWER_RULES, Budgets, Channel as _, Diagnostics, ForecastHeader, PlanStates, State,
-    TICK_RULES, TakenFrame, TickHeader, Ticks, tick_flag,
+    ANSWER_RULES, Acknowledgements, Budgets, Channel as _, Diagnostics, ForecastHeader, PlanStates,
+    State, StateHeader, TICK_RULES, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
@@ -91,6 +91,24 @@ const MAX_KEYFRAMES: usize = 64;
 /// Maximum time from the first tick of a recording to its first keyframe, ns. A worker sends a
 /// keyframe to each new recorder at once, and else every five seconds.
 const MAX_BEGINNING_NS: u64 = 10_000_000_000;
+/// The same where the recording has the first tick of the run. The recorder was there before it, so
+/// that the state before it was sent, or came while that was being sent, and got another at once.
+const MAX_FIRST_KEYFRAME_NS: u64 = 1_000_000_000;
+/// Time between two keyframes, ns, and the number of times as long as a worker took to send one that
+/// it waits for the next.
+const KEYFRAME_EVERY_NS: u64 = 5_000_000_000;
+const KEYFRAME_TIME_FACTOR: u64 = 100;
+/// The first [`TICK_RULES`] whose keyframes have this version's encoding, and those of the answers
+/// that came with them.
+const ENCODED_SINCE: u32 = 7;
+const ANSWERED_SINCE: u32 = 4;
+/// The first [`TICK_RULES`] of which each keyframe names the one before it.
+const NAMED_SINCE: u32 = 7;
+/// Maximum time that a keyframe may take to be sent, ns: what states more is not believed.
+const MAX_KEYFRAME_TIME_NS: u64 = 10_000_000_000;
+/// Maximum time between two ticks that counts for the pace of keyframes, ns: a process that was
+/// stopped sends none.
+const MAX_TICK_NS: u64 = 1_000_000_000;
 
 /// Recomputes a capture of one fleet.
 #[derive(Debug)]
@@ -105,12 +123,14 @@ pub struct Verifier {
     keyframes: BTreeMap<(u64, u64), Vec<u8>>,
     states: States,
     beginning: Beginning,
+    pace: Pace,
     /// First and last tick of each run.
     spans: BTreeMap<u64, (u64, u64)>,
     sequences: BTreeMap<String, u32>,
     robot_rows: RobotRows,
     queries: Queries,
     tick_rules: u32,
+    answer_rules: Option<u32>,
     period_ns: Option<u64>,
     report: Verification,
 }
@@ -148,13 +168,63 @@ impl Beginning {
         }
     }
 
+    /// True if the keyframe that ends it was taken before the recording began.
+    fn is_before_first(&self) -> bool {
+        let (Some(first), Some(until)) = (self.first, self.until) else {
+            return false;
+        };
+        until < first && !self.has_first_tick()
+    }
+
+    /// True if the recording has the first tick of its first run.
+    fn has_first_tick(&self) -> bool {
+        self.first.is_some_and(|(_, tick)| tick <= 1)
+    }
+
     /// True if it is excused that the state before the tick is unknown.
     fn has(&self, place: (u64, u64), start_ns: Option<u64>) -> bool {
         let (from_ns, newest_ns) = self.times.unwrap_or_default();
         let at_ns = start_ns.unwrap_or(newest_ns);
+        let max_ns = if self.has_first_tick() { MAX_FIRST_KEYFRAME_NS } else { MAX_BEGINNING_NS };
         self.first.is_none_or(|(run, _)| place.0 == run)
             && self.until.is_none_or(|until| place <= until)
-            && at_ns.saturating_sub(from_ns) <= MAX_BEGINNING_NS
+            && at_ns.saturating_sub(from_ns) <= max_ns
+    }
+}
+
+/// The time since the last keyframe of the newest run.
+#[derive(Debug, Default)]
+struct Pace {
+    run: u64,
+    /// Start of the newest tick, monotonic ns.
+    newest_ns: Option<u64>,
+    since_ns: u64,
+    /// Time that the next keyframe may take.
+    allowed_ns: u64,
+}
+
+impl Pace {
+    fn note(&mut self, header: &StateHeader) {
+        let took_ns = header.sent_ns.saturating_sub(header.taken_ns).min(MAX_KEYFRAME_TIME_NS);
+        let every_ns = KEYFRAME_EVERY_NS.max(KEYFRAME_TIME_FACTOR * took_ns);
+        (self.since_ns, self.allowed_ns) = (0, 2 * every_ns + KEYFRAME_EVERY_NS);
+    }
+
+    /// True if a keyframe should have come before a tick of `run`. The next one is then awaited.
+    fn lacks_one(&mut self, run: u64, start_ns: Option<u64>) -> bool {
+        if run != self.run {
+            *self = Self { run, allowed_ns: 3 * KEYFRAME_EVERY_NS, ..Self::default() };
+        }
+        let Some(start_ns) = start_ns else {
+            return false;
+        };
+        let newest_ns = self.newest_ns.replace(start_ns).unwrap_or(start_ns);
+        self.since_ns += start_ns.saturating_sub(newest_ns).min(MAX_TICK_NS);
+        let lacks = self.since_ns > self.allowed_ns;
+        if lacks {
+            self.since_ns = 0;
+        }
+        lacks
     }
 }
 
@@ -184,10 +254,12 @@ impl Verifier {
             waiting_bytes: 0,
             keyframes: BTreeMap::new(),
             beginning: Beginning::default(),
+            pace: Pace::default(),
             spans: BTreeMap::new(),
             sequences: BTreeMap::new(),
             robot_rows: RobotRows::default(),
             tick_rules: TICK_RULES,
+            answer_rules: None,
             period_ns: None,
             report,
         })
@@ -207,6 +279,7 @@ impl Verifier {
     #[must_use]
     pub fn with_answer_rules(mut self, number: Option<u32>) -> Self {
         self.queries.has_other_rules |= number != Some(ANSWER_RULES);
+        self.answer_rules = number;
         self
     }
 
@@ -235,6 +308,9 @@ impl Verifier {
         if let Some((channel, tick)) = self.robot_rows.take(&entry.message) {
             self.report.contradict(tick, Loss::Differing(channel));
         }
+        if let Some(frame) = entry.message.frame::<Acknowledgements>() {
+            self.queries.take_acknowledged(&frame.header, &mut self.report);
+        }
         match entry.message.take::<Query>() {
             Ok(query) => self.queries.take(query, &entry.fleet, &mut self.report),
             Err(message) => self.assembler.push(message),
@@ -251,8 +327,14 @@ impl Verifier {
         for (place, _) in std::mem::take(&mut self.keyframes) {
             self.leave_keyframe(place);
         }
-        self.queries.finish(&mut self.report);
+        let is_new = self.answer_rules.map(|rules| rules >= ANSWERED_SINCE);
+        if is_new.is_some_and(|is_new| is_new != (self.tick_rules >= ENCODED_SINCE)) {
+            self.report.deny_rules(0, self.tick_rules);
+        }
+        let last_tick = |run| self.assembler.last_tick(run);
+        self.queries.finish(last_tick, &mut self.report);
         self.report.untaken_frames = self.assembler.untaken_frames();
+        self.report.check_ends(last_tick);
         self.report.close();
         self.report
     }
@@ -280,11 +362,9 @@ impl Verifier {
     fn work(&mut self) {
         while let Some(event) = self.assembler.next_event() {
             match event {
-                Event::Keyframe { worker_epoch, tick, bytes, before_hash } => {
-                    self.keyframe((worker_epoch, tick), bytes, before_hash);
-                }
+                Event::Keyframe { header, bytes } => self.keyframe(&header, bytes),
                 Event::Broken { worker_epoch, tick, is_cut_off } => {
-                    self.states.forget_newest();
+                    self.states.note_broken(worker_epoch);
                     self.report.broken_keyframes += u64::from(!is_cut_off);
                     self.beginning.end((worker_epoch, tick));
                     let why = if is_cut_off { Loss::End } else { Loss::Broken };
@@ -300,8 +380,12 @@ impl Verifier {
     }
 
     /// Compares a keyframe with the state after its tick, or stores it until then.
-    fn keyframe(&mut self, place: (u64, u64), bytes: Vec<u8>, before_hash: u64) {
-        match self.states.sequence(place, before_hash, &bytes) {
+    fn keyframe(&mut self, header: &StateHeader, bytes: Vec<u8>) {
+        let place = (header.worker_epoch, header.tick);
+        // A later run began during the recording, with a keyframe that names none.
+        let is_first = self.beginning.first.is_none_or(|(run, _)| place.0 <= run);
+        let names = (is_first, self.tick_rules >= NAMED_SINCE);
+        match self.states.sequence(place, header.before_hash, &bytes, names) {
             Sequence::Copy => return,
             Sequence::Differs => {
                 let why = Loss::Differing(State::SERVICE.name());
@@ -309,6 +393,11 @@ impl Verifier {
             }
             Sequence::Gap => self.report.missing_keyframes += 1,
             Sequence::Follows => {}
+        }
+        self.pace.note(header);
+        let is_new = FleetState::is_of_this_version(&bytes);
+        if is_new != (self.tick_rules >= ENCODED_SINCE) {
+            self.report.deny_rules(place.1, self.tick_rules);
         }
         self.report.keyframes += 1;
         self.beginning.end(place);
@@ -393,7 +482,9 @@ impl Verifier {
             }
         };
         self.report.note_tick(place, absent);
+        self.report.missing_keyframes += u64::from(self.pace.lacks_one(place.0, start_ns));
         self.beginning.note(place, start_ns);
+        self.queries.first = self.beginning.first;
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(&next),
             // Before the keyframe, or the last, partly published tick of a worker that was
@@ -537,6 +628,7 @@ impl Verifier {
             self.at = None;
             let lack = lack.unwrap_or(Loss::Journal);
             let is_before = matches!(lack, Loss::Beginning)
+                && self.beginning.is_before_first()
                 && Beginning { until: None, ..self.beginning }.has(place, next.start_ns());
             if is_before {
                 // The next keyframe begins the recording.

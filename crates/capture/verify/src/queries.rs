@@ -4,22 +4,33 @@ use std::collections::BTreeMap;
 
 use joulebus_fleet::Fleet;
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows};
+use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows, acknowledgement};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
-    AnswerHeader, Budget, MAX_QUERY_STEPS, PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a,
+    AcknowledgementHeader, Acknowledgements, AnswerHeader, Budget, Channel as _, MAX_QUERY_STEPS,
+    PlanState, QueryKind, QueryRecord, QueryRefusal, answer_parts, fnv1a,
 };
 
 use crate::compare::{self, FieldDifference};
-use crate::report::Verification;
-use joulebus_capture_format::Query;
+use crate::coverage::Settled;
+use crate::report::{Loss, Verification};
+use joulebus_capture_format::{MessageKind, Query};
 
 /// Maximum memory of ticks kept for questions about them, bytes.
 const MAX_KEPT: usize = 128 << 20;
 /// Maximum memory of questions that wait for their ticks, bytes: a recorder writes them after
 /// these.
 const MAX_WAITING: usize = 64 << 20;
+
+/// Maximum number of ticks before or after a recording that an answer in it may be about.
+const MAX_BEYOND_TICKS: u64 = 2;
+/// Maximum time that a worker works on a question, ns.
+const MAX_AGE_NS: u64 = 10_000_000_000;
+/// Maximum number of runs whose last numbers are remembered.
+const MAX_RUNS: usize = 64;
+/// Name of the channel of questions.
+pub(super) const QUERIES: &str = "queries";
 
 /// Run and number of a tick.
 type TickId = (u64, u64);
@@ -38,8 +49,12 @@ pub(super) struct Queries {
     kept_bytes: usize,
     /// True if the answers were computed by the rules of another version.
     pub(super) has_other_rules: bool,
+    /// The first tick of the recording.
+    pub(super) first: Option<TickId>,
     /// The first and the last tick that was computed.
     span: Option<(TickId, TickId)>,
+    queries_seen: Numbers,
+    acknowledged_seen: Numbers,
 }
 
 /// Plan states and budgets of one tick.
@@ -64,22 +79,36 @@ impl Queries {
             kept: BTreeMap::new(),
             kept_bytes: 0,
             has_other_rules: false,
+            first: None,
             span: None,
+            queries_seen: Numbers::default(),
+            acknowledged_seen: Numbers::default(),
         }
     }
 
     /// Takes a question that was asked of the fleet of this name.
     pub(super) fn take(&mut self, query: Query, fleet: &str, report: &mut Verification) {
+        let (record, run) = (&query.record, self.run_of(&query));
+        let Some(absent) = self.queries_seen.note((record.begun_ns, record.number)) else {
+            // A copy, or one that differs from it: compared as well.
+            return self.take_new((query, fnv1a(fleet.bytes())), report);
+        };
+        report.settle_absent(run, QUERIES, absent);
+        self.take_new((query, fnv1a(fleet.bytes())), report);
+    }
+
+    fn take_new(&mut self, asked: Asked, report: &mut Verification) {
         report.queries += 1;
-        if query.record.query.kind == QueryKind::Acknowledge.code() {
+        if asked.0.record.query.kind == QueryKind::Acknowledge.code() {
             report.acknowledgements += 1;
-            return;
+            let settled = self.verify_acknowledgement(&asked, report);
+            return report.settle_query(self.run_of(&asked.0), &settled);
         }
         if self.has_other_rules {
             report.queries_of_other_rules += 1;
-            return;
+            let settled = Settled::Not(Loss::OtherAnswers);
+            return report.settle_query(self.run_of(&asked.0), &settled);
         }
-        let asked = (query, fnv1a(fleet.bytes()));
         let Err(after) = self.verify(&asked, report) else {
             return;
         };
@@ -89,8 +118,66 @@ impl Queries {
             && let Some((_, last)) = self.waiting.pop_last()
         {
             self.waiting_bytes -= last.iter().map(bytes).sum::<usize>();
-            report.queries_unverified += last.len() as u64;
+            last.iter().for_each(|asked| self.leave(asked, Loss::NotRecomputed, report));
         }
+    }
+
+    /// Takes a frame of the alarms that are acknowledged: people make them, and no sample.
+    pub(super) fn take_acknowledged(
+        &mut self,
+        header: &AcknowledgementHeader,
+        report: &mut Verification,
+    ) {
+        let run = self.newest_run();
+        if let Some(absent) = self.acknowledged_seen.note((header.server_epoch, header.number)) {
+            report.settle_absent(run, Acknowledgements::SERVICE.name(), absent);
+            let kind = MessageKind::of::<Acknowledgements>();
+            report.settle((run, 0), kind, &Settled::Not(Loss::ByPeople));
+        }
+    }
+
+    /// Counts a question that is not compared.
+    fn leave(&self, (query, _): &Asked, why: Loss, report: &mut Verification) {
+        let count = if why.is_excused() {
+            &mut report.queries_outside
+        } else {
+            &mut report.queries_unverified
+        };
+        *count += 1;
+        report.settle_query(self.run_of(query), &Settled::Not(why));
+    }
+
+    /// The run that a question was answered in, or the newest one if it names none.
+    fn run_of(&self, query: &Query) -> u64 {
+        match query.record.answer.worker_epoch {
+            0 => self.newest_run(),
+            run => run,
+        }
+    }
+
+    fn newest_run(&self) -> u64 {
+        self.span.map(|(_, last)| last).or(self.first).map_or(0, |(run, _)| run)
+    }
+
+    /// Checks that the question is an acknowledgement, and was answered like one. Whether the alarm
+    /// was raised is not computed.
+    fn verify_acknowledgement(&self, (query, fleet): &Asked, report: &mut Verification) -> Settled {
+        let (record, values) = (&query.record, &query.values);
+        let decoded = acknowledgement::decode(&record.query, values, *fleet, 0);
+        let reason = QueryRefusal::decode(record.answer.refusal);
+        if decoded.is_ok()
+            && (depends_on_time(record)
+                // A worker may take none.
+                || matches!(reason, Some(QueryRefusal::NotRaised | QueryRefusal::Kind)))
+        {
+            return Settled::Not(Loss::ByTime);
+        }
+        let computed = decoded.map(|_| Reply::default());
+        let place = (record.answer.worker_epoch, record.answer.tick);
+        compare(query, &computed, |robot, difference| {
+            report.differ(place, "query", robot, difference);
+        });
+        if computed.is_ok() { Settled::Not(Loss::ByPeople) } else { Settled::Compared }
     }
 
     /// Keeps the tick that `fleet` has just computed, if plan states were written in it, and
@@ -128,19 +215,32 @@ impl Queries {
         }
     }
 
-    /// Ends the input: what still waits is about ticks that were not computed.
-    pub(super) fn finish(&mut self, report: &mut Verification) {
+    /// Ends the input: what still waits is about ticks that were not computed. `last_tick`: of a
+    /// run, of which the capture has anything.
+    pub(super) fn finish(&mut self, last_tick: impl Fn(u64) -> u64, report: &mut Verification) {
         let waiting = std::mem::take(&mut self.waiting);
         self.waiting_bytes = 0;
-        report.queries_outside += waiting.values().map(Vec::len).sum::<usize>() as u64;
+        for ((run, tick), asked) in waiting {
+            let last = last_tick(run);
+            // A recorder ends between a tick and the answers about it.
+            let is_last = last > 0 && tick <= last.saturating_add(MAX_BEYOND_TICKS);
+            let why = if is_last { Loss::End } else { Loss::NoTick };
+            asked.iter().for_each(|asked| self.leave(asked, why, report));
+        }
     }
 
     /// Computes an answer again and compares it. The tick that has to be computed first is the
     /// error.
-    fn verify(&self, (query, fleet): &Asked, report: &mut Verification) -> Result<(), TickId> {
+    fn verify(&self, asked: &Asked, report: &mut Verification) -> Result<(), TickId> {
+        let (query, fleet) = asked;
         let answer = &query.record.answer;
-        if depends_on_time(answer) {
+        if depends_on_time(&query.record) {
             report.queries_by_time += 1;
+            report.settle_query(self.run_of(query), &Settled::Not(Loss::ByTime));
+            return Ok(());
+        }
+        if !is_recomputed(answer) {
+            self.leave(asked, Loss::Undefined, report);
             return Ok(());
         }
         let state = (answer.worker_epoch, answer.tick);
@@ -158,18 +258,23 @@ impl Queries {
                     (Found::At(states), Found::None) => {
                         self.compute(question, answer, states, None)
                     }
-                    (Found::Before, _) | (_, Found::Before) => {
-                        report.queries_outside += 1;
+                    (Found::Absent, _) | (_, Found::Absent) => {
+                        self.leave(asked, Loss::NoTick, report);
                         return Ok(());
                     }
                     (Found::Lost | Found::None, _) | (_, Found::Lost) => {
-                        report.queries_unverified += 1;
+                        self.leave(asked, Loss::NotRecomputed, report);
+                        return Ok(());
+                    }
+                    (Found::Before, _) | (_, Found::Before) => {
+                        self.leave(asked, Loss::Before, report);
                         return Ok(());
                     }
                 }
             }
         };
         report.queries_verified += 1;
+        report.settle_query(self.run_of(query), &Settled::Compared);
         compare(query, &computed, |robot, difference| {
             report.differ(state, "query", robot, difference);
         });
@@ -204,8 +309,16 @@ impl Queries {
         if let Some(tick) = self.kept.get(&place) {
             return Found::At(tick);
         }
+        let is_near =
+            |(run, tick)| place.0 == run && place.1.saturating_add(MAX_BEYOND_TICKS) >= tick;
         match self.span {
-            Some((first, _)) if place < first => Found::Before,
+            Some((first, _)) if place < first => {
+                if self.first.is_some_and(is_near) {
+                    Found::Before
+                } else {
+                    Found::Absent
+                }
+            }
             Some((_, last)) if place <= last => Found::Lost,
             _ => Found::Later,
         }
@@ -220,18 +333,37 @@ enum Found<'a> {
     At(&'a Tick),
     /// The answer is computed from no such frame.
     None,
-    /// Before the first tick that was computed.
+    /// Recorded before the first tick that was computed, or directly before the recording.
     Before,
+    /// Before the recording.
+    Absent,
     /// Not yet computed.
     Later,
     /// Not computed, or not kept.
     Lost,
 }
 
-/// True if it was refused for a reason that does not follow from what is recorded.
-fn depends_on_time(answer: &AnswerHeader) -> bool {
+/// True if it was refused for a reason that does not follow from what is recorded, and what is
+/// recorded does not deny it.
+fn depends_on_time(record: &QueryRecord) -> bool {
     use QueryRefusal as Reason;
-    let reason = QueryRefusal::decode(answer.refusal);
+    let answer = &record.answer;
+    let is_empty = answer.rows == 0 && answer.powers == 0;
+    let waited_ns = answer.sent_ns.saturating_sub(answer.taken_ns);
+    is_empty
+        && match Reason::decode(answer.refusal) {
+            Some(Reason::Deadline) => {
+                answer.sent_ns >= record.query.deadline_ns || waited_ns >= MAX_AGE_NS
+            }
+            Some(Reason::NoFrame | Reason::Busy) => answer.tick == 0,
+            Some(Reason::Ending | Reason::ClientGone | Reason::Unsent) => true,
+            _ => false,
+        }
+}
+
+/// True if it was answered, or refused for a reason that follows from the question.
+fn is_recomputed(answer: &AnswerHeader) -> bool {
+    use QueryRefusal as Reason;
     let recomputed = [
         Reason::Schema,
         Reason::Fleet,
@@ -241,7 +373,32 @@ fn depends_on_time(answer: &AnswerHeader) -> bool {
         Reason::UnknownRobot,
         Reason::Question,
     ];
-    answer.refusal != 0 && !reason.is_some_and(|reason| recomputed.contains(&reason))
+    let reason = QueryRefusal::decode(answer.refusal);
+    answer.refusal == 0 || reason.is_some_and(|reason| recomputed.contains(&reason))
+}
+
+/// The last number of each run of numbered messages.
+#[derive(Debug, Default)]
+struct Numbers(BTreeMap<u64, u64>);
+
+impl Numbers {
+    /// Absent numbers before this one. `None` for a number that is not after the last one.
+    fn note(&mut self, (run, number): (u64, u64)) -> Option<u64> {
+        let last = self.0.insert(run, number);
+        let absent = match last {
+            // A recording begins with any.
+            None => 0,
+            Some(last) if number > last => number - last - 1,
+            Some(last) => {
+                self.0.insert(run, last);
+                return None;
+            }
+        };
+        while self.0.len() > MAX_RUNS {
+            self.0.pop_first();
+        }
+        Some(absent)
+    }
 }
 
 /// Calls `differs` for each difference between the recorded and the computed answer.

@@ -7,8 +7,10 @@ use joulebus_fleet::StateError;
 use joulebus_wire::{Channel as _, State};
 use serde::Serialize;
 
+use crate::assemble::is_among_last;
 use crate::compare::FieldDifference;
 use crate::coverage::{Coverage, RunCoverage, Settled};
+use crate::queries::QUERIES;
 use joulebus_capture_format::MessageKind;
 
 /// Maximum number of losses and refused keyframes listed.
@@ -85,9 +87,10 @@ pub struct Verification {
     pub acknowledgements: u64,
     /// Questions answered by the rules of another version.
     pub queries_of_other_rules: u64,
-    /// Questions about ticks before the first or after the last that was computed.
+    /// Questions about ticks before the first keyframe, or cut off at the end.
     pub queries_outside: u64,
-    /// Questions about a tick that could not be computed.
+    /// Questions about a tick that could not be computed, or is not in the capture, and answers that
+    /// cannot be.
     pub queries_unverified: u64,
     /// Complete keyframes found.
     pub keyframes: u64,
@@ -97,12 +100,17 @@ pub struct Verification {
     pub missing_keyframes: u64,
     /// Keyframes refused: of another config, model or version.
     pub refused_keyframes: u64,
+    /// Keyframes, and rules of answers, that deny the rules of ticks that the capture states.
+    pub rules_denied: u64,
     /// The first refusals: tick and reason.
     pub refusals: Vec<(u64, String)>,
     /// Frames of samples that no recorded tick took.
     pub untaken_frames: u64,
     #[serde(skip)]
     counted: Coverage,
+    /// The first tick of each run that was cut off, and how many of them were.
+    #[serde(skip)]
+    ends: BTreeMap<u64, (u64, u64)>,
     #[serde(skip)]
     times: Option<(u64, u64)>,
     #[serde(skip)]
@@ -166,8 +174,21 @@ pub enum Loss {
     Beginning,
     /// The recording, or the worker, ended with it.
     End,
+    /// It lacks parts like the last tick of a run, and others followed.
+    NotTheEnd,
     /// It was computed by older rules, by which the channel has other bits.
     OlderRules(u32),
+    /// A refusal for reasons of time: a deadline, a client or a worker that ended.
+    ByTime,
+    /// People make it, and it follows from no sample.
+    ByPeople,
+    /// An answer by the rules of another version.
+    OtherAnswers,
+    /// The capture states that ticks were computed by these rules, and keyframes or the rules of
+    /// answers deny it.
+    Rules(u32),
+    /// A kind or a refusal that is not defined, or that what is recorded denies.
+    Undefined,
     /// A keyframe that begins a range of ticks: it is taken as given.
     Given,
     /// A keyframe of a tick that was not recomputed.
@@ -185,7 +206,14 @@ impl Loss {
     pub(super) const fn is_excused(self) -> bool {
         matches!(
             self,
-            Self::Before | Self::Beginning | Self::End | Self::OlderRules(_) | Self::Given
+            Self::Before
+                | Self::Beginning
+                | Self::End
+                | Self::OlderRules(_)
+                | Self::Given
+                | Self::ByTime
+                | Self::ByPeople
+                | Self::OtherAnswers
         )
     }
 
@@ -202,7 +230,15 @@ impl Loss {
             Self::NoKeyframe => "no keyframe before".to_owned(),
             Self::Before | Self::Beginning => "before the first keyframe".to_owned(),
             Self::End => "cut off at the end".to_owned(),
+            Self::NotTheEnd => "it lacks parts as if the run ended, and others follow".to_owned(),
             Self::OlderRules(rules) => format!("computed by older rules ({rules})"),
+            Self::ByTime => "refused for reasons of time".to_owned(),
+            Self::ByPeople => "made by people, follows from no sample".to_owned(),
+            Self::OtherAnswers => "computed by the rules of another version".to_owned(),
+            Self::Rules(rules) => format!(
+                "the capture states rules {rules}, and its keyframes or the rules of its answers deny it"
+            ),
+            Self::Undefined => "a kind or refusal that cannot be".to_owned(),
             Self::Given => "taken as given".to_owned(),
             Self::NotRecomputed => "its tick was not recomputed".to_owned(),
             Self::NoTick => "of no recorded tick".to_owned(),
@@ -229,6 +265,7 @@ impl Verification {
             && self.messages_lost == 0
             && self.broken_keyframes == 0
             && self.missing_keyframes == 0
+            && self.rules_denied == 0
             && self.refused_keyframes == 0;
         let mut channels = self.coverage.iter().flat_map(|run| &run.channels);
         let mut whole = channels.clone().filter(|(name, _)| self.not_recorded.contains(*name));
@@ -284,8 +321,42 @@ impl Verification {
     }
 
     /// Counts a frame that was sent.
-    pub(super) fn settle(&mut self, (run, _): (u64, u64), kind: MessageKind, settled: &Settled) {
+    pub(super) fn settle(&mut self, (run, tick): (u64, u64), kind: MessageKind, settled: &Settled) {
         self.counted.settle(run, kind.name(), settled);
+        if let Settled::Recomputed(Loss::End) = settled {
+            self.note_end((run, tick), 0);
+        }
+    }
+
+    /// Counts an answered question.
+    pub(super) fn settle_query(&mut self, run: u64, settled: &Settled) {
+        self.counted.settle(run, QUERIES, settled);
+    }
+
+    /// Counts messages that are absent, by their numbers.
+    pub(super) fn settle_absent(&mut self, run: u64, channel: &'static str, absent: u64) {
+        self.counted.settle_absent(run, channel, absent);
+    }
+
+    /// Notes a tick that was cut off.
+    fn note_end(&mut self, (run, tick): (u64, u64), ticks: u64) {
+        let (first, count) = self.ends.entry(run).or_insert((tick, 0));
+        *first = tick.min(*first);
+        *count += ticks;
+    }
+
+    /// Takes back the excuse of ticks that turn out not to be the last of their run, whose last
+    /// tick is `last_tick`.
+    pub(super) fn check_ends(&mut self, last_tick: impl Fn(u64) -> u64) {
+        for (run, (first, count)) in std::mem::take(&mut self.ends) {
+            if is_among_last(first, last_tick(run)) {
+                continue;
+            }
+            self.ticks_cut_off -= count;
+            self.ticks_unverified += count;
+            self.note_loss(first, Loss::NotTheEnd);
+            self.counted.refute_end(run);
+        }
     }
 
     pub(super) fn differ(
@@ -311,9 +382,12 @@ impl Verification {
     }
 
     /// Records a tick that is not computed.
-    pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Loss) {
+    pub(super) fn lose(&mut self, (run, tick): (u64, u64), why: Loss) {
         match why {
-            Loss::End => self.ticks_cut_off += 1,
+            Loss::End => {
+                self.ticks_cut_off += 1;
+                self.note_end((run, tick), 1);
+            }
             Loss::Before | Loss::Beginning => self.ticks_before_first_keyframe += 1,
             why => {
                 self.ticks_unverified += 1;
@@ -326,6 +400,12 @@ impl Verification {
     pub(super) fn contradict(&mut self, tick: u64, why: Loss) {
         self.frames_ambiguous += 1;
         self.note_loss(tick, why);
+    }
+
+    /// Records that the capture states rules that what is in it denies.
+    pub(super) fn deny_rules(&mut self, tick: u64, rules: u32) {
+        self.rules_denied += 1;
+        self.note_loss(tick, Loss::Rules(rules));
     }
 
     pub(super) fn lack_output(&mut self, kind: MessageKind, (_, tick): (u64, u64), why: Loss) {
@@ -458,7 +538,8 @@ impl fmt::Display for Verification {
             ),
             (
                 self.queries_unverified,
-                "answers about plans could not be verified: their ticks could not",
+                "answers about plans could not be verified: their ticks could not, are not in the \
+                 capture, or the answers cannot be",
             ),
             (
                 self.queries_of_other_rules,
@@ -468,8 +549,12 @@ impl fmt::Display for Verification {
             (self.queries_outside, "answers about plans are of ticks outside the verified ones"),
             (self.messages_lost, "messages were lost by the recorder"),
             (self.broken_keyframes, "keyframes are incomplete"),
-            (self.missing_keyframes, "keyframes are missing: the next one names another before it"),
+            (
+                self.missing_keyframes,
+                "keyframes are missing: the next one names another before it, or none came in time",
+            ),
             (self.refused_keyframes, "keyframes were refused"),
+            (self.rules_denied, "keyframes or answers deny the rules that the capture states"),
             (self.untaken_frames, "frames of samples were taken by no recorded tick"),
             (
                 self.ticks_before_first_keyframe,

@@ -304,6 +304,18 @@ fn codes_have_names_in_the_schema() {
 }
 
 #[test]
+fn a_changed_description_shows_as_altered() {
+    use joulebus_capture_format::Clock;
+    let begun = Attachments::begun(5, Clock { offset_ns: 3 }, "boot".to_owned());
+    let settings = CaptureSettings::new(Preset::ALL[0]);
+    let (_, _, file) = Writer::new(Vec::new(), settings, &begun).unwrap().finish().unwrap();
+    let mut attachments = Reader::new(Cursor::new(&file)).unwrap().attachments().clone();
+    assert_eq!(attachments.altered(), Vec::<&str>::new());
+    attachments.describe("answer_rules", "3".to_owned());
+    assert_eq!(attachments.altered(), ["joulebus"]);
+}
+
+#[test]
 fn a_file_round_trips_in_every_preset() {
     for preset in Preset::ALL {
         let mut bits = Bits(preset as u64);

@@ -450,7 +450,10 @@ fn budgets_of_older_rules_are_excused_by_name_and_the_rest_is_compared() {
             frame.rows[0].alarms ^= AlarmSet::default().with(Alarm::CannotReturn).0;
         }
     });
-    assert_eq!(report.verdict, Verdict::Verified, "{report}");
+    // The simulated worker encodes its keyframes like this version, which denies the older rules.
+    assert_eq!(report.verdict, Verdict::Incomplete, "{report}");
+    assert_eq!((report.rules_denied, report.keyframes), (2, 2), "{report}");
+    assert_eq!((report.differences, report.ticks_verified), (0, 60), "{report}");
     for (channel, of) in &report.coverage[0].channels {
         let excused = of.excused.get("computed by older rules (6)").copied().unwrap_or(0);
         // The first keyframe is where the recomputation begins.
@@ -474,6 +477,17 @@ fn budgets_of_older_rules_are_excused_by_name_and_the_rest_is_compared() {
     ];
     for report in different {
         assert_eq!((report.verdict, report.differences), (Verdict::Different, 1), "{report}");
+    }
+}
+
+#[test]
+fn rules_that_keyframes_or_the_rules_of_answers_deny_excuse_nothing() {
+    let messages = recorded(8, 60);
+    for (tick_rules, answer_rules, denied) in [(7, 4, 0), (6, 3, 2), (7, 3, 1), (6, 4, 3)] {
+        let verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
+        let verifier = verifier.with_tick_rules(tick_rules).with_answer_rules(Some(answer_rules));
+        let report = verify_by(verifier, entries(messages.clone()));
+        assert_eq!((report.rules_denied, report.is_clean()), (denied, denied == 0), "{report}");
     }
 }
 
@@ -513,7 +527,7 @@ fn rows_of<C: Channel>(messages: &[Message], tick: u64) -> &[C::Row] {
 }
 
 /// A question about [`DOUBTED`], and what the worker answers as of a tick.
-fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
+pub(crate) fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
     let states = rows_of::<PlanStates>(messages, tick);
     let budgets = rows_of::<Budgets>(messages, tick);
     let question = Question {
@@ -624,8 +638,11 @@ fn answers_about_ticks_that_could_not_be_computed_are_counted() {
     // In tick 35 nobody read plan states, and tick 1,000 is not in the recording.
     let lost = with(&|query| query.record.answer.tick = 35);
     assert_eq!((lost.queries_unverified, lost.is_clean()), (1, false), "{lost}");
-    let outside = with(&|query| query.record.answer.tick = 1_000);
-    assert_eq!((outside.queries_outside, outside.is_clean()), (1, true), "{outside}");
+    let absent = with(&|query| query.record.answer.tick = 1_000);
+    assert_eq!((absent.queries_unverified, absent.is_clean()), (1, false), "{absent}");
+    // A recorder may end between an answer and its tick.
+    let cut_off = with(&|query| query.record.answer.tick = 91);
+    assert_eq!((cut_off.queries_outside, cut_off.is_clean()), (1, true), "{cut_off}");
     let late = with(&|query| {
         query.record.answer.refusal = QueryRefusal::Deadline.code();
         *query = query.clone().counted();

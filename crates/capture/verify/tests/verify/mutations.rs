@@ -1,12 +1,14 @@
 //! Mutations of a recording, each with its verdict. What a capture alone cannot show is among them.
 
+use joulebus_capture_format::Query;
 use joulebus_capture_format::{Frame, Message, MessageKind, RobotRow};
 use joulebus_capture_verify::Verdict::{self, Different, Incomplete, NotCompared, Verified};
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, Outlooks, PlanStates, Row, Samples, State,
-    TakenFrame, Ticks, tick_flag,
+    AcknowledgementHeader, Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, Outlooks,
+    PlanStates, QueryKind, QueryRefusal, Row, Samples, State, TakenFrame, Ticks, tick_flag,
 };
 
+use crate::differences::asked;
 use crate::simulation::{EPOCH, KEYFRAME_EVERY, Simulation, entries, recorded, tick_of, verify};
 
 /// Ticks of the recording, and the one that is changed.
@@ -107,6 +109,65 @@ fn other_bits<C: Channel>(frame: &mut Frame<C>) {
     bytemuck::bytes_of_mut(&mut frame.rows[3])[size_of::<C::Row>() - 1] ^= 1;
 }
 
+/// Forges all outputs from a tick on.
+fn forge_from(messages: &mut Messages, tick: u64) {
+    for message in messages {
+        macro_rules! forge {
+            ($($channel:ty),*) => {$(
+                if let Some(frame) = message.frame_mut::<$channel>() && frame.header.tick >= tick {
+                    other_bits(frame);
+                }
+            )*};
+        }
+        forge!(Forecasts, Diagnostics, Budgets, PlanStates, Outlooks);
+    }
+}
+
+/// Removes the frames of some channels from a tick on.
+fn remove_from(messages: &mut Messages, tick: u64, kinds: &[MessageKind]) {
+    remove(messages, |message| {
+        kinds.contains(&message.kind().unwrap()) && tick_of(message) >= tick
+    });
+}
+
+/// Inserts diagnostics of a later run, renumbered, after a tick.
+fn future_run(messages: &mut Messages, after: u64, tick: u64) {
+    let mut frame = messages[at::<Diagnostics>(messages, TICK)].clone();
+    let header = &mut frame.frame_mut::<Diagnostics>().unwrap().header;
+    (header.worker_epoch, header.tick) = (EPOCH + 5, tick);
+    let place = at::<Ticks>(messages, after) + 1;
+    messages.insert(place, frame);
+}
+
+fn remove_keyframes(messages: &mut Messages, is_it: impl Fn(u64) -> bool) {
+    remove(messages, |message| {
+        message.frame::<State>().is_some_and(|piece| is_it(piece.header.tick))
+    });
+}
+
+/// Adds the answers to six questions, of which one is changed.
+fn ask(messages: &mut Messages, change: impl Fn(&mut Query)) {
+    for number in 0..6 {
+        let mut query = asked(messages, TICK - number, 1 + number, 0.1);
+        if number == 3 {
+            change(&mut query);
+        }
+        messages.push(query.into());
+    }
+}
+
+/// A forged answer.
+fn forged(query: &mut Query) {
+    let value = &mut query.rows[0].mean_j;
+    *value = f32::from_bits(value.to_bits() ^ 1);
+}
+
+/// The answer turned into a refusal.
+fn refused(query: &mut Query, code: u32) {
+    query.record.answer.refusal = code;
+    *query = query.clone().counted();
+}
+
 fn forged_keyframe(messages: &mut Messages, tick: u64) {
     let bytes = &mut piece(messages, tick, 0).rows;
     let last = bytes.len() - 1;
@@ -186,6 +247,45 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
         remove(messages, |message| {
             message.frame::<Budgets>().is_some_and(|frame| frame.header.tick > TICKS - 63)
         });
+    }),
+    // Ends of runs that are none.
+    ("a frame of a later run, and from there no journals and forecasts", Incomplete, |messages| {
+        forge_from(messages, 41);
+        remove_from(messages, 41, &[MessageKind::of::<Ticks>(), MessageKind::of::<Forecasts>()]);
+        future_run(messages, 40, 1);
+    }),
+    ("a late frame of a later run, and from there budgets alone", Incomplete, |messages| {
+        forge_from(messages, 41);
+        let kinds = [
+            MessageKind::of::<Ticks>(),
+            MessageKind::of::<Forecasts>(),
+            MessageKind::of::<Diagnostics>(),
+            MessageKind::of::<PlanStates>(),
+            MessageKind::of::<Outlooks>(),
+        ];
+        let samples = messages[at::<Diagnostics>(messages, TICK)].clone();
+        remove_from(messages, 41, &kinds);
+        messages.push(samples);
+        future_run(messages, 40, 200);
+        messages.retain(|message| {
+            let order = message.order().filter(|_| message.frame::<Diagnostics>().is_some());
+            order.is_none_or(|order| order.run != EPOCH || order.number <= 40)
+        });
+    }),
+    ("the last 63 journals and forecasts removed, the others forged", Incomplete, |messages| {
+        forge_from(messages, TICKS - 62);
+        remove_from(
+            messages,
+            TICKS - 62,
+            &[MessageKind::of::<Ticks>(), MessageKind::of::<Forecasts>()],
+        );
+    }),
+    ("the last three journals and forecasts removed", Incomplete, |messages| {
+        remove_from(
+            messages,
+            TICKS - 2,
+            &[MessageKind::of::<Ticks>(), MessageKind::of::<Forecasts>()],
+        );
     }),
     // Copies.
     ("a copy of forecasts in their tick", Verified, |messages| {
@@ -376,6 +476,99 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
             message.frame::<State>().is_some_and(|piece| piece.header.tick == 160)
         });
     }),
+    ("the keyframe before the first tick removed", Incomplete, |messages| {
+        remove_keyframes(messages, |tick| tick == 0);
+    }),
+    ("the samples of the first ticks removed", Incomplete, |messages| {
+        let mut left = 60;
+        messages.retain(|message| {
+            left -= i32::from(message.frame::<Samples>().is_some());
+            left < 0 || message.frame::<Samples>().is_none()
+        });
+    }),
+    ("the samples of the first ticks removed, from the middle", Incomplete, |messages| {
+        remove_ticks(messages, 0..=36);
+        let first = at::<Ticks>(messages, 37);
+        let last = at::<Ticks>(messages, 60);
+        let mut place = 0;
+        messages.retain(|message| {
+            place += 1;
+            (place > first + 1 && place <= last + 1 && message.frame::<Samples>().is_some())
+                .eq(&false)
+        });
+    }),
+    ("all keyframes after the first removed", Incomplete, |messages| {
+        *messages = recorded(4, 700);
+        remove_keyframes(messages, |tick| tick > 0);
+    }),
+    ("keyframes in the middle removed, the others name none", Incomplete, |messages| {
+        remove_keyframes(messages, |tick| (40..=120).contains(&tick));
+        for message in messages {
+            if let Some(piece) = message.frame_mut::<State>() {
+                piece.header.before_hash = 0;
+            }
+        }
+    }),
+    ("a keyframe that names none", Incomplete, |messages| {
+        for place in pieces(messages, 80) {
+            messages[place].frame_mut::<State>().unwrap().header.before_hash = 0;
+        }
+    }),
+    // Questions.
+    ("six answers", Verified, |messages| ask(messages, |_| {})),
+    ("an answer forged", Different, |messages| ask(messages, forged)),
+    ("an answer forged, of a tick that is not there", Incomplete, |messages| {
+        ask(messages, |query| {
+            forged(query);
+            query.record.answer.tick = 999_999;
+        });
+    }),
+    ("an answer forged, of a tick before the recording", Incomplete, |messages| {
+        remove_ticks(messages, 0..=20);
+        ask(messages, |query| {
+            forged(query);
+            (query.record.answer.tick, query.record.answer.budget_tick) = (1, 1);
+        });
+    }),
+    ("an answer forged, of another run", Incomplete, |messages| {
+        ask(messages, |query| {
+            forged(query);
+            let answer = &mut query.record.answer;
+            (answer.worker_epoch, answer.budget_epoch) = (EPOCH + 1, EPOCH + 1);
+        });
+    }),
+    ("an answer forged, as an acknowledgement", Different, |messages| {
+        ask(messages, |query| {
+            forged(query);
+            query.record.query.kind = QueryKind::Acknowledge.code();
+        });
+    }),
+    ("an answer refused for a reason that is not defined", Incomplete, |messages| {
+        ask(messages, |query| refused(query, 15));
+    }),
+    ("a plan refused as an alarm that is not raised", Incomplete, |messages| {
+        ask(messages, |query| refused(query, QueryRefusal::NotRaised.code()));
+    }),
+    ("an answer refused as too late, before its deadline", Incomplete, |messages| {
+        ask(messages, |query| {
+            query.record.query.deadline_ns = 1_000;
+            query.record.answer.sent_ns = 999;
+            refused(query, QueryRefusal::Deadline.code());
+        });
+    }),
+    ("an answer of a tick refused as if there was none", Incomplete, |messages| {
+        ask(messages, |query| refused(query, QueryRefusal::NoFrame.code()));
+    }),
+    ("one of six answers removed", Incomplete, |messages| {
+        ask(messages, |_| {});
+        messages.remove(messages.len() - 3);
+    }),
+    ("a frame of acknowledgements removed", Incomplete, |messages| {
+        for number in [1, 3] {
+            let header = AcknowledgementHeader { server_epoch: 1, number, ..Default::default() };
+            messages.push(Message::of::<Acknowledgements>(header, Vec::new()));
+        }
+    }),
     ("the hash of the keyframe before", Incomplete, |messages| {
         for place in pieces(messages, 80) {
             messages[place].frame_mut::<State>().unwrap().header.before_hash ^= 1;
@@ -428,8 +621,9 @@ fn each_mutation_of_a_recording_has_its_verdict() {
 fn the_beginning_of_a_recording_excuses_ten_seconds_without_a_keyframe() {
     let messages = recorded(4, 400);
     // The next keyframes follow after 8 s, and after 11 s.
-    for (last, verdict) in [(200, Verified), (280, Incomplete)] {
+    for (last, verdict) in [(200, Verified), (320, Incomplete)] {
         let mut mutated = messages.clone();
+        remove_ticks(&mut mutated, 0..=2);
         remove(&mut mutated, |message| {
             message.frame::<State>().is_some_and(|piece| piece.header.tick <= last)
         });

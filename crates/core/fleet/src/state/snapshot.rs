@@ -169,6 +169,13 @@ impl FleetState {
         *bytes = encoded.unwrap_or_default();
     }
 
+    /// True if `bytes` begin like an encoding of this version, and not like one of the version
+    /// before.
+    #[must_use]
+    pub fn is_of_this_version(bytes: &[u8]) -> bool {
+        bytes.starts_with(&MAGIC)
+    }
+
     /// Decodes a state.
     ///
     /// # Errors
