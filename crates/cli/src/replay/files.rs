@@ -1,6 +1,8 @@
 //! The files of a recording, read as one stream.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
@@ -24,8 +26,14 @@ pub(super) struct Files {
     pub(super) fleet: String,
 }
 
-/// A message, or the error that ends the stream.
-type Read = Result<Entry, String>;
+/// A message, the name of another fleet that has one, or the error that ends the stream.
+type Read = Result<Entry, Unread>;
+
+/// What is not given as a message.
+enum Unread {
+    Damage(String),
+    Elsewhere(Arc<str>),
+}
 
 impl Files {
     /// Opens the first file. `fleet`: which one, if the capture contains several.
@@ -170,7 +178,7 @@ impl Files {
                 let reader = match Reader::open(&path) {
                     Ok(reader) => reader,
                     Err(error) => {
-                        hand(Some(Err(damage(&error))), true);
+                        hand(Some(Err(Unread::Damage(damage(&error)))), true);
                         continue;
                     }
                 };
@@ -179,10 +187,10 @@ impl Files {
                 for entry in reader {
                     let read = match entry {
                         Ok(entry) if *entry.fleet != *fleet => {
-                            other.get_or_insert(entry.fleet);
-                            continue;
+                            other.get_or_insert(Arc::clone(&entry.fleet));
+                            Err(Unread::Elsewhere(entry.fleet))
                         }
-                        entry => entry.map_err(|error| damage(&error)),
+                        entry => entry.map_err(|error| Unread::Damage(damage(&error))),
                     };
                     has_ours |= read.is_ok();
                     if !hand(Some(read), false) {
@@ -193,14 +201,19 @@ impl Files {
                     let path = path.display();
                     let what =
                         format!("{path}: is of fleet {other:?}, and has nothing of {fleet:?}");
-                    if !hand(Some(Err(what)), false) {
+                    if !hand(Some(Err(Unread::Damage(what))), false) {
                         return;
                     }
                 }
             }
             hand(None, true);
         });
-        Messages { waiting, batch: Vec::new().into_iter(), damages: Vec::new() }
+        Messages {
+            waiting,
+            batch: Vec::new().into_iter(),
+            damages: Vec::new(),
+            of_others: BTreeMap::new(),
+        }
     }
 
     /// Name of the first file, for reports.
@@ -215,6 +228,8 @@ pub(super) struct Messages {
     waiting: Receiver<Vec<Read>>,
     batch: std::vec::IntoIter<Read>,
     pub(super) damages: Vec<String>,
+    /// Number of messages of each other fleet.
+    pub(super) of_others: BTreeMap<Arc<str>, u64>,
 }
 
 impl Iterator for Messages {
@@ -224,7 +239,10 @@ impl Iterator for Messages {
         loop {
             match self.batch.next() {
                 Some(Ok(entry)) => return Some(entry),
-                Some(Err(damage)) => self.damages.push(damage),
+                Some(Err(Unread::Damage(damage))) => self.damages.push(damage),
+                Some(Err(Unread::Elsewhere(fleet))) => {
+                    *self.of_others.entry(fleet).or_default() += 1;
+                }
                 None => self.batch = self.waiting.recv().ok()?.into_iter(),
             }
         }

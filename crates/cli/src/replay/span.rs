@@ -30,6 +30,11 @@ fn offset(text: &str) -> Result<Duration, String> {
 }
 
 impl Span {
+    /// True if it leaves out a part.
+    pub(super) fn is_part(&self) -> bool {
+        !self.start_offset.is_zero() || self.playback_duration.is_some()
+    }
+
     /// Position of a message recorded `at_ns` after the first.
     pub(super) fn position(&self, at_ns: u64) -> SpanPosition {
         let at = Duration::from_nanos(at_ns);

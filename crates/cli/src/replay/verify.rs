@@ -1,7 +1,9 @@
 //! `replay --verify` and `replay --model`: recompute instead of playing.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use joulebus_capture_verify::{Comparison, Verdict, Verification, Verifier, WhatIf};
@@ -24,6 +26,8 @@ struct Computed<R> {
     result: R,
     /// Read errors.
     damages: Vec<String>,
+    /// What the files have besides, which is not part of the result.
+    left_out: Vec<String>,
     took_s: f64,
     /// Recorded time over computing time.
     times_real_time: f64,
@@ -56,7 +60,8 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         result.verdict = Verdict::Incomplete;
     }
     let (is_clean, recorded_s) = (result.is_clean(), result.recorded_s);
-    let computed = computed(&files, result, damages, begun, recorded_s);
+    let left_out = left_out(args, &messages.of_others);
+    let computed = computed(&files, result, (damages, left_out), begun, recorded_s);
     output.report(&computed)?;
     Ok(Outcome::unless_lost(!is_clean))
 }
@@ -82,15 +87,29 @@ pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Resu
     let (first, last) = times.unwrap_or_default();
     let lost = result.frames_missing > 0 || result.ticks == 0 || !messages.damages.is_empty();
     let recorded_s = last.saturating_sub(first) as f64 / 1e9;
-    let computed = computed(&files, result, messages.damages, begun, recorded_s);
+    let read = (messages.damages, left_out(args, &messages.of_others));
+    let computed = computed(&files, result, read, begun, recorded_s);
     output.report(&computed)?;
     Ok(Outcome::unless_lost(lost))
+}
+
+/// Parts of the files that were not read, or are of other fleets.
+fn left_out(args: &Args, of_others: &BTreeMap<Arc<str>, u64>) -> Vec<String> {
+    let part = args.span.is_part().then(|| {
+        "only the part that --start-offset and --playback-duration choose: of the rest, nothing is \
+         known"
+            .to_owned()
+    });
+    let others = of_others.iter().map(|(fleet, count)| {
+        format!("{count} messages of fleet {fleet} are left out: choose it with --fleet {fleet}")
+    });
+    part.into_iter().chain(others).collect()
 }
 
 fn computed<R>(
     files: &Files,
     result: R,
-    damages: Vec<String>,
+    (damages, left_out): (Vec<String>, Vec<String>),
     begun: Instant,
     recorded_s: f64,
 ) -> Computed<R> {
@@ -100,6 +119,7 @@ fn computed<R>(
         fleet: files.fleet.clone(),
         result,
         damages,
+        left_out,
         took_s,
         times_real_time: recorded_s / took_s,
     }
@@ -108,7 +128,7 @@ fn computed<R>(
 impl<R: fmt::Display> fmt::Display for Computed<R> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}", self.result)?;
-        for damage in &self.damages {
+        for damage in self.left_out.iter().chain(&self.damages) {
             writeln!(out, "{damage}")?;
         }
         writeln!(

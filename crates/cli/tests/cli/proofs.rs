@@ -77,6 +77,10 @@ fn a_recording_with_a_killed_worker_in_parts_is_verified_and_in_another_order_re
     let report = assert_verified(&recorded, &parts);
     assert_eq!(report["runs"], 2, "{report:#}");
     assert!(report["keyframes"].as_u64() >= Some(2), "{report:#}");
+    assert_eq!(report["left_out"], Value::Array(Vec::new()), "{report:#}");
+    let words = ["replay", "--verify", "--playback-duration", "1"].map(PathBuf::from);
+    let part = output(words.iter().chain(&parts));
+    assert_contains(&stdout(&part), ["only the part that", "--playback-duration"]);
     let reversed: Vec<PathBuf> = parts.iter().rev().cloned().collect();
     let words = ["replay", "--verify"].map(PathBuf::from);
     let refused = output(words.iter().chain(&reversed)).exits(2);

@@ -618,6 +618,20 @@ fn each_mutation_of_a_recording_has_its_verdict() {
 }
 
 #[test]
+fn copies_of_samples_are_not_samples_that_no_tick_took() {
+    let messages = recorded(4, TICKS);
+    let untaken = |messages: Messages| verify(entries(messages)).untaken_frames;
+    let twice = messages.iter().flat_map(|message| [message.clone(), message.clone()]).collect();
+    assert_eq!(untaken(messages.clone()), 0);
+    assert_eq!(untaken(twice), 0);
+    let mut other = messages;
+    let mut frame = samples(&mut other, TICK).clone();
+    frame.header.source_id = 77;
+    other.push(frame.into());
+    assert_eq!(untaken(other), 1);
+}
+
+#[test]
 fn the_beginning_of_a_recording_excuses_ten_seconds_without_a_keyframe() {
     let messages = recorded(4, 400);
     // The next keyframes follow after 8 s, and after 11 s.
