@@ -8,8 +8,8 @@ use joulebus_wire::{
     Channel, FrameOrder, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
 };
 
+use crate::loss::Loss;
 use crate::output::Output;
-use crate::report::Loss;
 use joulebus_capture_format::{Content as _, Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.

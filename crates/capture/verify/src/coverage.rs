@@ -6,8 +6,10 @@ use std::fmt;
 use joulebus_wire::{Channel as _, State};
 use serde::Serialize;
 
-use crate::report::Loss;
+use crate::loss::Loss;
 
+/// Name of the channel of questions.
+pub(super) const QUERIES: &str = "queries";
 /// Maximum number of runs listed. Further ones are added up in the last.
 const MAX_RUNS: usize = 1_000;
 /// Maximum number of ranges of ticks listed in a run.

@@ -53,6 +53,7 @@ mod assemble;
 mod compare;
 mod coverage;
 mod keyframes;
+mod loss;
 mod output;
 mod queries;
 mod report;
@@ -79,8 +80,9 @@ use robots::RobotRows;
 
 pub use compare::Value;
 pub use coverage::{ChannelCoverage, RunCoverage};
+pub use loss::Loss;
 pub use output::{Output, RecomputedTick, is_comparable};
-pub use report::{Difference, Loss, Verdict, Verification};
+pub use report::{Difference, Verdict, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
 /// Maximum memory of ticks waiting for a keyframe, and of keyframes waiting for their ticks, bytes.

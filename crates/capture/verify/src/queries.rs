@@ -13,8 +13,9 @@ use joulebus_wire::{
 };
 
 use crate::compare::{self, FieldDifference};
-use crate::coverage::Settled;
-use crate::report::{Loss, Verification};
+use crate::coverage::{QUERIES, Settled};
+use crate::loss::Loss;
+use crate::report::Verification;
 use joulebus_capture_format::{MessageKind, Query};
 
 /// Maximum memory of ticks kept for questions about them, bytes.
@@ -29,8 +30,6 @@ const MAX_BEYOND_TICKS: u64 = 2;
 const MAX_AGE_NS: u64 = 10_000_000_000;
 /// Maximum number of runs whose last numbers are remembered.
 const MAX_RUNS: usize = 64;
-/// Name of the channel of questions.
-pub(super) const QUERIES: &str = "queries";
 
 /// Run and number of a tick.
 type TickId = (u64, u64);
