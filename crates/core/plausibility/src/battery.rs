@@ -4,10 +4,8 @@
 //! makes none either.
 
 use crate::observation::Observation;
+use crate::quantity::UNMEASURED_A;
 use crate::sign::{MIN_DRIVE_S, MIN_READINGS, moves};
-
-/// The current that drivers of `sensor_msgs/BatteryState` write where they measure none, A.
-pub const UNMEASURED_A: f64 = -1.0;
 
 /// Readings of a current that never changes before it is no measurement.
 const MIN_CONSTANT: u64 = 100;

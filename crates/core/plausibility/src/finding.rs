@@ -5,8 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::battery::UNMEASURED_A;
-use crate::quantity::{Quantity, number};
+use crate::quantity::{Quantity, UNMEASURED_A, number};
 
 /// Kind of a finding. Its name is what `--accept` takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]

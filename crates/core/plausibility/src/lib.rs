@@ -70,13 +70,12 @@ mod sizes;
 mod unit;
 
 pub use battery::{
-    ChargerWatch, CurrentMonitor, SupplyStatus, UNMEASURED_A, charging_of_text, is_charge,
-    on_charger,
+    ChargerWatch, CurrentMonitor, SupplyStatus, charging_of_text, is_charge, on_charger,
 };
 pub use clock::{StampState, Stamps};
 pub use finding::{Finding, Kind, Severity, Source};
 pub use hold::{COMMAND_HOLDS_S, Expired};
 pub use judge::{Judge, Known, TimeUnit};
 pub use observation::Observation;
-pub use quantity::Quantity;
+pub use quantity::{Quantity, UNMEASURED_A};
 pub use resolution::resolution;

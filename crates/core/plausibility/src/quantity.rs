@@ -2,6 +2,9 @@
 
 use serde::Serialize;
 
+/// The current that drivers of `sensor_msgs/BatteryState` write where they measure none, A.
+pub const UNMEASURED_A: f64 = -1.0;
+
 /// A quantity of an [`Observation`](crate::Observation).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]

@@ -1,7 +1,8 @@
 //! Numbers that mean that there is no reading.
 
-use crate::battery::{COARSE, NEAR_A, UNMEASURED_A};
+use crate::battery::{COARSE, NEAR_A};
 use crate::column::Column;
+use crate::quantity::UNMEASURED_A;
 
 /// Readings before they count.
 const MIN_COUNT: u64 = 3;
