@@ -9,6 +9,7 @@ use joulebus_wire::{Flow, FrameRows};
 
 use crate::channel::{Intake, RecordedChannel};
 use crate::item::Item;
+use crate::options::RECORDER;
 use crate::shared::Shared;
 use joulebus_capture_format::{Clock, Message, MessageKind, Times};
 
@@ -47,15 +48,14 @@ pub(crate) struct Drain {
 }
 
 impl Drain {
-    /// Joins as `member`, and opens a port for each of the channels.
+    /// Joins as [`RECORDER`], and opens a port for each of the channels.
     pub(crate) fn open(
         config: &Config,
-        member: &str,
         clock: Clock,
         shared: Arc<Shared>,
         channels: impl Iterator<Item = RecordedChannel>,
     ) -> Result<Self, DrainError> {
-        let bus = Bus::join(&config.domain()?, member)?;
+        let bus = Bus::join(&config.domain()?, RECORDER)?;
         let limits = config.limits();
         // At most a quarter of the buffered frames arrives between two drains.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;

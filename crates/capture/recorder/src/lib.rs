@@ -186,7 +186,7 @@ impl Recorder {
         let options = options.clone();
         self.drain = Some(Background::start("joulebus-drain", move || {
             let wanted = options.wanted(config.fleet());
-            Ok::<_, StartError>(Drain::open(&config, options.member, clock, shared, wanted)?)
+            Ok::<_, StartError>(Drain::open(&config, clock, shared, wanted)?)
         })?);
         Ok(())
     }

@@ -37,9 +37,6 @@ pub struct Options {
     pub snapshot: Option<Snapshot>,
     /// Size of the queue in front of the disk, bytes. Messages beyond it are dropped.
     pub queue_bytes: usize,
-    /// Name of the process among the members of the fleet. [`RECORDER`] is listed as one that
-    /// records.
-    pub member: &'static str,
     /// Compares the joined fleet's worker with the attachments. Without it, a worker that began
     /// with other files than those on disk is not noticed.
     pub suits: Option<Suits>,
@@ -56,7 +53,6 @@ impl fmt::Debug for Options {
             .field("resume", &self.resume)
             .field("snapshot", &self.snapshot)
             .field("queue_bytes", &self.queue_bytes)
-            .field("member", &self.member)
             .finish_non_exhaustive()
     }
 }
@@ -85,7 +81,6 @@ impl Default for Options {
             resume: false,
             snapshot: None,
             queue_bytes: 128 << 20,
-            member: RECORDER,
             suits: None,
         }
     }

@@ -1,8 +1,5 @@
 //! Energy left in a battery.
 
-/// Distance of the bounds from the estimate in standard deviations: 95 % of a normal distribution.
-const SIGMAS: f64 = 2.0;
-
 /// Energy left in a battery at a time, past or to come, in J or as a share of the capacity.
 ///
 /// Budgets, alarms and verdicts are computed from it, so the error of a power monitor counts the
@@ -26,6 +23,10 @@ pub struct EnergyLeft {
 }
 
 impl EnergyLeft {
+    /// Distance of the bounds from the estimate in standard deviations: 95 % of a normal
+    /// distribution.
+    pub const SIGMAS: f64 = 2.0;
+
     /// Energy left of which a standard deviation is all that is known. Up to `most` of it is the
     /// monitor's, whose error has the sign of the errors to come: that of counting what is missing
     /// from a full battery.
@@ -49,7 +50,7 @@ impl EnergyLeft {
     #[inline(always)]
     #[must_use]
     pub fn counting_error(amount: f64, counting_sd: f64) -> f64 {
-        SIGMAS * counting_sd * amount.abs()
+        Self::SIGMAS * counting_sd * amount.abs()
     }
 
     /// Standard deviation of `left`, by which probabilities are computed.
@@ -71,14 +72,14 @@ impl EnergyLeft {
     #[inline(always)]
     #[must_use]
     pub fn lo(&self) -> f64 {
-        self.left - self.below - SIGMAS * self.sd()
+        self.left - self.below - Self::SIGMAS * self.sd()
     }
 
     /// Upper bound, possibly above the capacity.
     #[inline(always)]
     #[must_use]
     pub fn hi(&self) -> f64 {
-        self.left + self.above + SIGMAS * self.sd()
+        self.left + self.above + Self::SIGMAS * self.sd()
     }
 
     /// The same with an independent error of this standard deviation more. The range of gaps
@@ -88,7 +89,7 @@ impl EnergyLeft {
     pub fn with_error_within_range(self, sd: f64) -> Self {
         let own_sd = (self.own_sd * self.own_sd + sd * sd).sqrt();
         let wider = Self { own_sd, ..self };
-        let grown = SIGMAS * (wider.sd() - self.sd());
+        let grown = Self::SIGMAS * (wider.sd() - self.sd());
         Self { below: (self.below - grown).max(0.0), above: (self.above - grown).max(0.0), ..wider }
     }
 
@@ -97,7 +98,7 @@ impl EnergyLeft {
     #[inline(always)]
     #[must_use]
     pub fn counting_factors(counting_sd: f64) -> [f64; 2] {
-        let error = SIGMAS * counting_sd;
+        let error = Self::SIGMAS * counting_sd;
         [1.0 / (1.0 + error), 1.0 / (1.0 - error).max(f64::MIN_POSITIVE)]
     }
 }

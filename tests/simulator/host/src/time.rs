@@ -71,6 +71,13 @@ pub fn pass_until(ns: u64) {
 }
 
 impl Clocks {
+    /// The monotonic clock stands still for `ns` of simulated time.
+    fn stop(&mut self, ns: u64) {
+        self.of_ns = self.monotonic_ns();
+        self.now_ns += ns;
+        self.at_ns = self.now_ns;
+    }
+
     fn monotonic_ns(&self) -> u64 {
         let elapsed = i128::from(self.now_ns - self.at_ns);
         let shown = elapsed + elapsed * i128::from(self.ppm) / 1_000_000;
@@ -121,9 +128,7 @@ pub fn suspend(ns: u64) {
 /// The host is suspended for `ns` of simulated time, as one of several whose time goes on.
 pub fn sleep(ns: u64) {
     change(|clocks| {
-        clocks.of_ns = clocks.monotonic_ns();
-        clocks.now_ns += ns;
-        clocks.at_ns = clocks.now_ns;
+        clocks.stop(ns);
         clocks.suspended_ns = clocks.suspended_ns.saturating_add(ns);
     });
 }
@@ -131,9 +136,7 @@ pub fn sleep(ns: u64) {
 /// All clocks stand still for `ns` of simulated time, as those of a virtual machine that is paused.
 pub fn stand_still(ns: u64) {
     change(|clocks| {
-        clocks.of_ns = clocks.monotonic_ns();
-        clocks.now_ns += ns;
-        clocks.at_ns = clocks.now_ns;
+        clocks.stop(ns);
         clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_sub_unsigned(ns);
     });
 }

@@ -20,8 +20,7 @@ use crate::ledger::gap::GapPower;
 use crate::ledger::measured::{Measured, Seen};
 use crate::state::added;
 
-/// Distance of the bounds from an estimate in standard deviations, as [`EnergyLeft`] has it.
-const SIGMAS: f64 = 2.0;
+const SIGMAS: f64 = EnergyLeft::SIGMAS;
 /// Standard deviation of the state of charge that a charger reports as full.
 const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does

@@ -1,4 +1,7 @@
 //! A state that the version before encoded is read, and forecasts go on with the same bits.
+//!
+//! `before.bin` is what afbcd159 encoded of the fleet of [`source`], and the [`digest`] of its next
+//! forecasts. No test writes it: this version would encode its own.
 
 use std::fs;
 
@@ -63,20 +66,10 @@ fn source() -> (Fleet, Source) {
 }
 
 #[test]
-#[ignore = "writes the state: run it with the version before"]
-fn write() {
-    let (mut fleet, mut source) = source();
-    let mut bytes = Vec::new();
-    fleet.state().encode_into(&mut bytes);
-    let digest = digest(&mut fleet, &mut source);
-    bytes.extend(digest.to_le_bytes());
-    fs::write(PATH, bytes).expect("the directory exists");
-}
-
-#[test]
 fn a_state_of_the_version_before_is_read_and_forecasts_go_on_with_its_bits() {
     let bytes = fs::read(PATH).expect("it is part of the repository");
     let (state, expected) = bytes.split_last_chunk::<8>().expect("it ends with a digest");
+    assert!(state.starts_with(b"jbstate\x0e"), "another version encoded it");
     let state = FleetState::decode(state).expect("the version before is read");
     let (mut now, mut source) = source();
     let mut fleet = world::fleet_of(16, world::models_on(Kernel::Scalar));
