@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::sync_channel;
 
 use anyhow::Context as _;
+use joulebus_bus::check_threads;
 use joulebus_config::{Config, ModelSource};
 use joulebus_models::load_models;
 use joulebus_plan_server::{MAX_NORMALS, PlanServer, QueryReport};
@@ -50,6 +51,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: a signal during the start must clean up as well.
     let stop = Stop::on_signals()?;
+    check_threads()?;
     let config = args.config.load()?;
     warn_of_models(&config);
     // Robots are forecast whatever becomes of the recording.

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use joulebus_bus::{NoWorker, clock};
+use joulebus_bus::{NoWorker, check_threads, clock};
 use joulebus_capture_format::{CaptureSettings, Preset};
 use joulebus_capture_recorder::{
     Options, Recorder, Snapshot, Suits, Summary, Target, attach, host_clock,
@@ -119,6 +119,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let write_down = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGUSR1, Arc::clone(&write_down))
         .context("cannot handle SIGUSR1")?;
+    check_threads()?;
     let configs = args.configs()?;
     let clock = host_clock();
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();

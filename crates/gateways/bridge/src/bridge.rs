@@ -8,7 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use joulebus_bus::{Background, NoWorker, clock, yield_to_the_worker};
+use joulebus_bus::{Background, NoWorker, check_threads, clock, yield_to_the_worker};
 use joulebus_config::{CheckedFile, Config, File};
 use joulebus_consumer::FleetAlarms;
 use joulebus_program::exit::Outcome;
@@ -101,6 +101,7 @@ struct RosCheckReport {
 
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
+    check_threads()?;
     let config = args.config.load()?;
     let usual = usual::mapping(args)?;
     let file = match &usual {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crate::arguments::{LinkArguments, LinkVerb};
 use anyhow::Context as _;
-use joulebus_bus::{clock, yield_to_the_worker};
+use joulebus_bus::{check_threads, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
@@ -74,6 +74,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         None => {}
     }
     let file = args.file.as_deref().context("clap requires a file")?;
+    check_threads()?;
     let config = args.config.load()?;
     let settings = Settings::load(file, &config)?;
     let certificate = match &settings.network.tls {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use crate::arguments::ServeArguments;
-use joulebus_bus::NoWorker;
+use joulebus_bus::{NoWorker, check_threads};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::stop::Stop;
@@ -27,6 +27,7 @@ struct ServeReport {
 
 pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
+    check_threads()?;
     let config = args.config.load()?;
     let is_http = args.http.is_some() || args.socket.is_some();
     let http = is_http.then(|| {

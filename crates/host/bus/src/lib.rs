@@ -97,5 +97,7 @@ pub use ports::{
     QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter, SendError, Sent,
     WaitError, Waiter, Waker, Woken, Writer, WriterWatch,
 };
-pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity, check_stack};
+pub use preflight::{
+    CapacityError, CapacityReport, Ports, check_capacity, check_stack, check_threads,
+};
 pub use private::{DomainWarning, RootError};

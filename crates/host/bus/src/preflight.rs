@@ -93,8 +93,15 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
     Ok(report)
 }
 
-/// Checks that address space is left for what a process of the fleet does.
-pub(crate) fn check_threads() -> Result<(), CapacityError> {
+/// Checks that address space is left for what a process of the fleet does. [`Bus::join`] checks it
+/// too. A program that starts threads before it joins checks it first: the error of a thread that
+/// finds no room for its stack does not name the limit.
+///
+/// # Errors
+/// [`CapacityError::AddressSpace`] with the limit.
+///
+/// [`Bus::join`]: crate::Bus::join
+pub fn check_threads() -> Result<(), CapacityError> {
     check_address_space(THREADS_BYTES)
 }
 
