@@ -37,7 +37,7 @@ for page in root.glob("docs/**/*.md"):
 PY
 "$mdbook" build --dest-dir "$PWD/target/book" "$source"
 rm -rf "$source"
-for page in index.html tutorial/rust.html reference/layout.html; do
+for page in index.html tutorial/rust.html reference/programs.html; do
     [ -s "target/book/$page" ] || { echo "book: target/book/$page is missing" >&2; exit 1; }
 done
 echo "book: $(find target/book -name '*.html' | wc -l) pages in target/book"

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Reads a running fleet's forecasts with the PyPI package iceoryx2, by docs/reference/layout.md alone, and checks what it sees.
+"""Reads a running fleet's forecasts with the PyPI package iceoryx2, by joulebus.h alone, and checks what it sees.
 
-Nothing of joulebus is used: the layout is read from the page, the frames by iceoryx2's own Python package. Until stdin
+Nothing of joulebus is used: the layout is read from the header, the frames by iceoryx2's own Python package. Until stdin
 ends it follows the worker, also a killed and restarted one, and checks that
 
 - ticks of a run of the worker only grow, and so do runs.
-- the schema is the page's, and no robot has two rows.
+- the schema is the header's, and no robot has two rows.
 - a forecast that is flagged is finite and lies within its interval, and one that is not is not stated.
 - no frame is computed after it was sent, or sent in the future. (Stamps of samples are their sources' own.)
 
@@ -30,8 +30,8 @@ import time
 from pinned_environment import python_of
 
 PINNED = ["iceoryx2==0.10.0"]
-PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "reference" / "layout.md"
-# Which version of each struct the page describes. iceoryx2 compares it.
+HEADER = pathlib.Path(__file__).resolve().parent.parent / "crates/languages/c/include/joulebus.h"
+# Which version of each struct the header describes. iceoryx2 compares it.
 VERSION = {"Forecast": "joulebus.Forecast.v1", "ForecastHeader": "joulebus.ForecastHeader.v1"}
 # Between two looks. An event would wake it, but belongs to a service of its own.
 LOOKS_EVERY_S = 0.002
@@ -51,14 +51,18 @@ def arguments():
 
 
 class Layout:
-    """A struct as docs/reference/layout.md has it."""
+    """A struct as joulebus.h has it: its fields in order, without padding."""
 
-    def __init__(self, page, name):
-        section = page.split(f"\n## {name}\n")[1].split("\n## ")[0]
-        self.bytes = int(re.search(r"^`joulebus_\w+`, (\d+) bytes", section)[1])
-        rows = re.findall(r"^\| (\d+) \| `(\w+)` \| `[^`]*` \| `<([fiu])(\d)` \|", section, re.M)
-        codes = {"f4": "f", "f8": "d", "u2": "H", "u4": "I", "u8": "Q", "i8": "q"}
-        self.fields = {field: ("<" + codes[kind + size], int(at)) for at, field, kind, size in rows}
+    def __init__(self, header, name):
+        body = re.search(rf"typedef struct {name} \{{(.*?)\n\}} {name};", header, re.S)[1]
+        body = re.sub(r"/\*.*?\*/", "", body, flags=re.S)
+        codes = {"float": "f", "double": "d", "uint16_t": "H", "uint32_t": "I", "uint64_t": "Q", "int64_t": "q"}
+        self.fields, self.bytes = {}, 0
+        for of, field, count in re.findall(r"(\w+) (\w+)(?:\[(\d+)\])?;", body):
+            size = struct.calcsize("<" + codes[of]) if of in codes else Layout(header, of).bytes
+            if of in codes and not count:
+                self.fields[field] = ("<" + codes[of], self.bytes)
+            self.bytes += size * int(count or 1)
 
     def read(self, memory, start=0):
         """Every plain field of one struct."""
@@ -68,11 +72,11 @@ class Layout:
 class Checks:
     """What is seen, and what is wrong with it."""
 
-    def __init__(self, page):
-        self.header, self.row = Layout(page, "ForecastHeader"), Layout(page, "Forecast")
-        self.schema = int(re.search(r"Schema version (\d+)", page)[1])
-        bits = dict(re.findall(r"^\| `JOULEBUS_FORECAST_(POWER|INTERVAL)` \| (\d+) \|", page, re.M))
-        self.power, self.interval = int(bits["POWER"]), int(bits["INTERVAL"])
+    def __init__(self, header):
+        self.header, self.row = Layout(header, "joulebus_forecast_header"), Layout(header, "joulebus_forecast")
+        self.schema = int(re.search(r"#define JOULEBUS_SCHEMA_VERSION (\d+)u", header)[1])
+        bits = dict(re.findall(r"#define JOULEBUS_FORECAST_(POWER|INTERVAL) (0x\w+?)u", header))
+        self.power, self.interval = int(bits["POWER"], 16), int(bits["INTERVAL"], 16)
         self.run, self.tick = 0, 0
         self.seen = {"frames": 0, "forecasts": 0, "runs": 0, "skipped": 0}
         self.wrong = []
@@ -85,7 +89,7 @@ class Checks:
         head = self.header.read(header)
         now_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         run, tick = head["worker_epoch"], head["tick"]
-        self.check(head["schema"] == self.schema, f"schema {head['schema']}, the page has {self.schema}")
+        self.check(head["schema"] == self.schema, f"schema {head['schema']}, the header has {self.schema}")
         self.check(run >= self.run, f"run {run} after {self.run}")
         if run == self.run:
             self.check(tick > self.tick, f"tick {tick} after {self.tick} of run {run}")
@@ -135,7 +139,7 @@ def follow(config, fleet):
     import iceoryx2
 
     iceoryx2.set_log_level(iceoryx2.LogLevel.Fatal)
-    checks = Checks(PAGE.read_text())
+    checks = Checks(HEADER.read_text())
     loaded = iceoryx2.config.setup_global_config_from_file(iceoryx2.FilePath.new(str(config)))
     node = iceoryx2.NodeBuilder.new().config(loaded or iceoryx2.config.global_config()).create(iceoryx2.ServiceType.Ipc)
     frames = None

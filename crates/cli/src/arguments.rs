@@ -125,10 +125,6 @@ fn listed(command: &clap::Command) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::fmt::Write as _;
-
-    use joulebus_testkit::assert_page_contains;
-
     use super::*;
 
     #[test]
@@ -158,97 +154,5 @@ mod tests {
             let help = help.unwrap_or_default();
             assert!(help.contains("joulebus"), "{}: {help:?}", verb.get_name());
         }
-    }
-
-    /// Text that has no tags of HTML outside of inline code.
-    fn escaped(text: &str) -> String {
-        let parts = text.split('`').enumerate().map(|(number, part)| match number % 2 {
-            0 => part.replace('<', "\\<"),
-            _ => part.to_owned(),
-        });
-        parts.collect::<Vec<_>>().join("`")
-    }
-
-    /// The text after a verb's options: examples as they are, sentences as paragraphs.
-    fn paragraphs(help: &str) -> String {
-        let parts = help.trim_end().split("\n\n").map(|part| match part.contains("\n  ") {
-            true => format!("\n```text\n{}\n```\n", part.trim_end()),
-            false => format!("\n{}\n", escaped(part.trim()).replace('\n', "\n\n")),
-        });
-        parts.collect()
-    }
-
-    /// A table of the options or arguments of a verb, or nothing if there are none.
-    fn table(verb: &clap::Command) -> String {
-        let mut rows = String::new();
-        let is_global =
-            |option: &clap::Arg| option.is_global_set() && verb.get_name() != "joulebus";
-        let is_of_clap =
-            |option: &clap::Arg| ["help", "version"].contains(&option.get_id().as_str());
-        for option in verb.get_arguments() {
-            if option.is_hide_set() || is_global(option) || is_of_clap(option) {
-                continue;
-            }
-            let help = option.get_long_help().or(option.get_help());
-            let mut help = escaped(&help.map(ToString::to_string).unwrap_or_default());
-            for value in option.get_possible_values().iter().filter(|value| !value.is_hide_set()) {
-                match (option.get_action().takes_values(), value.get_help()) {
-                    (false, _) => {}
-                    (true, Some(about)) => {
-                        let about = escaped(&about.to_string());
-                        write!(help, "<br>`{}`: {about}", value.get_name()).unwrap();
-                    }
-                    (true, None) => write!(help, "<br>`{}`", value.get_name()).unwrap(),
-                }
-            }
-            let defaults = option.get_default_values().iter();
-            let defaults: Vec<_> = defaults.map(|value| value.display().to_string()).collect();
-            let takes_value =
-                option.get_action().takes_values() && !option.is_hide_default_value_set();
-            let default = match defaults.join(" ") {
-                default if takes_value && !default.is_empty() => format!("`{default}`"),
-                _ if option.is_required_set() => "required".to_owned(),
-                _ => String::new(),
-            };
-            let help = help.replace("\n\n", "<br>").replace('\n', " ").replace('|', "\\|");
-            let short = option.get_short().filter(|_| option.get_long().is_some());
-            let short = short.map(|short| format!("`-{short}`, ")).unwrap_or_default();
-            let option = option.to_string().replace('|', "\\|");
-            writeln!(rows, "| {short}`{option}` | {help} | {default} |").unwrap();
-        }
-        match rows.is_empty() {
-            true => rows,
-            false => format!("\n| option | meaning | default |\n|---|---|---|\n{rows}"),
-        }
-    }
-
-    /// `JOULEBUS_WRITE=1 cargo test -p joulebus --lib every_option` writes the page.
-    #[test]
-    fn the_page_about_the_command_line_has_every_option() {
-        let mut program = command();
-        program.build();
-        let mut text = format!("\n## Options of every verb\n{}", table(&program));
-        let shown = |verb: &clap::Command| -> Vec<clap::Command> {
-            let shown = verb.get_subcommands().filter(|verb| !verb.is_hide_set());
-            shown.filter(|verb| verb.get_name() != "help").cloned().collect()
-        };
-        let mut verbs = shown(&program);
-        verbs.reverse();
-        while let Some(mut verb) = verbs.pop() {
-            let within = shown(&verb);
-            verbs.extend(within.into_iter().rev());
-            let name = verb.get_bin_name().unwrap_or_else(|| verb.get_name()).to_owned();
-            let about = verb.get_long_about().or(verb.get_about());
-            let about = about.map(ToString::to_string).unwrap_or_default();
-            let usage = verb.render_usage().to_string();
-            let usage = usage.trim_start_matches("Usage: ").trim();
-            let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
-            let (about, help) = (escaped(&about), paragraphs(&help));
-            let table = table(&verb);
-            write!(text, "\n## `{name}`\n\n{about}\n\n```text\n{usage}\n```\n{table}{help}")
-                .unwrap();
-        }
-        text.push('\n');
-        assert_page_contains("docs/reference/commands.md", "<!-- verbs", &text);
     }
 }

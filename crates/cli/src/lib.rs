@@ -23,7 +23,7 @@
 //! [troubleshooting][4].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/commands.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/tutorial/demo.md
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/troubleshooting.md
 #![forbid(unsafe_code)]

@@ -67,7 +67,7 @@
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/alarms.md
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/budgets.md
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/outlooks.md
-//! [5]: https://github.com/joulebus/joulebus/blob/main/docs/reference/layout.md
+//! [5]: https://github.com/joulebus/joulebus/blob/main/crates/languages/c/include/joulebus.h
 #![forbid(unsafe_code)]
 
 mod alarms;

@@ -1,4 +1,4 @@
-//! The layouts as data. The C header, NumPy's types and `docs/reference/layout.md` are made of
+//! The layouts as data. The C header and NumPy's types are made of
 //! them.
 
 use crate::{

@@ -42,7 +42,7 @@
 //! iceoryx2][3], [every member cleans up][4], [wait with one ppoll][5].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/layout.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/crates/languages/c/include/joulebus.h
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/iceoryx2.md
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/cleanup.md
 //! [5]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/waiting.md

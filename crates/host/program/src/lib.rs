@@ -23,7 +23,7 @@
 //! options as data][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/commands.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/programs.md
 #![forbid(unsafe_code)]
 

@@ -1,11 +1,10 @@
-//! The layouts of shared memory in other languages. The C header and the table in the documentation
-//! are made from `joulebus-wire`, and a compiled C program prints its compiler's offsets.
+//! The layouts of shared memory in C. The header is made from `joulebus-wire`, and a compiled C
+//! program prints its compiler's offsets.
 //!
-//! `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts` writes header and table again.
+//! `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts` writes the header again.
 
 mod compiled;
 mod header;
-mod page;
 
 use std::fs;
 use std::path::{Path, PathBuf};
