@@ -76,9 +76,6 @@ step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS
 # Eight hours before a release: CONTRIBUTING.md.
 step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
 # Its tables come as a patch of the pages.
-step gate-cost - 'python3 tools/gate_cost.py'
-step busy-processes - 'tested tools/busy.py 20 --processes'
-step busy - 'tested tools/busy.py 3'
 
 # Prints why a step cannot run here, and nothing if it can.
 lacks() {
