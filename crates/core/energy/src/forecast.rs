@@ -137,9 +137,9 @@ pub struct EnergyForecast {
 impl EnergyForecast {
     /// The energy below which the robot stays with probability `p`, J.
     ///
-    /// `None` unless 0 < p < 1, and if errors are unknown: for a model without an energy model, for
-    /// a plan that the model does not [cover](EnergyModel::covers), and for commands that are not
-    /// finite. For an interval of coverage c use (1 − c)/2 and (1 + c)/2.
+    /// `None` unless 0 < p < 1, and if errors are unknown: for a model without an energy model, and
+    /// for commands that are not finite. Those of a plan that the model does not
+    /// [cover](EnergyModel::covers) are extrapolated. For an interval of coverage c use (1 − c)/2 and (1 + c)/2.
     pub fn quantile_j(&self, p: f32) -> Option<f32> {
         let error_j = quantiles::quantile(self.errors_j.as_ref()?, p)?;
         Some(self.energy_j + error_j)
@@ -171,7 +171,7 @@ impl EnergyModel {
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
         let energy_j = if sum.is_known { energy_j as f32 } else { f32::NAN };
-        let known = energy_j.is_finite() && self.covers(duration_s);
+        let known = energy_j.is_finite() && self.longest_s() > 0.0;
         EnergyForecast {
             energy_j,
             duration_s,

@@ -40,9 +40,9 @@ pub struct Answer {
     /// Energy left at the end, reserve included. `None` if energy or battery is unknown.
     pub left: Option<Left>,
     /// Probability of finishing above the reserve, with the errors of the energy and of the battery.
-    /// `None` where it is not known: with steps outside the training data, beyond the longest
-    /// horizon, if the model states no distribution of its errors, and if the robot's state is weak
-    /// or an alarm casts doubt on its readings.
+    /// `None` where it is not known: with steps outside the training data, if the model states no
+    /// distribution of its errors, and if the robot's state is weak or an alarm casts doubt on its
+    /// readings.
     pub probability: Option<f32>,
     /// A bound, not an expectation: the lower bound of the spare energy in the battery, less the
     /// upper bound of the energy and the error of counting it, J. Negative if as much may be
@@ -133,17 +133,19 @@ fn name<S: Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error>
 
 /// Reasons that weaken an answer.
 ///
-/// What is not known of a *plan* widens its interval: steps outside the training data, and those
-/// beyond the longest horizon, count with the platform's minimum and maximum power. The answer is
-/// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, or an alarm
+/// What is not known of a *plan* widens its interval: steps outside the training data, and all steps
+/// of a model that states no errors, count with the platform's minimum and maximum power. Beyond the
+/// longest horizon whose errors are known, they are extrapolated. The answer is [`Verdict::Yes`] if
+/// the battery spares even that. If the *robot's state* is weak, or an alarm
 /// casts doubt on its readings, no interval shows by how much, and the answer is
 /// [`Verdict::Tight`] at best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Caveats {
-    /// Steps whose commands lie outside the training data.
+    /// Steps whose commands lie outside the training data, or all of a model without errors.
     pub steps_outside_training: usize,
-    /// The plan is longer than the longest horizon whose errors are known.
+    /// The plan is longer than the longest horizon whose errors are known: its interval and its
+    /// probability are extrapolated.
     pub beyond_horizon: bool,
     /// The robot's sample is overdue, or came without a reading.
     pub no_reading: bool,
@@ -293,8 +295,8 @@ impl fmt::Display for Caveats {
         }
         if self.beyond_horizon {
             parts.push(
-                "the plan is longer than the model's errors are known for: beyond that it \
-                counts with the platform's limits of power"
+                "the plan is longer than those whose errors the model knows: its interval is \
+                extrapolated"
                     .to_owned(),
             );
         }

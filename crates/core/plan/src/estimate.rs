@@ -10,17 +10,12 @@ use crate::candidates::part;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Progress {
     sum: CommandSum,
-    /// Sum of its first steps, up to the longest horizon with known errors.
-    covered: CommandSum,
-    /// Steps up to that horizon.
-    most_covered: usize,
 }
 
 impl Progress {
     /// The progress before the first command. Each command is in force for `period_s`.
-    pub(crate) fn new(model: &EnergyModel, state: &EnergyState, period_s: f32) -> Self {
-        let sum = CommandSum::new(state, period_s);
-        Self { sum, covered: sum, most_covered: (model.longest_s() / period_s) as usize }
+    pub(crate) fn new(state: &EnergyState, period_s: f32) -> Self {
+        Self { sum: CommandSum::new(state, period_s) }
     }
 
     /// Time that each command is in force, s.
@@ -30,25 +25,16 @@ impl Progress {
 
     /// Follows the next commands.
     pub(crate) fn add(&mut self, model: &EnergyModel, next: Commands<'_>) {
-        let missing = self.most_covered.saturating_sub(self.sum.steps());
-        if missing > 0 {
-            self.sum.add(model, part(next, 0, missing));
-            self.covered = self.sum;
-        }
-        self.sum.add(model, part(next, missing, next.steps()));
+        self.sum.add(model, next);
     }
 
     /// Follows a way that is known already but for its first command, which has been followed.
     pub(crate) fn join(&mut self, rest: &Rest) {
-        if self.sum.steps() < self.most_covered {
-            self.covered = self.sum;
-            self.covered.join(&rest.covered);
-        }
-        self.sum.join(&rest.whole);
+        self.sum.join(&rest.0);
     }
 
-    /// The energy so far. It is widened to the platform's minimum and maximum power (W) where the
-    /// model's errors do not cover it.
+    /// The energy so far. Steps outside the training data, and all of a model without known errors,
+    /// widen it to the platform's minimum and maximum power (W).
     pub(crate) fn estimate(
         &self,
         model: &EnergyModel,
@@ -57,59 +43,45 @@ impl Progress {
         coverage: f32,
     ) -> Estimate {
         let whole = model.forecast_of(state, &self.sum);
-        let (steps, outside) = (self.sum.steps(), self.sum.steps_outside());
-        let beyond = !model.covers(whole.duration_s);
-        let covered = if beyond { self.covered } else { self.sum };
-        let known = (covered.steps() > 0)
-            .then(|| if beyond { model.forecast_of(state, &covered) } else { whole });
-        let widened = (steps - covered.steps() + outside).min(steps);
+        // A model without errors knows nothing about any step.
+        let is_known = model.longest_s() > 0.0;
+        let widened = if is_known { self.sum.steps_outside() } else { self.sum.steps() };
         let widened_s = widened as f32 * self.sum.period_s();
         let mean_w = whole.energy_j / whole.duration_s;
         let tail = 0.5 * (1.0 - coverage);
-        let offset_j = |p| {
-            let edge_j = known.and_then(|known| Some(known.quantile_j(p)? - known.energy_j));
-            edge_j.unwrap_or(0.0)
-        };
+        let offset_j = |p| whole.quantile_j(p).map_or(0.0, |edge_j| edge_j - whole.energy_j);
         let down_w = (mean_w - power_min_w).max(0.0);
         let up_w = (power_max_w - mean_w).max(0.0);
         let lo_j = whole.energy_j + offset_j(tail) - widened_s * down_w;
         let least_j = (power_min_w * whole.duration_s).min(whole.energy_j);
         Estimate {
-            distribution: known.filter(|_| widened == 0),
+            distribution: (widened == 0).then_some(whole),
             mean_j: whole.energy_j,
             // Both widen it downwards, together beyond the possible. Not `max`, which would hide a
             // NaN.
             lo_j: if lo_j < least_j { least_j } else { lo_j },
             hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
             caveats: Caveats {
-                steps_outside_training: outside,
-                beyond_horizon: beyond,
+                steps_outside_training: widened,
+                beyond_horizon: is_known && !model.covers(whole.duration_s),
                 ..Caveats::default()
             },
         }
     }
 }
 
-/// Sums of the command model over the commands of a path after its first one. They are the same for
+/// Sum of the command model over the commands of a path after its first one. It is the same for
 /// every robot of a platform.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Rest {
-    whole: CommandSum,
-    /// Sum up to the longest horizon with known errors.
-    covered: CommandSum,
-}
+pub(crate) struct Rest(CommandSum);
 
 impl Rest {
-    /// Sums over a path that follows the first `begins` steps of a plan.
-    pub(crate) fn new(model: &EnergyModel, way: Commands<'_>, begins: usize) -> Self {
+    /// The sum over a path.
+    pub(crate) fn new(model: &EnergyModel, way: Commands<'_>) -> Self {
         let first = (way.v_mps[0], way.omega_radps[0]);
         let mut sum = CommandSum::after(first, way.period_s);
-        let most_covered = (model.longest_s() / way.period_s) as usize;
-        let covered_to = most_covered.saturating_sub(begins).max(1);
-        sum.add(model, part(way, 1, covered_to));
-        let covered = sum;
-        sum.add(model, part(way, covered_to, way.steps()));
-        Self { whole: sum, covered }
+        sum.add(model, part(way, 1, way.steps()));
+        Self(sum)
     }
 }
 

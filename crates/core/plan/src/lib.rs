@@ -47,8 +47,9 @@
 //!
 //! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper bound at the requested
 //! coverage fits into the lower bound of the spare energy, at the end of every leg, and nothing
-//! weakens that statement. Commands outside the training data and plans longer than the longest
-//! calibrated horizon widen the interval to the platform's minimum and maximum power. A robot
+//! weakens that statement. Commands outside the training data widen the interval to the platform's
+//! minimum and maximum power. The errors of a plan longer than the longest calibrated horizon are
+//! extrapolated. A robot
 //! without readings and one outside the training data ([`Caveats`]) allow [`Verdict::Tight`] at
 //! best. Stale, invalid or unknown values give [`Verdict::Unknown`] with the reason.
 //!

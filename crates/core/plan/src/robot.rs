@@ -262,7 +262,7 @@ impl<'a> Robot<'a> {
 
     /// Before the first command of a plan.
     pub(crate) fn begin(&self, period_s: f32) -> Progress {
-        Progress::new(self.model(), &self.energy, period_s)
+        Progress::new(&self.energy, period_s)
     }
 
     /// Follows the next commands of a plan.
@@ -270,9 +270,9 @@ impl<'a> Robot<'a> {
         progress.add(self.model(), next);
     }
 
-    /// Sums over a path after the first `begins` steps of a plan, for any robot of the platform.
-    pub(crate) fn rest(&self, way: Commands<'_>, begins: usize) -> Rest {
-        Rest::new(self.model(), way, begins)
+    /// The sum over a path, for any robot of the platform.
+    pub(crate) fn rest(&self, way: Commands<'_>) -> Rest {
+        Rest::new(self.model(), way)
     }
 
     /// True if the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].

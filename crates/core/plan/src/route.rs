@@ -128,7 +128,7 @@ impl Route {
             Ok(home) => Ok(Some(Home {
                 v_mps: home.v_mps[0],
                 omega_radps: home.omega_radps[0],
-                rest: robot.rest(home.commands(), turn),
+                rest: robot.rest(home.commands()),
             })),
             Err(
                 AskError::Steps { .. }

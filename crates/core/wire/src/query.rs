@@ -200,7 +200,8 @@ bits! {
         pub const LIMITING_LEG: u16 = 1 << 4;
         /// `turn_back_s` is known.
         pub const TURN_BACK: u16 = 1 << 5;
-        /// The plan is longer than the longest horizon whose errors are known.
+        /// The plan is longer than the longest horizon whose errors are known: its interval and
+        /// its probability are extrapolated.
         pub const BEYOND_HORIZON: u16 = 1 << 6;
         /// The robot's sample is overdue, or came without a reading.
         pub const NO_READING: u16 = 1 << 7;

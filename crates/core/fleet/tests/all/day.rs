@@ -351,11 +351,11 @@ impl Day {
         }
     }
 
-    /// Asks a robot about a plan of 10 s to 5 minutes, the longest horizon. Its energy is about what
+    /// Asks a robot about a plan of 10 s to an hour. Its energy is about what
     /// the robot can spare: the reserve is chosen so.
     fn ask(&mut self, step: u64) {
         let number = (uniform(&mut self.noise) * ROBOTS as f64) as usize;
-        let duration_s = 10.0 * 30f64.powf(uniform(&mut self.noise));
+        let duration_s = 10.0 * 360f64.powf(uniform(&mut self.noise));
         let place = world::place(&self.fleet, number as u32);
         let ends = step + (duration_s / STEP_S).round().max(1.0) as u64;
         let works = (step..=ends).all(|step| Robot::works(number, step) && !Robot::is_off(step));

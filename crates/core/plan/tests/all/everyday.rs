@@ -57,18 +57,17 @@ fn there_and_back(robot: &Robot<'_>, away_m: f64) -> Trip {
 #[test]
 fn everyday_questions_get_the_verdict_that_a_person_would_give() {
     let fleet = fleet();
-    // Beyond the model's longest horizon nobody knows a probability.
-    const UNKNOWN: std::ops::RangeInclusive<f32> = 1.0..=0.0;
     // State of charge and its lower bound, distance, verdict, probability.
     let table = [
         // Near, with 25 kJ to spare and with a battery that is half unknown.
         ((0.86, 0.84), 1.0, Verdict::Yes, 0.999..=1.0),
         ((0.86, 0.43), 1.0, Verdict::Yes, 0.99..=1.0),
-        // Far: a quarter of an hour, ten times as long as the model's longest horizon, at whatever
-        // the platform can draw; an hour, in which it could draw too much; a day.
-        ((1.00, 0.95), 100.0, Verdict::Yes, UNKNOWN),
-        ((1.00, 0.95), 300.0, Verdict::Tight, UNKNOWN),
-        ((1.00, 0.95), 2_000.0, Verdict::No, UNKNOWN),
+        // Far, all longer than the model's longest horizon: a quarter of an hour, and most of an
+        // hour, with enough and with hardly enough, and as long as no battery lasts.
+        ((1.00, 0.95), 100.0, Verdict::Yes, 0.999..=1.0),
+        ((1.00, 0.95), 300.0, Verdict::Yes, 0.999..=1.0),
+        ((0.47, 0.46), 300.0, Verdict::Tight, 0.5..=0.9),
+        ((1.00, 0.95), 2_000.0, Verdict::No, 0.0..=0.001),
         // Nearly empty: what is left suffices, suffices perhaps, does not.
         ((0.1032, 0.1022), 1.0, Verdict::Yes, 0.99..=1.0),
         ((0.1016, 0.1010), 1.0, Verdict::Tight, 0.55..=0.95),
@@ -84,11 +83,7 @@ fn everyday_questions_get_the_verdict_that_a_person_would_give() {
         let answer = trip.answer;
         let asked = format!("{soc} {soc_lo}, {away_m} m: {answer:?} {:?}", trip.turn_back_s);
         assert_eq!(answer.verdict, verdict, "{asked}");
-        let found = answer.probability.unwrap_or(f32::NAN);
-        assert!(
-            probability.contains(&found) || (probability.is_empty() && found.is_nan()),
-            "{asked}"
-        );
+        assert!(probability.contains(&answer.probability.expect("known")), "{asked}");
         assert_eq!(answer.caveats.steps_outside_training, 0, "{asked}");
         // Nobody has to turn back from what is a yes.
         assert!(verdict != Verdict::Yes || trip.turn_back_s.is_none(), "{asked}");
