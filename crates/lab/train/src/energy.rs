@@ -4,6 +4,9 @@
 //! other. A half has whole recordings, and all of a robot where robots differ: two parts of one
 //! recording have the same floor, load and battery, and show nothing of another day. The stored
 //! model is fitted to all of them.
+//!
+//! Few recordings show little of how drives differ, so Student's distribution widens their errors.
+//! Of fewer than four, the deviation between them is that of a prior and theirs together.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -32,8 +35,13 @@ const MEAN_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 const MAX_ORIGINS: usize = 1_500;
 /// Fewest origins, and fewest runs, with which the parameters at a horizon are chosen.
 const FEWEST: (usize, usize) = (30, 4);
-/// Fewest recordings from which the errors at a horizon are known.
+/// Fewest recordings that show the errors at a horizon. Those of fewer are taken from a prior.
 pub(crate) const FEWEST_RECORDINGS: usize = 4;
+/// Recordings from which on the errors among them are taken as they are.
+const MANY_RECORDINGS: usize = 16;
+/// Relative deviation of the mean power between drives before the first, and the number of drives
+/// that it weighs as much as.
+const PRIOR_DRIVES: (f64, f64) = (0.3, 2.0);
 
 /// Consecutive rows of one recording.
 struct Run {
@@ -75,8 +83,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
             Known {
                 added_share: crossed.with.added as f32,
                 weights: origins.weights(&crossed.with).map(|weight| weight as f32),
-                is_calibrated: crossed.recordings.len() >= FEWEST_RECORDINGS,
-                errors: crossed.quantiles(mean_share, mean_w),
+                errors: crossed.quantiles(mean_share, mean_w, &levels(&all, &command)),
             }
         })
         .collect();
@@ -87,7 +94,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         prior_s: prior_s.map(|prior_s| prior_s as f32),
         added_shares: std::array::from_fn(|place| at(place).added_share),
         weights: std::array::from_fn(|place| at(place).weights),
-        calibrated: known.iter().take_while(|known| known.is_calibrated).count(),
+        calibrated: known.len(),
         errors: std::array::from_fn(|place| at(place).errors),
         mean_share: mean_share as f32,
         v_mps: ranges[0],
@@ -134,8 +141,6 @@ fn crossed(
 struct Known {
     added_share: f32,
     weights: [f32; LEVELS],
-    /// True if enough recordings show the errors.
-    is_calibrated: bool,
     errors: [f32; KNOTS],
 }
 
@@ -145,7 +150,46 @@ pub(crate) fn recordings(dataset: &Dataset) -> usize {
     rows.map(|row| row.origin.recording).collect::<BTreeSet<u32>>().len()
 }
 
-/// Two halves by turns, with whole robots each if there are several, or else whole recordings. Too few recordings are halved run by run: their errors are not known anyway.
+/// The level of each recording: what it drew, relative to the command model.
+fn levels(runs: &[&Run], command: &CommandFit) -> BTreeMap<u32, f64> {
+    let mut sums = BTreeMap::new();
+    for run in runs {
+        let (read, predicted) = sums.entry(run.origin.recording).or_insert((0.0, 0.0));
+        *read += run.power_w.iter().sum::<f64>();
+        *predicted += run.motion.iter().map(|motion| command.power_w(motion)).sum::<f64>();
+    }
+    sums.into_iter().map(|(recording, (read, predicted))| (recording, read / predicted)).collect()
+}
+
+/// Deviation of the mean power between drives, relative, as far as few of them show it.
+fn between_drives(levels: &[f64]) -> f64 {
+    let (prior, weight) = PRIOR_DRIVES;
+    let mean = levels.iter().sum::<f64>() / levels.len() as f64;
+    let square = |level: &f64| (level / mean - 1.0) * (level / mean - 1.0);
+    let squares: f64 = levels.iter().map(square).filter(|square| square.is_finite()).sum();
+    libm::sqrt((weight * prior * prior + squares) / (weight + levels.len() as f64 - 1.0))
+}
+
+/// The quantile of Student's distribution at probability `p`, with `freedom` degrees of freedom, at
+/// least 1. With t = √n tan θ its density is that of cosⁿ⁻¹ θ.
+fn student(p: f64, freedom: f64) -> f64 {
+    const STEPS: usize = 20_000;
+    let step = std::f64::consts::FRAC_PI_2 / STEPS as f64;
+    let middle = |at: usize| (at as f64 + 0.5) * step;
+    let density = |at: usize| libm::pow(libm::cos(middle(at)), freedom - 1.0);
+    let half: f64 = (0..STEPS).map(density).sum();
+    let wanted = (p - 0.5).abs() * 2.0 * half;
+    let mut below = 0.0;
+    let at = (0..STEPS).find(|at| {
+        below += density(*at);
+        below >= wanted
+    });
+    let tangent = libm::tan(middle(at.unwrap_or(STEPS - 1)));
+    (libm::sqrt(freedom) * tangent).copysign(p - 0.5)
+}
+
+/// Two halves by turns, with whole robots each if there are several, or else whole recordings. Too
+/// few recordings are halved run by run: a prior stands for their errors.
 fn halves(runs: &[Run]) -> [Vec<&Run>; 2] {
     let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
     let robots: BTreeSet<u32> = runs.iter().map(|run| run.origin.robot).collect();
@@ -598,9 +642,32 @@ impl Crossed {
         (errors, scales)
     }
 
-    fn quantiles(&self, mean_share: f64, mean_w: f64) -> [f32; KNOTS] {
+    /// Quantiles of the errors, wider if they are of few recordings, whose levels are `levels`.
+    fn quantiles(&self, mean_share: f64, mean_w: f64, levels: &BTreeMap<u32, f64>) -> [f32; KNOTS] {
         let (errors, _) = self.relative(mean_share, mean_w);
-        QUANTILES.map(|p| quantile(&errors, p.into()) as f32)
+        let seen = QUANTILES.map(|p| quantile(&errors, p.into()));
+        let count = self.recordings.len();
+        let another = libm::sqrt(1.0 + 1.0 / count as f64);
+        let median = seen[KNOTS / 2];
+        let wider: [f64; KNOTS] = if count >= MANY_RECORDINGS {
+            seen
+        } else if count >= FEWEST_RECORDINGS {
+            let freedom = (count - 1) as f64;
+            // As much as at the ends of the 90 % interval of a normal distribution.
+            let factor = another * student(0.95, freedom) / student(0.95, 1e4);
+            seen.map(|error| median + factor * (error - median))
+        } else {
+            let of_these: Vec<f64> =
+                self.recordings.iter().filter_map(|of| levels.get(of).copied()).collect();
+            let deviation = another * between_drives(&of_these);
+            let freedom = PRIOR_DRIVES.1 + count as f64 - 1.0;
+            std::array::from_fn(|knot| {
+                let between = deviation * student(QUANTILES[knot].into(), freedom);
+                let within = seen[knot] - median;
+                median + libm::hypot(within, between).copysign(between)
+            })
+        };
+        wider.map(|error| error as f32)
     }
 
     /// Mean width of the 90 % interval, relative to the mean energy.

@@ -158,9 +158,8 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
         let recordings = findings.recordings;
         writeln!(
             out,
-            "only {recordings} of at least {FEWEST_RECORDINGS} recordings: the energy of plans has no interval \
-             and no probability, because parts of one recording do not show how much another day \
-             differs. Record more"
+            "only {recordings} of at least {FEWEST_RECORDINGS} recordings: the intervals of plans are wide, because \
+             parts of one recording do not show how much another day differs. Record more"
         )?;
     }
     Ok(())

@@ -242,18 +242,24 @@ fn recorded(robots: &[Robot], origin: impl Fn(usize) -> RowOrigin) -> Dataset {
 }
 
 #[test]
-fn pieces_of_too_few_recordings_state_no_errors_and_recordings_of_one_robot_do() {
+fn the_fewer_the_recordings_the_wider_are_the_intervals_and_pieces_of_one_are_no_recordings() {
     let robots = robots(0..16);
-    let longest_s = |origin: &dyn Fn(usize) -> RowOrigin| {
+    // Half width of the 90 % interval over ten seconds.
+    let half = |origin: &dyn Fn(usize) -> RowOrigin| {
         let model = energy_model(&recorded(&robots, origin), FeatureSet::Full);
-        model.expect("long enough").longest_s()
+        let model = model.expect("long enough");
+        assert_eq!(model.check(), Ok(()));
+        assert!(model.longest_s() >= 10.0, "{}", model.longest_s());
+        0.5 * (model.errors[2][7] - model.errors[2][1])
     };
-    // Sixteen stretches between gaps.
-    assert_eq!(longest_s(&|_| RowOrigin::default()), 0.0);
-    assert_eq!(longest_s(&|place| RowOrigin::recording(place % 3)), 0.0);
-    let of_one_robot = |place: usize| RowOrigin { recording: place as u32 % 4, robot: 0 };
-    assert!(longest_s(&of_one_robot) >= 10.0);
-    assert!(longest_s(&|place| RowOrigin::recording(place)) >= 100.0);
+    // Sixteen stretches between gaps are one recording.
+    let [one, two, three, four, all] = [1, 2, 3, 4, 16]
+        .map(|count| half(&|place| RowOrigin { recording: (place % count) as u32, robot: 0 }));
+    println!("{one} {two} {three} {four} {all}");
+    assert!(one > two && two > three && three > four && four > all);
+    assert!(three > 0.3, "{three}: another drive may differ by 30 %");
+    // Known to the tables of Student's distribution: 2.92 at 2 degrees of freedom, times 0.3 and √2.
+    assert!((one / (2.92 * 0.3 * 2f32.sqrt()) - 1.0).abs() < 0.05, "{one}");
 }
 
 #[test]
