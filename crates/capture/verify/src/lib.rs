@@ -56,6 +56,7 @@ mod keyframes;
 mod loss;
 mod output;
 mod queries;
+mod refusals;
 mod report;
 mod robots;
 mod what_if;
@@ -311,7 +312,7 @@ impl Verifier {
             self.report.contradict(tick, Loss::Differing(channel));
         }
         if let Some(frame) = entry.message.frame::<Acknowledgements>() {
-            self.queries.take_acknowledged(&frame.header, &mut self.report);
+            self.queries.take_acknowledged((&frame.header, frame.rows.len()), &mut self.report);
         }
         match entry.message.take::<Query>() {
             Ok(query) => self.queries.take(query, &entry.fleet, &mut self.report),
@@ -487,6 +488,9 @@ impl Verifier {
         self.report.missing_keyframes += u64::from(self.pace.lacks_one(place.0, start_ns));
         self.beginning.note(place, start_ns);
         self.queries.first = self.beginning.first;
+        if let Some(start_ns) = start_ns {
+            self.queries.refusals.note_tick(place.0, start_ns);
+        }
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(&next),
             // Before the keyframe, or the last, partly published tick of a worker that was

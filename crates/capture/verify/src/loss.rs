@@ -47,6 +47,8 @@ pub enum Loss {
     OlderRules(u32),
     /// A refusal for reasons of time: a deadline, a client or a worker that ended.
     ByTime,
+    /// A refusal for a reason that the capture does not prove.
+    Unproven,
     /// People make it, and it follows from no sample.
     ByPeople,
     /// An answer by the rules of another version.
@@ -100,6 +102,7 @@ impl Loss {
             Self::NotTheEnd => "it lacks parts as if the run ended, and others follow".to_owned(),
             Self::OlderRules(rules) => format!("computed by older rules ({rules})"),
             Self::ByTime => "refused for reasons of time".to_owned(),
+            Self::Unproven => "refused for a reason that the capture does not prove".to_owned(),
             Self::ByPeople => "made by people, follows from no sample".to_owned(),
             Self::OtherAnswers => "computed by the rules of another version".to_owned(),
             Self::Rules(rules) => format!(

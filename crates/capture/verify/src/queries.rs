@@ -9,12 +9,13 @@ use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
     AcknowledgementHeader, Acknowledgements, AnswerHeader, Budget, Channel as _, MAX_QUERY_STEPS,
-    PlanState, QueryKind, QueryRecord, QueryRefusal, answer_parts, fnv1a,
+    PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a, query_flag,
 };
 
 use crate::compare::{self, FieldDifference};
 use crate::coverage::{QUERIES, Settled};
 use crate::loss::Loss;
+use crate::refusals::{self, Refusals};
 use crate::report::Verification;
 use joulebus_capture_format::{MessageKind, Query};
 
@@ -26,8 +27,6 @@ const MAX_WAITING: usize = 64 << 20;
 
 /// Maximum number of ticks before or after a recording that an answer in it may be about.
 const MAX_BEYOND_TICKS: u64 = 2;
-/// Maximum time that a worker works on a question, ns.
-const MAX_AGE_NS: u64 = 10_000_000_000;
 /// Maximum number of runs whose last numbers are remembered.
 const MAX_RUNS: usize = 64;
 
@@ -54,6 +53,7 @@ pub(super) struct Queries {
     span: Option<(TickId, TickId)>,
     queries_seen: Numbers,
     acknowledged_seen: Numbers,
+    pub(super) refusals: Refusals,
 }
 
 /// Plan states and budgets of one tick.
@@ -82,24 +82,29 @@ impl Queries {
             span: None,
             queries_seen: Numbers::default(),
             acknowledged_seen: Numbers::default(),
+            refusals: Refusals::default(),
         }
     }
 
     /// Takes a question that was asked of the fleet of this name.
     pub(super) fn take(&mut self, query: Query, fleet: &str, report: &mut Verification) {
         let (record, run) = (&query.record, self.run_of(&query));
-        let Some(absent) = self.queries_seen.note((record.begun_ns, record.number)) else {
-            // A copy, or one that differs from it: compared as well.
-            return self.take_new((query, fnv1a(fleet.bytes())), report);
-        };
-        report.settle_absent(run, QUERIES, absent);
-        self.take_new((query, fnv1a(fleet.bytes())), report);
-    }
-
-    fn take_new(&mut self, asked: Asked, report: &mut Verification) {
+        let absent = self.queries_seen.note((record.begun_ns, record.number));
+        // A copy, or one that differs from it, is compared as well.
+        let is_new = absent.is_some();
+        report.settle_absent(run, QUERIES, absent.unwrap_or_default());
+        self.refusals.note(record, is_new, report);
+        let asked = (query, fnv1a(fleet.bytes()));
+        let record = &asked.0.record;
         report.queries += 1;
-        if asked.0.record.query.kind == QueryKind::Acknowledge.code() {
-            report.acknowledgements += 1;
+        let is_acknowledgement = record.query.kind == QueryKind::Acknowledge.code();
+        report.acknowledgements += u64::from(is_acknowledgement);
+        let is_compared = is_acknowledgement || !self.has_other_rules;
+        // Others are refused before anything else.
+        if is_compared && refusals::is_of_time(record) && is_decoded(&asked) {
+            return self.refusals.take(record, (run, is_new), report);
+        }
+        if is_acknowledgement {
             let settled = self.verify_acknowledgement(&asked, report);
             return report.settle_query(self.run_of(&asked.0), &settled);
         }
@@ -124,9 +129,10 @@ impl Queries {
     /// Takes a frame of the alarms that are acknowledged: people make them, and no sample.
     pub(super) fn take_acknowledged(
         &mut self,
-        header: &AcknowledgementHeader,
+        (header, rows): (&AcknowledgementHeader, usize),
         report: &mut Verification,
     ) {
+        self.refusals.note_acknowledged(rows);
         let run = self.newest_run();
         if let Some(absent) = self.acknowledged_seen.note((header.server_epoch, header.number)) {
             report.settle_absent(run, Acknowledgements::SERVICE.name(), absent);
@@ -164,12 +170,13 @@ impl Queries {
         let (record, values) = (&query.record, &query.values);
         let decoded = acknowledgement::decode(&record.query, values, *fleet, 0);
         let reason = QueryRefusal::decode(record.answer.refusal);
+        // A host without a worker takes none.
+        let is_new_normal = record.query.flags & query_flag::NEW_NORMAL != 0;
         if decoded.is_ok()
-            && (depends_on_time(record)
-                // A worker may take none.
-                || matches!(reason, Some(QueryRefusal::NotRaised | QueryRefusal::Kind)))
+            && (reason == Some(QueryRefusal::NotRaised)
+                || (is_new_normal && reason == Some(QueryRefusal::Kind)))
         {
-            return Settled::Not(Loss::ByTime);
+            return Settled::Not(Loss::ByPeople);
         }
         let computed = decoded.map(|_| Reply::default());
         let place = (record.answer.worker_epoch, record.answer.tick);
@@ -219,6 +226,7 @@ impl Queries {
     pub(super) fn finish(&mut self, last_tick: impl Fn(u64) -> u64, report: &mut Verification) {
         let waiting = std::mem::take(&mut self.waiting);
         self.waiting_bytes = 0;
+        self.refusals.finish(report);
         for ((run, tick), asked) in waiting {
             let last = last_tick(run);
             // A recorder ends between a tick and the answers about it.
@@ -233,11 +241,6 @@ impl Queries {
     fn verify(&self, asked: &Asked, report: &mut Verification) -> Result<(), TickId> {
         let (query, fleet) = asked;
         let answer = &query.record.answer;
-        if depends_on_time(&query.record) {
-            report.queries_by_time += 1;
-            report.settle_query(self.run_of(query), &Settled::Not(Loss::ByTime));
-            return Ok(());
-        }
         if !is_recomputed(answer) {
             self.leave(asked, Loss::Undefined, report);
             return Ok(());
@@ -342,22 +345,14 @@ enum Found<'a> {
     Lost,
 }
 
-/// True if it was refused for a reason that does not follow from what is recorded, and what is
-/// recorded does not deny it.
-fn depends_on_time(record: &QueryRecord) -> bool {
-    use QueryRefusal as Reason;
-    let answer = &record.answer;
-    let is_empty = answer.rows == 0 && answer.powers == 0;
-    let waited_ns = answer.sent_ns.saturating_sub(answer.taken_ns);
-    is_empty
-        && match Reason::decode(answer.refusal) {
-            Some(Reason::Deadline) => {
-                answer.sent_ns >= record.query.deadline_ns || waited_ns >= MAX_AGE_NS
-            }
-            Some(Reason::NoFrame | Reason::Busy) => answer.tick == 0,
-            Some(Reason::Ending | Reason::ClientGone | Reason::Unsent) => true,
-            _ => false,
-        }
+/// True if the question, or the acknowledgement, is one.
+fn is_decoded((query, fleet): &Asked) -> bool {
+    let (asked, values) = (&query.record.query, &query.values);
+    if asked.kind == QueryKind::Acknowledge.code() {
+        acknowledgement::decode(asked, values, *fleet, 0).is_ok()
+    } else {
+        Question::decode(asked, values, *fleet).is_ok()
+    }
 }
 
 /// True if it was answered, or refused for a reason that follows from the question.

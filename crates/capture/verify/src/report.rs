@@ -81,8 +81,11 @@ pub struct Verification {
     /// Questions whose answer was computed again.
     pub queries_verified: u64,
     /// Questions refused for reasons of time (a deadline, a client that ended, a worker that
-    /// ended).
+    /// ended), as far as the capture bears that out.
     pub queries_by_time: u64,
+    /// Refusals for reasons of time that the capture does not prove: an answer may have been altered
+    /// to one.
+    pub refusals_unproven: u64,
     /// Acknowledgements of alarms among the questions: they have no answer to compute.
     pub acknowledgements: u64,
     /// Questions answered by the rules of another version.
@@ -149,6 +152,7 @@ impl Verification {
             && self.ticks_unverified == 0
             && self.ticks_absent == 0
             && self.queries_unverified == 0
+            && self.refusals_unproven == 0
             && self.outputs_missing.is_empty()
             && self.frames_ambiguous == 0
             && self.messages_lost == 0
@@ -220,6 +224,14 @@ impl Verification {
     /// Counts an answered question.
     pub(super) fn settle_query(&mut self, run: u64, settled: &Settled) {
         self.counted.settle(run, QUERIES, settled);
+    }
+
+    /// Counts a refusal for a reason of time, proven or not.
+    pub(super) fn settle_refusal(&mut self, run: u64, why: Loss) {
+        let count =
+            if why.is_excused() { &mut self.queries_by_time } else { &mut self.refusals_unproven };
+        *count += 1;
+        self.settle_query(run, &Settled::Not(why));
     }
 
     /// Counts messages that are absent, by their numbers.
@@ -397,6 +409,11 @@ impl fmt::Display for Verification {
                 self.queries_unverified,
                 "answers about plans could not be verified: their ticks could not, are not in the \
                  capture, or the answers cannot be",
+            ),
+            (
+                self.refusals_unproven,
+                "refusals could not be compared: nothing in the capture proves that the worker ended, \
+                 the client was gone, or as many questions waited as the reason says",
             ),
             (
                 self.queries_of_other_rules,

@@ -3,9 +3,11 @@
 use joulebus_capture_format::Query;
 use joulebus_capture_format::{Frame, Message, MessageKind, RobotRow};
 use joulebus_capture_verify::Verdict::{self, Different, Incomplete, NotCompared, Verified};
+use joulebus_testkit_fleets::PERIOD_NS;
 use joulebus_wire::{
-    AcknowledgementHeader, Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, Outlooks,
-    PlanStates, QueryKind, QueryRefusal, Row, Samples, State, TakenFrame, Ticks, tick_flag,
+    AcknowledgementHeader, Acknowledgements, Alarm, Budgets, Channel, Diagnostics, Forecasts,
+    Outlooks, PlanStates, QueryHeader, QueryKind, QueryRefusal, Row, Samples, State, TakenFrame,
+    Ticks, fnv1a, tick_flag,
 };
 
 use crate::differences::asked;
@@ -166,6 +168,72 @@ fn forged(query: &mut Query) {
 fn refused(query: &mut Query, code: u32) {
     query.record.answer.refusal = code;
     *query = query.clone().counted();
+}
+
+/// Adds the answers to questions of some clients, in the order of sending: one for each of the ticks
+/// in which they were sent, each taken a tick earlier. The change gets the position of each.
+fn ask_at(messages: &mut Messages, asked_in: &[(u64, u32)], change: impl Fn(&mut Query, usize)) {
+    for (place, (tick, client)) in asked_in.iter().enumerate() {
+        // Plan states are recorded in the first thirty of forty ticks.
+        let mut query = asked(messages, TICK, 1 + place as u64, 0.1);
+        let start_ns = |tick: u64| messages[at::<Ticks>(messages, tick)].frame::<Ticks>();
+        let sent_ns = start_ns(*tick).unwrap().header.start_ns + 1;
+        query.record.client = *client;
+        query.record.query.asked_ns = sent_ns - PERIOD_NS - 1;
+        query.record.query.deadline_ns = sent_ns + 60 * PERIOD_NS;
+        query.record.answer.taken_ns = sent_ns - PERIOD_NS;
+        query.record.answer.sent_ns = sent_ns;
+        change(&mut query, place);
+        messages.push(query.into());
+    }
+}
+
+/// The answer turned into the refusal of a question that waits.
+fn refused_unseen(query: &mut Query, reason: QueryRefusal) {
+    query.record.answer.tick = 0;
+    refused(query, reason.code());
+}
+
+/// What a worker records of a client that is gone: it sends nothing.
+fn gone(query: &mut Query) {
+    (query.record.answer.taken_ns, query.record.answer.sent_ns) = (0, 0);
+    refused_unseen(query, QueryRefusal::ClientGone);
+}
+
+/// An acknowledgement of an alarm, accepted.
+fn acknowledgement(query: &mut Query) {
+    let alarm = Alarm::OutOfRange;
+    let fleet = fnv1a("lab".bytes());
+    let (header, values) =
+        joulebus_plan::acknowledgement::encode(3, alarm, "ann", false, fleet).unwrap();
+    let times = query.record.query;
+    query.record.query =
+        QueryHeader { asked_ns: times.asked_ns, deadline_ns: times.deadline_ns, ..header };
+    query.values = values;
+    (query.rows, query.power_w) = (Vec::new(), Vec::new());
+    query.record.answer.tick = 0;
+    refused(query, 0);
+}
+
+/// Waits of a process: four questions wait, and the fifth is refused at once.
+fn four_wait(messages: &mut Messages, open: usize, change: impl Fn(&mut Query)) {
+    ask_at(messages, &[(65, 7), (66, 7), (66, 7), (66, 7), (66, 7), (66, 8)], |query, place| {
+        let answer = &mut query.record.answer;
+        match place {
+            0 => {
+                answer.taken_ns = answer.sent_ns;
+                query.record.query.asked_ns = answer.taken_ns;
+                refused_unseen(query, QueryRefusal::Busy);
+                change(query);
+            }
+            // Taken after the refusal: it did not wait then.
+            place if place > open => answer.taken_ns = answer.sent_ns,
+            _ => {
+                answer.taken_ns -= PERIOD_NS;
+                query.record.query.asked_ns = answer.taken_ns;
+            }
+        }
+    });
 }
 
 fn forged_keyframe(messages: &mut Messages, tick: u64) {
@@ -558,6 +626,150 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
     }),
     ("an answer of a tick refused as if there was none", Incomplete, |messages| {
         ask(messages, |query| refused(query, QueryRefusal::NoFrame.code()));
+    }),
+    // Refusals for reasons of time.
+    ("answers of a whole recording", Verified, |messages| {
+        ask_at(messages, &[(60, 7), (65, 7), (100, 8), (170, 7)], |_, _| {});
+    }),
+    ("an answer refused as if the worker ended, in the middle", Incomplete, |messages| {
+        ask_at(messages, &[(60, 7), (65, 7)], |query, place| {
+            if place == 1 {
+                refused_unseen(query, QueryRefusal::Ending);
+            }
+        });
+    }),
+    ("questions refused because the worker ends", Verified, |messages| {
+        ask_at(messages, &[(65, 7), (TICKS, 7), (TICKS, 8)], |query, place| {
+            if place > 0 {
+                refused_unseen(query, QueryRefusal::Ending);
+            }
+        });
+    }),
+    ("questions refused because the first of two workers ends", Verified, |messages| {
+        *messages = two_runs();
+        ask_at(messages, &[(65, 7), (TICKS, 7), (TICKS, 8)], |query, place| {
+            if place > 0 {
+                refused_unseen(query, QueryRefusal::Ending);
+            }
+        });
+    }),
+    ("an answer refused as if the worker ended, and another follows", Incomplete, |messages| {
+        ask_at(messages, &[(TICKS, 7), (TICKS, 8)], |query, place| {
+            if place == 0 {
+                refused_unseen(query, QueryRefusal::Ending);
+            }
+        });
+    }),
+    ("an answer refused as if the worker ended, without times", Incomplete, |messages| {
+        ask(messages, |query| refused_unseen(query, QueryRefusal::Ending));
+    }),
+    ("an answer refused as if its client was gone, with times", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8)], |query, place| {
+            if place == 0 {
+                refused_unseen(query, QueryRefusal::ClientGone);
+            }
+        });
+    }),
+    ("an answer refused as if its client was gone, which asks again", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8), (67, 7)], |query, place| {
+            if place == 0 {
+                gone(query);
+            }
+        });
+    }),
+    ("an answer refused as if its client was gone, which acknowledges", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (67, 7)], |query, place| match place {
+            0 => gone(query),
+            _ => acknowledgement(query),
+        });
+    }),
+    ("a client that is gone with two questions", Verified, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8), (67, 8), (70, 9)], |query, place| {
+            if (1..3).contains(&place) {
+                gone(query);
+            }
+        });
+    }),
+    ("an answer refused as if it could not be sent", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8)], |query, place| {
+            if place == 0 {
+                refused(query, QueryRefusal::Unsent.code());
+            }
+        });
+    }),
+    ("the last answer refused as if it could not be sent", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (TICKS, 8)], |query, place| {
+            if place == 1 {
+                refused(query, QueryRefusal::Unsent.code());
+            }
+        });
+    }),
+    ("a question refused while four of its process wait", Verified, |messages| {
+        four_wait(messages, 4, |_| {});
+    }),
+    ("an answer refused as if four waited, of which one was taken later", Incomplete, |messages| {
+        four_wait(messages, 3, |_| {});
+    }),
+    ("an answer refused as if four of its process waited, of others", Incomplete, |messages| {
+        four_wait(messages, 4, |query| query.record.client = 8);
+    }),
+    ("an answer refused as if four waited, with copies of one", Incomplete, |messages| {
+        four_wait(messages, 1, |_| {});
+        let copy = messages[messages.len() - 5].clone();
+        messages.extend([copy.clone(), copy.clone(), copy]);
+    }),
+    ("an answer refused as if others waited, alone", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| refused_unseen(query, QueryRefusal::Busy));
+    }),
+    ("an answer refused as if there was no frame, at once", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| refused_unseen(query, QueryRefusal::NoFrame));
+    }),
+    ("an answer refused as too late, and a later one was sent before", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8)], |query, place| {
+            if place == 0 {
+                query.record.answer.sent_ns = query.record.query.deadline_ns;
+                refused_unseen(query, QueryRefusal::Deadline);
+            }
+        });
+    }),
+    ("a question that was too late", Verified, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8)], |query, place| {
+            if place == 0 {
+                query.record.query.deadline_ns = query.record.answer.sent_ns;
+                refused_unseen(query, QueryRefusal::Deadline);
+            }
+        });
+    }),
+    ("an acknowledgement", Verified, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| acknowledgement(query));
+    }),
+    ("an acknowledgement refused as if the worker ended", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| {
+            acknowledgement(query);
+            refused_unseen(query, QueryRefusal::Ending);
+        });
+    }),
+    ("an acknowledgement refused as if too many were kept", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| {
+            acknowledgement(query);
+            refused_unseen(query, QueryRefusal::Busy);
+        });
+    }),
+    ("an acknowledgement refused as a kind that is not known", Different, |messages| {
+        ask_at(messages, &[(65, 7)], |query, _| {
+            acknowledgement(query);
+            refused_unseen(query, QueryRefusal::Kind);
+        });
+    }),
+    ("refusals as they are sent, twice", Verified, |messages| {
+        four_wait(messages, 4, |_| {});
+        messages.extend(messages.clone());
+    }),
+    ("another answer of the same number, refused", Incomplete, |messages| {
+        ask_at(messages, &[(65, 7), (66, 8)], |_, _| {});
+        let mut copy = messages[messages.len() - 2].clone();
+        gone(copy.get_mut::<Query>().unwrap());
+        messages.push(copy);
     }),
     ("one of six answers removed", Incomplete, |messages| {
         ask(messages, |_| {});
