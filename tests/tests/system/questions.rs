@@ -8,6 +8,7 @@ use joulebus_capture_format::{Query, Reader};
 use joulebus_tests::{
     Arena, AskerLine, Child, Dice, PATIENCE, Setup, Spread, alone, eventually, figure, spoilt,
 };
+use joulebus_wire::QueryRefusal;
 use rustix::process::Signal;
 
 const ROBOTS: u32 = 4;
@@ -426,4 +427,77 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
         "questions, computed again",
         format_args!("{} of {}", count("queries_verified"), count("queries")),
     );
+}
+
+#[test]
+fn a_recording_bears_out_refusals_of_a_worker_and_no_answer_that_is_altered_to_one() {
+    let arena = Arena::new(&setup());
+    let mut worker = arena.worker();
+    let file = arena.files().join("refused.mcap");
+    let mut recorder = arena.recording(&file, &[]);
+    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let mut witness = Asker::new(&arena, &["asker", "flood"]);
+    witness.is_asking();
+    let mut crowd = Asker::new(&arena, &["asker", "crowd"]);
+    crowd.until("more questions of a process than may wait", |line| match line {
+        AskerLine::Failed { name, .. } if name == "Busy" => Some(()),
+        _ => None,
+    });
+    let mut hostile = Asker::new(&arena, &["asker", "hostile"]);
+    hostile.done();
+    hostile.child.finish();
+    for _ in 0..5 {
+        let mut killed = Asker::new(&arena, &["asker", "heavy"]);
+        killed.is_asking();
+        killed.child.kill();
+    }
+    // The crowd still waits then.
+    worker.stop();
+    source.finish();
+    witness.child.finish();
+    crowd.child.finish();
+    let recorded = recorder.end();
+    assert!(matches!(recorded.code(), Some(0 | 3)));
+    let verify = |file: &std::path::Path| alone(&["replay", "--verify", file.to_str().unwrap()]);
+    let verified = verify(&file);
+    let report = verified.json();
+    let count = |name: &str| report[name].as_u64().unwrap();
+    let reasons = queries(&file).into_iter().fold(BTreeMap::new(), |mut counts, query| {
+        let reason = QueryRefusal::decode(query.record.answer.refusal);
+        *counts.entry(reason).or_insert(0) += 1;
+        counts
+    });
+    figure("questions, by the reason of their refusal", format_args!("{reasons:?}"));
+    assert_eq!(count("differences"), 0, "{report}");
+    // On a busy machine a recorder may lose what bears a refusal out, and states that.
+    if recorded.code() == Some(0) {
+        assert_eq!((verified.code(), count("refusals_unproven")), (Some(0), 0), "{report}");
+        assert!(count("queries_by_time") > 1, "{report}");
+    }
+
+    use QueryRefusal as Reason;
+    for reason in [Reason::Busy, Reason::Ending, Reason::ClientGone, Reason::Unsent] {
+        let to = arena.files().join(format!("{}.mcap", reason.name()));
+        let passed = std::cell::Cell::new(0);
+        spoilt(&file, &to, |message| {
+            let witness = |query: &&mut Query| query.rows.len() > 4;
+            let Some(query) = message.get_mut::<Query>().filter(witness) else {
+                return false;
+            };
+            passed.set(passed.get() + 1);
+            let is_it = passed.get() > count("queries_outside") + 20;
+            if is_it {
+                let answer = &mut query.record.answer;
+                (answer.refusal, answer.tick, answer.budget_tick) = (reason.code(), 0, 0);
+                let refused = query.clone().counted();
+                *query = Query { rows: Vec::new(), power_w: Vec::new(), ..refused }.counted();
+            }
+            is_it
+        });
+        let ended = verify(&to);
+        let altered = ended.json();
+        let unproven = altered["refusals_unproven"].as_u64().unwrap();
+        assert_eq!(ended.code(), Some(3), "{reason:?}: {altered}");
+        assert_eq!(unproven, count("refusals_unproven") + 1, "{reason:?}: {altered}");
+    }
 }

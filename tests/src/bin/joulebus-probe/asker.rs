@@ -94,6 +94,39 @@ pub(crate) fn flood(config: &Config, heavy: bool) -> Done {
     print_line(&AskerLine::Done { answered })
 }
 
+/// Asks heavy questions in six threads of one process, of which the worker lets four wait, until its
+/// stdin ends. Prints why a question was refused, once each.
+pub(crate) fn crowd(config: &Config) -> Done {
+    let stop = stop_with_stdin();
+    let refused = std::sync::Mutex::new(std::collections::BTreeSet::new());
+    let ask = || -> Result<u64, String> {
+        let described = |error: &dyn std::fmt::Display| error.to_string();
+        let mut client =
+            PlanClient::with_config(config, "crowd").map_err(|error| described(&error))?;
+        let mut answered = 0;
+        while !stop.load(Ordering::Relaxed) {
+            match client.ask(&path(&[0, 1, 2, 3], 4.0), PATIENCE) {
+                Ok(_) => answered += 1,
+                Err(error) => {
+                    let name = named(&error);
+                    if refused.lock().map_err(|error| described(&error))?.insert(name.clone()) {
+                        let line = AskerLine::Failed { name, after_ns: 0 };
+                        print_line(&line).map_err(|error| described(&error))?;
+                    }
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+            }
+        }
+        Ok(answered)
+    };
+    let answered = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..6).map(|_| scope.spawn(ask)).collect();
+        let joined = threads.into_iter().map(|thread| thread.join().expect("it does not panic"));
+        joined.sum::<Result<u64, String>>()
+    })?;
+    print_line(&AskerLine::Done { answered })
+}
+
 /// Asks `count` small questions, one after the other.
 pub(crate) fn calm(config: &Config, count: u64) -> Done {
     let mut client = PlanClient::with_config(config, "calm")?;

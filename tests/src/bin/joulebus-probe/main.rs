@@ -50,6 +50,7 @@ fn run(arguments: &[&str]) -> Done {
         ["recorder", config] => reader::record(&Config::load(config)?),
         ["asker", "flood", config] => asker::flood(&Config::load(config)?, false),
         ["asker", "heavy", config] => asker::flood(&Config::load(config)?, true),
+        ["asker", "crowd", config] => asker::crowd(&Config::load(config)?),
         ["asker", "calm", count, config] => asker::calm(&Config::load(config)?, count.parse()?),
         ["asker", "far", count, config] => asker::far(&Config::load(config)?, count.parse()?),
         ["asker", "late", config] => asker::late(&Config::load(config)?),
