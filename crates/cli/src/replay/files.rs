@@ -58,6 +58,11 @@ impl Files {
         Ok(files)
     }
 
+    /// True if the first file has a fleet of this name, which can be chosen instead.
+    pub(super) fn has(&self, fleet: &str) -> bool {
+        self.attachments.fleets().any(|attached| attached == fleet)
+    }
+
     /// Number of the rules by which the answers in all files were computed. `None` if they differ,
     /// as where a recording went on after an update.
     pub(super) fn answer_rules(&self) -> Option<u32> {
@@ -84,22 +89,28 @@ impl Files {
         )
     }
 
-    /// Refuses files that are not in the order in which they were recorded.
+    /// Refuses files that are not in the order in which they were recorded. The order of files of
+    /// other fleets says nothing.
     pub(super) fn check_order(&self) -> Result<(), UsageError> {
         let from_ns = |path: &PathBuf| {
-            let first = Reader::open(path).ok()?.find_map(Result::ok)?;
+            let mut reader = Reader::open(path).ok()?;
+            let attached: Vec<&str> = reader.attachments().fleets().collect();
+            let is_ours = attached.is_empty() || attached.contains(&&*self.fleet);
+            let first = is_ours.then(|| reader.find_map(Result::ok)).flatten()?;
             Some(first.log_time_ns)
         };
-        let begun: Vec<(Option<u64>, &PathBuf)> =
-            self.paths.iter().map(|path| (from_ns(path), path)).collect();
-        let known: Vec<u64> = begun.iter().filter_map(|(from_ns, _)| *from_ns).collect();
-        if known.is_sorted() {
+        let from_ns: Vec<Option<u64>> = self.paths.iter().map(from_ns).collect();
+        let mut known: Vec<(u64, &PathBuf)> = from_ns
+            .iter()
+            .zip(&self.paths)
+            .filter_map(|(from_ns, path)| from_ns.map(|from_ns| (from_ns, path)))
+            .collect();
+        if known.is_sorted_by_key(|(from_ns, _)| *from_ns) {
             return Ok(());
         }
-        let mut sorted = begun;
-        sorted.sort();
+        known.sort();
         let sorted: Vec<String> =
-            sorted.iter().map(|(_, path)| path.display().to_string()).collect();
+            known.iter().map(|(_, path)| path.display().to_string()).collect();
         Err(UsageError(format!(
             "the files are not in the order in which they were recorded. Give them as {}",
             sorted.join(" ")

@@ -60,7 +60,7 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         result.verdict = Verdict::Incomplete;
     }
     let (is_clean, recorded_s) = (result.is_clean(), result.recorded_s);
-    let left_out = left_out(args, &messages.of_others);
+    let left_out = left_out(args, &files, &messages.of_others);
     let computed = computed(&files, result, (damages, left_out), begun, recorded_s);
     output.report(&computed)?;
     Ok(Outcome::unless_lost(!is_clean))
@@ -87,21 +87,26 @@ pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Resu
     let (first, last) = times.unwrap_or_default();
     let lost = result.frames_missing > 0 || result.ticks == 0 || !messages.damages.is_empty();
     let recorded_s = last.saturating_sub(first) as f64 / 1e9;
-    let read = (messages.damages, left_out(args, &messages.of_others));
+    let read = (messages.damages, left_out(args, &files, &messages.of_others));
     let computed = computed(&files, result, read, begun, recorded_s);
     output.report(&computed)?;
     Ok(Outcome::unless_lost(lost))
 }
 
 /// Parts of the files that were not read, or are of other fleets.
-fn left_out(args: &Args, of_others: &BTreeMap<Arc<str>, u64>) -> Vec<String> {
+fn left_out(args: &Args, files: &Files, of_others: &BTreeMap<Arc<str>, u64>) -> Vec<String> {
     let part = args.span.is_part().then(|| {
         "only the part that --start-offset and --playback-duration choose: of the rest, nothing is \
          known"
             .to_owned()
     });
     let others = of_others.iter().map(|(fleet, count)| {
-        format!("{count} messages of fleet {fleet} are left out: choose it with --fleet {fleet}")
+        let remedy = if files.has(fleet) {
+            format!("choose it with --fleet {fleet}")
+        } else {
+            "give its files alone".to_owned()
+        };
+        format!("{count} messages of fleet {fleet} are left out: {remedy}")
     });
     part.into_iter().chain(others).collect()
 }

@@ -102,6 +102,15 @@ impl Fleet {
         Self { directory, root, prefix }
     }
 
+    /// The same with another name.
+    pub(crate) fn named(name: &str) -> Self {
+        let fleet = Self::new();
+        let text = fs::read_to_string(fleet.config()).unwrap();
+        fs::write(fleet.config(), text.replace("name = \"cli\"", &format!("name = \"{name}\"")))
+            .unwrap();
+        fleet
+    }
+
     pub(crate) fn config(&self) -> PathBuf {
         self.path("fleet.toml")
     }

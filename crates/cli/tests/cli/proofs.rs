@@ -13,8 +13,18 @@ fn recorder(fleet: &Fleet, file: &Path, options: &str) -> Program {
     let mut record = fleet.joulebus(&format!("record --format json {options}"));
     record.arg("-o").arg(file);
     let mut recorder = Program::start(record);
-    recorder.wait_for_stderr("recording cli into");
+    recorder.wait_for_stderr("recording ");
     recorder
+}
+
+/// Number of messages of a topic that a capture has so far.
+fn messages(file: &Path, topic: &str) -> u64 {
+    let info = output([Path::new("info"), file, Path::new("--format=json")]);
+    let info = json(&info);
+    let channels = info["files"][0]["channels"].as_array().cloned().unwrap_or_default();
+    let topic = format!("joulebus/cli/{topic}");
+    let of_topic = channels.iter().find(|channel| channel["topic"] == topic);
+    of_topic.and_then(|channel| channel["messages"].as_u64()).unwrap_or(0)
 }
 
 fn simulate(fleet: &Fleet) {
@@ -97,13 +107,7 @@ fn ticks_between_two_recordings_are_absent_and_a_snapshot_is_verified() {
     let snapshot = fleet.path("snapshot.mcap");
     let mut keeps = recorder(&fleet, &snapshot, "--snapshot 60 --no-alarm");
     let first = recorder(&fleet, &file, "");
-    let ticks = |file: &Path| {
-        let info = output([Path::new("info"), file, Path::new("--format=json")]);
-        let info = json(&info);
-        let channels = info["files"][0]["channels"].as_array().cloned().unwrap_or_default();
-        let of_ticks = channels.iter().find(|channel| channel["topic"] == "joulebus/cli/ticks");
-        of_ticks.and_then(|channel| channel["messages"].as_u64()).unwrap_or(0)
-    };
+    let ticks = |file: &Path| messages(file, "ticks");
     eventually("a part with ticks", || ticks(&file) > 30);
     let ended = first.end(Signal::TERM);
     let more = recorder(&fleet, &fleet.path("unused.mcap"), "");
@@ -146,4 +150,111 @@ fn topics_that_were_not_recorded_are_recomputed_and_not_compared() {
     let text = stdout(&output([Path::new("replay"), Path::new("--verify"), &file]));
     assert!(!is_lossless || text.starts_with("recomputed, not compared: "), "{text}");
     assert_contains(&text, ["not recorded, so not compared: forecasts, diagnostics, budgets"]);
+}
+
+#[test]
+fn channels_on_demand_that_come_and_go_and_rows_of_single_robots_are_verified() {
+    let fleet = Fleet::new();
+    let file = fleet.path("run.mcap");
+    let worker = fleet.worker();
+    let recorder = recorder(&fleet, &file, "--per-robot");
+    let source = Program::start(fleet.joulebus("publish sim --robots 2"));
+    let states = || messages(&file, "plan_states");
+    for _ in 0..2 {
+        let before = messages(&file, "ticks");
+        eventually("ticks in which nobody reads plan states", || {
+            messages(&file, "ticks") > before + 20
+        });
+        let before = states();
+        eventually("a planner reads them", || {
+            let _ = fleet.output("ask --robot 1 --idle 60");
+            states() > before
+        });
+    }
+    let recorded = recorder.end(Signal::TERM);
+    source.end(Signal::TERM);
+    worker.end(Signal::TERM).exits(0);
+    let report = assert_verified(&recorded, std::slice::from_ref(&file));
+    let channels = &report["coverage"][0]["channels"];
+    let sent = |name: &str| channels[name]["sent"].as_u64().unwrap();
+    assert!((2..sent("forecasts")).contains(&sent("plan_states")), "{channels:#}");
+}
+
+#[test]
+fn a_worker_that_is_stopped_for_a_while_and_one_that_is_started_again_are_verified() {
+    let fleet = Fleet::new();
+    let file = fleet.path("run.mcap");
+    let mut worker = fleet.worker();
+    let recorder = recorder(&fleet, &file, "");
+    let source = Program::start(fleet.joulebus("publish sim --robots 2"));
+    let ticks = || messages(&file, "ticks");
+    let more = |what: &str| {
+        let before = ticks();
+        eventually(what, || ticks() > before + 30);
+    };
+    more("ticks before the stop");
+    worker.signal(Signal::STOP);
+    std::thread::sleep(std::time::Duration::from_millis(1_500));
+    worker.signal(Signal::CONT);
+    more("ticks after the stop");
+    worker.end(Signal::TERM).exits(0);
+    let worker = fleet.worker();
+    more("ticks of the second worker");
+    let recorded = recorder.end(Signal::TERM);
+    source.end(Signal::TERM);
+    worker.end(Signal::TERM).exits(0);
+    let report = assert_verified(&recorded, std::slice::from_ref(&file));
+    assert_eq!(report["runs"], 2, "{report:#}");
+}
+
+#[test]
+fn files_of_another_fleet_are_named_whatever_their_order() {
+    let fleets = ["cli", "yard"].map(Fleet::named);
+    let both = fleets[0].path("both.mcap");
+    let more = format!("--config {}", fleets[1].config().display());
+    let workers = [0, 1].map(|at: usize| fleets[at].worker());
+    let of_both = recorder(&fleets[0], &both, &more);
+    // One after the other, so that they have an order.
+    let files = fleets.each_ref().map(|fleet| {
+        let file = fleet.path("run.mcap");
+        let recorder = recorder(fleet, &file, "");
+        simulate(fleet);
+        assert!(matches!(code(&recorder.end(Signal::TERM)), 0 | 3));
+        file
+    });
+    assert!(matches!(code(&of_both.end(Signal::TERM)), 0 | 3));
+    for worker in workers {
+        worker.end(Signal::TERM).exits(0);
+    }
+    let verified = |words: &str| {
+        let words = format!("replay --verify --format json {words}");
+        output(words.split_whitespace().map(Path::new).chain([&*both]))
+    };
+    assert_contains(&stderr(&verified("").exits(2)), ["several fleets: choose with --fleet"]);
+    let report = json(&verified("--fleet yard"));
+    assert_eq!((&report["fleet"], &report["differences"]), (&"yard".into(), &0.into()));
+    let left_out = report["left_out"][0].as_str().unwrap();
+    assert_contains(left_out, ["messages of fleet cli are left out: choose it with --fleet cli"]);
+
+    let (_, alone) = verify(&files[..1]);
+    // The one that was recorded later comes first, and last.
+    for (given, fleet, other) in [([0, 1], "cli", "yard"), ([1, 0], "yard", "cli")] {
+        let given = given.map(|at: usize| files[at].clone());
+        let (code, report) = verify(&given);
+        let what =
+            format!("{}: is of fleet {other:?}, and has nothing of {fleet:?}", given[1].display());
+        assert_eq!((code, &report["fleet"]), (3, &fleet.into()), "{report:#}");
+        assert_eq!(report["damages"], serde_json::json!([what]), "{report:#}");
+        assert_eq!(report["differences"], 0, "{report:#}");
+        if fleet == "cli" {
+            assert_eq!(report["coverage"], alone["coverage"]);
+        }
+        let left_out = report["left_out"][0].as_str().unwrap();
+        let advice = format!("messages of fleet {other} are left out: give its files alone");
+        assert_contains(left_out, [&*advice]);
+        let words = ["replay", "--verify", "--fleet", other].map(PathBuf::from);
+        let refused = output(words.iter().chain(&given)).exits(2);
+        let what = format!("contains no fleet {other:?}, its fleets: {fleet}");
+        assert_contains(&stderr(&refused), [&*what]);
+    }
 }
