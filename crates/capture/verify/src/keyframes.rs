@@ -1,6 +1,6 @@
 //! Compares keyframes with recomputed states.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::hash::{BuildHasher as _, RandomState};
 
 use joulebus_fleet::{Fleet, FleetState};
@@ -17,14 +17,31 @@ const MAX_KEYFRAMES: usize = 4_096;
 /// Run and number of a tick.
 type TickId = (u64, u64);
 
-/// The states after the last recomputed ticks, each as a hash of its encoding.
+/// Maximum memory of states that wait for their keyframe, bytes. What exceeds it is encoded.
+const MAX_WAITING: usize = 256 << 20;
+/// Maximum number of states that wait for their keyframe: those of ten seconds at 100 Hz.
+const MAX_COPIES: usize = 1_024;
+/// Approximate memory of the state of a robot, bytes. Its encoding has about 480.
+const ROBOT_BYTES: usize = 1_024;
+
+/// The states after the last recomputed ticks. A keyframe comes for one in 150 ticks, later than its
+/// tick, and encoding a state takes as long as half a tick. So a state is only copied, until a
+/// keyframe shows which one to encode: that of its tick, and none before it.
 #[derive(Debug)]
 pub(super) struct States {
-    state: FleetState,
+    /// Copies that wait, the oldest first.
+    copies: VecDeque<(TickId, FleetState)>,
+    /// Memory of copies that are not needed any more.
+    free: Vec<FleetState>,
+    max_copies: usize,
+    settings: FleetSettings,
     bytes: Vec<u8>,
     /// With keys of its own, so that nobody can make bytes of the same hash.
     hasher: RandomState,
+    /// Hashes of the encodings of states whose copies exceeded the memory.
     hashes: BTreeMap<TickId, u64>,
+    /// The newest tick whose copy was compared with a keyframe: those before it are forgotten.
+    compared: Option<TickId>,
     /// The newest keyframe of the newest run, by [`fnv1a`], `None` of a broken one.
     newest: Option<(u64, Option<u64>)>,
     /// True if keyframes of the run name the one before them.
@@ -49,41 +66,84 @@ pub(super) enum Sequence {
 impl States {
     pub(super) fn new(settings: &FleetSettings) -> Self {
         Self {
-            state: FleetState::with_capacity_for(settings),
+            copies: VecDeque::new(),
+            free: Vec::new(),
+            max_copies: (MAX_WAITING / (ROBOT_BYTES * settings.capacity.max(1) as usize))
+                .clamp(1, MAX_COPIES),
+            settings: settings.clone(),
             bytes: Vec::new(),
             hasher: RandomState::new(),
             hashes: BTreeMap::new(),
+            compared: None,
             newest: None,
             has_names: false,
             seen: BTreeMap::new(),
         }
     }
 
-    /// Remembers the state after a tick that was recomputed.
-    pub(super) fn note(&mut self, place: TickId, fleet: &Fleet) {
-        fleet.state_into(&mut self.state);
-        self.state.encode_into(&mut self.bytes);
-        self.hashes.insert(place, self.hasher.hash_one(&self.bytes));
+    /// Remembers the state after a tick that was recomputed, if keyframes of it are compared.
+    pub(super) fn note(&mut self, place: TickId, fleet: &Fleet, is_compared: bool) {
+        if !is_compared {
+            return self.remember(place, 0);
+        }
+        let free = self.free.pop();
+        let mut state = free.unwrap_or_else(|| FleetState::with_capacity_for(&self.settings));
+        fleet.state_into(&mut state);
+        self.copies.push_back((place, state));
+        if self.copies.len() > self.max_copies
+            && let Some((oldest, state)) = self.copies.pop_front()
+        {
+            let hash = self.hash(&state);
+            self.free.push(state);
+            self.remember(oldest, hash);
+        }
+    }
+
+    fn remember(&mut self, place: TickId, hash: u64) {
+        self.hashes.insert(place, hash);
         if self.hashes.len() > MAX_STATES {
             self.hashes.pop_first();
         }
     }
 
+    fn hash(&mut self, state: &FleetState) -> u64 {
+        state.encode_into(&mut self.bytes);
+        self.hasher.hash_one(&self.bytes)
+    }
+
     /// True if the state after the tick was recomputed, and is remembered.
     pub(super) fn is_known(&self, place: TickId) -> bool {
-        self.hashes.contains_key(&place)
+        self.hashes.contains_key(&place) || self.find(place).is_ok()
     }
 
     /// True if the state after the tick may have been forgotten.
     pub(super) fn is_forgotten(&self, place: TickId) -> bool {
         let oldest = self.hashes.first_key_value();
-        self.hashes.len() == MAX_STATES && oldest.is_some_and(|(oldest, _)| place < *oldest)
+        self.compared.is_some_and(|newest| place < newest)
+            || (self.hashes.len() == MAX_STATES
+                && oldest.is_some_and(|(oldest, _)| place < *oldest))
     }
 
-    /// The hashes of a keyframe and of the recomputed state, if they differ.
-    pub(super) fn difference(&self, place: TickId, bytes: &[u8]) -> Option<(u64, u64)> {
+    /// The hashes of a keyframe and of the recomputed state, if they differ. Forgets the states
+    /// before it, because keyframes come in the order of their ticks.
+    pub(super) fn difference(&mut self, place: TickId, bytes: &[u8]) -> Option<(u64, u64)> {
+        if let Ok(count) = self.find(place) {
+            self.free.extend(self.copies.drain(..count).map(|(_, state)| state));
+            if let Some((_, state)) = self.copies.pop_front() {
+                let hash = self.hash(&state);
+                self.free.push(state);
+                self.hashes.clear();
+                self.remember(place, hash);
+                self.compared = Some(place);
+            }
+        }
         let (recorded, computed) = (self.hasher.hash_one(bytes), *self.hashes.get(&place)?);
         (recorded != computed).then_some((recorded, computed))
+    }
+
+    /// Position of the copy of the state after a tick.
+    fn find(&self, place: TickId) -> Result<usize, usize> {
+        self.copies.binary_search_by_key(&place, |(of, _)| *of)
     }
 
     /// Compares a keyframe with those before it in the capture, and with the one that it names.

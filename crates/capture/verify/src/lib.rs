@@ -667,7 +667,8 @@ impl Verifier {
         take(&mut self.fleet, &journal.rows, &parts.frames);
         let journal = &journal.header;
         let intake = &tick(&mut self.fleet, journal);
-        self.states.note(place, &self.fleet);
+        let is_compared = has_same_bits(State::SERVICE.name(), self.tick_rules);
+        self.states.note(place, &self.fleet, is_compared);
         let (fleet, report, rules) = (&self.fleet, &mut self.report, self.tick_rules);
         report.verified(place, fleet.len());
         let computed = RecomputedTick { fleet, journal, intake, period_ns: self.period_ns };

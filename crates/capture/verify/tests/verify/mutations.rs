@@ -582,6 +582,28 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
             messages[place].frame_mut::<State>().unwrap().header.before_hash = 0;
         }
     }),
+    (
+        "a forged keyframe after the next one, and each names the one before it",
+        Incomplete,
+        |messages| {
+            forged_keyframe(messages, 80);
+            let moved: Messages =
+                pieces(messages, 80).into_iter().map(|at| messages[at].clone()).collect();
+            remove_keyframes(messages, |tick| tick == 80);
+            let place = pieces(messages, 120).last().unwrap() + 1;
+            messages.splice(place..place, moved);
+            for (tick, before) in [(120, 40), (80, 120), (160, 80)] {
+                let bytes: Vec<u8> = pieces(messages, before)
+                    .into_iter()
+                    .flat_map(|at| messages[at].frame::<State>().unwrap().rows.clone())
+                    .collect();
+                let before_hash = fnv1a(bytes);
+                for at in pieces(messages, tick) {
+                    messages[at].frame_mut::<State>().unwrap().header.before_hash = before_hash;
+                }
+            }
+        },
+    ),
     // Questions.
     ("six answers", Verified, |messages| ask(messages, |_| {})),
     ("an answer forged", Different, |messages| ask(messages, forged)),

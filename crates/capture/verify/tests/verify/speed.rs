@@ -14,12 +14,15 @@ use joulebus_settings::FleetSettings;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
-    SCHEMA_VERSION, Sample, Samples, State, StateHeader, TakenFrame, TickHeader, Ticks,
+    SCHEMA_VERSION, Sample, Samples, State, StateHeader, TakenFrame, TickHeader, Ticks, fnv1a,
 };
 
 const ROBOTS: u32 = 100;
 /// Two minutes at 30 Hz.
 const TICKS: u64 = 3_600;
+/// Ticks between two keyframes, and from the state to the keyframe's arrival.
+const KEYFRAME_EVERY: u64 = 150;
+const KEYFRAME_LATE: u64 = 3;
 const START_NS: u64 = 60_000 * MS;
 
 fn settings() -> FleetSettings {
@@ -88,20 +91,37 @@ fn capture() -> Vec<u8> {
     let (mut fleet, mut source) = (new_fleet(), Source::new(1, 1));
     let attachments = Attachments::default();
     let mut writer = Writer::new(Vec::new(), CaptureSettings::default(), &attachments).unwrap();
-    let mut state = Vec::new();
-    fleet.state().encode_into(&mut state);
-    let header = StateHeader {
-        schema: SCHEMA_VERSION,
-        worker_epoch: 1,
-        total_bytes: state.len() as u64,
-        ..StateHeader::default()
+    let mut before_hash = 0;
+    let mut keyframe = |fleet: &Fleet, tick| {
+        let mut state = Vec::new();
+        fleet.state().encode_into(&mut state);
+        let hash = fnv1a(state.iter().copied());
+        let header = StateHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: 1,
+            tick,
+            total_bytes: state.len() as u64,
+            before_hash: std::mem::replace(&mut before_hash, hash),
+            ..StateHeader::default()
+        };
+        Message::of::<State>(header, state)
     };
-    let times = Times::default();
-    writer.write("lab", times, &Message::of::<State>(header, state)).unwrap();
+    let first = keyframe(&fleet, 0);
+    writer.write("lab", Times::default(), &first).unwrap();
+    let mut late = None;
     for tick in 1..=TICKS {
         let times = Times { log_ns: tick * PERIOD_NS, publish_ns: tick * PERIOD_NS };
         for message in turn(&mut fleet, &mut source, tick) {
             writer.write("lab", times, &message).unwrap();
+        }
+        // It comes after later ticks.
+        if tick % KEYFRAME_EVERY == KEYFRAME_LATE
+            && let Some(message) = late.take()
+        {
+            writer.write("lab", times, &message).unwrap();
+        }
+        if tick.is_multiple_of(KEYFRAME_EVERY) {
+            late = Some(keyframe(&fleet, tick));
         }
     }
     writer.finish().unwrap().2
