@@ -95,8 +95,15 @@ impl Host {
 
     /// The `joulebus` program with these arguments and this host's config.
     pub(crate) fn joulebus(&self, words: &[&str]) -> Command {
+        let mut command = self.bare_joulebus(words);
+        command.arg("--config").arg(self.config());
+        command
+    }
+
+    /// The `joulebus` program with these arguments alone.
+    pub(crate) fn bare_joulebus(&self, words: &[&str]) -> Command {
         let mut command = self.command(joulebus());
-        command.args(words).arg("--config").arg(self.config());
+        command.args(words);
         command
     }
 
