@@ -394,7 +394,9 @@ impl Assembler {
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
                 // A part that lags further behind the run's newest tick was lost.
-                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + MAX_LEAD_TICKS
+                if !parts.is_complete(&self.outputs)
+                    && !over
+                    && run.newest < tick.saturating_add(MAX_LEAD_TICKS)
                 {
                     break;
                 }

@@ -61,20 +61,22 @@ pub(super) enum Settled {
 
 impl ChannelCoverage {
     fn add(&mut self, other: Self) {
-        self.sent += other.sent;
+        self.sent = self.sent.saturating_add(other.sent);
         self.recomputed += other.recomputed;
         self.compared += other.compared;
         for (reasons, others) in
             [(&mut self.excused, other.excused), (&mut self.missing, other.missing)]
         {
             for (reason, count) in others {
-                *reasons.entry(reason).or_default() += count;
+                let sum = reasons.entry(reason).or_default();
+                *sum = sum.saturating_add(count);
             }
         }
     }
 
     pub(super) fn settle(&mut self, settled: &Settled) {
-        self.sent += 1;
+        // Numbers in a capture may be any, and so the count of absent ones.
+        self.sent = self.sent.saturating_add(1);
         let lack = match settled {
             Settled::Compared => {
                 self.recomputed += 1;
@@ -88,7 +90,8 @@ impl ChannelCoverage {
             Settled::Not(lack) => lack,
         };
         let reasons = if lack.is_excused() { &mut self.excused } else { &mut self.missing };
-        *reasons.entry(lack.reason()).or_default() += 1;
+        let count = reasons.entry(lack.reason()).or_default();
+        *count = count.saturating_add(1);
     }
 }
 

@@ -302,6 +302,7 @@ impl Verifier {
     #[must_use]
     pub fn with_period_ns(mut self, period_ns: u64) -> Self {
         self.period_ns = Some(period_ns);
+        self.queries.period_ns = Some(period_ns);
         self
     }
 
@@ -492,7 +493,7 @@ impl Verifier {
             self.queries.refusals.note_tick(place.0, start_ns);
         }
         match self.at {
-            Some((run, tick)) if (run, tick + 1) == place => self.compute(&next),
+            Some(at) if follows(at, place) => self.compute(&next),
             // Before the keyframe, or the last, partly published tick of a worker that was
             // replaced.
             Some(at) if place <= at => self.give_up(&next),
@@ -583,8 +584,8 @@ impl Verifier {
 
     /// Computes consecutive waiting ticks.
     fn catch_up(&mut self) {
-        while let (Some(first), Some((run, tick))) = (self.waiting.front(), self.at) {
-            if (first.worker_epoch, first.tick) != (run, tick + 1) {
+        while let (Some(first), Some(at)) = (self.waiting.front(), self.at) {
+            if !follows(at, (first.worker_epoch, first.tick)) {
                 // A tick is missing completely.
                 self.at = None;
                 return;
@@ -717,6 +718,11 @@ impl Waiting {
     fn start_ns(&self) -> Option<u64> {
         self.parts.journal.as_ref().map(|journal| journal.header.start_ns)
     }
+}
+
+/// True if a tick is the next one of its run. Numbers in a capture may be any.
+fn follows((run, tick): (u64, u64), next: (u64, u64)) -> bool {
+    tick.checked_add(1).is_some_and(|tick| (run, tick) == next)
 }
 
 /// Takes the frames, the ends of sources and the new normals like the worker.

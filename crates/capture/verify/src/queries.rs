@@ -54,6 +54,8 @@ pub(super) struct Queries {
     queries_seen: Numbers,
     acknowledged_seen: Numbers,
     pub(super) refusals: Refusals,
+    /// The period of the worker's ticks, if it is known.
+    pub(super) period_ns: Option<u64>,
 }
 
 /// Plan states and budgets of one tick.
@@ -83,6 +85,7 @@ impl Queries {
             queries_seen: Numbers::default(),
             acknowledged_seen: Numbers::default(),
             refusals: Refusals::default(),
+            period_ns: None,
         }
     }
 
@@ -280,6 +283,13 @@ impl Queries {
         compare(query, &computed, |robot, difference| {
             report.differ(state, "query", robot, difference);
         });
+        if let Some(period_ns) = self.period_ns
+            && computed.is_ok()
+            && answer.period_ns != period_ns
+        {
+            let difference = ("period_ns", answer.period_ns.into(), period_ns.into());
+            report.differ(state, "query", None, difference);
+        }
         Ok(())
     }
 
@@ -401,14 +411,15 @@ fn compare(
     computed: &Result<Reply, Refused>,
     mut differs: impl FnMut(Option<u32>, FieldDifference),
 ) {
-    let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
+    let number = recorded.record.query.number;
+    let (mut header, mut words) = (AnswerHeader { number, ..AnswerHeader::default() }, Vec::new());
     match computed {
         Ok(reply) => reply.encode(&mut header, &mut words),
         Err(refused) => refused.encode(&mut header, &mut words),
     }
     let (rows, power_w, text) = answer_parts(&header, &words);
     // The others do not follow from the question.
-    let only = Some(&["refusal", "rows", "powers"][..]);
+    let only = Some(&["number", "refusal", "rows", "powers"][..]);
     compare::fields(&recorded.record.answer, &header, only, &mut differs);
     if recorded.text != text {
         let lengths = (recorded.text.len() as u64, text.len() as u64);

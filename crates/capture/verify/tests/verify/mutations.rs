@@ -451,6 +451,37 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
         // In ticks 70 to 79 nobody reads them.
         frame::<Ticks>(messages, 75).header.flags |= tick_flag::OUTLOOKS;
     }),
+    // Numbers that are as large as they can be.
+    ("the first journal with the last number of all", Incomplete, |messages| {
+        frame::<Ticks>(messages, 1).header.tick = u64::MAX;
+    }),
+    ("a journal with the last number of all", Incomplete, |messages| {
+        frame::<Ticks>(messages, TICK).header.tick = u64::MAX;
+    }),
+    ("forecasts of the last run and tick of all", Incomplete, |messages| {
+        let header = &mut frame::<Forecasts>(messages, TICK).header;
+        (header.worker_epoch, header.tick) = (u64::MAX, u64::MAX - 1);
+    }),
+    ("the first keyframe with the last number of all", Incomplete, |messages| {
+        for place in pieces(messages, 0) {
+            messages[place].frame_mut::<State>().unwrap().header.tick = u64::MAX;
+        }
+    }),
+    ("an answer with the last number of all", Incomplete, |messages| {
+        ask(messages, |query| query.record.number = u64::MAX);
+    }),
+    ("a frame of samples with the last number of all", Incomplete, |messages| {
+        samples(messages, TICK).header.frame_seq = u64::MAX;
+    }),
+    // Rows of single robots.
+    ("a robot's row of a frame that no rows follow", Incomplete, |messages| {
+        let place = at::<Forecasts>(messages, TICK);
+        let mut rows = Messages::new();
+        messages[place].each_robot(|row| rows.push(row));
+        let mut row = rows.swap_remove(3);
+        row.get_mut::<RobotRow<Forecasts>>().unwrap().0.stamp_ns ^= 1;
+        messages.insert(place + 1, row);
+    }),
     // Runs.
     ("a frame of another run", Incomplete, |messages| {
         frame::<Forecasts>(messages, TICK).header.worker_epoch += 1;
@@ -607,6 +638,12 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
     // Questions.
     ("six answers", Verified, |messages| ask(messages, |_| {})),
     ("an answer forged", Different, |messages| ask(messages, forged)),
+    ("the period in an answer", Different, |messages| {
+        ask(messages, |query| query.record.answer.period_ns ^= 1);
+    }),
+    ("the number in an answer", Different, |messages| {
+        ask(messages, |query| query.record.answer.number ^= 1);
+    }),
     ("an answer forged, of a tick that is not there", Incomplete, |messages| {
         ask(messages, |query| {
             forged(query);
