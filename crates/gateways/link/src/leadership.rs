@@ -1,7 +1,7 @@
 //! The leadership of this host's worker: shared by the threads of a link, and written to the
 //! worker's permit.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use joulebus_bus::clock;
 use joulebus_standby::{Permit, PermitError, Places};
@@ -16,8 +16,10 @@ pub(crate) struct Leadership {
     until_ns: AtomicU64,
     /// Highest term in which any candidate is known to have led, this one included.
     highest_term: AtomicU64,
-    /// When this host's worker last sent as leader, monotonic ns.
+    /// When this host's worker last sent as leader, started or was permitted to lead, monotonic ns.
     active_ns: AtomicU64,
+    /// It has sent since.
+    has_sent: AtomicBool,
 }
 
 impl Leadership {
@@ -35,6 +37,7 @@ impl Leadership {
             until_ns: AtomicU64::new(0),
             highest_term: AtomicU64::new(0),
             active_ns: AtomicU64::new(now_ns),
+            has_sent: AtomicBool::new(false),
         };
         if let Some(permit) = &permit {
             leadership.begin(permit);
@@ -69,8 +72,7 @@ impl Leadership {
         self.observe_term(permit.term);
         if self.term.load(Ordering::Acquire) != permit.term {
             self.term.store(0, Ordering::Release);
-            // Give a new leader time to restore a state.
-            self.worker_active();
+            self.worker_starts();
         }
         let until_ns = permit.until_ns.unwrap_or(u64::MAX);
         self.until_ns.store(until_ns, Ordering::Release);
@@ -102,12 +104,25 @@ impl Leadership {
         permit.is_some_and(|permit| !permit.holds(clock::boot_ns()))
     }
 
-    /// Notes that this host's worker has sent, or has just been permitted to.
-    pub(crate) fn worker_active(&self) {
+    /// Notes that this host's worker is another process, or has just been permitted to lead. It
+    /// needs time to restore a state.
+    pub(crate) fn worker_starts(&self) {
+        self.has_sent.store(false, Ordering::Release);
         self.active_ns.store(clock::monotonic_ns(), Ordering::Release);
     }
 
-    /// Time since this host's worker last sent, ns.
+    /// Notes that this host's worker has sent.
+    pub(crate) fn worker_sends(&self) {
+        self.active_ns.store(clock::monotonic_ns(), Ordering::Release);
+        self.has_sent.store(true, Ordering::Release);
+    }
+
+    /// True if this host's worker has sent since it started.
+    pub(crate) fn has_sent(&self) -> bool {
+        self.has_sent.load(Ordering::Acquire)
+    }
+
+    /// Time since this host's worker last sent or started, ns.
     pub(crate) fn idle_ns(&self) -> u64 {
         let active_ns = self.active_ns.load(Ordering::Acquire);
         clock::monotonic_ns().saturating_sub(active_ns)

@@ -83,7 +83,7 @@ impl Rounds<Done, anyhow::Error> for Outputs {
                 }
                 if is_permitted {
                     if let Some(leadership) = leadership {
-                        leadership.worker_active();
+                        leadership.worker_sends();
                     }
                     // Acknowledgements that have arrived make room for this frame.
                     egress.take()?;

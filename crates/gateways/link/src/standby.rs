@@ -18,7 +18,7 @@ use crate::ingress::{self, Ingress};
 use crate::leadership::Leadership;
 use crate::network::{Event, Inbox, NetworkError};
 use crate::protocol::carried::{Carried, Kind, max_state_message_bytes};
-use crate::protocol::lease::{Candidate, LeaderLease, LocalWorker, Next};
+use crate::protocol::lease::{Candidate, IdleTimeouts, LeaderLease, LocalWorker, Next};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
@@ -30,9 +30,6 @@ use crate::shared::Shared;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of checks whether the worker lives.
 const WORKER_POLL_INTERVAL_NS: u64 = 200_000_000;
-/// A leader that has sent nothing for so long, and for so many ticks, hangs.
-const HANG_TIMEOUT_NS: u64 = 5_000_000_000;
-const HANG_TIMEOUT_TICKS: u64 = 5;
 /// Nanoseconds in a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
@@ -71,7 +68,7 @@ impl Candidacy {
             None => None,
         };
         let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
-        let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
+        let timeouts = IdleTimeouts::new(ttl_ns, config.tick_period_ns());
         Ok(Self {
             leadership,
             shard: standby.shard.clone(),
@@ -79,7 +76,7 @@ impl Candidacy {
             candidate: Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease),
             permit_writer: PermitWriter { leader_lease },
             holder: None,
-            worker: WorkerWatch::new(config.domain()?, hang_timeout_ns),
+            worker: WorkerWatch::new(config.domain()?, timeouts),
         })
     }
 }
@@ -88,7 +85,9 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
     fn round(&mut self) -> anyhow::Result<Duration> {
         let Self { leadership, shard, etcd, candidate, permit_writer, holder, worker } = self;
         candidate.observe_term(leadership.highest_term());
-        candidate.is_able(worker.is_able(leadership));
+        worker.look(leadership);
+        candidate.is_able(worker.is_able);
+        candidate.is_idle(worker.is_idle);
         // Boot time counts suspension: a lease also ends while this host is suspended.
         let now_ns = clock::boot_ns();
         let pause = match candidate.next(now_ns) {
@@ -122,45 +121,82 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
 /// Watches whether this host's worker can lead.
 struct WorkerWatch {
     domain: Domain,
-    hang_timeout_ns: u64,
+    timeouts: IdleTimeouts,
     look_ns: u64,
     /// Term in which it led at the last check.
     term: u64,
     /// When its lock was last seen held, monotonic ns.
     seen_ns: Option<u64>,
+    /// The process that held its lock at the last check, if that is visible here.
+    pid: Option<u32>,
+    has_outlived_permit: bool,
     is_able: bool,
+    is_idle: bool,
 }
 
 impl WorkerWatch {
-    const fn new(domain: Domain, hang_timeout_ns: u64) -> Self {
-        Self { domain, hang_timeout_ns, look_ns: 0, term: 0, seen_ns: None, is_able: false }
+    const fn new(domain: Domain, timeouts: IdleTimeouts) -> Self {
+        Self {
+            domain,
+            timeouts,
+            look_ns: 0,
+            term: 0,
+            seen_ns: None,
+            pid: None,
+            has_outlived_permit: false,
+            is_able: false,
+            is_idle: false,
+        }
     }
 
-    fn is_able(&mut self, leadership: &Leadership) -> bool {
+    fn look(&mut self, leadership: &Leadership) {
         let (now_ns, term) = (clock::monotonic_ns(), leadership.term());
         // Check at once when a term ends: the shard may already be free again.
         if now_ns >= self.look_ns || term != self.term {
             (self.look_ns, self.term) = (now_ns + WORKER_POLL_INTERVAL_NS, term);
-            match WorkerLock::owner(&self.domain) {
-                Ok(Some(_)) => self.seen_ns = Some(now_ns),
-                Ok(None) => {}
-                Err(error) => tracing::debug!(%error, "the worker's lock cannot be read"),
-            }
-            let worker = LocalWorker {
-                away_ns: self.seen_ns.map(|seen_ns| now_ns - seen_ns),
-                term,
-                idle_ns: leadership.idle_ns(),
-                has_outlived_permit: leadership.has_ended_permit(),
-            };
-            let defect = worker.defect(self.hang_timeout_ns);
-            if self.is_able
-                && let Some(what) = defect
-            {
-                tracing::warn!("the worker of this host {what}: another may take over");
-            }
-            self.is_able = defect.is_none();
+            self.look_for_process(now_ns, leadership);
         }
-        self.is_able
+        let worker = self.worker(now_ns, leadership);
+        let is_idle = worker.is_idle(self.timeouts);
+        if is_idle && !self.is_idle {
+            tracing::warn!(
+                "the worker of this host sends nothing: its lease is not renewed until it does"
+            );
+        }
+        self.is_idle = is_idle;
+        let defect = worker.defect();
+        if self.is_able
+            && let Some(what) = defect
+        {
+            tracing::warn!("the worker of this host {what}: another may take over");
+        }
+        self.is_able = defect.is_none();
+    }
+
+    /// Looks at the worker's lock and permit.
+    fn look_for_process(&mut self, now_ns: u64, leadership: &Leadership) {
+        self.has_outlived_permit = leadership.has_ended_permit();
+        match WorkerLock::owner(&self.domain) {
+            Ok(Some(owner)) => {
+                self.seen_ns = Some(now_ns);
+                if owner.pid.is_some() && owner.pid != self.pid {
+                    self.pid = owner.pid;
+                    leadership.worker_starts();
+                }
+            }
+            Ok(None) => {}
+            Err(error) => tracing::debug!(%error, "the worker's lock cannot be read"),
+        }
+    }
+
+    fn worker(&self, now_ns: u64, leadership: &Leadership) -> LocalWorker {
+        LocalWorker {
+            away_ns: self.seen_ns.map(|seen_ns| now_ns - seen_ns),
+            term: self.term,
+            idle_ns: leadership.idle_ns(),
+            has_sent: leadership.has_sent(),
+            has_outlived_permit: self.has_outlived_permit,
+        }
     }
 }
 

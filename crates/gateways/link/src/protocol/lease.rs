@@ -33,6 +33,13 @@ const MAX_TTL_NS: u64 = MAX_TTL_S as u64 * 1_000_000_000;
 /// Time that a candidate needs to take a shard after it has seen it free: two calls to the store. A
 /// candidate waits so long, and one interval of polls, for each candidate before it in the list.
 const ACQUISITION_NS: u64 = 200_000_000;
+/// A leader that sends nothing for this share of the time to live, and for so many ticks, is idle.
+/// Its lease is not renewed until it sends again. The rest of the lease lasts for longer than the
+/// other half. So a worker that pauses for less than the time to live loses nothing.
+const IDLE_DIVISOR: u64 = 2;
+const IDLE_TICKS: u64 = 5;
+/// Minimum time for a leader to start, restore a state, and send.
+const START_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Time after which an absent worker is not expected back.
 const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
 /// Maximum time for which the others leave a free shard to the requested candidate, which polls
@@ -119,6 +126,23 @@ struct Lease {
     until_ns: u64,
 }
 
+/// Time without a frame after which a leader counts as idle, ns.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct IdleTimeouts {
+    /// Timeout of a leader that sends.
+    sending_ns: u64,
+    /// Timeout of a leader that has not sent yet.
+    starting_ns: u64,
+}
+
+impl IdleTimeouts {
+    /// The timeouts for a lease and the period of the ticks.
+    pub(crate) fn new(ttl_ns: u64, period_ns: u64) -> Self {
+        let sending_ns = (ttl_ns / IDLE_DIVISOR).max(IDLE_TICKS * period_ns);
+        Self { sending_ns, starting_ns: sending_ns.max(START_TIMEOUT_NS) }
+    }
+}
+
 /// This host's worker, as its link sees it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalWorker {
@@ -126,19 +150,25 @@ pub(crate) struct LocalWorker {
     pub(crate) away_ns: Option<u64>,
     /// Term in which it leads. 0 if it does not.
     pub(crate) term: u64,
-    /// Time since it last sent or was permitted to, ns.
+    /// Time since it last sent, started or was permitted to lead, ns.
     pub(crate) idle_ns: u64,
+    /// It has sent since it started and was permitted to lead. Before, it may load its models and
+    /// restore a state.
+    pub(crate) has_sent: bool,
     /// Its permit has ended, and it is still there. A worker ends with its permit, and the next one
     /// removes what is left of it. So this process hangs.
     pub(crate) has_outlived_permit: bool,
 }
 
 impl LocalWorker {
+    /// True if it leads and works too little: it may hang.
+    pub(crate) const fn is_idle(&self, timeouts: IdleTimeouts) -> bool {
+        let timeout_ns = if self.has_sent { timeouts.sending_ns } else { timeouts.starting_ns };
+        self.term > 0 && self.idle_ns > timeout_ns
+    }
+
     /// Why it cannot lead. `None` if it can. A worker that restarts counts as able for a while.
-    pub(crate) fn defect(&self, hang_timeout_ns: u64) -> Option<&'static str> {
-        if self.term > 0 && self.idle_ns > hang_timeout_ns {
-            return Some("sends nothing");
-        }
+    pub(crate) fn defect(&self) -> Option<&'static str> {
         if self.has_outlived_permit {
             return Some("has not been started again since its permit ended");
         }
@@ -163,6 +193,8 @@ pub(crate) struct Candidate {
     released: Option<u64>,
     /// The worker of this host can lead.
     is_able: bool,
+    /// It leads and sends nothing: the lease is not renewed.
+    is_idle: bool,
     /// Highest term that any candidate is known to have led in.
     highest_term: u64,
     /// When this candidate first saw the shard free.
@@ -193,6 +225,7 @@ impl Candidate {
             resigns: false,
             released: None,
             is_able: true,
+            is_idle: false,
             highest_term: 0,
             free_since_ns: None,
             view: StoreView::default(),
@@ -223,6 +256,12 @@ impl Candidate {
         self.resigns |= !is_able;
     }
 
+    /// Sets whether the worker of this host leads and sends nothing. The lease is renewed again if
+    /// the worker sends before its end.
+    pub(crate) const fn is_idle(&mut self, is_idle: bool) {
+        self.is_idle = is_idle;
+    }
+
     /// The holder of the shard in the last view of the store.
     pub(crate) fn holder(&self) -> Option<&Holder> {
         self.view.holder.as_ref()
@@ -231,7 +270,8 @@ impl Candidate {
     /// Next step at `now_ns`.
     pub(crate) fn next(&mut self, now_ns: u64) -> Next {
         if self.is_over(now_ns) {
-            let ended = self.lease.filter(|own| self.resigns && now_ns >= own.until_ns);
+            let is_given_up = self.resigns || self.is_idle;
+            let ended = self.lease.filter(|own| is_given_up && now_ns >= own.until_ns);
             self.released = ended.map(|own| own.id);
             self.ends();
         }
@@ -267,7 +307,7 @@ impl Candidate {
     }
 
     fn next_of_holder(&self, now_ns: u64) -> Next {
-        let renews = (!self.resigns).then_some(self.renew_ns);
+        let renews = (!self.resigns && !self.is_idle).then_some(self.renew_ns);
         if renews.is_some_and(|due_ns| now_ns >= due_ns)
             && let Some(own) = self.lease
         {

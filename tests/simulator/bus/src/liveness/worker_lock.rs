@@ -28,6 +28,13 @@ pub(crate) fn begin() {
     ENDED.with_borrow_mut(Vec::clear);
 }
 
+/// Holder of a worker's lock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WorkerOwner {
+    /// Its pid.
+    pub pid: Option<u32>,
+}
+
 /// The exclusive right to be the fleet's worker.
 #[derive(Debug)]
 pub struct WorkerLock {
@@ -52,9 +59,10 @@ impl WorkerLock {
     }
 
     /// Holder of the lock of the domain, if any.
-    pub fn owner(_domain: &Domain) -> io::Result<Option<u32>> {
+    pub fn owner(_domain: &Domain) -> io::Result<Option<WorkerOwner>> {
         host::operation();
-        Ok(FILE.get().filter(|(_, is_held)| *is_held).map(|(owner, _)| owner.pid))
+        let held = FILE.get().filter(|(_, is_held)| *is_held);
+        Ok(held.map(|(owner, _)| WorkerOwner { pid: Some(owner.pid) }))
     }
 
     /// The owner that the lock's file names, holding it or not.

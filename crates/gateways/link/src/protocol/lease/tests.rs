@@ -212,16 +212,15 @@ proptest! {
     }
 }
 
-/// Time without a frame after which a leader hangs.
-const HANG_TIMEOUT_NS: u64 = 5_000_000_000;
-
 /// A host's worker, and its permit's file.
 #[derive(Debug, Default)]
 struct Worker {
     hangs: bool,
     permit: Option<LeaderLease>,
-    /// When it last sent or was permitted to, by the clock of its host.
+    /// When it last sent or was permitted to, by the clock of its host, and whether it has sent
+    /// since.
     active_ns: u64,
+    has_sent: bool,
 }
 
 impl Worker {
@@ -232,7 +231,7 @@ impl Worker {
         let lease = host.candidate.leader_lease(now_ns);
         let is_begun = lease.map(|lease| lease.term) != self.permit.map(|permit| permit.term);
         if !self.hangs || (lease.is_some() && is_begun) {
-            self.active_ns = now_ns;
+            (self.active_ns, self.has_sent) = (now_ns, !self.hangs);
         }
         if lease.is_some() || !self.hangs {
             self.permit = lease;
@@ -241,9 +240,11 @@ impl Worker {
             away_ns: Some(0),
             term: lease.map_or(0, |lease| lease.term),
             idle_ns: now_ns - self.active_ns,
+            has_sent: self.has_sent,
             has_outlived_permit: self.permit.is_some() && lease.is_none(),
         };
-        host.candidate.is_able(worker.defect(HANG_TIMEOUT_NS).is_none());
+        host.candidate.is_able(worker.defect().is_none());
+        host.candidate.is_idle(worker.is_idle(IdleTimeouts::new(TTL_NS, 33_333_333)));
     }
 }
 
@@ -444,6 +445,44 @@ fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_
     hosts[0].candidate.is_able(true);
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     assert_eq!(hosts[0].terms, [1, 3]);
+}
+
+/// Two candidates, of which the first leads. From `begin_ns` its worker sends nothing for
+/// `pause_ns`. Returns when the second leads, from the begin, in five times the time to live.
+fn after_a_pause(begin_ns: u64, pause_ns: u64) -> Option<u64> {
+    let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    let mut workers = [Worker::default(), Worker::default()];
+    let begin_ns = true_ns + begin_ns;
+    while true_ns < begin_ns + 5 * TTL_NS {
+        true_ns += STEP_NS;
+        store.expire(true_ns);
+        workers[0].hangs = (begin_ns..begin_ns.saturating_add(pause_ns)).contains(&true_ns);
+        for (host, worker) in hosts.iter_mut().zip(&mut workers) {
+            worker.step(host, true_ns);
+            host.step(&mut store, true_ns, true_ns, CALM);
+        }
+        if hosts[1].leader_lease(true_ns).is_some() {
+            return Some(true_ns - begin_ns);
+        }
+    }
+    assert!(hosts[0].leader_lease(true_ns).is_some(), "{hosts:?}");
+    None
+}
+
+/// At any instant between two renewals.
+#[test]
+fn a_worker_that_hangs_is_replaced_within_two_leases_and_one_that_pauses_for_less_than_one_leads_on()
+ {
+    for begin_ns in (2 * TTL_NS..3 * TTL_NS).step_by(130_000_000) {
+        let took_ns = after_a_pause(begin_ns, u64::MAX);
+        assert!(took_ns.is_some_and(|took_ns| took_ns < 2 * TTL_NS), "{begin_ns} {took_ns:?}");
+        for pause_ns in [TTL_NS / 2, TTL_NS * 3 / 4, TTL_NS] {
+            assert_eq!(after_a_pause(begin_ns, pause_ns), None, "{begin_ns} {pause_ns}");
+        }
+    }
 }
 
 #[test]
