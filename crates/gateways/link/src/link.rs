@@ -112,6 +112,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     log_line(&format!("link {} of fleet {} is open", settings.name, config.fleet()));
     while !stop.is_asked() && !threads.have_ended() {
         thread::sleep(POLL_INTERVAL);
+        threads.network().reopen_if_split();
         tls_causes::take().iter().for_each(|cause| tracing::warn!("{cause}"));
     }
     let Done { given, taken, refused } = threads.finish()?;

@@ -7,6 +7,7 @@
 mod arguments;
 mod certificates;
 mod config;
+mod contact;
 mod egress;
 mod etcd;
 mod follow;
@@ -24,6 +25,7 @@ mod protocol;
 mod refusals;
 mod report;
 mod rmw;
+mod session;
 mod shard_merger;
 mod shared;
 mod standby;

@@ -1,4 +1,5 @@
-//! The zenoh session: keys, connections and arriving messages. Only this file names zenoh.
+//! The network: keys, zenoh's configuration and arriving messages. Only this file and `session.rs`
+//! name zenoh.
 //!
 //! There is no discovery: a link connects to the addresses of its file and to no others. Payloads
 //! never use zenoh's own shared memory.
@@ -15,15 +16,15 @@ use joulebus_bus::clock;
 use serde_json::json;
 use zenoh::Wait as _;
 use zenoh::bytes::ZBytes;
-use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::{Publisher, Subscriber};
-use zenoh::qos::CongestionControl;
+use zenoh::pubsub::Publisher;
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::config::{Mode, NetworkSettings, TlsSettings};
+use crate::contact::{Contact, SILENCE_TIMEOUT_NS};
 use crate::proof::{Prover, Verifier};
 use crate::protocol::carried::Kind;
 use crate::protocol::message::MAX_REQUEST_BYTES;
+use crate::session::{Declared, Session};
 use crate::wall_clock::WallClock;
 
 /// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
@@ -66,7 +67,6 @@ pub(crate) struct Inbox {
     receiver: Receiver<Event>,
     /// Set if the messages are requests and links have certificates.
     verifier: Option<Verifier>,
-    _subscriptions: Vec<Subscriber<()>>,
 }
 
 /// The producing end of an [`Inbox`], used by zenoh's threads.
@@ -94,7 +94,7 @@ impl Inbox {
             counts: Arc::default(),
             max_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
-        Self { entry, receiver, verifier: None, _subscriptions: Vec::new() }
+        Self { entry, receiver, verifier: None }
     }
 
     /// Returns the next event, waiting at most `wait`.
@@ -156,28 +156,49 @@ impl Event {
 /// The connection to the other hosts of a fleet.
 #[derive(Debug)]
 pub(crate) struct Network {
-    session: zenoh::Session,
+    session: Arc<Session>,
     fleet: String,
     name: String,
     realtime_within_ns: Option<u64>,
     tls: Option<TlsSettings>,
-    _token: LivelinessToken,
 }
 
 /// A publisher of one key.
 #[derive(Debug)]
 pub(crate) struct Outlet {
-    publisher: Publisher<'static>,
+    session: Arc<Session>,
+    key: String,
+    /// The publisher, and the number of its session.
+    publisher: Option<(u64, Publisher<'static>)>,
     /// Set for requests if links have certificates.
     prover: Option<Prover>,
+    /// Set for requests: the stream that they ask for.
+    contact: Option<Arc<Contact>>,
 }
 
 impl Outlet {
-    /// Sends a message. If zenoh has no room for it, it is dropped, and the receiver counts it as
-    /// missing.
+    /// Sends a message. If zenoh has no room for it, or the session is being opened, it is dropped,
+    /// and the receiver counts it as missing.
     pub(crate) fn send(&mut self, bytes: Vec<u8>) {
-        let proof = self.prover.as_mut().map(|prover| prover.proof(clock::monotonic_ns()));
-        if let Err(error) = self.publisher.put(bytes).attachment(proof).wait() {
+        let now_ns = clock::monotonic_ns();
+        if let Some(contact) = &self.contact {
+            contact.asked(now_ns);
+        }
+        let number = self.session.number();
+        if self.publisher.as_ref().is_none_or(|(of, _)| *of != number) {
+            self.publisher = match self.session.publisher(&self.key) {
+                Ok(publisher) => publisher,
+                Err(error) => {
+                    tracing::debug!(%error, "a publisher was not declared");
+                    None
+                }
+            };
+        }
+        let Some((_, publisher)) = &self.publisher else {
+            return;
+        };
+        let proof = self.prover.as_mut().map(|prover| prover.proof(now_ns));
+        if let Err(error) = publisher.put(bytes).attachment(proof).wait() {
             tracing::debug!(%error, "a message was not sent");
         }
     }
@@ -199,21 +220,35 @@ impl Network {
             let value = access(fleet, name, peers);
             insert(&mut config, "access_control", &value)?;
         }
-        let session = zenoh::open(config).wait().map_err(|reason| NetworkError::Open {
+        let token = format!("joulebus/{fleet}/links/{name}");
+        let session = Session::open(config, token).map_err(|reason| NetworkError::Open {
             listen: settings.listen.clone(),
             connect: settings.connect.clone(),
             reason: reason.to_string(),
         })?;
-        let key = format!("joulebus/{fleet}/links/{name}");
-        let token = session.liveliness().declare_token(key).wait()?;
         Ok(Self {
-            session,
+            session: Arc::new(session),
             fleet: fleet.to_owned(),
             name: name.to_owned(),
             realtime_within_ns: settings.realtime_within_ns,
             tls: settings.tls.clone(),
-            _token: token,
         })
+    }
+
+    /// Opens another session if this one no longer carries a stream of a link that is present.
+    ///
+    /// Zenoh loses the subscriptions of a peer if both connect to each other, the connections break
+    /// and only one of the two notices it (eclipse-zenoh/zenoh#2806). Nothing else ends that state.
+    pub(crate) fn reopen_if_split(&self) {
+        let now_ns = clock::monotonic_ns();
+        if let Some(name) = self.session.is_split(now_ns) {
+            tracing::warn!(
+                "nothing has come from {name} for {} s, although its link is connected: this link connects anew",
+                SILENCE_TIMEOUT_NS / 1_000_000_000
+            );
+            self.session.close();
+        }
+        self.session.open_if_closed(now_ns);
     }
 
     /// This host's realtime clock, as a stream reads it.
@@ -228,7 +263,7 @@ impl Network {
     pub(crate) fn frames_to(&self, kind: Kind, to: &str) -> Result<Outlet, NetworkError> {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/{}/{name}/{to}", kind.name());
-        self.outlet(key, None)
+        self.outlet(key, None, None)
     }
 
     /// The publisher of requests to the link `from`.
@@ -239,7 +274,8 @@ impl Network {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/ask/{}/{from}/{name}", kind.name());
         let prover = self.tls.as_ref().map(|tls| Prover::new(tls, &key));
-        self.outlet(key, prover)
+        let contact = self.session.contact(kind, from);
+        self.outlet(key, prover, Some(contact))
     }
 
     /// Subscribes the inbox to frames from the link `from` to this one, and to the loss of that
@@ -256,25 +292,35 @@ impl Network {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/{}/{from}/{name}", kind.name());
         let named: Arc<str> = from.into();
-        self.subscribe(key, inbox, move |_| Some(Arc::clone(&named)))?;
-        self.watch(from, inbox)
+        let contact = self.session.contact(kind, from);
+        let heard = Arc::clone(&contact);
+        self.subscribe(key, inbox, move |_| {
+            heard.heard(clock::monotonic_ns());
+            Some(Arc::clone(&named))
+        })?;
+        self.watch(from, inbox, Some(contact))
     }
 
-    /// Subscribes the inbox to the loss of the link `name`, or of all links with `*`.
-    fn watch(&self, name: &str, inbox: &mut Inbox) -> Result<(), NetworkError> {
+    /// Subscribes the inbox to the loss of the link `name`, or of all links with `*`, and notes in
+    /// `contact` whether it is present.
+    fn watch(
+        &self,
+        name: &str,
+        inbox: &Inbox,
+        contact: Option<Arc<Contact>>,
+    ) -> Result<(), NetworkError> {
         let entry = inbox.entry.clone();
+        let deliver = move |sample: &Sample| {
+            let is_present = sample.kind() != SampleKind::Delete;
+            if let Some(contact) = &contact {
+                contact.present(is_present, clock::monotonic_ns());
+            }
+            if let Some(name) = last_part(sample).filter(|_| !is_present) {
+                entry.put(Event::Lost { name });
+            }
+        };
         let key = format!("joulebus/{}/links/{name}", self.fleet);
-        let liveliness = self.session.liveliness();
-        let subscription = liveliness
-            .declare_subscriber(key)
-            .callback(move |sample| {
-                if let (SampleKind::Delete, Some(name)) = (sample.kind(), last_part(&sample)) {
-                    entry.put(Event::Lost { name });
-                }
-            })
-            .wait()?;
-        inbox._subscriptions.push(subscription);
-        Ok(())
+        Ok(self.session.declare(Declared::Presence(key), Arc::new(deliver))?)
     }
 
     /// Subscribes the inbox to requests for frames of this link.
@@ -292,39 +338,35 @@ impl Network {
                 reason: format!("{error:#}"),
             })?);
         }
-        self.watch("*", inbox)
+        self.watch("*", inbox, None)
     }
 
     fn subscribe(
         &self,
         key: String,
-        inbox: &mut Inbox,
+        inbox: &Inbox,
         from: impl Fn(&Sample) -> Option<Arc<str>> + Send + Sync + 'static,
     ) -> Result<(), NetworkError> {
         let entry = inbox.entry.clone();
-        let subscriber = self.session.declare_subscriber(key);
-        let subscription = subscriber
-            .callback(move |sample| {
-                let arrived_ns = clock::monotonic_ns();
-                let Some(from) = from(&sample) else {
-                    return;
-                };
-                let bytes = Bytes(sample.payload().clone(), sample.attachment().cloned());
-                entry.put(Event::Message { from, bytes, arrived_ns });
-            })
-            .wait()?;
-        inbox._subscriptions.push(subscription);
-        Ok(())
+        let deliver = move |sample: &Sample| {
+            let arrived_ns = clock::monotonic_ns();
+            let Some(from) = from(sample) else {
+                return;
+            };
+            let bytes = Bytes(sample.payload().clone(), sample.attachment().cloned());
+            entry.put(Event::Message { from, bytes, arrived_ns });
+        };
+        Ok(self.session.declare(Declared::Messages(key), Arc::new(deliver))?)
     }
 
-    fn outlet(&self, key: String, prover: Option<Prover>) -> Result<Outlet, NetworkError> {
-        let publisher = self
-            .session
-            .declare_publisher(key)
-            .congestion_control(CongestionControl::Drop)
-            .express(true)
-            .wait()?;
-        Ok(Outlet { publisher, prover })
+    fn outlet(
+        &self,
+        key: String,
+        prover: Option<Prover>,
+        contact: Option<Arc<Contact>>,
+    ) -> Result<Outlet, NetworkError> {
+        let publisher = self.session.publisher(&key)?;
+        Ok(Outlet { session: Arc::clone(&self.session), key, publisher, prover, contact })
     }
 }
 

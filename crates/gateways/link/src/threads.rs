@@ -47,7 +47,7 @@ pub(crate) struct Threads {
     running: Vec<Background<anyhow::Result<Done>>>,
     questions: Option<PlanServer>,
     /// Has the worker lock, and is dropped after the threads have ended.
-    _shared: Arc<Shared>,
+    shared: Arc<Shared>,
 }
 
 impl Threads {
@@ -74,7 +74,7 @@ impl Threads {
             leadership: leadership.clone(),
             lock,
         });
-        let mut threads = Self { running: Vec::new(), questions, _shared: Arc::clone(&shared) };
+        let mut threads = Self { running: Vec::new(), questions, shared: Arc::clone(&shared) };
         match &settings.side {
             Side::Worker(takes) => {
                 if let Some((standby, leadership)) = settings.standby.as_ref().zip(leadership) {
@@ -133,6 +133,10 @@ impl Threads {
         let (thread, ()) = Background::repeat(name, move || Ok((open(shared)?, ())))?;
         self.running.push(thread);
         Ok(())
+    }
+
+    pub(crate) fn network(&self) -> &Network {
+        &self.shared.network
     }
 
     /// True if a thread has ended by itself.

@@ -55,13 +55,15 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
     assert_eq!(mapping, Vec::<String>::new());
 }
 
-/// One file names the network between hosts, one that of ROS 2. The protocols need neither it nor a
+/// Two files name the network between hosts, one that of ROS 2. The protocols need neither it nor a
 /// clock.
 #[test]
-fn only_three_files_of_the_link_use_zenoh() {
+fn only_four_files_of_the_link_use_zenoh() {
     for member in members() {
         // The last one names targets of its log.
-        let files = ["link/src/network.rs", "link/src/rmw.rs", "link/src/tls_causes.rs"];
+        let files = ["network.rs", "session.rs", "rmw.rs", "tls_causes.rs"]
+            .map(|file| format!("link/src/{file}"));
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
         let found = places(&member.directory.join("src"), &["zenoh::"], &files);
         assert_eq!(found, Vec::<String>::new());
     }

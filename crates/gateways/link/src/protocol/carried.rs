@@ -147,7 +147,7 @@ pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
 
 /// Contents of a stream. They are a part of the keys, so that access rules can distinguish the
 /// streams.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
     /// Frames that a worker writes.
     Outputs,

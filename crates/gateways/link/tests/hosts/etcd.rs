@@ -18,6 +18,8 @@ pub(crate) struct Etcd {
     /// Folder with `fleet-ca.pem`, `etcd.pem` and `etcd.key`. The server then accepts only clients
     /// with a certificate of that authority.
     certificates: Option<PathBuf>,
+    /// Number of this member, and the ports on which the members of its cluster reach each other.
+    cluster: Option<(usize, Vec<u16>)>,
     server: Option<Child>,
 }
 
@@ -38,6 +40,36 @@ impl Etcd {
         around: impl Fn(&Command) -> Command + 'static,
         certificates: Option<PathBuf>,
     ) -> Option<Self> {
+        let mut etcd = Self::new(host, port, around, certificates)?;
+        etcd.again();
+        Some(etcd)
+    }
+
+    /// Starts a cluster of three members on the address `host`, each with two free ports.
+    pub(crate) fn cluster(
+        host: &str,
+        ports: [[u16; 2]; 3],
+        around: impl Fn(&Command) -> Command + Clone + 'static,
+    ) -> Option<Vec<Self>> {
+        let peers: Vec<u16> = ports.iter().map(|[_, peer]| *peer).collect();
+        let member = |(at, [client, _]): (usize, [u16; 2])| {
+            let mut etcd = Self::new(host, client, around.clone(), None)?;
+            etcd.cluster = Some((at, peers.clone()));
+            etcd.spawn();
+            Some(etcd)
+        };
+        let mut members =
+            ports.into_iter().enumerate().map(member).collect::<Option<Vec<Self>>>()?;
+        members.iter_mut().for_each(Self::is_ready);
+        Some(members)
+    }
+
+    fn new(
+        host: &str,
+        port: u16,
+        around: impl Fn(&Command) -> Command + 'static,
+        certificates: Option<PathBuf>,
+    ) -> Option<Self> {
         let named = std::env::var_os("JOULEBUS_ETCD").filter(|named| !named.is_empty());
         let program = named.unwrap_or_else(|| "etcd".into());
         let is_there = Command::new(&program).arg("--version").output();
@@ -47,17 +79,16 @@ impl Etcd {
             eprintln!("skipped: {why}");
             return None;
         }
-        let mut etcd = Self {
+        Some(Self {
             // In memory, because etcd renews no lease while a disk is busy.
             directory: tempfile::tempdir_in("/dev/shm").unwrap(),
             host: host.to_owned(),
             port,
             around: Box::new(around),
             certificates,
+            cluster: None,
             server: None,
-        };
-        etcd.again();
-        Some(etcd)
+        })
     }
 
     pub(crate) fn pid(&self) -> u32 {
@@ -71,13 +102,27 @@ impl Etcd {
 
     /// Starts the server again, with its data.
     pub(crate) fn again(&mut self) {
+        self.spawn();
+        self.is_ready();
+    }
+
+    fn spawn(&mut self) {
         let named = std::env::var_os("JOULEBUS_ETCD").filter(|named| !named.is_empty());
         let endpoint = self.endpoint();
         let mut command = Command::new(named.unwrap_or_else(|| "etcd".into()));
         command.args(["--listen-client-urls", &endpoint]);
         command.args(["--advertise-client-urls", &endpoint]);
-        // A single member still needs a peer port. Let the system choose it.
-        command.args(["--listen-peer-urls", "http://127.0.0.1:0"]);
+        if let Some((at, ports)) = &self.cluster {
+            let address = |at: usize| format!("http://{}:{}", self.host, ports[at]);
+            let all = (0..ports.len()).map(|at| format!("member-{at}={}", address(at)));
+            command.args(["--name", &format!("member-{at}")]);
+            command.args(["--listen-peer-urls", &address(*at)]);
+            command.args(["--initial-advertise-peer-urls", &address(*at)]);
+            command.args(["--initial-cluster", &all.collect::<Vec<_>>().join(",")]);
+        } else {
+            // A single member still needs a peer port. Let the system choose it.
+            command.args(["--listen-peer-urls", "http://127.0.0.1:0"]);
+        }
         command.arg("--data-dir").arg(self.directory.path());
         if let Some(folder) = &self.certificates {
             command.arg("--client-cert-auth");
@@ -85,9 +130,11 @@ impl Etcd {
             command.arg("--cert-file").arg(folder.join("etcd.pem"));
             command.arg("--key-file").arg(folder.join("etcd.key"));
         }
-        let mut server = Child::spawn("etcd", (self.around)(&command));
-        server.wait_for_line("ready to serve client requests");
-        self.server = Some(server);
+        self.server = Some(Child::spawn("etcd", (self.around)(&command)));
+    }
+
+    fn is_ready(&mut self) {
+        self.server.as_mut().unwrap().wait_for_line("ready to serve client requests");
     }
 
     /// Kills the server.

@@ -14,6 +14,8 @@ mod shards;
 mod speed;
 mod standby;
 mod strangers;
+mod sums;
+mod takeovers;
 
 /// Not a test: the entry point of the processes that the tests start.
 #[test]

@@ -28,7 +28,7 @@ use crate::planner::{Frame, Reader};
 /// worker keeps samples.
 const TTL_S: u64 = 4;
 /// The default, for which the times of takeovers are stated.
-const HANG_TTL_S: u64 = 3;
+pub(crate) const HANG_TTL_S: u64 = 3;
 /// Time to live where terms may start at any time: cuts and pauses of some seconds must end leases.
 const SHORT_TTL_S: u64 = 2;
 /// Maximum time from the end of the lease until another host leads, beside the time for which its
@@ -37,22 +37,22 @@ const TAKEOVER_NS: u64 = 3_000_000_000;
 /// Maximum time that a ledger may lose at a takeover, s.
 const MAX_LOST_S: f64 = 1.1;
 const SECOND_NS: u64 = 1_000_000_000;
-const ROBOTS: u32 = 4;
+pub(crate) const ROBOTS: u32 = 4;
 /// Interval between two samples of a robot, s.
 const PERIOD_S: f64 = 1.0 / 30.0;
 const SHARDS: &str = "[[shard]]\nname = \"hall\"\nworkers = [\"base-1\", \"base-2\"]\n";
 const NAMES: [&str; 2] = ["base-1", "base-2"];
 
 /// Two hosts with a candidate each, and a host with robots and planners.
-struct Scene {
-    bases: [Host; 2],
-    field: Host,
+pub(crate) struct Scene {
+    pub(crate) bases: [Host; 2],
+    pub(crate) field: Host,
     /// Addresses on which the links of the candidates listen.
     addresses: [String; 2],
     /// Security settings of the three links' files.
     security: [String; 3],
-    lease: String,
-    wires: Option<Arc<Wires>>,
+    pub(crate) lease: String,
+    pub(crate) wires: Option<Arc<Wires>>,
 }
 
 impl Scene {
@@ -62,7 +62,7 @@ impl Scene {
     }
 
     /// A scene on this host with an etcd.
-    fn with_lease() -> Option<(Self, Etcd)> {
+    pub(crate) fn with_lease() -> Option<(Self, Etcd)> {
         let port = free_port();
         let etcd = Etcd::start("127.0.0.1", port, copy)?;
         let mut scene = Self::by_hand();
@@ -71,7 +71,7 @@ impl Scene {
     }
 
     /// Four hosts with a cable each: two candidates, the robots, and etcd.
-    fn wired(ttl_s: u64) -> Option<(Self, Etcd)> {
+    pub(crate) fn wired(ttl_s: u64) -> Option<(Self, Etcd)> {
         let wires = Arc::new(Wires::new(4)?);
         let store = Arc::clone(&wires);
         let etcd = Etcd::start(&Wires::address(3), 2379, move |command| store.within(3, command))?;
@@ -82,7 +82,7 @@ impl Scene {
         Some((scene, etcd))
     }
 
-    fn with(bases: [Host; 2], field: Host, addresses: [String; 2]) -> Self {
+    pub(crate) fn with(bases: [Host; 2], field: Host, addresses: [String; 2]) -> Self {
         for host in bases.iter().chain([&field]) {
             host.write("shards.toml", SHARDS);
         }
@@ -101,7 +101,7 @@ impl Scene {
         self.lease = format!("[lease]\nendpoints = [\"{endpoint}\"]\nttl_s = {ttl_s}\n{more}");
     }
 
-    fn base_file(&self, at: usize) -> String {
+    pub(crate) fn base_file(&self, at: usize) -> String {
         let (name, lease, security) = (NAMES[at], &self.lease, &self.security[at]);
         let (own, other) = (&self.addresses[at], &self.addresses[1 - at]);
         format!(
@@ -110,20 +110,20 @@ impl Scene {
         )
     }
 
-    fn base_link(&self, at: usize) -> Child {
+    pub(crate) fn base_link(&self, at: usize) -> Child {
         self.bases[at].link(&self.base_file(at))
     }
 
     /// Starts both candidates' links, and waits until the first worker leads. The second link
     /// starts once it does, because it would take the shard after some 0.6 s.
-    fn base_links(&self, workers: &mut [Child; 2]) -> [Child; 2] {
+    pub(crate) fn base_links(&self, workers: &mut [Child; 2]) -> [Child; 2] {
         let first = self.base_link(0);
         workers[0].wait_for_line("ready:");
         [first, self.base_link(1)]
     }
 
     /// Waits until a standby host has a state of the leader that was taken after this call.
-    fn state_crosses_to(&self, at: usize) {
+    pub(crate) fn state_crosses_to(&self, at: usize) {
         let replica = Places::new(&Config::load(self.bases[at].config()).unwrap()).replica;
         let now_ns = clock::monotonic_ns();
         eventually("a state has crossed", || {
@@ -133,14 +133,14 @@ impl Scene {
     }
 
     /// Starts a worker, and waits until it stands by.
-    fn worker(&self, at: usize) -> Child {
+    pub(crate) fn worker(&self, at: usize) -> Child {
         let words = ["run", "--standby", "--format", "json"];
         let mut worker = Child::spawn(NAMES[at], self.bases[at].joulebus(&words));
         worker.wait_for_line("standing by:");
         worker
     }
 
-    fn field_link(&self) -> Child {
+    pub(crate) fn field_link(&self) -> Child {
         let (addresses, security) = (&self.addresses, &self.security[2]);
         self.field.link(&format!(
             "name = \"field\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\n{security}\n\
@@ -148,7 +148,7 @@ impl Scene {
         ))
     }
 
-    fn robots(&self) -> Child {
+    pub(crate) fn robots(&self) -> Child {
         self.field.robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
     }
 
@@ -160,7 +160,7 @@ impl Scene {
         assert_eq!(ended.code(), Some(0), "{ended:?}");
     }
 
-    fn set_cable(&self, host: usize, is_whole: bool) {
+    pub(crate) fn set_cable(&self, host: usize, is_whole: bool) {
         self.wires.as_ref().unwrap().set(host, is_whole);
     }
 
@@ -171,21 +171,21 @@ impl Scene {
     }
 }
 
-fn copy(command: &std::process::Command) -> std::process::Command {
+pub(crate) fn copy(command: &std::process::Command) -> std::process::Command {
     let mut copied = std::process::Command::new(command.get_program());
     copied.args(command.get_args());
     copied
 }
 
 /// True if all robots have a forecast of a sample that was taken after `after_ns`.
-fn is_fresh(frame: &Frame, after_ns: u64) -> bool {
+pub(crate) fn is_fresh(frame: &Frame, after_ns: u64) -> bool {
     let fresh = frame.rows.iter().filter(|row| row.has_power && row.stamp_ns > after_ns);
     let robots: BTreeSet<u32> = fresh.map(|row| row.robot).collect();
     robots == (0..ROBOTS).collect()
 }
 
 /// Reads on until all robots have a forecast of a sample taken after `after_ns`.
-fn fresh_after(planner: &mut Reader, after_ns: u64) -> Frame {
+pub(crate) fn fresh_after(planner: &mut Reader, after_ns: u64) -> Frame {
     loop {
         let frame = planner.frame();
         if is_fresh(&frame, after_ns) {
@@ -194,7 +194,7 @@ fn fresh_after(planner: &mut Reader, after_ns: u64) -> Frame {
     }
 }
 
-fn fresh(planner: &mut Reader) -> Frame {
+pub(crate) fn fresh(planner: &mut Reader) -> Frame {
     fresh_after(planner, clock::monotonic_ns())
 }
 
@@ -245,13 +245,13 @@ fn unsampled_s(robots: &mut Child, planner: Reader) -> f64 {
 }
 
 /// For how long each thread of some processes was ready to run and had no processor, ns.
-struct Unscheduled {
+pub(crate) struct Unscheduled {
     pids: Vec<u32>,
     before_ns: BTreeMap<PathBuf, u64>,
 }
 
 impl Unscheduled {
-    fn of(pids: Vec<u32>) -> Self {
+    pub(crate) fn of(pids: Vec<u32>) -> Self {
         let before_ns = Self::now_ns(&pids);
         Self { pids, before_ns }
     }
@@ -266,7 +266,7 @@ impl Unscheduled {
     }
 
     /// The sum over all threads since the begin.
-    fn since_ns(&self) -> u64 {
+    pub(crate) fn since_ns(&self) -> u64 {
         let before_ns = |at| self.before_ns.get(at).copied().unwrap_or(0);
         // A new thread may have the number of one that has ended.
         Self::now_ns(&self.pids).iter().map(|(at, ns)| ns.saturating_sub(before_ns(at))).sum()

@@ -4,11 +4,12 @@ use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, free_address, of_other, of_worker};
 
-fn session(addresses: [&str; 2]) -> zenoh::Session {
+pub(crate) fn session(connect: &[&str], listen: &[&str]) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
-        ("connect/endpoints", format!("{addresses:?}")),
+        ("connect/endpoints", format!("{connect:?}")),
+        ("listen/endpoints", format!("{listen:?}")),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
     ] {
@@ -56,7 +57,7 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     let listen = format!("[network]\nlisten = [\"{of_desk}\"]");
     let text = of_other("desk", &address, FOLLOW).replacen("[network]", &listen, 1);
     let mut desk = there.link(&text);
-    let stranger = session([&address, &of_desk]);
+    let stranger = session(&[&address, &of_desk], &[]);
     // Real messages of the stream, recorded and sent again, damaged and intact.
     let intercepted = stranger.declare_subscriber("joulebus/lab/**").wait().unwrap();
     let mut planner = there.planner();
