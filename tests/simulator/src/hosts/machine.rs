@@ -491,6 +491,10 @@ impl Machine {
         bus::begin();
         time::pass(ns);
         time::boot();
+        // No two boots begin the same: the runs of sources are numbered by the time since.
+        for slot in &mut self.slots {
+            slot.start_ns = time::now_ns() + SECOND / 10 + host::below(1_000_000) as u64 * 1_000;
+        }
     }
 
     /// Nothing of this host is to happen any more; its processes go on.

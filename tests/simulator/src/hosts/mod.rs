@@ -33,8 +33,11 @@ const LEAST_DELAY_NS: u64 = MS;
 const SETTLE_NS: u64 = 60 * SECOND;
 /// Time for which the settled hosts are watched.
 const WATCH_NS: u64 = 10 * SECOND;
-/// Time within which another worker's forecasts come if one hangs, with a lease of 3 s.
-const TAKEOVER_NS: u64 = 10 * SECOND;
+/// Time within which another worker's forecasts come if one hangs: two leases of 3 s, beside the
+/// ticks.
+const TAKEOVER_NS: u64 = 6 * SECOND;
+/// A leader without frames is idle after so many ticks, if that is longer than half a lease.
+const IDLE_TICKS: u64 = 5;
 /// Time within which forecasts come again after clocks stood still, beside two ticks.
 const STEP_NS: u64 = SECOND / 2;
 /// Time after which a link notices that a peer is out of reach.
@@ -433,20 +436,25 @@ impl World {
         let due_ns = self.hosts.iter().map(|host| host.due_ns).max().unwrap_or_default();
         self.run_until(due_ns.max(self.now_ns) + SETTLE_NS)?;
         self.goes_on()?;
-        self.link_starts_again()?;
+        self.links_start_again()?;
         self.clocks_stand_still()?;
         self.worker_hangs()?;
         self.goes_on()
     }
 
-    /// The controller's link alone starts again, some times. What was published meanwhile is lost,
-    /// and counted.
-    fn link_starts_again(&mut self) -> Checked {
+    /// A link alone starts again, some times: the controller's, and those of the workers. What was
+    /// published meanwhile is lost, and counted.
+    fn links_start_again(&mut self) -> Checked {
         let before = self.samples;
-        for _ in 0..5 {
-            self.happens(EDGE, Fault::End(Part::Link))?;
+        for at in [EDGE, EDGE, EDGE, 1, 2, 1, 2] {
+            self.happens(at, Fault::End(Part::Link))?;
             self.run_until(self.now_ns + 4 * SECOND)?;
         }
+        self.every_sample_is_known(before)
+    }
+
+    /// Of the samples since `before`, the worker that serves knows as many as were published.
+    fn every_sample_is_known(&self, before: (u64, u64)) -> Checked {
         let (published, known) = (self.samples.0 - before.0, self.samples.1 - before.1);
         // Some samples are on their way, or wait for the next tick.
         if published.abs_diff(known) > 4 * self.robots as u64 {
@@ -476,9 +484,9 @@ impl World {
         let Some((hung, _)) = self.serving else {
             return Err(broken("everything goes on", "no worker has served"));
         };
-        let other = HOSTS.len() - hung;
+        let (other, before) = (HOSTS.len() - hung, self.samples);
         self.happens(hung, Fault::Pause(Part::Worker, 1_000 * SECOND))?;
-        self.run_until(self.now_ns + TAKEOVER_NS)?;
+        self.run_until(self.now_ns + TAKEOVER_NS + IDLE_TICKS * self.period_ns)?;
         let is_back = self.newest.is_some_and(|frame| {
             let every_ns = 2 * self.period_ns + SECOND / 5;
             frame.at_ns + every_ns > self.now_ns
@@ -501,7 +509,8 @@ impl World {
             machine.spare();
             machine.due_ns()
         })?;
-        self.run_until(self.now_ns + 10 * SECOND)
+        self.run_until(self.now_ns + 10 * SECOND)?;
+        self.every_sample_is_known(before)
     }
 
     fn goes_on(&mut self) -> Checked {
