@@ -221,7 +221,13 @@ impl Network {
             insert(&mut config, "access_control", &value)?;
         }
         let token = format!("joulebus/{fleet}/links/{name}");
-        let session = Session::open(config, token).map_err(|reason| NetworkError::Open {
+        // Peers that are there already do not connect to a session that is opened anew. So it goes
+        // on until it has reached them.
+        let mut again = config.clone();
+        if settings.mode == Mode::Peer {
+            insert(&mut again, "connect/timeout_ms", &json!(-1))?;
+        }
+        let session = Session::open(config, again, token).map_err(|reason| NetworkError::Open {
             listen: settings.listen.clone(),
             connect: settings.connect.clone(),
             reason: reason.to_string(),
@@ -246,7 +252,7 @@ impl Network {
                 "nothing has come from {name} for {} s, although its link is connected: this link connects anew",
                 SILENCE_TIMEOUT_NS / 1_000_000_000
             );
-            self.session.close();
+            self.session.close(now_ns);
         }
         self.session.open_if_closed(now_ns);
     }

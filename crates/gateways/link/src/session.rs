@@ -45,6 +45,7 @@ struct State {
 }
 
 pub(crate) struct Session {
+    /// The configuration of sessions that replace the first one.
     config: zenoh::Config,
     /// Key of the token that announces this link.
     token: String,
@@ -62,14 +63,18 @@ impl fmt::Debug for Session {
 }
 
 impl Session {
-    /// Opens the first session.
+    /// Opens the first session. `again` is the configuration of all others.
     ///
     /// # Errors
     /// Zenoh's.
-    pub(crate) fn open(config: zenoh::Config, token: String) -> zenoh::Result<Self> {
-        let open = Open::new(config.clone(), &token, &[])?;
+    pub(crate) fn open(
+        config: zenoh::Config,
+        again: zenoh::Config,
+        token: String,
+    ) -> zenoh::Result<Self> {
+        let open = Open::new(config, &token, &[])?;
         let state = Mutex::new(State { open: Some(open), ..State::default() });
-        Ok(Self { config, token, number: AtomicU64::new(1), state })
+        Ok(Self { config: again, token, number: AtomicU64::new(1), state })
     }
 
     /// Number of the session. Publishers of an earlier one send nothing any more.
@@ -127,14 +132,14 @@ impl Session {
     }
 
     /// Ends the session. Peers learn of it, unless they are out of reach.
-    pub(crate) fn close(&self) {
+    pub(crate) fn close(&self, now_ns: u64) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(open) = state.open.take()
             && let Err(error) = open.zenoh.close().wait()
         {
             tracing::debug!(%error, "the session was not closed");
         }
-        state.contacts.values().for_each(|contact| contact.forget());
+        state.contacts.values().for_each(|contact| contact.ends(now_ns));
     }
 
     /// Opens another session if none is open.

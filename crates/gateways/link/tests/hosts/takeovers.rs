@@ -112,7 +112,9 @@ impl Hosts {
                     self.workers[at] = self.scene.worker(at);
                 }
             }
-            leader = self.leader();
+            // A worker that has served ends with its permit, and does not stand by before.
+            let served = [0, 1].map(|at: usize| self.workers[at].errors().contains("ready:"));
+            leader = self.leader().filter(|at| served[*at] && !served[1 - at]);
             leader.is_some()
         });
         let leader = leader.unwrap();
@@ -195,7 +197,8 @@ impl Hosts {
 }
 
 /// Forecasts are back within two leases after any single fault, beside the time for which processes
-/// that run had no processor. `JOULEBUS_TAKEOVERS` states how many trials each fault gets.
+/// that run had no processor. `JOULEBUS_TAKEOVERS` states how many trials each fault gets, and
+/// `JOULEBUS_FAULT` one of the faults.
 #[test]
 #[ignore = "takes half an hour"]
 fn after_any_single_fault_forecasts_are_back_within_two_leases() {
@@ -204,7 +207,9 @@ fn after_any_single_fault_forecasts_are_back_within_two_leases() {
     };
     let trials = std::env::var("JOULEBUS_TAKEOVERS").map_or(20, |count| count.parse().unwrap());
     let mut table = String::from("| fault | trials | least, median, most s |\n|---|---|---|\n");
-    for (fault, what) in FAULTS {
+    let only = std::env::var("JOULEBUS_FAULT").ok();
+    let is_asked = |fault: &Fault| only.as_ref().is_none_or(|only| format!("{fault:?}") == *only);
+    for (fault, what) in FAULTS.into_iter().filter(|(fault, _)| is_asked(fault)) {
         let mut took_ns = Vec::new();
         for trial in 0..trials {
             let (leader, member) = (hosts.settle(), trial % hosts.members.len());
