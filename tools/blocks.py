@@ -98,7 +98,6 @@ joulebus() {
     local ready=.
     case " $* " in
         *' --check '* | *' --write '* | *' --once '* | *' --duration '* | *' --explain '* | *' --acknowledge '* | *' --help '* | *' alarms '*.mcap*) ;;
-        *' --take-over '*) ;;
         ' run '*) ready='ready|stand' ;;&
         ' run '* | ' serve '* | ' bridge '*) replaced "$@" ;;&
         ' run '* | ' serve '* | ' bridge '* | ' link '* | ' watch '* | ' alarms '*) lasting env joulebus "$@"; return ;;

@@ -140,7 +140,7 @@ impl Scene {
         });
     }
 
-    fn permit(&self, term: u64, until_ns: Option<u64>) {
+    fn permit(&self, term: u64, until_ns: u64) {
         let permit = Permit { term, until_ns, lease: 0 };
         permit.write(&self.places.permit).unwrap();
     }
@@ -215,7 +215,7 @@ fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before
 
 #[test]
 fn a_worker_that_waits_longer_than_it_keeps_samples_goes_on_without_a_loss() {
-    // A lease may last for a minute, and an operator may wait.
+    // A lease may last for a minute, and the store may be away.
     goes_on_after(500);
 }
 
@@ -231,7 +231,7 @@ fn goes_on_after(frames: u64) {
         assert!(!worker.stand_by(&stopped).unwrap(), "it was stopped");
         scene.read_all();
         assert_eq!(scene.frames.load(Ordering::Relaxed), 0, "it has no permit");
-        scene.permit(1, None);
+        scene.permit(1, u64::MAX);
         assert!(worker.stand_by(&never).unwrap());
         scene.until(&mut worker, "a warm fleet", |_| scene.is_warm());
         let mut turns = Vec::new();
@@ -257,7 +257,7 @@ fn goes_on_after(frames: u64) {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 eventually("samples", || scene.sent.load(Ordering::Relaxed) > sent + frames);
-                scene.permit(2, None);
+                scene.permit(2, u64::MAX);
             });
             assert!(worker.stand_by(&never).unwrap());
         });
@@ -301,7 +301,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
         let mut accounts = (0, 0, 0);
         for (term, how) in [(1, "it runs out"), (2, "it is withdrawn"), (3, "another term")] {
             let mut worker = Worker::open_standby(&scene.config).unwrap();
-            scene.permit(term, None);
+            scene.permit(term, u64::MAX);
             assert!(worker.stand_by(&never).unwrap());
             let before = scene.frames.load(Ordering::Relaxed);
             scene.until(&mut worker, how, |_| scene.frames.load(Ordering::Relaxed) > before + 3);
@@ -314,9 +314,9 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             // processor.
             let until_ns = clock::boot_ns() + 3_000_000_000;
             match how {
-                "it runs out" => scene.permit(term, Some(until_ns)),
+                "it runs out" => scene.permit(term, until_ns),
                 "it is withdrawn" => Permit::withdraw(&scene.places.permit).unwrap(),
-                "another term" => scene.permit(term + 1, None),
+                "another term" => scene.permit(term + 1, u64::MAX),
                 _ => {}
             }
             let ended = worker.run(&never).expect_err(how);
@@ -330,7 +330,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
                 assert!(clock::boot_ns() >= until_ns);
                 assert!(scene.sent_ns.load(Ordering::Relaxed) < until_ns);
                 // Renewed too late.
-                scene.permit(term, None);
+                scene.permit(term, u64::MAX);
             }
             let frames = scene.frames.load(Ordering::Relaxed);
             assert!(worker.poll().is_err());
@@ -351,7 +351,7 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
     let never = AtomicBool::new(false);
     scene.play(|| {
         let mut worker = Worker::open_standby(&scene.config).unwrap();
-        scene.permit(1, None);
+        scene.permit(1, u64::MAX);
         assert!(worker.stand_by(&never).unwrap());
         scene.until(&mut worker, "a warm fleet", |_| scene.is_warm());
         let is_kept = |least: i64| {
@@ -378,7 +378,7 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
             }
             Permit::withdraw(&scene.places.permit).unwrap();
             let mut worker = Worker::open_standby(&scene.config).unwrap();
-            scene.permit(term, None);
+            scene.permit(term, u64::MAX);
             assert!(worker.stand_by(&never).unwrap());
             scene.read_all();
             let before = scene.accounts();

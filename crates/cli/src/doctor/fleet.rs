@@ -218,15 +218,14 @@ pub(super) fn permit(config: &Config) -> Option<Check> {
     let name = "permit";
     let now_ns = clock::boot_ns();
     match Permit::read(&Places::new(config).permit) {
-        Ok(permit) => permit.map(|Permit { term, until_ns, .. }| match until_ns {
-            None => Check::ok(name, format!("to serve in term {term}, until it is withdrawn")),
-            Some(until_ns) if now_ns < until_ns => {
-                let seconds = (until_ns - now_ns) as f64 * 1e-9;
-                Check::ok(name, format!("to serve in term {term}, {seconds:.1} s more"))
-            }
-            Some(_) => {
-                Check::ok(name, format!("that of term {term} has ended: another host may serve"))
-            }
+        Ok(permit) => permit.map(|Permit { term, until_ns, .. }| {
+            let found = match until_ns.checked_sub(now_ns) {
+                Some(left_ns) if left_ns > 0 => {
+                    format!("to serve in term {term}, {:.1} s more", left_ns as f64 * 1e-9)
+                }
+                _ => format!("that of term {term} has ended: another host may serve"),
+            };
+            Check::ok(name, found)
         }),
         Err(error) => Some(Check::new(name, Status::Fail, error.to_string(), "")),
     }

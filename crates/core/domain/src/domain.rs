@@ -15,7 +15,7 @@ const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 pub const FLEET_MARKER: &str = "members.lock";
 /// Names in the fleet's directory of the files that its worker and its host's link share. The last
 /// member removes them, and drafts of them, which end in `.new`.
-pub const STANDBY_FILES: [&str; 4] = ["permit", "keyframe", "replica", "request"];
+pub const STANDBY_FILES: [&str; 3] = ["permit", "keyframe", "replica"];
 /// Name in the fleet's directory of the file with the times at which alarms were raised, which its
 /// worker's process writes. The last member removes it, and a draft of it.
 pub const RAISES_FILE: &str = "raises";

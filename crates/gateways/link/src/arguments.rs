@@ -14,8 +14,7 @@ use joulebus_program::config_file::ConfigFile;
     joulebus link configs/links/planners.toml   on a host where planners read, instead of `joulebus run`\n  \
     joulebus link configs/links/standby.toml    on the host of a worker that is one of several, beside `joulebus run --standby`
   \
-    joulebus link my-link.toml --check          only checks the file and its certificate\n  \
-    joulebus link my-link.toml --take-over      this host's worker serves, in place of another's\n\n\
+    joulebus link my-link.toml --check          only checks the file and its certificate\n\n\
     FILE says what this host gives and takes, and how it reaches the others (zenoh): docs/reference/link-file.md. Planners, \
     `ask`, `watch`, `record` and `serve` work on a linked host as beside the worker. A link \
     connects again by itself. Every host of a fleet needs the same release and the same config of \
@@ -33,10 +32,6 @@ pub(crate) struct LinkArguments {
     /// key fit
     #[arg(long)]
     pub(crate) check: bool,
-    /// Let this host's worker serve its shard, instead of another host's worker. One worker of a
-    /// shard serves at a time
-    #[arg(long, conflicts_with = "check")]
-    pub(crate) take_over: bool,
     /// The fleet's config.
     #[command(flatten)]
     pub(crate) config: ConfigFile,

@@ -37,10 +37,9 @@ pub(crate) struct Etcd {
     at: usize,
     ttl_s: u32,
     limit: Duration,
-    /// Base64 names of the three keys.
+    /// Base64 names of the two keys.
     holder: String,
     term: String,
-    requested: String,
     own: String,
     user: Option<(String, String)>,
     token: Option<String>,
@@ -160,7 +159,6 @@ impl Etcd {
             limit: (ttl / CALL_DIVISOR / members).max(MIN_CALL_TIMEOUT),
             holder: key("holder"),
             term: key("term"),
-            requested: key("wish"),
             own: own.to_owned(),
             user: user.transpose().context("the password of etcd's user")?,
             token: None,
@@ -236,10 +234,10 @@ impl Etcd {
         Ok(found_s * NANOSECONDS)
     }
 
-    /// Reads all three keys in one transaction, so from a quorum and at one revision.
+    /// Reads both keys in one transaction, so from a quorum and at one revision.
     fn look(&mut self) -> anyhow::Result<StoreView> {
         let range = |key: &str| json!({"requestRange": {"key": key}});
-        let all = [&self.holder, &self.term, &self.requested].map(|key| range(key));
+        let all = [&self.holder, &self.term].map(|key| range(key));
         let done: Done = self.post("kv/txn", &json!({"success": all}))?;
         let mut ranges = done.responses.into_iter().map(|response| response.response_range);
         let mut key = || -> anyhow::Result<Option<KeyValue>> {
@@ -247,7 +245,7 @@ impl Etcd {
             let range = range.ok_or_else(|| anyhow!("an answer is missing"))?;
             Ok(range.kvs.into_iter().next())
         };
-        let (holder, term, requested) = (key()?, key()?, key()?);
+        let (holder, term) = (key()?, key()?);
         let holder = holder.map(|entry| {
             let value: HolderValue =
                 serde_json::from_str(&entry.text()?).context("the holder's key")?;
@@ -269,7 +267,6 @@ impl Etcd {
             holder: holder.transpose()?,
             term: term.as_ref().map_or(Ok(0), number)?,
             term_revision: term.map_or(0, |entry| entry.mod_revision.0),
-            requested: requested.map(|entry| entry.text()).transpose()?,
         })
     }
 
@@ -284,18 +281,8 @@ impl Etcd {
             "success": [
                 {"requestPut": {"key": self.holder, "value": value, "lease": lease.to_string()}},
                 {"requestPut": {"key": self.term, "value": BASE64.encode(term.to_string())}},
-                {"requestDeleteRange": {"key": self.requested}},
             ],
         }))
-    }
-
-    /// Requests that the present leader leaves the shard to this candidate.
-    ///
-    /// # Errors
-    /// No member answers.
-    pub(crate) fn request_leader(&mut self) -> anyhow::Result<()> {
-        let body = json!({"key": self.requested, "value": BASE64.encode(&self.own)});
-        self.post::<Value>("kv/put", &body).map(drop)
     }
 
     /// Posts to the member that answered last, then to the others.
@@ -450,13 +437,13 @@ mod tests {
         let holder = |value: &str| {
             let value = BASE64.encode(value);
             format!(
-                "{{\"responses\":[{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}},{{\"responseRange\":{{}}}},{{\"responseRange\":{{}}}}]}}"
+                "{{\"responses\":[{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}},{{\"responseRange\":{{}}}}]}}"
             )
         };
         let term = |value: &str| {
             let value = BASE64.encode(value);
             format!(
-                "{{\"responses\":[{{\"responseRange\":{{}}}},{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}},{{\"responseRange\":{{}}}}]}}"
+                "{{\"responses\":[{{\"responseRange\":{{}}}},{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}}]}}"
             )
         };
         let bodies = [
@@ -487,8 +474,8 @@ mod tests {
             (RENEW, r#"{"result":{"TTL":"99999999"}}"#),
             (RENEW, r#"{"result":{"TTL":"-1"}}"#),
             (RENEW, r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#),
-            (Call::Look, r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#),
-            (Call::Look, r#"{"responses":[{},{},{}]}"#),
+            (Call::Look, r#"{"responses":[{"responseRange":{}}]}"#),
+            (Call::Look, r#"{"responses":[{},{}]}"#),
             (Call::Look, &*holder("not JSON")),
             (Call::Look, &*holder(r#"{"name":"base"}"#)),
             (Call::Look, &*holder(r#"{"name":"base","term":-1}"#)),
@@ -533,7 +520,7 @@ mod tests {
     #[test]
     fn fields_that_are_not_known_and_keys_that_are_not_there_are_no_fault() {
         let body = r#"{"header":{"revision":"9"},"succeeded":true,"new":[1],
-            "responses":[{"responseRange":{"count":"0"}},{"responseRange":{}},{"response_range":{}}]}"#;
+            "responses":[{"responseRange":{"count":"0"}},{"response_range":{}}]}"#;
         assert_eq!(answer(&Call::Look, &ok(body), b"").0, Reply::StoreView(StoreView::default()));
         let gone = r#"{"result":{"header":{},"ID":"7"}}"#;
         assert_eq!(answer(&RENEW, &ok(gone), b"").0, Reply::Renewed { ttl_ns: 0 });

@@ -55,7 +55,7 @@ impl Leadership {
         // or a later one.
         let term = self.term.load(Ordering::Acquire);
         let until_ns = self.until_ns.load(Ordering::Acquire);
-        if until_ns == u64::MAX || clock::boot_ns() < until_ns { term } else { 0 }
+        if clock::boot_ns() < until_ns { term } else { 0 }
     }
 
     /// Permits the worker of this host to lead, or to go on.
@@ -74,18 +74,8 @@ impl Leadership {
             self.term.store(0, Ordering::Release);
             self.worker_starts();
         }
-        let until_ns = permit.until_ns.unwrap_or(u64::MAX);
-        self.until_ns.store(until_ns, Ordering::Release);
+        self.until_ns.store(permit.until_ns, Ordering::Release);
         self.term.store(permit.term, Ordering::Release);
-    }
-
-    /// Withdraws the worker's permit.
-    ///
-    /// # Errors
-    /// [`PermitError`]: the permit stays until its time is over.
-    pub(crate) fn withdraw(&self) -> Result<(), PermitError> {
-        self.term.store(0, Ordering::Release);
-        Permit::withdraw(&self.places.permit)
     }
 
     /// Ends the worker's permit, and leaves it as ended. The worker ends then, and the next one
@@ -95,7 +85,7 @@ impl Leadership {
     /// [`PermitError`]: the permit stays until its time is over.
     pub(crate) fn end(&self, term: u64) -> Result<(), PermitError> {
         self.term.store(0, Ordering::Release);
-        Permit { term, until_ns: Some(0), lease: 0 }.write(&self.places.permit)
+        Permit { term, until_ns: 0, lease: 0 }.write(&self.places.permit)
     }
 
     /// True if the worker has a permit that is over.

@@ -21,7 +21,7 @@ use crate::protocol::carried::{max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
 use crate::report::{Done, EgressRecord, IngressRecord};
 use crate::threads::{HostClaim, Threads};
-use crate::{init, rmw, take_over, tls_causes, tls_workaround};
+use crate::{init, rmw, tls_causes, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -63,7 +63,7 @@ struct CheckReport {
     gives: Vec<String>,
     /// Links of the other candidates for this host's shard.
     stands_by_with: Vec<String>,
-    /// The etcd members of the lease. Without them an operator chooses the leader.
+    /// The etcd members of the lease.
     lease: Vec<String>,
 }
 
@@ -87,15 +87,11 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         output.report(&checked(&config, &settings, certificate))?;
         return Ok(Outcome::Done);
     }
-    if settings.network.tls.is_some() && !args.take_over {
+    if settings.network.tls.is_some() {
         // Restart before signals are caught. A signal in between then still ends the program.
         tls_workaround::begin();
     }
     let stop = Stop::on_signals()?;
-    if args.take_over {
-        take_over::run(&config, &settings, &stop)?;
-        return Ok(Outcome::Done);
-    }
     match certificate {
         Some(Err(error)) => tracing::warn!("{error:#}"),
         Some(Ok(certificate)) if certificate.days_left < WARN_DAYS => {
@@ -164,14 +160,12 @@ fn checked(
         stands_by_with: settings
             .standby
             .iter()
-            .flat_map(|standby| &standby.others)
-            .map(|(_, name)| name.clone())
+            .flat_map(|standby| standby.others.clone())
             .collect(),
         lease: settings
             .standby
             .iter()
-            .filter_map(|standby| standby.lease.as_ref())
-            .flat_map(|lease| lease.endpoints.clone())
+            .flat_map(|standby| standby.lease.endpoints.clone())
             .collect(),
     }
 }
@@ -189,7 +183,7 @@ fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Opt
         Side::Worker(takes) => Peers {
             is_worker: true,
             samples_from: takes.iter().map(|take| take.from.as_str()).collect(),
-            outputs_from: candidates.map(|(_, name)| name.as_str()).collect(),
+            outputs_from: candidates.map(String::as_str).collect(),
             ..Peers::default()
         },
         Side::Other { samples, follow } => Peers {

@@ -29,7 +29,6 @@ mod session;
 mod shard_merger;
 mod shared;
 mod standby;
-mod take_over;
 mod threads;
 mod tls_causes;
 mod tls_workaround;

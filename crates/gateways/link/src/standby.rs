@@ -1,32 +1,29 @@
 //! The threads of a host whose worker is one of several candidates. One thread holds the lease, one
 //! follows the other candidates.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::{Domain, Rounds, WorkerLock, clock};
-use joulebus_files::disk;
 use joulebus_standby::{Permit, SavedState};
 use joulebus_wire::StateHeader;
 
-use crate::config::{LeaseSettings, Standby};
+use crate::config::Standby;
 use crate::etcd::Etcd;
 use crate::ingress::{self, Ingress};
 use crate::leadership::Leadership;
 use crate::network::{Event, Inbox, NetworkError};
 use crate::protocol::carried::{Carried, Kind, max_state_message_bytes};
 use crate::protocol::lease::{Candidate, IdleTimeouts, LeaderLease, LocalWorker, Next};
-use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
 use crate::report::Done;
 use crate::shared::Shared;
 
-/// Maximum sleep: the delay until a stop, a request or a later term is noticed.
+/// Maximum sleep: the delay until a stop or a later term is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of checks whether the worker lives.
 const WORKER_POLL_INTERVAL_NS: u64 = 200_000_000;
@@ -51,22 +48,14 @@ impl Candidacy {
     pub(crate) fn open(
         shared: &Shared,
         leadership: Arc<Leadership>,
-        (standby, lease): &(Standby, LeaseSettings),
+        standby: &Standby,
         permit: Option<Permit>,
     ) -> anyhow::Result<Self> {
         let Shared { config, settings, .. } = shared;
+        let lease = &standby.lease;
         let etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
-        let leader_lease = match permit {
-            Some(Permit { term, until_ns: Some(until_ns), lease }) => {
-                Some(LeaderLease { term, until_ns, lease })
-            }
-            // An operator's permit, from a time without a lease.
-            Some(Permit { until_ns: None, .. }) => {
-                leadership.withdraw()?;
-                None
-            }
-            None => None,
-        };
+        let leader_lease =
+            permit.map(|Permit { term, until_ns, lease }| LeaderLease { term, until_ns, lease });
         let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
         let timeouts = IdleTimeouts::new(ttl_ns, config.tick_period_ns());
         Ok(Self {
@@ -213,7 +202,7 @@ impl PermitWriter {
         let done = match (leader_lease, self.leader_lease) {
             (Some(leader_lease), _) => leadership.grant(&Permit {
                 term: leader_lease.term,
-                until_ns: Some(leader_lease.until_ns),
+                until_ns: leader_lease.until_ns,
                 lease: leader_lease.lease,
             }),
             (None, Some(before)) => leadership.end(before.term),
@@ -242,19 +231,12 @@ impl PermitWriter {
 
 /// Follows the other candidates.
 ///
-/// It keeps the leader's state for this host's worker and notices leaders of later terms. Without a
-/// lease it executes the operator's requests.
+/// It keeps the leader's state for this host's worker and notices leaders of later terms.
 pub(crate) struct Rivals {
     leadership: Arc<Leadership>,
     inbox: Inbox,
-    /// The other candidates' streams with their ranks.
-    others: Vec<(usize, Ingress)>,
-    rank: usize,
-    /// An operator chooses the leader.
-    is_by_hand: bool,
-    /// The term in which this host leads by request once no other candidate does. 0 without a
-    /// request.
-    claim: u64,
+    /// The other candidates' streams.
+    others: Vec<Ingress>,
 }
 
 impl Rounds<Done, anyhow::Error> for Rivals {
@@ -263,28 +245,24 @@ impl Rounds<Done, anyhow::Error> for Rivals {
             0 => Carried::STATE.bit(),
             _ => 0,
         };
-        for (_, ingress) in &mut self.others {
+        for ingress in &mut self.others {
             ingress.receiver().select(services);
             ingress.request_if_due();
         }
         match self.inbox.next(POLL_INTERVAL) {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
                 let leadership = &self.leadership;
-                let ingress = self.others.iter_mut().find(|(_, ingress)| *ingress.from() == *from);
-                if let Some((rank, ingress)) = ingress {
+                let ingress = self.others.iter_mut().find(|ingress| *ingress.from() == *from);
+                if let Some(ingress) = ingress {
                     ingress.message(&bytes, arrived_ns, |accepted| {
                         keep(leadership, &accepted)
                             .map_err(|error| ("not kept", format!("{error:#}")))
                     });
-                    let (rank, receiver) = (*rank, ingress.receiver());
-                    let (term, highest_term) = (receiver.term(), receiver.highest_term());
-                    self.observe_term(rank, (term, highest_term))?;
+                    leadership.observe_term(ingress.receiver().highest_term());
                 }
             }
             Ok(Event::Lost { name }) => {
-                for (_, ingress) in
-                    self.others.iter_mut().filter(|(_, ingress)| *ingress.from() == *name)
-                {
+                for ingress in self.others.iter_mut().filter(|other| *other.from() == *name) {
                     ingress.receiver().lost();
                 }
             }
@@ -292,19 +270,16 @@ impl Rounds<Done, anyhow::Error> for Rivals {
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
         let now_ns = clock::monotonic_ns();
-        for (_, ingress) in &mut self.others {
+        for ingress in &mut self.others {
             if ingress.receiver().becomes_silent(now_ns) {
                 tracing::warn!("nothing comes from {}", ingress.from());
             }
-        }
-        if self.is_by_hand {
-            self.obey()?;
         }
         Ok(Duration::ZERO)
     }
 
     fn finish(self) -> anyhow::Result<Done> {
-        Ok(ingress::finish(self.others.iter().map(|(_, ingress)| ingress), &self.inbox))
+        Ok(ingress::finish(self.others.iter(), &self.inbox))
     }
 }
 
@@ -319,73 +294,13 @@ impl Rivals {
         let capacity = shared.config.limits().capacity;
         let mut inbox = Inbox::new(max_state_message_bytes(capacity));
         let mut others = Vec::new();
-        for (rank, other) in &standby.others {
+        for other in &standby.others {
             let selection = Selection::new(0, 1, Vec::new());
             let from = (Kind::Outputs, other.as_str());
-            let ingress = Ingress::open(shared, from, capacity, selection, &mut inbox)?;
-            others.push((*rank, ingress));
+            others.push(Ingress::open(shared, from, capacity, selection, &mut inbox)?);
         }
-        let (rank, is_by_hand) = (standby.rank, standby.lease.is_none());
-        Ok(Self { leadership, inbox, others, rank, is_by_hand, claim: 0 })
+        Ok(Self { leadership, inbox, others })
     }
-
-    /// Handles what the candidate of this rank reports: `term`, in which it leads (0 if it does
-    /// not), and the highest term that it knows of or claims.
-    fn observe_term(&self, rank: usize, (term, highest_term): (u64, u64)) -> anyhow::Result<()> {
-        let own = self.leadership.term();
-        self.leadership.observe_term(highest_term);
-        // If operators permitted two candidates the same term, the first in the list stays. A lease
-        // permits a term to one candidate, and its thread notices later terms by itself.
-        let gives_way = highest_term > own || (term == own && rank < self.rank);
-        if own > 0 && gives_way && self.is_by_hand {
-            tracing::warn!(
-                "another host's worker serves in term {highest_term}: this host's worker, of term \
-                    {own}, ends"
-            );
-            self.leadership.withdraw()?;
-        }
-        Ok(())
-    }
-
-    /// Executes an operator's request: claims the next term, and leads once the other candidates
-    /// that are connected have given way.
-    ///
-    /// A candidate out of reach may still lead for the hosts beside it. Only a lease prevents that.
-    fn obey(&mut self) -> anyhow::Result<()> {
-        let request = &self.leadership.places().request;
-        if !disk::exists(request) {
-            self.claim = 0;
-            return Ok(());
-        }
-        if self.leadership.term() == 0 {
-            if self.claim == 0 || self.claim < self.leadership.highest_term() {
-                let highest_term = self.leadership.highest_term();
-                let Some(claim) = highest_term.checked_add(1) else {
-                    tracing::error!(
-                        "there is no term after {highest_term}: stop all links of this shard, and \
-                            start them again"
-                    );
-                    return remove(request);
-                };
-                self.claim = claim;
-                self.leadership.observe_term(self.claim);
-            }
-            let leads = |(_, ingress): &mut (usize, Ingress)| {
-                let receiver = ingress.receiver();
-                receiver.is_sending() && (receiver.term() > 0 || receiver.worker() == Worker::Alive)
-            };
-            if self.others.iter_mut().any(leads) {
-                return Ok(());
-            }
-            self.leadership.grant(&Permit { term: self.claim, until_ns: None, lease: 0 })?;
-            tracing::warn!("by command this host serves, term {}", self.claim);
-        }
-        remove(request)
-    }
-}
-
-fn remove(request: &Path) -> anyhow::Result<()> {
-    disk::remove_file(request).with_context(|| format!("{request:?}"))
 }
 
 /// Saves the leader's state for the worker of this host.

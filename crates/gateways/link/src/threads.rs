@@ -7,7 +7,7 @@ use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
 use joulebus_standby::{Permit, Places};
 
-use crate::config::{LeaseSettings, Settings, Side, Standby};
+use crate::config::{Settings, Side, Standby};
 use crate::follow::Following;
 use crate::forward::Forwarding;
 use crate::intake::Intake;
@@ -114,12 +114,10 @@ impl Threads {
         let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
         let open = move |shared: Arc<Shared>| Ok(Rivals::open(&shared, its, &of_shard)?);
         self.spawn("joulebus-standby", shared, open)?;
-        if let Some(lease) = standby.lease.clone() {
-            let by: (Standby, LeaseSettings) = (standby.clone(), lease);
-            let open = move |shared: Arc<Shared>| Candidacy::open(&shared, leadership, &by, permit);
-            self.spawn("joulebus-lease", shared, open)?;
-        }
-        Ok(())
+        let standby = standby.clone();
+        let open =
+            move |shared: Arc<Shared>| Candidacy::open(&shared, leadership, &standby, permit);
+        self.spawn("joulebus-lease", shared, open)
     }
 
     /// Starts a thread, and waits until it has joined the fleet.

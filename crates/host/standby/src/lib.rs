@@ -8,12 +8,11 @@
 //! | [permit](Permit) | the link | term, and the instant after which the worker must be silent |
 //! | [keyframe](SavedState) | the leading worker | its state, once a second |
 //! | [replica](SavedState) | the link | the keyframe of the leader on another host |
-//! | request | `joulebus link FILE --take-over` | the request that this host's worker leads |
 //!
 //! They are files because those survive a kill of any of the processes, are replaced whole (by
 //! renaming), and cost a tick nothing.
 //!
-//! **Three types to know.** [`Places`] has the paths of the four files. A [`Permit`] allows this
+//! **Three types to know.** [`Places`] has the paths of the three files. A [`Permit`] allows this
 //! host's worker to publish. A [`SavedState`] is the state of a fleet, with its origin.
 //!
 //! **Units** are ns. A permit counts them since boot with suspend, so that a host that slept does

@@ -10,7 +10,6 @@ use crate::places::{remove, replace};
 const FIRST_LINE: &str = "joulebus permit 1";
 /// A file that is longer is not a permit's, bytes.
 const MAX_BYTES: u64 = 512;
-const NEVER: &str = "never";
 
 /// The permit of this host's worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,17 +17,17 @@ pub struct Permit {
     /// Number of the term, from 1, higher than that of every earlier leader.
     pub term: u64,
     /// The worker sends nothing from this instant on, ns since boot with suspend
-    /// ([`clock::boot_ns`]). `None`: until the permit is withdrawn.
-    pub until_ns: Option<u64>,
-    /// The lease that it follows from, for a link that starts again. 0 without one.
+    /// ([`clock::boot_ns`]).
+    pub until_ns: u64,
+    /// The lease that it follows from, for a link that starts again. 0 once it has ended.
     pub lease: u64,
 }
 
 impl Permit {
     /// True if it allows to send at `now_ns`.
     #[must_use]
-    pub fn holds(&self, now_ns: u64) -> bool {
-        self.until_ns.is_none_or(|until_ns| now_ns < until_ns)
+    pub const fn holds(&self, now_ns: u64) -> bool {
+        now_ns < self.until_ns
     }
 
     /// Reads the permit in a file. `None` if there is none, or it is of another boot, whose
@@ -74,10 +73,8 @@ impl Permit {
     }
 
     fn text(&self, boot_id: &str) -> String {
-        let until = self.until_ns.map(|ns| ns.to_string());
-        let until = until.as_deref().unwrap_or(NEVER);
-        let (term, lease) = (self.term, self.lease);
-        format!("{FIRST_LINE}\nboot {boot_id}\nterm {term}\nuntil {until}\nlease {lease}\n")
+        let Self { term, until_ns, lease } = self;
+        format!("{FIRST_LINE}\nboot {boot_id}\nterm {term}\nuntil {until_ns}\nlease {lease}\n")
     }
 }
 
@@ -90,10 +87,7 @@ fn parse(text: &str) -> Option<(&str, Permit)> {
     let mut value = |name: &str| lines.next()?.strip_prefix(name)?.strip_prefix(' ');
     let boot = value("boot")?;
     let term = value("term")?.parse().ok().filter(|term| *term > 0)?;
-    let until_ns = match value("until")? {
-        NEVER => None,
-        until => Some(until.parse().ok()?),
-    };
+    let until_ns = value("until")?.parse().ok()?;
     let lease = value("lease")?.parse().ok()?;
     if lines.next().is_some() {
         return None;
@@ -132,24 +126,21 @@ mod tests {
 
     use super::*;
 
-    const SOME: Permit = Permit { term: 7, until_ns: Some(1_234), lease: u64::MAX };
+    const SOME: Permit = Permit { term: 7, until_ns: 1_234, lease: u64::MAX };
 
     #[test]
     fn a_permit_is_read_as_it_was_written_and_withdrawn_whether_or_not_it_is_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("permit-lab");
         assert_eq!(Permit::read(&path).unwrap(), None);
-        let never = Permit { until_ns: None, ..SOME };
-        for permit in [SOME, never] {
-            permit.write(&path).unwrap();
-            assert_eq!(Permit::read(&path).unwrap(), Some(permit));
-        }
+        SOME.write(&path).unwrap();
+        assert_eq!(Permit::read(&path).unwrap(), Some(SOME));
         for _ in 0..2 {
             Permit::withdraw(&path).unwrap();
             assert_eq!(Permit::read(&path).unwrap(), None);
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
-        assert!(SOME.holds(1_233) && !SOME.holds(1_234) && never.holds(u64::MAX));
+        assert!(SOME.holds(1_233) && !SOME.holds(1_234));
     }
 
     #[test]
@@ -169,6 +160,8 @@ mod tests {
             ("term 7", "term -7"),
             ("term 7", "term 99999999999999999999"),
             ("until 1234", "until soon"),
+            // An operator's permit of an earlier release.
+            ("until 1234", "until never"),
             ("lease", "leash"),
         ] {
             let changed = text.replacen(from, to, 1);

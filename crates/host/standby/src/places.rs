@@ -17,8 +17,6 @@ pub struct Places {
     pub keyframe: PathBuf,
     /// [`SavedState`](crate::SavedState) of the worker elsewhere that serves.
     pub replica: PathBuf,
-    /// Exists while an operator's request that this host's worker leads is pending.
-    pub request: PathBuf,
 }
 
 impl Places {
@@ -26,8 +24,8 @@ impl Places {
     #[must_use]
     pub fn new(config: &Config) -> Self {
         let directory = config.root().join(config.fleet());
-        let [permit, keyframe, replica, request] = STANDBY_FILES.map(|name| directory.join(name));
-        Self { permit, keyframe, replica, request }
+        let [permit, keyframe, replica] = STANDBY_FILES.map(|name| directory.join(name));
+        Self { permit, keyframe, replica }
     }
 }
 

@@ -1,9 +1,9 @@
 //! A standby worker's view of its robots: the leader's newest state, and the samples since.
 //!
 //! Frames are kept for some seconds and then dropped, because a later state contains them. If
-//! states stop, as from a dead host whose lease runs on, or until an operator chooses a leader, the
-//! fleet is restored from the last state. It then takes the frames as they become old, as if it
-//! led. The memory is bounded, and the wait is not.
+//! states stop, as from a dead host whose lease runs on, or while the store is away, the fleet is
+//! restored from the last state. It then takes the frames as they become old, as if it led. The
+//! memory is bounded, and the wait is not.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -168,9 +168,9 @@ mod tests {
     }
 
     fn places(folder: &Path) -> Places {
-        let [permit, keyframe, replica, request] =
-            ["permit", "keyframe", "replica", "request"].map(|name| folder.join(name));
-        Places { permit, keyframe, replica, request }
+        let [permit, keyframe, replica] =
+            ["permit", "keyframe", "replica"].map(|name| folder.join(name));
+        Places { permit, keyframe, replica }
     }
 
     /// Frame `seq` of the run of a source that has sent all before, taken at `taken_ns`.

@@ -68,7 +68,7 @@ impl CurrentPermit {
     /// may have led in between.
     fn renew(&self, permit: Option<&Permit>) {
         let own = permit.filter(|permit| permit.term == self.term());
-        let until_ns = own.map_or(0, |permit| permit.until_ns.unwrap_or(u64::MAX));
+        let until_ns = own.map_or(0, |permit| permit.until_ns);
         self.until_ns.store(until_ns, Ordering::Release);
     }
 }
@@ -123,7 +123,7 @@ impl Renewal {
 mod tests {
     use super::*;
 
-    const PERMIT: Permit = Permit { term: 4, until_ns: Some(100), lease: 9 };
+    const PERMIT: Permit = Permit { term: 4, until_ns: 100, lease: 9 };
 
     #[test]
     fn a_worker_sends_until_its_permit_ends_and_never_with_that_of_another_term() {
@@ -132,10 +132,8 @@ mod tests {
         assert!(!current_permit.holds(0));
         current_permit.begin(&PERMIT);
         assert!(current_permit.holds(99) && !current_permit.holds(100));
-        current_permit.renew(Some(&Permit { until_ns: Some(200), ..PERMIT }));
+        current_permit.renew(Some(&Permit { until_ns: 200, ..PERMIT }));
         assert!(current_permit.holds(199));
-        current_permit.renew(Some(&Permit { until_ns: None, ..PERMIT }));
-        assert!(current_permit.holds(u64::MAX - 1));
         for permit in [None, Some(Permit { term: 5, ..PERMIT }), Some(Permit { term: 3, ..PERMIT })]
         {
             current_permit.begin(&PERMIT);
@@ -151,7 +149,7 @@ mod tests {
         let path = folder.path().join("permit-lab");
         for (renewed, until_ns) in [
             (Some(PERMIT), 100),
-            (Some(Permit { until_ns: Some(300), ..PERMIT }), 300),
+            (Some(Permit { until_ns: 300, ..PERMIT }), 300),
             (Some(Permit { term: 5, ..PERMIT }), 0),
             (None, 0),
         ] {
@@ -181,7 +179,7 @@ mod tests {
         std::fs::write(&path, "nonsense").unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
         assert!(current_permit.holds(99) && !current_permit.holds(100));
-        let later = Permit { until_ns: Some(300), ..PERMIT };
+        let later = Permit { until_ns: 300, ..PERMIT };
         later.write(&path).unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
         assert!(current_permit.holds(299));

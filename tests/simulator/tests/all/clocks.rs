@@ -41,7 +41,7 @@ fn a_worker_whose_host_was_suspended_until_its_permit_had_ended_sends_nothing_mo
                     [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-3\"]\n";
         let config = Config::parse(text, Path::new("/")).unwrap();
         let mut worker = Worker::open_standby(&config).unwrap();
-        let until_ns = Some(time::boot_ns() + 3 * SECOND);
+        let until_ns = time::boot_ns() + 3 * SECOND;
         let permit = Permit { term: 1, until_ns, lease: 0 };
         permit.write(&Places::new(&config).permit).unwrap();
         assert!(worker.stand_by(&AtomicBool::new(false)).unwrap());

@@ -42,10 +42,10 @@ pub(crate) struct Standby {
     pub(crate) shard: String,
     /// Position in the shard's list of candidates.
     pub(crate) rank: usize,
-    /// Links of the other candidates, with their ranks.
-    pub(crate) others: Vec<(usize, String)>,
-    /// The lease that elects the leader. Without it an operator chooses.
-    pub(crate) lease: Option<LeaseSettings>,
+    /// Links of the other candidates.
+    pub(crate) others: Vec<String>,
+    /// The lease that elects the leader.
+    pub(crate) lease: LeaseSettings,
 }
 
 /// Role of the link on this host.
@@ -157,7 +157,7 @@ impl Check {
         (name, shards): (&str, Option<&Shards>),
     ) -> Option<Standby> {
         let section = file.section("lease");
-        let lease = section.as_ref().map(|lease| self.lease(lease, file));
+        let lease = section.as_ref().and_then(|lease| self.lease(lease, file));
         let shard = shards.and_then(|shards| Some(&shards.all()[shards.of_worker(name)?]));
         let Some(shard) = shard.filter(|shard| shard.workers.len() > 1) else {
             if let Some(lease) = section {
@@ -167,13 +167,17 @@ impl Check {
             }
             return None;
         };
-        let candidates = shard.workers.iter().cloned().enumerate();
-        let (own, others): (Vec<_>, Vec<_>) = candidates.partition(|(_, worker)| worker == name);
+        if section.is_none() {
+            let what =
+                format!("is missing, and shard {} has {} workers", shard.name, shard.workers.len());
+            let remedy = "Write the section: a lease in etcd decides which of them serves";
+            self.add(file.problem("lease", what, remedy));
+        }
         Some(Standby {
             shard: shard.name.clone(),
-            rank: own.first().map_or(0, |(rank, _)| *rank),
-            others,
-            lease: lease.flatten(),
+            rank: shard.workers.iter().position(|worker| worker == name)?,
+            others: shard.workers.iter().filter(|worker| *worker != name).cloned().collect(),
+            lease: lease?,
         })
     }
 
@@ -439,19 +443,14 @@ mod tests {
 
     #[test]
     fn one_of_several_workers_of_a_shard_knows_the_others_and_its_place() {
-        let settings = load_with(SHARDS, CANDIDATE).unwrap();
-        let expected = Standby {
-            shard: "a".to_owned(),
-            rank: 1,
-            others: vec![(0, "base".to_owned())],
-            lease: None,
-        };
-        assert_eq!(settings.standby, Some(expected));
         let lease =
             "[lease]\nendpoints = [\"http://127.0.0.1:2379\", \"https://etcd.example:1\"]\n";
         let settings = load_with(SHARDS, &format!("{CANDIDATE}{lease}")).unwrap();
-        let lease = settings.standby.unwrap().lease.unwrap();
+        let Standby { shard, rank, others, lease } = settings.standby.unwrap();
+        assert_eq!((shard.as_str(), rank, others), ("a", 1, vec!["base".to_owned()]));
         assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
+        let refused = load_with(SHARDS, CANDIDATE).unwrap_err().to_string();
+        assert!(refused.contains("a lease in etcd decides"), "{refused}");
         assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
         // The only candidate of its shard.
         let south = CANDIDATE.replace("spare", "south");

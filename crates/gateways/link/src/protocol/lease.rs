@@ -1,9 +1,8 @@
 //! Leader election for one shard over an etcd lease, as a pure state machine. It yields the next
 //! call to the store and handles the replies. Time is an argument.
 //!
-//! The store has three keys for each shard. The *holder* disappears with its lease. The *term*
-//! stays and only grows. The *wish* names the candidate that an operator requests. A candidate
-//! leads while the holder's key has its lease.
+//! The store has two keys. The *holder* disappears with its lease. The *term* stays and only grows.
+//! A candidate leads while the holder's key has its lease.
 //!
 //! The store ends a lease when the time to live has passed since it processed the last renewal.
 //! This host sent that renewal earlier. It counts from the sending, less the possible drift between
@@ -42,9 +41,6 @@ const IDLE_TICKS: u64 = 5;
 const START_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Time after which an absent worker is not expected back.
 const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
-/// Maximum time for which the others leave a free shard to the requested candidate, which polls
-/// more often.
-const REQUESTED_GRACE_NS: u64 = 1_500_000_000;
 
 /// The store's contents for one shard.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -54,8 +50,6 @@ pub(crate) struct StoreView {
     pub(crate) term: u64,
     /// The store's revision of the term's key, 0 if there is none. It changes with the term.
     pub(crate) term_revision: u64,
-    /// The candidate that an operator requests as leader.
-    pub(crate) requested: Option<String>,
 }
 
 /// The candidate that holds a shard.
@@ -73,8 +67,8 @@ pub(crate) enum Call {
     Grant,
     /// Reads the shard's keys.
     Look,
-    /// Makes this candidate the holder, sets the term and removes the request, if there is no
-    /// holder and the term's key still has this revision.
+    /// Makes this candidate the holder and sets the term, if there is no holder and the term's key
+    /// still has this revision.
     Acquire { lease: u64, term: u64, term_revision: u64 },
     /// Renews the lease.
     Renew { lease: u64 },
@@ -326,13 +320,7 @@ impl Candidate {
     fn turn_ns(&self) -> Option<u64> {
         let since_ns = self.free_since_ns.filter(|_| self.is_able)?;
         let behind_ns = self.rank * (self.poll_interval_ns() + ACQUISITION_NS);
-        let wait_ns = match self.view.requested.as_deref() {
-            Some(requested) if requested == self.name => 0,
-            // The requested candidate may be down. After a while the others take the shard.
-            Some(_) => self.ttl_ns.min(REQUESTED_GRACE_NS) + behind_ns,
-            None => behind_ns,
-        };
-        Some(since_ns.saturating_add(wait_ns))
+        Some(since_ns.saturating_add(behind_ns))
     }
 
     fn poll_interval_ns(&self) -> u64 {
@@ -391,8 +379,6 @@ impl Candidate {
                     self.resigns = !self.is_able;
                     self.renew_ns = now_ns;
                 }
-                let requested = view.requested.as_deref();
-                self.resigns |= requested.is_some_and(|requested| requested != self.name);
                 self.free_since_ns = None;
             }
             None => {

@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_standby::{Places, SavedState};
@@ -56,8 +58,8 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// A scene on this host, where an operator chooses the leader.
-    fn by_hand() -> Self {
+    /// A scene on this host, without an etcd.
+    fn new() -> Self {
         Self::with([Host::new(), Host::new()], Host::new(), [0, 1].map(|_| free_address()))
     }
 
@@ -65,7 +67,7 @@ impl Scene {
     pub(crate) fn with_lease() -> Option<(Self, Etcd)> {
         let port = free_port();
         let etcd = Etcd::start("127.0.0.1", port, copy)?;
-        let mut scene = Self::by_hand();
+        let mut scene = Self::new();
         scene.leased(&etcd, TTL_S, "");
         Some((scene, etcd))
     }
@@ -91,7 +93,7 @@ impl Scene {
             field,
             addresses,
             security: std::array::from_fn(|_| "unencrypted = true".to_owned()),
-            lease: String::new(),
+            lease: format!("[lease]\nendpoints = [\"http://127.0.0.1:{}\"]\n", free_port()),
             wires: None,
         }
     }
@@ -152,12 +154,13 @@ impl Scene {
         self.field.robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
     }
 
-    /// Requests that the worker of a host leads.
-    fn take_over(&self, at: usize) {
-        let mut command = self.bases[at].link_command(&self.base_file(at));
-        command.arg("--take-over");
-        let ended = Child::spawn("take over", command).wait();
-        assert_eq!(ended.code(), Some(0), "{ended:?}");
+    /// The host's permit, as `doctor` shows it.
+    fn permit(&self, at: usize) -> String {
+        let words = ["doctor", "--format", "json"];
+        let shown = Child::spawn("doctor", self.bases[at].joulebus(&words)).wait().json();
+        let checks = shown["checks"].as_array().unwrap();
+        let permit = checks.iter().find(|check| check["name"] == "permit").unwrap();
+        permit["found"].as_str().unwrap().to_owned()
     }
 
     pub(crate) fn set_cable(&self, host: usize, is_whole: bool) {
@@ -436,7 +439,7 @@ fn recordings_of_both_hosts_are_verified_across_kills_and_takeovers() {
 }
 
 #[test]
-fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_sends_and_comes_back_by_command()
+fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_sends_and_serves_again_when_that_one_is_stopped()
  {
     let Some((scene, etcd)) = Scene::wired(TTL_S) else {
         return;
@@ -470,14 +473,13 @@ fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_sends_and
     std::thread::sleep(Duration::from_secs(TTL_S + 1));
     scene.state_crosses_to(0);
     let before = accounts(&scene.field);
-    scene.take_over(0);
+    workers[1].end();
     workers[0].wait_for_line("ready:");
-    assert_gave_way(&mut workers[1], 2);
     fresh(&mut planner);
-    let commanded = (before, accounts(&scene.field));
+    let stopped = (before, accounts(&scene.field));
     assert!(fresh(&mut beside[0]).epoch > 0);
     let gaps_s = unsampled_s(&mut robots, planner);
-    for over in [cut_off, commanded] {
+    for over in [cut_off, stopped] {
         assert_continues(&over, gaps_s);
     }
     assert_one_sent_at_a_time(beside);
@@ -576,52 +578,6 @@ fn a_worker_that_hangs_alone_loses_the_shard_and_its_host_leads_again_only_with_
 }
 
 #[test]
-fn without_a_lease_operators_command_who_serves() {
-    let scene = Scene::by_hand();
-    let mut workers = [0, 1].map(|at| scene.worker(at));
-    let mut links = [0, 1].map(|at| scene.base_link(at));
-    let _field = scene.field_link();
-    let mut robots = scene.robots();
-    let mut planner = scene.field.planner();
-    let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
-    std::thread::sleep(Duration::from_secs(2));
-    assert!(workers[0].is_running() && workers[1].is_running());
-    let mut taken_over = Vec::new();
-    for (term, at) in [(1, 1), (2, 0), (3, 1)] {
-        let before = (term > 1).then(|| accounts(&scene.field));
-        scene.take_over(at);
-        workers[at].wait_for_line("ready:");
-        if let Some(before) = before {
-            assert_gave_way(&mut workers[1 - at], term - 1);
-            workers[1 - at] = scene.worker(1 - at);
-            fresh(&mut planner);
-            taken_over.push((before, accounts(&scene.field)));
-        }
-        fresh(&mut planner);
-        // The standby receives a state every second.
-        scene.state_crosses_to(1 - at);
-    }
-    let words = ["doctor", "--format", "json"];
-    let view = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
-    let checks = view.json()["checks"].clone();
-    let permit = checks.as_array().unwrap().iter().find(|check| check["name"] == "permit");
-    let found = permit.unwrap()["found"].as_str().unwrap();
-    assert_eq!(found, "to serve in term 3, until it is withdrawn");
-    // A restarted link continues with the permit.
-    links[1].kill();
-    links[1] = scene.base_link(1);
-    fresh(&mut planner);
-    assert!(workers[1].is_running());
-    // A second request finds it done.
-    scene.take_over(1);
-    let gaps_s = unsampled_s(&mut robots, planner);
-    for over in &taken_over {
-        assert_continues(over, gaps_s);
-    }
-    assert_one_sent_at_a_time(beside);
-}
-
-#[test]
 fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
     let Some((scene, mut etcd)) = Scene::with_lease() else {
         return;
@@ -670,7 +626,7 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
     for (ca, certificate, is_let_in) in
         [(&own, &own, true), (&own, &other, false), (&other, &own, false)]
     {
-        let mut scene = Scene::by_hand();
+        let mut scene = Scene::new();
         let path = |folder: &Path, name: &str| folder.join(name).display().to_string();
         let more = format!(
             "ca = {:?}\ncertificate = {:?}\nkey = {:?}\n",
@@ -699,46 +655,56 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     if !certificates(folder.path(), 30, &["base-1", "base-2", "field", "desk"]) {
         return;
     }
-    let mut scene = Scene::by_hand();
+    let Some((mut scene, etcd)) = Scene::with_lease() else {
+        return;
+    };
     for address in &mut scene.addresses {
         *address = address.replacen("tcp", "tls", 1);
     }
     scene.security = ["base-1", "base-2", "field"].map(|name| tls(folder.path(), name));
     let mut workers = [0, 1].map(|at| scene.worker(at));
-    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let mut links = scene.base_links(&mut workers);
     let _field = scene.field_link();
     let _robots = scene.robots();
-    let mut beside = scene.bases[0].planner();
     // The candidates receive states and terms from each other.
-    for (term, at) in [(1, 0), (2, 1), (3, 0)] {
-        scene.take_over(at);
-        workers[at].wait_for_line("ready:");
-        if term > 1 {
-            assert_gave_way(&mut workers[1 - at], term - 1);
-            workers[1 - at] = scene.worker(1 - at);
-        }
+    for at in [0, 1] {
         scene.state_crosses_to(1 - at);
+        workers[at].kill();
+        workers[1 - at].wait_for_line("ready:");
+        workers[at] = scene.worker(at);
     }
-    // A planners' host that uses the other candidate's name.
+    scene.state_crosses_to(1);
     links[1].end();
+    // Another store lets the other candidate lead, in a far greater term.
+    scene.lease.push_str("prefix = \"other/\"\n");
+    let [key, term] = ["other/lab/hall/term", "100"].map(|text| BASE64.encode(text));
+    etcd.post("kv/put", &format!("{{\"key\": \"{key}\", \"value\": \"{term}\"}}"));
+    // A planners' host that uses its name changes nothing. The candidate itself does.
     scene.security[1] = tls(folder.path(), "desk");
     links[1] = scene.base_link(1);
-    let mut command = scene.bases[1].link_command(&scene.base_file(1));
-    command.arg("--take-over");
-    let _refused = Child::spawn("take over", command).wait();
+    workers[1].wait_for_line("ready:");
     std::thread::sleep(Duration::from_secs(3));
-    fresh(&mut beside);
     assert!(workers[0].is_running(), "{}", workers[0].errors());
+    assert!(scene.permit(0).starts_with("to serve in term 3, "), "{}", scene.permit(0));
+    links[1].end();
+    scene.security[1] = tls(folder.path(), "base-2");
+    links[1] = scene.base_link(1);
+    assert_gave_way(&mut workers[0], 3);
 }
 
 #[test]
-fn while_no_robot_sends_the_one_that_serves_goes_on() {
+fn while_no_robot_sends_the_one_that_serves_goes_on_also_with_a_link_that_starts_again() {
     let Some((scene, _etcd)) = Scene::with_lease() else {
         return;
     };
     let mut workers = [0, 1].map(|at| scene.worker(at));
-    let _links = scene.base_links(&mut workers);
+    let mut links = scene.base_links(&mut workers);
     std::thread::sleep(Duration::from_secs(12));
+    // A link that starts again goes on with the permit.
+    links[0].kill();
+    links[0] = scene.base_link(0);
+    std::thread::sleep(Duration::from_secs(TTL_S + 1));
+    assert!(scene.permit(0).starts_with("to serve in term 1, "), "{}", scene.permit(0));
     let [first, second] = &mut workers;
     assert!(first.is_running(), "{}", first.errors());
     assert!(!second.errors().contains("ready:"), "{}", second.errors());
@@ -746,7 +712,7 @@ fn while_no_robot_sends_the_one_that_serves_goes_on() {
 
 #[test]
 fn a_worker_without_standby_is_reported_and_not_followed_elsewhere() {
-    let scene = Scene::by_hand();
+    let scene = Scene::new();
     let _worker = scene.bases[0].worker();
     let link = scene.base_link(0);
     let mut field = scene.field_link();
@@ -777,7 +743,7 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_reported
     for text in ["for-the-test\n", "another\n"] {
         fs::write(&password, text).unwrap();
         fs::set_permissions(&password, fs::Permissions::from_mode(0o600)).unwrap();
-        let mut scene = Scene::by_hand();
+        let mut scene = Scene::new();
         scene.leased(&etcd, TTL_S, &format!("user = \"root\"\npassword = {password:?}\n"));
         let mut worker = scene.worker(0);
         let mut link = scene.base_link(0);

@@ -12,7 +12,6 @@ pub(crate) struct Store {
     pub(crate) holder: Option<Holder>,
     pub(crate) term: u64,
     pub(crate) term_revision: u64,
-    pub(crate) requested: Option<String>,
     revision: u64,
     next_lease: u64,
 }
@@ -36,7 +35,6 @@ impl Store {
                 holder: self.holder.clone(),
                 term: self.term,
                 term_revision: self.term_revision,
-                requested: self.requested.clone(),
             }),
             Call::Acquire { lease, term, term_revision } => {
                 let is_free = self.holder.is_none() && self.term_revision == *term_revision;
@@ -47,7 +45,6 @@ impl Store {
                 if is_free {
                     self.revision += 1;
                     (self.term, self.term_revision) = (*term, self.revision);
-                    self.requested = None;
                     self.holder =
                         Some(Holder { name: name.to_owned(), term: *term, lease: *lease });
                 }
