@@ -22,6 +22,8 @@
     made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
     params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
 
+    joulebus.models.convert("theirs.pt", "plain.safetensors", …)   # a network of PyTorch, ONNX or NumPy, to import
+
     forecaster = joulebus.OnlineForecaster(model)            # learns from each robot's readings. Needs scikit-learn
     env = gymnasium.make("joulebus/Energy-v0")               # for learning: gymnasium, PettingZoo, JAX
 
@@ -52,6 +54,7 @@ from ._native import (
     RecordingError,
     __version__,
 )
+from . import models
 from .demonstration import Demo, demo
 from .figures import Figure
 from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
@@ -101,6 +104,7 @@ __all__ = [
     "demo",
     "evaluate",
     "forward",
+    "models",
     "read",
     "read_arrays",
     "read_trials",
