@@ -3,9 +3,10 @@
 use std::collections::{BTreeSet, HashSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use bytemuck::cast_slice;
-use joulebus_capture_format::{Frame, Message, MessageKind, ReadError, Reader};
+use joulebus_capture_format::{Entry, Frame, Message, MessageKind, ReadError, Reader};
 use joulebus_dataset::inspect::{Implausible, Limits, judge, judge_together};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
@@ -35,120 +36,237 @@ const READABLE: [Readable; 5] = [
 /// Messages between two looks at Python's signals.
 const AT_ONCE: usize = 64;
 
-/// The rows of one kind of messages as bytes, and for each message its number of rows, its tick
-/// (for samples, the source's frame), and its times. Stops at damage of the file, and reports it.
-#[pyfunction]
-#[pyo3(signature = (path, kind, fleet = None, robots = None))]
-pub(crate) fn read_capture<'py>(
-    py: Python<'py>,
+/// The rows of one kind of messages of a capture, part by part: memory holds one part.
+#[pyclass(module = "joulebus._native")]
+pub(crate) struct CaptureRows {
     path: PathBuf,
-    kind: &str,
+    /// Never locked: Python asks for a type that threads may share.
+    reader: Mutex<Reader<File>>,
+    wanted: Wanted,
+    seen: Seen,
+    /// Log time of the capture's first message, Unix ns.
+    first_ns: Option<u64>,
+    has_ended: bool,
+    damage: Option<String>,
+}
+
+/// The rows that are asked for.
+struct Wanted {
+    of: Readable,
     fleet: Option<String>,
-    robots: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let Some(of) = READABLE.into_iter().find(|of| of.kind.name() == kind) else {
-        let allowed = READABLE.map(|of| of.kind.name()).join(", ");
-        return Err(PyValueError::new_err(format!(
-            "there is no topic {kind}, allowed are {allowed}"
-        )));
-    };
-    let robots = robots.map(|ids| Ids::read("robots", ids)).transpose()?;
-    let mut found = Found {
-        of,
-        fleet,
-        robots: robots.map(|ids| ids.0.into_iter().collect()),
-        bytes: Vec::new(),
-        rows: Vec::new(),
-        tick: Vec::new(),
-        log_ns: Vec::new(),
-        sent_ns: Vec::new(),
-        fleets: BTreeSet::new(),
-        kinds: BTreeSet::new(),
-        damage: None,
-    };
-    let mut reader = py.detach(|| Reader::open(&path)).map_err(|error| refused(&path, &error))?;
-    while !py.detach(|| found.take(&mut reader)) {
-        py.check_signals()?;
+    /// All, if `None`.
+    robots: Option<HashSet<u32>>,
+    start: Edge,
+    stop: Option<Edge>,
+}
+
+/// An end of a time window.
+#[derive(Clone, Copy, FromPyObject)]
+enum Edge {
+    /// Unix ns.
+    #[pyo3(transparent)]
+    At(u64),
+    /// After the capture's first message, s.
+    #[pyo3(transparent)]
+    After(f64),
+}
+
+impl Edge {
+    const fn unix_ns(self, first_ns: u64) -> u64 {
+        match self {
+            Self::At(unix_ns) => unix_ns,
+            Self::After(offset_s) => first_ns.saturating_add((offset_s * 1e9) as u64),
+        }
     }
-    found.check(&path)?;
-    found.columns(py)
+}
+
+/// What the capture has, as far as it was read.
+#[derive(Default)]
+struct Seen {
+    fleets: BTreeSet<String>,
+    /// Ends of topics.
+    kinds: BTreeSet<String>,
+}
+
+#[pymethods]
+impl CaptureRows {
+    /// Times are Unix ns (an integer), or seconds after the capture's first message (a float).
+    #[new]
+    fn new(
+        py: Python<'_>,
+        path: PathBuf,
+        kind: &str,
+        fleet: Option<String>,
+        robots: Option<&Bound<'_, PyAny>>,
+        start: Edge,
+        stop: Option<Edge>,
+    ) -> PyResult<Self> {
+        let Some(of) = READABLE.into_iter().find(|of| of.kind.name() == kind) else {
+            let allowed = READABLE.map(|of| of.kind.name()).join(", ");
+            return Err(PyValueError::new_err(format!(
+                "there is no topic {kind}, allowed are {allowed}"
+            )));
+        };
+        let robots = robots.map(|ids| Ids::read("robots", ids)).transpose()?;
+        let robots = robots.map(|ids| ids.0.into_iter().collect());
+        let opened = py.detach(|| Reader::open(&path));
+        let reader = opened.map_err(|error| refused(&path, &error))?;
+        Ok(Self {
+            path,
+            reader: Mutex::new(reader),
+            wanted: Wanted { of, fleet, robots, start, stop },
+            seen: Seen::default(),
+            first_ns: None,
+            has_ended: false,
+            damage: None,
+        })
+    }
+
+    /// The next messages, until they have at least `rows` rows: the rows as bytes, and for each
+    /// message its number of rows, its tick (for samples, the source's frame), and its times. After
+    /// the last message `ended` is true, and `damage` says where the file is damaged.
+    fn take<'py>(&mut self, py: Python<'py>, rows: usize) -> PyResult<Bound<'py, PyDict>> {
+        let mut part = Part::default();
+        while !py.detach(|| self.read(&mut part, rows)) {
+            py.check_signals()?;
+        }
+        if self.has_ended {
+            self.check()?;
+        }
+        let dict = part.columns(py)?;
+        dict.set_item("ended", self.has_ended)?;
+        dict.set_item("damage", self.damage.as_deref().filter(|_| self.has_ended))?;
+        Ok(dict)
+    }
 }
 
 /// A channel whose rows can be read.
 #[derive(Clone, Copy)]
 struct Readable {
     kind: MessageKind,
-    /// Adds the wanted rows of a frame. Returns its number, and that of the rows.
-    add: fn(&mut Found, &Message) -> Option<(u64, usize)>,
+    /// Adds the rows of the robots, or all. Returns the frame's number, and that of the rows.
+    add: fn(&mut Part, &Message, Option<&HashSet<u32>>) -> Option<(u64, usize)>,
 }
 
 impl Readable {
     const fn of<C: Channel>() -> Self {
-        Self { kind: MessageKind::of::<C>(), add: Found::add::<C> }
+        Self { kind: MessageKind::of::<C>(), add: Part::add::<C> }
     }
 }
 
-struct Found {
-    of: Readable,
-    fleet: Option<String>,
-    /// All, if `None`.
-    robots: Option<HashSet<u32>>,
+/// Rows and their messages.
+#[derive(Default)]
+struct Part {
     bytes: Vec<u8>,
+    all_rows: usize,
     rows: Vec<i64>,
     tick: Vec<u64>,
     log_ns: Vec<u64>,
     sent_ns: Vec<u64>,
-    fleets: BTreeSet<String>,
-    /// Ends of topics.
-    kinds: BTreeSet<String>,
-    damage: Option<String>,
 }
 
-impl Found {
-    /// Takes the next messages. Returns whether there are no more.
-    fn take(&mut self, reader: &mut Reader<File>) -> bool {
+impl CaptureRows {
+    /// Reads the next messages into `part`. Returns whether it is complete.
+    fn read(&mut self, part: &mut Part, rows: usize) -> bool {
         for _ in 0..AT_ONCE {
-            let entry = match reader.next_entry() {
-                Ok(Some(entry)) => entry,
-                Ok(None) => return true,
+            if self.has_ended || part.all_rows >= rows {
+                return true;
+            }
+            let reader = self.reader.get_mut().unwrap_or_else(PoisonError::into_inner);
+            match reader.next_entry() {
+                Ok(Some(entry)) => self.take_entry(&entry, part),
+                Ok(None) => self.has_ended = true,
                 // The next one can be read.
                 Err(error @ ReadError::Message { .. }) => {
                     self.damage.get_or_insert(error.to_string());
-                    continue;
                 }
                 Err(error) => {
                     self.damage = Some(error.to_string());
-                    return true;
+                    self.has_ended = true;
                 }
-            };
-            let Some(kind) = entry.message.kind() else {
-                continue;
-            };
-            let name = entry.topic.rsplit('/').next().unwrap_or_default();
-            self.kinds.insert(name.to_owned());
-            if kind != self.of.kind {
-                continue;
             }
-            self.fleets.insert(entry.fleet.to_string());
-            if self.fleet.as_deref().is_some_and(|wanted| wanted != &*entry.fleet) {
-                continue;
-            }
-            let Some((number, rows)) = (self.of.add)(self, &entry.message) else {
-                continue;
-            };
-            self.rows.push(rows as i64);
-            self.tick.push(number);
-            self.log_ns.push(entry.log_time_ns);
-            self.sent_ns.push(entry.publish_time_ns);
         }
         false
     }
 
-    /// Adds the wanted rows of a frame. Returns its number, and that of the rows.
-    fn add<C: Channel>(&mut self, message: &Message) -> Option<(u64, usize)> {
+    fn take_entry(&mut self, entry: &Entry, part: &mut Part) {
+        let Wanted { of, fleet, robots, start, stop } = &self.wanted;
+        let first_ns = *self.first_ns.get_or_insert(entry.log_time_ns);
+        let Some(kind) = entry.message.kind() else {
+            return;
+        };
+        if kind == of.kind {
+            self.seen.fleets.insert(entry.fleet.to_string());
+        }
+        let name = entry.topic.rsplit('/').next().unwrap_or_default();
+        self.seen.kinds.insert(name.to_owned());
+        if stop.is_some_and(|stop| entry.log_time_ns >= stop.unix_ns(first_ns)) {
+            // Messages are in the order of their log time. Whether the capture has any that are
+            // asked for has to be known first.
+            self.has_ended = match fleet {
+                Some(fleet) => self.seen.fleets.contains(fleet),
+                None => !self.seen.fleets.is_empty(),
+            };
+            return;
+        }
+        let is_of_other = fleet.as_deref().is_some_and(|wanted| wanted != &*entry.fleet);
+        if kind != of.kind || is_of_other || entry.log_time_ns < start.unix_ns(first_ns) {
+            return;
+        }
+        // Rows of two fleets are not mixed.
+        self.has_ended = fleet.is_none() && self.seen.fleets.len() > 1;
+        match (of.add)(part, &entry.message, robots.as_ref()) {
+            None | Some((_, 0)) => {}
+            Some((number, rows)) => {
+                part.all_rows += rows;
+                part.rows.push(rows as i64);
+                part.tick.push(number);
+                part.log_ns.push(entry.log_time_ns);
+                part.sent_ns.push(entry.publish_time_ns);
+            }
+        }
+    }
+
+    /// Whether it was recorded, and of one fleet.
+    fn check(&self) -> PyResult<()> {
+        let (path, name) = (self.path.display(), self.wanted.of.kind.name());
+        let fleets: Vec<&str> = self.seen.fleets.iter().map(String::as_str).collect();
+        let wanted = self.wanted.fleet.as_deref();
+        if fleets.is_empty() {
+            let found: Vec<&str> = self.seen.kinds.iter().map(String::as_str).collect();
+            let found = match (found.is_empty(), &self.damage) {
+                (false, _) => format!("; it has: {}", found.join(", ")),
+                (true, None) => ", nor any other message of joulebus".to_owned(),
+                (true, Some(damage)) => format!(": {damage}"),
+            };
+            return Err(RecordingError::new_err(format!("{path} has no {name}{found}")));
+        }
+        if let Some(wanted) = wanted.filter(|wanted| !fleets.contains(wanted)) {
+            let found = fleets.join(", ");
+            return Err(RecordingError::new_err(format!(
+                "{path} has no {name} of fleet {wanted}, but of: {found}"
+            )));
+        }
+        if wanted.is_none() && fleets.len() > 1 {
+            return Err(RecordingError::new_err(format!(
+                "{path} has {name} of several fleets, such as {}. Name one: fleet=\"…\"",
+                fleets.join(" and ")
+            )));
+        }
+        Ok(())
+    }
+}
+
+impl Part {
+    /// Adds the rows of the robots, or all. Returns the frame's number, and that of the rows.
+    fn add<C: Channel>(
+        &mut self,
+        message: &Message,
+        robots: Option<&HashSet<u32>>,
+    ) -> Option<(u64, usize)> {
         let Frame { header, rows } = message.frame::<C>()?;
         let number = header.order().number;
-        let Some(wanted) = &self.robots else {
+        let Some(wanted) = robots else {
             self.bytes.extend_from_slice(cast_slice(rows));
             return Some((number, rows.len()));
         };
@@ -162,35 +280,6 @@ impl Found {
         Some((number, added))
     }
 
-    /// Whether it was recorded, and of one fleet.
-    fn check(&self, path: &Path) -> PyResult<()> {
-        let (path, name) = (path.display(), self.of.kind.name());
-        let fleets: Vec<&str> = self.fleets.iter().map(String::as_str).collect();
-        if let Some(wanted) = self.fleet.as_deref().filter(|wanted| !fleets.contains(wanted)) {
-            let found = fleets.join(", ");
-            return Err(RecordingError::new_err(format!(
-                "{path} has no {name} of fleet {wanted}, but of: {found}"
-            )));
-        }
-        if fleets.is_empty() {
-            let found: Vec<&str> = self.kinds.iter().map(String::as_str).collect();
-            let found = match (found.is_empty(), &self.damage) {
-                (false, _) => format!("; it has: {}", found.join(", ")),
-                (true, None) => ", nor any other message of joulebus".to_owned(),
-                (true, Some(damage)) => format!(": {damage}"),
-            };
-            return Err(RecordingError::new_err(format!("{path} has no {name}{found}")));
-        }
-        if self.fleet.is_none() && fleets.len() > 1 {
-            return Err(RecordingError::new_err(format!(
-                "{path} has {name} of {} fleets. Name one of: {}",
-                fleets.len(),
-                fleets.join(", ")
-            )));
-        }
-        Ok(())
-    }
-
     fn columns(self, py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
         let (bytes, messages) = ([self.bytes.len()], [self.rows.len()]);
         let dict = PyDict::new(py);
@@ -199,7 +288,6 @@ impl Found {
         dict.set_item("tick", array(py, self.tick, &messages)?)?;
         dict.set_item("log_ns", array(py, self.log_ns, &messages)?)?;
         dict.set_item("sent_ns", array(py, self.sent_ns, &messages)?)?;
-        dict.set_item("damage", self.damage)?;
         Ok(dict)
     }
 }

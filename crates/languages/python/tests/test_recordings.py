@@ -5,7 +5,10 @@ import csv
 import io
 import json
 import subprocess
+import sys
+import time
 import warnings
+from datetime import datetime, timezone
 
 import joulebus
 import numpy as np
@@ -35,6 +38,16 @@ def capture(program, tmp_path_factory):
             return recorded
         assert code == 3
     pytest.fail("frames were lost each time")
+
+
+def first_log_ns(path):
+    """The log time of the first message of all topics."""
+    return min(int(joulebus.read_arrays(path, topic)["log_ns"].min()) for topic in TOPICS)
+
+
+def nanoseconds(unix_ns):
+    """A moment in the zone of Tokyo, as pandas has it."""
+    return pytest.importorskip("pandas").Timestamp(unix_ns, unit="ns", tz="Asia/Tokyo")
 
 
 def record(program, folder, attempt):
@@ -103,6 +116,134 @@ def test_a_capture_is_a_data_frame(capture):
     assert set(found.groupby("tick").size()) <= {1, 2}
 
 
+def test_a_window_has_the_messages_of_the_whole_capture_in_it(capture):
+    path, _ = capture
+    for topic in TOPICS:
+        whole = joulebus.read_arrays(path, topic)
+        log_ns = whole["log_ns"].astype(np.int64)
+        first_ns = first_log_ns(path)
+        for start_ns, stop_ns in [
+            (None, None),
+            (log_ns[len(log_ns) // 3], log_ns[len(log_ns) // 2]),
+            (log_ns[0], log_ns[-1]),
+            (log_ns[-1], None),
+            (None, log_ns[-1] + 1),
+            (log_ns[len(log_ns) // 2] + 1, None),
+            (None, first_ns),
+            (log_ns[-1] + 1, None),
+            (log_ns[0], log_ns[0]),
+        ]:
+            kept = np.ones(len(log_ns), bool)
+            kept &= True if start_ns is None else log_ns >= start_ns
+            kept &= True if stop_ns is None else log_ns < stop_ns
+            given = {"start": start_ns, "stop": stop_ns}
+            forms = [lambda ns: np.datetime64(int(ns), "ns"), lambda ns: nanoseconds(int(ns))]
+            for form in forms:
+                window = {name: None if ns is None else form(ns) for name, ns in given.items()}
+                found = joulebus.read_arrays(path, topic, **window)
+                for name, values in whole.items():
+                    assert found[name].tobytes() == values[kept].tobytes(), (topic, name, window)
+
+
+def test_seconds_of_a_window_count_from_the_captures_first_message(capture):
+    path, _ = capture
+    whole, first_ns = joulebus.read_arrays(path, "samples"), first_log_ns(path)
+    found = joulebus.read_arrays(path, "samples", start=0.25, stop=0.5)
+    since_ns = whole["log_ns"].astype(np.int64) - first_ns
+    kept = (since_ns >= 250_000_000) & (since_ns < 500_000_000)
+    assert 0 < kept.sum() < len(kept)
+    assert np.array_equal(found["log_ns"], whole["log_ns"][kept])
+    assert len(joulebus.read_arrays(path, "samples", start=0)["tick"]) == len(kept)
+    assert len(joulebus.read_arrays(path, "samples", stop=0, robots=[7])["tick"]) == 0
+    assert len(joulebus.read_arrays(path, "samples", start=1e6)["tick"]) == 0
+
+
+def test_times_that_are_none_are_refused_with_what_is_allowed(capture):
+    for wrong in [
+        -1,
+        float("nan"),
+        float("inf"),
+        time.time(),
+        time.time_ns(),
+        np.uint64(time.time_ns()),
+        datetime.now(),
+        np.datetime64("NaT"),
+        np.datetime64("1969-12-31"),
+        np.datetime64("9999-01-01"),
+        datetime(1960, 1, 1, tzinfo=timezone.utc),
+    ]:
+        for name in ("start", "stop"):
+            for read in (joulebus.read_arrays, joulebus.read_frames):
+                with pytest.raises(ValueError, match=f"{name} is .*allowed: seconds after the capture's first"):
+                    read(capture[0], "forecasts", **{name: wrong})
+    for wrong in ["12:00", True, [1.0]]:
+        with pytest.raises(TypeError, match="start is .*allowed"):
+            joulebus.read_arrays(capture[0], "forecasts", start=wrong)
+    with pytest.raises(ValueError, match="start is 2, after stop, which is 1"):
+        joulebus.read_arrays(capture[0], "forecasts", start=2, stop=1)
+
+
+def test_frames_of_a_capture_are_those_of_the_whole_one_after_the_other(capture):
+    path, _ = capture
+    for topic in TOPICS:
+        whole = joulebus.live._columns(joulebus.read_arrays(path, topic))
+        for given in [{}, {"rows": 100}, {"rows": 10**9}, {"robots": [2, 7]}, {"start": 0.2, "stop": 0.6, "rows": np.int64(7)}]:
+            parts = list(joulebus.read_frames(path, topic, **given))
+            window = {name: value for name, value in given.items() if name != "rows"}
+            expected = joulebus.live._columns(joulebus.read_arrays(path, topic, **window)) if window else whole
+            assert len(parts) > 0 and all(part.keys() == expected.keys() for part in parts)
+            for name, values in expected.items():
+                joined = np.concatenate([part[name] for part in parts])
+                assert joined.dtype == values.dtype and joined.tobytes() == values.tobytes(), (topic, name)
+            for part in parts[:-1]:
+                assert len(part["tick"]) >= given.get("rows", 1)
+            if "rows" not in given:
+                # Whole frames, each once.
+                assert all(len(set(part["log_ns"].tolist())) == 1 for part in parts)
+    for wrong in (0, -1, 1.5, True, None):
+        with pytest.raises(ValueError, match="rows is .*allowed: a whole number from 1"):
+            joulebus.read_frames(path, "samples", rows=wrong)
+
+
+@pytest.mark.parametrize("package", ["pandas", "polars"])
+def test_frames_are_what_data_frames_take_and_write_as_parquet(package, capture, tmp_path):
+    frames, file = pytest.importorskip(package), tmp_path / "part.parquet"
+    if package == "pandas":
+        pytest.importorskip("pyarrow")
+    for topic in TOPICS:
+        part = next(joulebus.read_frames(capture[0], topic, robots=[1, 2], rows=20))
+        frame = frames.DataFrame(part)
+        getattr(frame, {"pandas": "to_parquet", "polars": "write_parquet"}[package])(file)
+        for frame in (frame, frames.read_parquet(file)):
+            assert frame.shape == (len(part["tick"]), len(part))
+            for name, values in part.items():
+                assert frame[name].to_numpy().tobytes() == values.tobytes(), (topic, name)
+
+
+def test_frames_of_a_long_capture_need_the_memory_of_one(tmp_path, run):
+    steps = 200_000
+    columns = {"timestamp_s": np.arange(steps) * 0.033, "power_w": 3.5 + 0.25 * np.sin(np.arange(steps))}
+    joulebus.Trial(columns, "7").write(tmp_path / "long.csv")
+    run("import", tmp_path / "long.csv", "-o", tmp_path / "long.mcap")
+    measured = """
+import sys, joulebus
+peak = lambda: next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+rows = lambda part: len(part["tick"])
+path = sys.argv[1]
+next(joulebus.read_frames(path, "samples"))
+before = peak()
+parts = sum(map(rows, joulebus.read_frames(path, "samples", rows=1000)))
+in_parts = peak()
+whole = rows(joulebus.read_arrays(path, "samples"))
+print(parts, whole, in_parts - before, peak() - in_parts)
+"""
+    command = [sys.executable, "-P", "-c", measured, str(tmp_path / "long.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    parts, whole, parts_kb, whole_kb = map(int, done.stdout.split())
+    assert parts == whole == steps
+    assert 4 * parts_kb < whole_kb
+
+
 def test_wrong_captures_are_refused_and_damaged_ones_read_up_to_the_damage(capture, tmp_path):
     path, _ = capture
     whole = joulebus.read_arrays(path, "forecasts")
@@ -134,6 +275,9 @@ def test_wrong_captures_are_refused_and_damaged_ones_read_up_to_the_damage(captu
                     assert "broken.mcap" in str(error)
                     continue
             assert [each.category for each in warned] == [joulebus.RecordingDamaged], at
+            with pytest.warns(joulebus.RecordingDamaged):
+                parts = list(joulebus.read_frames(broken, "forecasts"))
+            assert sum(len(part["tick"]) for part in parts) == len(found["tick"])
             assert "broken.mcap" in str(warned[0].message)
             told += 1
             rows = len(found["tick"])

@@ -17,7 +17,9 @@
         answers = planner.what_if(7, v, omega)               # what candidates of commands would cost
         trip = planner.ask(7, path, back_to=(0.0, 0.0))[0]   # does it make it there and back?
 
-    forecasts = joulebus.read("run.mcap", "forecasts")       # a capture, as a DataFrame
+    forecasts = joulebus.read("run.mcap", "forecasts", start=60, stop=120)   # a minute of a capture, as a DataFrame
+    for frame in joulebus.read_frames("run.mcap", "samples"):                # a long one, frame by frame
+        ...
 
     made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
     params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
@@ -62,7 +64,7 @@ from .live import BUDGET, DIAGNOSTIC, FORECAST, OUTLOOK, OUTLOOK_S, Forecast, Fr
 from .network import arrays, forward
 from .predictor import Predictor
 from .questions import Answer, Answers
-from .recordings import SAMPLE, RecordingDamaged, Trial, read, read_arrays, read_trials
+from .recordings import SAMPLE, RecordingDamaged, Trial, read, read_arrays, read_frames, read_trials
 
 __all__ = [
     "Analysis",
@@ -107,6 +109,7 @@ __all__ = [
     "models",
     "read",
     "read_arrays",
+    "read_frames",
     "read_trials",
     "report",
     "simulate",

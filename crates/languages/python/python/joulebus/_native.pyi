@@ -123,7 +123,18 @@ class QuestionPorts:
     ) -> dict[str, Any]: ...
     def close(self) -> None: ...
 
-def read_capture(path: _Path, kind: str, fleet: str | None = None, robots: ArrayLike | None = None) -> dict[str, Any]: ...
+class CaptureRows:
+    def __new__(
+        cls,
+        path: _Path,
+        kind: str,
+        fleet: str | None,
+        robots: ArrayLike | None,
+        start: int | float,
+        stop: int | float | None,
+    ) -> CaptureRows: ...
+    def take(self, rows: int) -> dict[str, Any]: ...
+
 _Reading = tuple[list[str], str | None, list[str]]
 
 def read_trials(path: _Path, reading: _Reading) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...

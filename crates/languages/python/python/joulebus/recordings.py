@@ -2,9 +2,11 @@
 from __future__ import annotations
 
 import os
+import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
@@ -29,31 +31,136 @@ class RecordingDamaged(UserWarning):
     """A capture is damaged. The readable part was returned."""
 
 
+#: A time of a capture: seconds after its first message, or a moment.
+_Time = float | datetime | np.datetime64
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+#: Longest offset, s: more is a time since 1970.
+_LONGEST_S = 1e9
+
+
 def read_arrays(
-    path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None
+    path: str | os.PathLike[str],
+    topic: str,
+    *,
+    start: _Time | None = None,
+    stop: _Time | None = None,
+    fleet: str | None = None,
+    robots: Any = None,
 ) -> dict[str, np.ndarray]:
     """What a capture (`joulebus record`, MCAP) holds of ``samples``, ``forecasts``, ``diagnostics``, ``budgets``
-    or ``outlooks``.
+    or ``outlooks``, as a dict of arrays, which Polars takes.
 
     One element for each robot and message, in the order of the file: the fields of
     `joulebus.SAMPLE`, `FORECAST`, `DIAGNOSTIC`, `BUDGET` or `OUTLOOK`, to the bit, and of its
     message ``tick`` (number of the source's frame, of samples), ``log_ns`` (received by the
-    recorder, Unix ns) and ``sent_ns``. `robots` selects by id. `fleet` is needed where the capture
-    has several. From a damaged file, the rows before the damage are returned, with a warning
-    `RecordingDamaged`.
+    recorder, Unix ns) and ``sent_ns``.
+
+    start, stop: the part of the capture whose ``log_ns`` is at or after `start` and before `stop`: seconds after the
+                 capture's first message, a `datetime` with a time zone, or a `numpy.datetime64` (UTC)
+    fleet:       needed where the capture has several
+    robots:      selects by id
+
+    From a damaged file, the rows before the damage are returned, with a warning `RecordingDamaged`.
     """
-    told = lab("captures").read_capture(path, topic, fleet, robots)
-    if told["damage"] is not None:
-        warnings.warn(f"{os.fspath(path)}: {told['damage']}", RecordingDamaged, stacklevel=2)
-    rows = told["bytes"].view(_ROWS[topic])
-    found = {name: np.repeat(told[name], told["rows"]) for name in ("tick", "log_ns", "sent_ns")}
+    part = _capture(path, topic, start, stop, fleet, robots).take(sys.maxsize)
+    if part["damage"] is not None:
+        warnings.warn(f"{os.fspath(path)}: {part['damage']}", RecordingDamaged, stacklevel=2)
+    return _arrays(part, topic)
+
+
+def read(
+    path: str | os.PathLike[str],
+    topic: str,
+    *,
+    start: _Time | None = None,
+    stop: _Time | None = None,
+    fleet: str | None = None,
+    robots: Any = None,
+) -> Any:
+    """As `read_arrays`, as a DataFrame. Needs pandas."""
+    pandas = needed("pandas", "data frames")
+    return pandas.DataFrame(_columns(read_arrays(path, topic, start=start, stop=stop, fleet=fleet, robots=robots)))
+
+
+def read_frames(
+    path: str | os.PathLike[str],
+    topic: str,
+    *,
+    rows: int = 1,
+    start: _Time | None = None,
+    stop: _Time | None = None,
+    fleet: str | None = None,
+    robots: Any = None,
+) -> Iterator[dict[str, np.ndarray]]:
+    """As `read_arrays`, message by message: memory holds one part of the capture, however long it is.
+
+    Each item is a dict of columns, which ``pandas.DataFrame`` and ``polars.DataFrame`` take. It has the frame of the whole
+    fleet that a planner saw, or several whole frames that have `rows` rows together. Frames without a selected robot are
+    left out. A warning `RecordingDamaged` comes after the last item before the damage.
+
+        for number, part in enumerate(joulebus.read_frames("run.mcap", "samples", rows=1_000_000)):
+            pandas.DataFrame(part).to_parquet(f"run-{number:04}.parquet")
+    """
+    if isinstance(rows, bool) or not isinstance(rows, (int, np.integer)) or not 1 <= rows <= sys.maxsize:
+        raise ValueError(f"rows is {rows!r}, allowed: a whole number from 1")
+    return _parts(_capture(path, topic, start, stop, fleet, robots), topic, int(rows), path)
+
+
+def _capture(
+    path: str | os.PathLike[str], topic: str, start: _Time | None, stop: _Time | None, fleet: str | None, robots: Any
+) -> _native.CaptureRows:
+    native, from_, to = lab("captures"), _time("start", start), _time("stop", stop)
+    if from_ is not None and to is not None and type(from_) is type(to) and from_ > to:
+        raise ValueError(f"start is {start}, after stop, which is {stop}")
+    return native.CaptureRows(path, topic, fleet, robots, 0.0 if from_ is None else from_, to)
+
+
+def _parts(
+    capture: _native.CaptureRows, topic: str, rows: int, path: str | os.PathLike[str]
+) -> Iterator[dict[str, np.ndarray]]:
+    is_last = False
+    while not is_last:
+        part = capture.take(rows)
+        is_last = part["ended"]
+        if len(part["rows"]):
+            yield _columns(_arrays(part, topic))
+        if part["damage"] is not None:
+            warnings.warn(f"{os.fspath(path)}: {part['damage']}", RecordingDamaged, stacklevel=2)
+
+
+def _arrays(part: dict[str, Any], topic: str) -> dict[str, np.ndarray]:
+    rows = part["bytes"].view(_ROWS[topic])
+    found = {name: np.repeat(part[name], part["rows"]) for name in ("tick", "log_ns", "sent_ns")}
     return found | {name: rows[name] for name in rows.dtype.names}
 
 
-def read(path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None) -> Any:
-    """As `read_arrays`, as a DataFrame. Needs pandas."""
-    pandas = needed("pandas", "data frames")
-    return pandas.DataFrame(_columns(read_arrays(path, topic, fleet=fleet, robots=robots)))
+def _time(name: str, given: _Time | None) -> int | float | None:
+    """Unix ns as an integer, or an offset in seconds as a float."""
+    allowed = "seconds after the capture's first message, a datetime with a time zone, or a numpy.datetime64 (UTC)"
+    if given is None:
+        return None
+    if isinstance(given, datetime):
+        if given.utcoffset() is None:
+            raise ValueError(f"{name} is {given}, without a time zone, allowed: {allowed}")
+        since = given - _EPOCH
+        # Those of pandas have nanoseconds beside.
+        unix_ns = ((since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds) * 1_000
+        unix_ns += getattr(given, "nanosecond", 0)
+    elif isinstance(given, np.datetime64):
+        # Of 64 bits, which nanoseconds of distant years exceed.
+        seconds = given.astype("datetime64[s]")
+        if np.isnat(seconds) or not 0 <= int(seconds.astype(np.int64)) < 1 << 33:
+            raise ValueError(f"{name} is {given}, allowed: {allowed}, from 1970 on")
+        unix_ns = int(given.astype("datetime64[ns]").astype(np.int64))
+    elif isinstance(given, (int, float, np.integer, np.floating)) and not isinstance(given, bool):
+        if not 0.0 <= given <= _LONGEST_S:
+            raise ValueError(f"{name} is {given}, allowed: {allowed} (numpy.datetime64(log_ns, 'ns'), of one of its times)")
+        return float(given)
+    else:
+        raise TypeError(f"{name} is {given!r}, allowed: {allowed}")
+    if not 0 <= unix_ns < 1 << 63:
+        raise ValueError(f"{name} is {given}, allowed: {allowed}, from 1970 on")
+    return unix_ns
 
 
 @dataclass
