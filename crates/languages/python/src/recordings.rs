@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashSet};
 use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -386,15 +387,25 @@ impl Reading {
     }
 }
 
-/// The trials of a file in SI units: name of the robot, and its columns.
+/// The trials of a file in SI units: name of the robot, and its columns. `name`: the file is a CSV
+/// that has another name.
 #[pyfunction]
+#[pyo3(signature = (path, reading, name = None))]
 pub(crate) fn read_trials<'py>(
     py: Python<'py>,
     path: PathBuf,
     reading: Given,
+    name: Option<PathBuf>,
 ) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
     let reading = Reading::new(reading)?;
-    let trials = py.detach(|| Trial::read_mapped(&path, &reading.map));
+    let trials = py.detach(|| match name {
+        None => Trial::read_mapped(&path, &reading.map),
+        Some(name) => {
+            let io = |source| TrialError::Io { path: path.clone(), source };
+            let text = joulebus_files::open(&path).map_err(io)?;
+            Trial::read_text(name, BufReader::new(text), &reading.map)
+        }
+    });
     let trials = trials.map_err(|error| refused_trial(&error))?;
     py.detach(|| reading.judge_trials(&trials))?;
     let named = |trial: &Trial| Ok((trial.robot_name().map(str::to_owned), columns(py, trial)?));

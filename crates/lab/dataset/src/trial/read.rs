@@ -157,6 +157,34 @@ impl Trial {
         tables.into_iter().flat_map(Table::runs).map(Table::into_trial).collect()
     }
 
+    /// Same as [`Trial::read_mapped`], of a CSV that has no file of its own. `name` is for errors.
+    ///
+    /// # Errors
+    /// Same as [`Trial::read_mapped`].
+    pub fn read_text(
+        name: impl AsRef<Path>,
+        text: impl Read + 'static,
+        map: &ColumnMap,
+    ) -> Result<Vec<Self>, TrialError> {
+        let mut trials = Vec::new();
+        let mut failed = None;
+        let mut take = |mut table: Table| {
+            map.apply_sign(&mut table);
+            for run in table.runs() {
+                match run.into_trial() {
+                    Ok(trial) => trials.push(trial),
+                    Err(error) => {
+                        failed = Some(error);
+                        return ControlFlow::Break(());
+                    }
+                }
+            }
+            ControlFlow::Continue(())
+        };
+        text::read(name.as_ref(), Box::new(text), None, map, InMemory::WHOLE, &mut take)?;
+        failed.map_or(Ok(trials), Err)
+    }
+
     /// Calls `take` with each trial of a file, of which memory holds a part at a time
     /// ([`Table::each`]).
     ///

@@ -65,6 +65,7 @@ from .network import arrays, forward
 from .predictor import Predictor
 from .questions import Answer, Answers
 from .recordings import SAMPLE, RecordingDamaged, Trial, read, read_arrays, read_frames, read_trials
+from .tables import read_table
 
 __all__ = [
     "Analysis",
@@ -110,6 +111,7 @@ __all__ = [
     "read",
     "read_arrays",
     "read_frames",
+    "read_table",
     "read_trials",
     "report",
     "simulate",

@@ -137,7 +137,9 @@ class CaptureRows:
 
 _Reading = tuple[list[str], str | None, list[str]]
 
-def read_trials(path: _Path, reading: _Reading) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...
+def read_trials(
+    path: _Path, reading: _Reading, name: _Path | None = None
+) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...
 def write_trial(path: _Path, robot: str, columns: dict[str, NDArray[np.float64]], accepted: list[str]) -> None: ...
 def trial_rows(
     columns: dict[str, NDArray[np.float64]], accepted: list[str]

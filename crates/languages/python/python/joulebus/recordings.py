@@ -217,7 +217,10 @@ def read_trials(
     accept:  findings to let through, because you know better: ``sign``, ``unit``, … Others that make numbers wrong raise
              `RecordingError`
     """
-    found, name = lab("trials").read_trials(path, _reading(columns, current, accept)), os.fspath(path)
+    return _trials(lab("trials").read_trials(path, _reading(columns, current, accept)), os.fspath(path))
+
+
+def _trials(found: list[tuple[str | None, dict[str, np.ndarray]]], name: str) -> list[Trial]:
     several = len(found) > 1
     return [Trial(columns, robot, f"{name} {robot}" if several else name) for robot, columns in found]
 
