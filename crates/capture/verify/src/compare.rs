@@ -22,11 +22,6 @@ pub struct Value {
 }
 
 impl Value {
-    /// Its bits, those of a shorter number first.
-    pub(super) const fn bits(self) -> u64 {
-        self.bits
-    }
-
     /// The number in a field of shared memory.
     fn new(field: FieldType, bytes: &[u8]) -> Self {
         let mut word = [0; 8];

@@ -67,15 +67,15 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    ANSWER_RULES, Acknowledgements, Budgets, Channel as _, Diagnostics, ForecastHeader, PlanStates,
-    State, StateHeader, TICK_RULES, TakenFrame, TickHeader, Ticks, tick_flag,
+    ANSWER_RULES, Acknowledgements, Budgets, Channel as _, ForecastHeader, PlanStates, State,
+    StateHeader, TICK_RULES, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
 use coverage::Settled;
 use joulebus_capture_format::{Entry, MessageKind, Query};
 use keyframes::{Sequence, States};
-use output::{has_same_bits, is_of_older_rules};
+use output::has_same_bits;
 use queries::Queries;
 use robots::RobotRows;
 
@@ -101,10 +101,11 @@ const MAX_FIRST_KEYFRAME_NS: u64 = 1_000_000_000;
 /// it waits for the next.
 const KEYFRAME_EVERY_NS: u64 = 5_000_000_000;
 const KEYFRAME_TIME_FACTOR: u64 = 100;
-/// The first [`TICK_RULES`] whose keyframes have this version's encoding, and those of the answers
-/// that came with them.
-const ENCODED_SINCE: u32 = 7;
+/// The first [`TICK_RULES`] whose keyframes have this version's encoding.
+const ENCODED_SINCE: u32 = 8;
+/// Rules of answers, and the first [`TICK_RULES`] that came with them.
 const ANSWERED_SINCE: u32 = 4;
+const ANSWERED_WITH: u32 = 7;
 /// The first [`TICK_RULES`] of which each keyframe names the one before it.
 const NAMED_SINCE: u32 = 7;
 /// Maximum time that a keyframe may take to be sent, ns: what states more is not believed.
@@ -332,7 +333,7 @@ impl Verifier {
             self.leave_keyframe(place);
         }
         let is_new = self.answer_rules.map(|rules| rules >= ANSWERED_SINCE);
-        if is_new.is_some_and(|is_new| is_new != (self.tick_rules >= ENCODED_SINCE)) {
+        if is_new.is_some_and(|is_new| is_new != (self.tick_rules >= ANSWERED_WITH)) {
             self.report.deny_rules(0, self.tick_rules);
         }
         let last_tick = |run| self.assembler.last_tick(run);
@@ -670,7 +671,7 @@ impl Verifier {
         let intake = &tick(&mut self.fleet, journal);
         let is_compared = has_same_bits(State::SERVICE.name(), self.tick_rules);
         self.states.note(place, &self.fleet, is_compared);
-        let (fleet, report, rules) = (&self.fleet, &mut self.report, self.tick_rules);
+        let (fleet, report) = (&self.fleet, &mut self.report);
         report.verified(place, fleet.len());
         let computed = RecomputedTick { fleet, journal, intake, period_ns: self.period_ns };
         for output in self.assembler.outputs() {
@@ -692,12 +693,7 @@ impl Verifier {
                 }
                 Some(recorded) => {
                     output.compare(computed, recorded, &mut |what, robot, difference| {
-                        let is_older = output.is_ours
-                            && kind.name() == Diagnostics::SERVICE.name()
-                            && is_of_older_rules(&difference, rules);
-                        if !is_older {
-                            report.differ(place, what, robot, difference);
-                        }
+                        report.differ(place, what, robot, difference);
                     });
                     Settled::Compared
                 }

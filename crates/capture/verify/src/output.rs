@@ -4,9 +4,8 @@ use std::fmt;
 
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
-    Alarm, AlarmSet, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader,
-    Forecasts, FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TICK_RULES,
-    TickHeader,
+    BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
+    FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TICK_RULES, TickHeader,
 };
 
 use crate::compare::{self, FieldDifference, Value};
@@ -15,32 +14,18 @@ use joulebus_capture_format::{Message, MessageKind};
 /// The first [`TICK_RULES`] by which a channel has the bits that this version computes. Captures of
 /// older rules are compared in the channels whose number is not greater than theirs.
 const SAME_BITS_SINCE: [(&str, u32); 6] = [
-    ("forecasts", 6),
-    ("diagnostics", 6),
-    ("budgets", 7),
-    ("plan_states", 7),
-    ("outlooks", 7),
-    ("state", 7),
+    ("forecasts", 8),
+    ("diagnostics", 8),
+    ("budgets", 8),
+    ("plan_states", 8),
+    ("outlooks", 8),
+    ("state", 8),
 ];
-/// The first [`TICK_RULES`] by which budgets, and so the alarms of batteries in diagnostics, have
-/// the bits that this version computes.
-const SAME_BATTERY_ALARMS_SINCE: u32 = 7;
-const BATTERY_ALARMS: [Alarm; 4] =
-    [Alarm::BatteryLow, Alarm::BatteryCritical, Alarm::CannotReturn, Alarm::SocImplausible];
 
 /// True if a channel has the same bits by `tick_rules` as by this version's.
 pub(super) fn has_same_bits(channel: &str, tick_rules: u32) -> bool {
     let since = SAME_BITS_SINCE.iter().find(|(name, _)| *name == channel);
     (since.map_or(TICK_RULES, |(_, since)| *since)..=TICK_RULES).contains(&tick_rules)
-}
-
-/// True if a difference of diagnostics follows from older rules alone: the alarms of a battery are
-/// judged by its budget.
-pub(super) fn is_of_older_rules((field, found, expected): &FieldDifference, rules: u32) -> bool {
-    let battery = BATTERY_ALARMS.into_iter().fold(AlarmSet::default(), AlarmSet::with);
-    rules < SAME_BATTERY_ALARMS_SINCE
-        && *field == "alarms"
-        && (found.bits() ^ expected.bits()) & !u64::from(battery.0) == 0
 }
 
 /// True if a capture whose ticks were computed by `tick_rules` has channels that this version

@@ -19,6 +19,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::levels::{SHADOWS, SHADOWS_S};
+use crate::memory::{self, GROUPS, Memory, Shown};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -71,12 +72,16 @@ pub struct ErrorCounts<T = i64> {
     /// Growth of the error of outlooks with a larger share of the last reading and of the robot's
     /// own mean. Also the larger square of the two, in 1/65536.
     pub pulls: [[T; PARTS]; SHADOWS],
+    /// What the robots of each [group](crate::group_of) have shown. Older files have none.
+    #[serde(default)]
+    pub groups: [Shown<T>; GROUPS],
 }
 
 impl<T> ErrorCounts<T> {
     /// All numbers.
     pub fn numbers(&self) -> impl Iterator<Item = &T> {
-        self.classes.as_flattened().iter().chain(self.pulls.as_flattened())
+        let groups = self.groups.as_flattened().as_flattened();
+        self.classes.as_flattened().iter().chain(self.pulls.as_flattened()).chain(groups)
     }
 
     /// The same of other numbers.
@@ -84,7 +89,18 @@ impl<T> ErrorCounts<T> {
         ErrorCounts {
             classes: self.classes.each_ref().map(|counts| counts.each_ref().map(&to)),
             pulls: self.pulls.each_ref().map(|pulls| pulls.each_ref().map(&to)),
+            groups: self
+                .groups
+                .each_ref()
+                .map(|shown| shown.each_ref().map(|quantity| quantity.each_ref().map(&to))),
         }
+    }
+}
+
+impl ErrorCounts<f32> {
+    /// True if robots could have shown what the groups remember.
+    pub fn has_sound_groups(&self) -> bool {
+        self.groups.iter().all(memory::is_sound)
     }
 }
 
@@ -95,15 +111,19 @@ pub struct NewErrors {
     pub classes: [Option<u8>; ERRORS],
     /// The pulls of [`ErrorCounts`].
     pub pulls: [[i64; PARTS]; SHADOWS],
+    /// What the robot has shown with them.
+    pub shown: Shown,
 }
 
 impl NewErrors {
-    /// Converts it to counts.
-    pub fn counted(&self) -> ErrorCounts {
+    /// Converts it to counts: those of a robot.
+    pub fn counted(&self, robot: u32) -> ErrorCounts {
         let one = |class: &Option<u8>| {
             std::array::from_fn(|place| i64::from(*class == Some(place as u8)))
         };
-        ErrorCounts { classes: self.classes.each_ref().map(one), pulls: self.pulls }
+        let mut groups = [Shown::default(); GROUPS];
+        groups[memory::group_of(robot)] = self.shown;
+        ErrorCounts { classes: self.classes.each_ref().map(one), pulls: self.pulls, groups }
     }
 }
 
@@ -174,6 +194,8 @@ pub struct PlatformErrors {
     pub outlooks: ErrorBounds,
     /// Shares of [`PARTS`] in an outlook at each of [`SHADOWS_S`], 1 in all.
     pub shares: [[f32; PARTS]; SHADOWS],
+    /// What the robots have shown of themselves.
+    pub memory: Memory,
 }
 
 impl PlatformErrors {
@@ -182,6 +204,7 @@ impl PlatformErrors {
         plans: ErrorBounds::TRAINED,
         outlooks: ErrorBounds { lower: [-WIDER; SHADOWS], upper: [WIDER; SHADOWS] },
         shares: SHARES,
+        memory: Memory::TRAINED,
     };
 }
 
@@ -229,10 +252,17 @@ impl Calibration {
         for error in 0..ERRORS {
             self.update(error);
         }
+        self.platform.memory = Memory::of(&self.seen.groups);
     }
 
-    /// Adds errors.
+    /// Adds errors, and what the robots have shown with them.
     pub fn add(&mut self, counts: &ErrorCounts) {
+        if counts.groups.as_flattened().as_flattened().iter().any(|number| *number != 0) {
+            for (seen, shown) in self.seen.groups.iter_mut().zip(&counts.groups) {
+                memory::add(seen, shown);
+            }
+            self.platform.memory = Memory::of(&self.seen.groups);
+        }
         for (error, counted) in counts.classes.iter().enumerate() {
             if counted.iter().all(|count| *count == 0) {
                 continue;
@@ -316,7 +346,7 @@ mod tests {
         for error in errors {
             let mut errors = NewErrors::default();
             errors.classes[0] = Some(class_of(*error));
-            calibration.add(&errors.counted());
+            calibration.add(&errors.counted(0));
         }
         calibration.platform().plans
     }
@@ -370,7 +400,7 @@ mod tests {
         one.add(&counts);
         other.restore(one.seen());
         assert_eq!(one, other);
-        let PlatformErrors { plans, outlooks, shares } = one.platform();
+        let PlatformErrors { plans, outlooks, shares, .. } = one.platform();
         assert!(plans.is_sound() && outlooks.is_sound());
         assert!(shares.iter().all(|shares| (shares.iter().sum::<f32>() - 1.0).abs() < 1e-6));
     }
@@ -384,7 +414,7 @@ mod tests {
         let pull = 0.04 * PULL;
         errors.pulls[0] = [-pull as i64, pull as i64, (0.04 * pull) as i64];
         for _ in 0..100 {
-            calibration.add(&errors.counted());
+            calibration.add(&errors.counted(0));
         }
         let [last, level, own] = calibration.platform().shares[0];
         assert!(last > 0.7 && level > own && own < 0.02, "{last} {level} {own}");

@@ -3,7 +3,7 @@
 // Indexed by shadow, so that the loop over robots becomes vectors.
 #![allow(clippy::needless_range_loop)]
 
-use crate::calibration::ErrorBounds;
+use crate::calibration::PlatformErrors;
 use crate::levels::SHADOWS;
 use crate::model::EnergyModel;
 use crate::quantiles;
@@ -60,26 +60,28 @@ impl EnergyModel {
 }
 
 impl Lasting {
-    /// The power of a robot: of the energy and the time of its longest level, J and s, and the
-    /// bounds of its platform with the robot's own factors of them.
+    /// The power of a robot: of the energy and the time of its longest level, J and s, and what its
+    /// platform has shown, with the robot's own factors of the bounds.
     ///
-    /// The platform's mean is the prior of the robot's own over its longest level. The bounds are
+    /// The mean of the platform's robots is the prior of the robot's own over its longest level. The
+    /// bounds are
     /// those of the longest calibrated horizon, as the robots of the platform have since widened
     /// them. They are not narrowed: those errors are of known commands.
     #[inline(always)]
     pub fn of(
         &self,
         (energy_j, time_s): (f32, f32),
-        bounds: &ErrorBounds,
+        platform: &PlatformErrors,
         factors: &[f32; SHADOWS],
     ) -> LastingPower {
+        let (fleet_w, bounds) = (self.mean_w * platform.memory.power, &platform.plans);
         let read = time_s > 0.0;
         let (energy_j, time_s) =
             (if read { energy_j } else { 0.0 }, if read { time_s } else { 0.0 });
-        let apart_w = (energy_j - self.mean_w * time_s).abs() / time_s.max(f32::MIN_POSITIVE);
+        let apart_w = (energy_j - fleet_w * time_s).abs() / time_s.max(f32::MIN_POSITIVE);
         let beyond = (apart_w / self.spread_w - USUAL).max(0.0);
         let prior_s = PRIOR_S / (1.0 + beyond * beyond * time_s / (time_s + START_S));
-        let mean_w = ((energy_j + prior_s * self.mean_w) / (time_s + prior_s)).max(0.0);
+        let mean_w = ((energy_j + prior_s * fleet_w) / (time_s + prior_s)).max(0.0);
         let scale_w = mean_w + self.mean_share * (self.mean_w - mean_w);
         // Sums over all watched horizons: an index that is not constant would keep the loop over
         // robots from becoming vectors.

@@ -34,7 +34,7 @@
 //!
 //! **Beside it.** [`EnergyModel::outlook`] prepares the energy of robots that go on as they do. A
 //! [`Calibration`] is what the robots of a platform have shown of the model's errors.
-//! [`PlatformErrors`] adapts the intervals to them. [`EnergyLeft`] is what a battery has, now or after
+//! [`PlatformErrors`] adapts the intervals to them, and has what the platform [remembers](Memory). [`EnergyLeft`] is what a battery has, now or after
 //! a plan.
 //!
 //! **Units** are W, J, s, m/s and rad/s. Unknown values are NaN in samples, and `None` in results.
@@ -55,6 +55,7 @@ mod forecast;
 mod lasting;
 mod left;
 mod levels;
+mod memory;
 mod model;
 mod outlook;
 mod quantiles;
@@ -68,6 +69,7 @@ pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use lasting::{Lasting, LastingPower};
 pub use left::EnergyLeft;
 pub use levels::{LEVELS, LEVELS_S, SHADOWS, SHADOWS_S};
+pub use memory::{GROUPS, Memory, SHOWN, Shown, group_of, shown_start};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration::{ErrorBounds, NewErrors, PARTS, PULL, PlatformErrors, class_of};
 use crate::command::{CommandModel, Motion};
 use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
+use crate::memory::{POWER, Shown, TRUST, shown, trusted};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -15,6 +16,8 @@ use crate::quantiles;
 const SETTLE_S: f32 = 0.75;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
+/// The shadow forecast whose power is remembered of the robot: of 10 s.
+const REMEMBERED: usize = 1;
 /// Share of errors outside the interval that the factor of a robot's errors aims at.
 const MISSES: f32 = 0.1;
 /// Limits of that factor.
@@ -305,8 +308,9 @@ impl Learned {
         }
     }
 
-    /// Adapts the trust in commands to the part of `measured_j` that they explained: the share with
-    /// the least squared error between the forecasts with and without commands.
+    /// Takes the part of `measured_j` that the commands explained into the sums for the trust in
+    /// them: the share with the least squared error between the forecasts with and without
+    /// commands. Returns what the sums gained: square and product.
     fn trust(
         &mut self,
         parts: &Parts,
@@ -314,11 +318,9 @@ impl Learned {
         duration_s: f32,
         measured_j: f32,
         mean_j: f32,
-    ) {
+    ) -> [f32; 2] {
         /// The discount factor of the sums.
         const KEEPS: f32 = 0.97;
-        /// Weight of full trust, in the unit of the sums.
-        const PRIOR: f32 = 0.2;
         /// Errors below this share of the platform's mean do not weigh more.
         const MIN: f32 = 0.02;
         let without_j = parts.mean_w * duration_s;
@@ -327,12 +329,13 @@ impl Learned {
         let wanted = (measured_j - without_j) / mean_j;
         // Large errors weigh by their size instead of its square.
         let weight = 1.0 / (wanted.abs() + explained.abs()).max(MIN);
-        let product = KEEPS * self.trust_product + weight * explained * wanted;
-        let square = KEEPS * self.trust_square + weight * explained * explained;
+        let gained = [weight * explained * explained, weight * explained * wanted];
+        let square = KEEPS * self.trust_square + gained[0];
+        let product = KEEPS * self.trust_product + gained[1];
         if product.is_finite() && square.is_finite() {
             (self.trust_product, self.trust_square) = (product, square);
-            self.command_trust = ((PRIOR + product) / (PRIOR + square)).clamp(0.0, 1.0);
         }
+        gained
     }
 
     /// All numbers, in the order of the fields.
@@ -404,6 +407,14 @@ impl EnergyState {
         }
     }
 
+    /// Same as [`EnergyState::new`], for a robot that joins a platform whose robots have shown this.
+    pub fn among(phase: u32, platform: &PlatformErrors) -> Self {
+        let mut state = Self::new(phase);
+        state.learned.command_trust = platform.memory.command_trust;
+        state.bounds = platform.plans;
+        state
+    }
+
     /// The command in force: m/s and rad/s, NaN if unknown.
     pub fn command(&self) -> (f32, f32) {
         (self.metered.v_mps, self.metered.omega_radps)
@@ -445,7 +456,12 @@ impl EnergyState {
                 let (class, pulls) = self.learn_ahead(model, platform, shadow);
                 errors.classes[SHADOWS + shadow] = class;
                 errors.pulls[shadow] = pulls;
-                errors.classes[shadow] = self.learn(model, &platform.plans, shadow);
+                errors.classes[shadow] = self.learn(model, platform, shadow, &mut errors.shown);
+                if shadow == REMEMBERED {
+                    let mean_j = model.command.mean_w * self.metered.shadow_s[shadow];
+                    let power = self.metered.shadow_energy_j[shadow] / mean_j;
+                    errors.shown[POWER] = shown(POWER, 1.0, power);
+                }
             }
             let (parts, _) = self.parts(model, SHADOWS_S[shadow]);
             self.learned.shadow_factor[shadow] = parts.factor;
@@ -469,7 +485,13 @@ impl EnergyState {
 
     /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval, and the
     /// trust in commands. Returns the class of the error, if it has one.
-    fn learn(&mut self, model: &EnergyModel, platform: &ErrorBounds, shadow: usize) -> Option<u8> {
+    fn learn(
+        &mut self,
+        model: &EnergyModel,
+        platform: &PlatformErrors,
+        shadow: usize,
+        new: &mut Shown,
+    ) -> Option<u8> {
         let (metered, learned) = (&self.metered, &mut self.learned);
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
@@ -477,9 +499,15 @@ impl EnergyState {
         let trust = self.made.command_trust[shadow];
         let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
-        learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
+        let [square, product] = learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
+        for (sum, gained) in new[TRUST].iter_mut().zip(shown(TRUST, square, product)) {
+            *sum += gained;
+        }
+        let (product, square) = (learned.trust_product, learned.trust_square);
+        learned.command_trust = trusted(product, square, platform.memory.command_trust);
         let factor = &mut learned.error_factor[shadow];
-        judge(model, platform, shadow, (measured_j, forecast_j, duration_s), factor)
+        let energies = (measured_j, forecast_j, duration_s);
+        judge(model, &platform.plans, shadow, energies, factor)
     }
 
     /// Same as [`EnergyState::learn`], for an outlook. Also returns its pulls.

@@ -5,7 +5,6 @@ use joulebus_energy::EnergyModel;
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features};
 use crate::linear::Linear;
-use crate::seen_power::SeenPower;
 
 /// Residuals of a model on held-out data.
 ///
@@ -64,8 +63,6 @@ pub struct TrainingRange {
     pub min: Features,
     /// Maximum of each feature.
     pub max: Features,
-    /// Region of the readings. `None` in imported models and older files.
-    pub seen: Option<SeenPower>,
 }
 
 impl TrainingRange {
@@ -83,21 +80,16 @@ impl TrainingRange {
 
     /// The range of the features read, over some rows.
     #[must_use]
-    pub fn of<'a>(
-        feature_set: FeatureSet,
-        rows: impl Iterator<Item = &'a Features> + Clone,
-    ) -> Self {
-        let mut range =
-            Self { feature_set, min: Features::default(), max: Features::default(), seen: None };
+    pub fn of<'a>(feature_set: FeatureSet, rows: impl Iterator<Item = &'a Features>) -> Self {
+        let mut range = Self { feature_set, min: Features::default(), max: Features::default() };
         range.min[feature_set.range()].fill(f32::INFINITY);
         range.max[feature_set.range()].fill(f32::NEG_INFINITY);
-        for row in rows.clone() {
+        for row in rows {
             for feature in feature_set.range() {
                 range.min[feature] = range.min[feature].min(row[feature]);
                 range.max[feature] = range.max[feature].max(row[feature]);
             }
         }
-        range.seen = SeenPower::of(range.max[FeatureSet::PowerOnly.first()], rows);
         range
     }
 

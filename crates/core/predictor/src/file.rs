@@ -15,7 +15,6 @@ use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
 use crate::gelu::Activation;
 use crate::linear::Linear;
 use crate::parameters::{Layer, Normalisation, Parameters, layer_sizes};
-use crate::seen_power::SeenPower;
 
 const FORMAT: &str = "joulebus-model";
 const VERSION: &str = "1";
@@ -139,7 +138,11 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         trained_rows: read_trained_rows(metadata)?,
         seed: metadata.number("seed")?,
         step_s: read_step(metadata)?,
-        training_range: read_range(metadata, feature_set)?,
+        training_range: TrainingRange {
+            feature_set,
+            min: metadata.per_feature("feature_min", feature_set)?,
+            max: metadata.per_feature("feature_max", feature_set)?,
+        },
         residual: ResidualStats {
             std_w: metadata.number("residual_std_w")?,
             q05_w: metadata.number("residual_q05_w")?,
@@ -154,28 +157,6 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         },
         linear: read_linear(metadata, feature_set)?,
         energy: read_energy(metadata)?,
-    })
-}
-
-/// Older files and imported models have no map of the readings.
-fn read_range(
-    metadata: &Metadata<'_>,
-    feature_set: FeatureSet,
-) -> Result<TrainingRange, ModelError> {
-    let max = metadata.per_feature("feature_max", feature_set)?;
-    let seen = metadata.0.get("seen_power").map(|text| {
-        let top_w = max[FeatureSet::PowerOnly.first()];
-        SeenPower::from_text(top_w, text).ok_or_else(|| {
-            let start: String = text.chars().take(40).collect();
-            let allowed = "128 hexadecimal digits, beside a largest power above 0 W";
-            ModelError::field("seen_power", &start, allowed)
-        })
-    });
-    Ok(TrainingRange {
-        feature_set,
-        min: metadata.per_feature("feature_min", feature_set)?,
-        max,
-        seen: seen.transpose()?,
     })
 }
 
@@ -300,9 +281,6 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
         ("score_persistence_r2", card.scores.persistence_r2.to_string()),
         ("score_persistence_mae_w", card.scores.persistence_mae_w.to_string()),
     ]);
-    if let Some(seen) = &card.training_range.seen {
-        fields.insert("seen_power", seen.to_text());
-    }
     if let Some(step_s) = card.step_s {
         fields.insert("step_s", step_s.to_string());
     }

@@ -59,7 +59,6 @@ mod parameters;
 mod persistence;
 mod reading_age;
 mod rollout;
-mod seen_power;
 pub mod simd;
 
 pub use card::{ModelCard, ResidualStats, Scores, TrainingRange};
@@ -81,5 +80,4 @@ pub use rollout::{RolloutStart, Rollouts};
 /// which leans less on the network at powers that its training did not contain.
 pub mod training {
     pub use crate::card::{SIMULATED, TrainedBlocks, TrainedRows};
-    pub use crate::seen_power::SeenPower;
 }

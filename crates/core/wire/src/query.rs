@@ -26,7 +26,9 @@ pub const ANSWER_RULES: u32 = 4;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.
-pub const TICK_RULES: u32 = 7;
+///
+/// 8: a platform remembers what its robots have shown.
+pub const TICK_RULES: u32 = 8;
 
 /// Maximum number of values of a question.
 pub const MAX_QUERY_VALUES: usize = 4_096;

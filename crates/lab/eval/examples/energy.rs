@@ -97,27 +97,26 @@ fn evaluate(
     let all = || trials.iter().enumerate();
     let own: Vec<&Trial> =
         all().filter(|(place, trial)| trains(*place, trial)).map(|(_, trial)| trial).collect();
-    let rows = |keep: fn(usize) -> bool| {
-        let kept = own.iter().enumerate().filter(|(place, _)| keep(*place));
+    let scored: Vec<&Trial> =
+        all().filter(|(place, trial)| scored(*place, trial)).map(|(_, trial)| trial).collect();
+    let rows = |of: &[&Trial], first: usize, keep: fn(usize) -> bool| {
+        let kept = of.iter().enumerate().filter(|(place, _)| keep(*place));
         let rows = kept.flat_map(|(place, trial)| {
-            let origin = RowOrigin::recording(place);
+            let origin = RowOrigin::recording(first + place);
             trial_rows(trial).rows.into_iter().map(move |row| row.of(origin))
         });
         rows.collect::<Vec<_>>()
     };
-    let validation = rows(|place| place % 5 == 4);
     let dataset = Dataset {
-        training: rows(|place| place % 5 != 4),
-        held_out: validation.clone(),
-        validation,
+        training: rows(&own, 0, |place| place % 5 != 4),
+        validation: rows(&own, 0, |place| place % 5 == 4),
+        held_out: rows(&scored, own.len(), |_| true),
         description: settings.name.clone(),
         period_s: (trials[0].period_ns() as f64 * 1e-9) as f32,
     };
     let model = Model::Network(train(&dataset, settings, |_| ())?.network);
     let energy = model.energy().ok_or("the recordings are too short for an energy model")?;
     let mut platform = Calibration::new(energy);
-    let scored: Vec<&Trial> =
-        all().filter(|(place, trial)| scored(*place, trial)).map(|(_, trial)| trial).collect();
     for (number, trial) in scored.iter().enumerate() {
         // A forecast made at a row is of the rows after it.
         let follows: Vec<bool> = (0..trial.rows()).map(|row| row > from).collect();

@@ -127,9 +127,10 @@ impl EnergyScores {
         let untrained = EnergyModel::untrained(1.0);
         let mut recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
         recorded.leave_out(scored);
-        let (mut state, mut age) = (EnergyState::new(number), ReadingAge::UNKNOWN);
+        let (mut state, mut age) =
+            (EnergyState::among(number, platform.platform()), ReadingAge::UNKNOWN);
         for row in 0..recorded.samples.len() {
-            observe(&mut state, platform, recorded.energy, &recorded.steps[row]);
+            observe(&mut state, (number, &mut *platform), recorded.energy, &recorded.steps[row]);
             let sample = &recorded.samples[row];
             if sample.has(sample_flag::POWER) {
                 age.read(!sample.has(sample_flag::HELD));
@@ -163,12 +164,12 @@ impl EnergyScores {
 /// Takes a sample as the fleet does.
 fn observe(
     state: &mut EnergyState,
-    platform: &mut Calibration,
+    (number, platform): (u32, &mut Calibration),
     model: &EnergyModel,
     sample: &EnergySample,
 ) {
     let errors = state.observe_among(model, platform.platform(), sample);
-    platform.add(&errors.counted());
+    platform.add(&errors.counted(number));
     state.bounds = platform.platform().plans.scaled(&state.learned.error_factor);
 }
 

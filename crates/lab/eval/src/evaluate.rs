@@ -161,7 +161,8 @@ pub struct Step {
 /// Robot ids determine the platform, as in a live run. `models[i]` is the model of
 /// `settings.platforms[i]`. A live run of the same trials gives the same forecasts, residuals and
 /// scores to the bit, in a mixed fleet and at any speed, because a robot's results depend neither
-/// on other robots nor on the worker's clock.
+/// on other robots nor on the worker's clock. Only how its first forecasts start depends on what its
+/// platform remembers of other robots: here it is nothing.
 ///
 /// The exception is a gap in which the live robot leaves (`leave_after`). Here it stays up to the
 /// longest gap that ingest accepts (`max_jump`), and otherwise leaves at the first sample after the

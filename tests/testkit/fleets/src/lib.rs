@@ -222,19 +222,28 @@ pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     })
 }
 
-/// Same as [`bits`] without the bounds of the energy's errors, the shares of outlooks and what
-/// follows from them: the robots of a platform learn them together.
+/// Same as [`bits`] without the bounds of the energy's errors, the shares of outlooks, the priors of
+/// lasting power and of trust in commands, and what follows from them: the robots of a platform
+/// learn them together.
 pub fn own_bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     let state = fleet.plan_state(place(fleet, robot)?);
-    let own = PlanState { generation: 0, error_lower: [0.0; 3], error_upper: [0.0; 3], ..state };
+    let own = PlanState {
+        generation: 0,
+        error_lower: [0.0; 3],
+        error_upper: [0.0; 3],
+        command_trust: 0.0,
+        ..state
+    };
     let budget = fleet.budget(place(fleet, robot)?);
-    let budget = Budget { time_to_empty_lo_s: 0.0, time_to_empty_hi_s: 0.0, ..budget };
+    let budget =
+        Budget { time_to_empty_s: 0.0, time_to_empty_lo_s: 0.0, time_to_empty_hi_s: 0.0, ..budget };
     let outlook = Outlook {
         generation: 0,
         mean_w: 0.0,
         energy_j: [0.0; 4],
         energy_lo_j: [0.0; 4],
         energy_hi_j: [0.0; 4],
+        time_to_empty_s: 0.0,
         time_to_empty_lo_s: 0.0,
         time_to_empty_hi_s: 0.0,
         ..fleet.outlook(place(fleet, robot)?)

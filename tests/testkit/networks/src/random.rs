@@ -84,7 +84,7 @@ pub fn card(feature_set: FeatureSet) -> ModelCard {
         }),
         seed: u64::MAX,
         step_s: None,
-        training_range: TrainingRange { feature_set, min, max, seen: None },
+        training_range: TrainingRange { feature_set, min, max },
         residual: ResidualStats { std_w: 0.1, q05_w: -0.15, q95_w: 0.17 },
         scores: Scores {
             rows: 1_000,

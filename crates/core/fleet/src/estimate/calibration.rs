@@ -2,8 +2,12 @@
 
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use joulebus_energy::{Calibration, EnergyModel, ErrorCounts, NewErrors, PARTS, PlatformErrors};
+use joulebus_energy::{
+    Calibration, EnergyModel, ErrorCounts, NewErrors, PARTS, PlatformErrors, Shown, group_of,
+};
 use serde::{Deserialize, Serialize};
+
+use crate::state::added;
 
 /// The errors of all robots of a platform. Shards count them in any order while they share this.
 /// The fleet adds the counts before the next tick.
@@ -16,7 +20,9 @@ pub(crate) struct SharedErrors {
 /// The same as a value.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct SavedErrors {
+    #[serde(deserialize_with = "added::read_errors")]
     seen: ErrorCounts<f32>,
+    #[serde(deserialize_with = "added::read_errors")]
     counts: ErrorCounts,
 }
 
@@ -24,7 +30,10 @@ impl SavedErrors {
     /// True if errors could have led to it.
     pub(crate) fn is_sound(&self) -> bool {
         let mut counted = self.counts.classes.as_flattened().iter();
-        are_sound(&self.seen) && counted.all(|count| (0..1_000_000_000).contains(count))
+        let mut shown = self.counts.groups.as_flattened().as_flattened().iter();
+        are_sound(&self.seen)
+            && counted.all(|count| (0..1_000_000_000).contains(count))
+            && shown.all(|sum| sum.unsigned_abs() < 1 << 50)
     }
 }
 
@@ -35,7 +44,9 @@ fn are_sound(seen: &ErrorCounts<f32>) -> bool {
     let is_sound = |[last, own, square]: &[f32; PARTS]| {
         last.abs() < MAX && own.abs() < MAX && (0.0..MAX).contains(square)
     };
-    classes.all(|count| (0.0..MAX).contains(count)) && seen.pulls.iter().all(is_sound)
+    classes.all(|count| (0.0..MAX).contains(count))
+        && seen.pulls.iter().all(is_sound)
+        && seen.has_sound_groups()
 }
 
 impl SharedErrors {
@@ -49,8 +60,9 @@ impl SharedErrors {
         self.calibration.platform()
     }
 
-    /// Counts the errors of a robot.
-    pub(crate) fn count(&self, errors: &NewErrors) {
+    /// Counts the errors of a robot, and what it has shown with them.
+    pub(crate) fn count(&self, robot: u32, errors: &NewErrors) {
+        self.show(robot, &errors.shown);
         for (counts, class) in self.counts.classes.iter().zip(errors.classes) {
             if let Some(count) = class.and_then(|class| counts.get(usize::from(class))) {
                 count.fetch_add(1, Ordering::Relaxed);
@@ -59,6 +71,14 @@ impl SharedErrors {
         let pulls = self.counts.pulls.as_flattened().iter();
         for (sum, pull) in pulls.zip(errors.pulls.as_flattened()).filter(|(_, pull)| **pull != 0) {
             sum.fetch_add(*pull, Ordering::Relaxed);
+        }
+    }
+
+    /// Adds what a robot has shown.
+    pub(crate) fn show(&self, robot: u32, shown: &Shown) {
+        let sums = self.counts.groups[group_of(robot)].as_flattened().iter();
+        for (sum, number) in sums.zip(shown.as_flattened()).filter(|(_, number)| **number != 0) {
+            sum.fetch_add(*number, Ordering::Relaxed);
         }
     }
 

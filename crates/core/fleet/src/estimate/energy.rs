@@ -172,8 +172,8 @@ impl EnergyLanes {
         self.metered.get(lane).time_s[LEVELS - 1] >= SETTLED_S
     }
 
-    /// Takes the samples of the robots in the mask. Without shared errors they do not learn, and no
-    /// shadow forecasts are made.
+    /// Takes the samples of the robots in the mask, whose ids `robot` gives. Without shared errors
+    /// they do not learn, and no shadow forecasts are made.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
@@ -181,6 +181,7 @@ impl EnergyLanes {
         errors: Option<&SharedErrors>,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
+        robot: impl Fn(usize) -> u32,
     ) {
         let (command, learns) = (model.command, errors.is_some());
         let mut ended = [false; LANES];
@@ -191,7 +192,7 @@ impl EnergyLanes {
             self.metered.set(lane, mask[lane], &metered);
         }
         if let Some(errors) = errors.filter(|_| lanes::any(&ended)) {
-            self.compare(model, errors, &ended, samples.power_w);
+            self.compare(model, errors, &ended, samples.power_w, robot);
         }
     }
 
@@ -203,11 +204,12 @@ impl EnergyLanes {
         errors: &SharedErrors,
         ended: &Lanes<bool>,
         power_w: &Lanes<f32>,
+        robot: impl Fn(usize) -> u32,
     ) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
-            let mut robot = self.get(lane);
-            errors.count(&robot.compare(model, errors.platform(), power_w[lane]));
-            self.set(lane, true, robot);
+            let mut state = self.get(lane);
+            errors.count(robot(lane), &state.compare(model, errors.platform(), power_w[lane]));
+            self.set(lane, true, state);
         }
     }
 }

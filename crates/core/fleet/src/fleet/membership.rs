@@ -96,7 +96,8 @@ impl Fleet {
         };
         let context = &self.tick.platforms[usize::from(platform)];
         if let Some(members) = &context.members {
-            lanes::set(&mut columns.online, slot, Online::new(members));
+            let from_last = context.errors.platform().memory.starts_from_last();
+            lanes::set(&mut columns.online, slot, Online::new(members, from_last));
         }
         let residual = context.model.residual();
         columns.pending[slot / LANES].mark(slot % LANES, true, PendingState::None);
@@ -127,7 +128,7 @@ impl Fleet {
             let level = Level::new(context.levels.as_ref());
             lanes::set(&mut columns.levels, slot, level);
         }
-        lanes::set(&mut columns.energy, slot, EnergyState::new(id));
+        lanes::set(&mut columns.energy, slot, EnergyState::among(id, context.errors.platform()));
     }
 
     pub(super) fn platform_of(&self, robot: u32) -> Option<u16> {

@@ -239,7 +239,7 @@ impl Fleet {
         let platform = usize::from(self.columns.admissions[slot].platform);
         let members = self.tick.platforms[platform].members?;
         let online = lanes::get(&self.columns.online, slot);
-        let weights = online.weights(members.start(online.mean_w));
+        let weights = online.weights(members.sceptic_loss);
         Some(online.learned(&weights))
     }
 

@@ -12,11 +12,14 @@ use crate::estimate::interval::{ConformalInterval, IntervalLanes, QuantileStep};
 use crate::estimate::online::{Learned, Members, Online, OnlineLanes};
 use crate::estimate::window::{Window, WindowLanes};
 use crate::layout::lanes::{self, LANES};
+use crate::state::added;
 use crate::state::snapshot::StateError;
 use crate::tick::platform_context::PossiblePower;
 
 /// First bytes of the encoding. The last of them is its version.
-const MAGIC: [u8; 8] = *b"jbonlin\x01";
+const MAGIC: [u8; 8] = *b"jbonlin\x02";
+/// The version before, which is read too. It lacks the fields that states lack before 0x10.
+const BEFORE: [u8; 8] = *b"jbonlin\x01";
 
 /// Settings of [`OnlineForecasts`], with the meaning that they have for a platform.
 #[derive(Debug, Clone, Copy)]
@@ -174,7 +177,6 @@ impl OnlineForecasts {
                     online.learn(members, &window.lags_w(), due, reading_w);
                 }
                 online.read(members, window.last_w(), due, reading_w);
-                online.judge_first(members, reading_w, &window.lags_w());
             }
             window.read(reading_w, !held);
             if scored {
@@ -190,7 +192,7 @@ impl OnlineForecasts {
     /// A robot's learned forecast state. `None` if robots do not learn online.
     pub fn learned(&self, robot: usize) -> Option<Learned> {
         let (members, online) = (self.members?, self.columns.get(robot).online);
-        Some(online.learned(&online.weights(members.start(online.mean_w))))
+        Some(online.learned(&online.weights(members.sceptic_loss)))
     }
 
     /// Encodes what the robots have learned.
@@ -204,14 +206,17 @@ impl OnlineForecasts {
     /// # Errors
     /// [`StateError::Version`] or [`StateError::Malformed`].
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), StateError> {
-        let Some(encoded) = bytes.strip_prefix(&MAGIC) else {
+        let decoded = if let Some(encoded) = bytes.strip_prefix(&MAGIC) {
+            postcard::from_bytes(encoded)
+        } else if let Some(encoded) = bytes.strip_prefix(&BEFORE) {
+            added::decode_version(0x0f, || postcard::from_bytes(encoded))
+        } else {
             let found = bytes.iter().take(MAGIC.len()).copied().collect();
-            return Err(StateError::Version { found, expected: MAGIC[7] });
+            return Err(StateError::Version { found, oldest: BEFORE[7], expected: MAGIC[7] });
         };
         let malformed =
             |reason: &str| StateError::Malformed { bytes: bytes.len(), reason: reason.to_owned() };
-        let columns: Columns =
-            postcard::from_bytes(encoded).map_err(|error| malformed(&error.to_string()))?;
+        let columns: Columns = decoded.map_err(|error| malformed(&error.to_string()))?;
         if !columns.are_whole() {
             return Err(malformed("its columns differ in length"));
         }
@@ -224,7 +229,10 @@ impl OnlineForecasts {
         let (floor_w, coverage) = (settings.resolution_w, settings.interval.coverage);
         Robot {
             window: Window::EMPTY,
-            online: self.members.as_ref().map_or(Online::NONE, Online::new),
+            online: self
+                .members
+                .as_ref()
+                .map_or(Online::NONE, |members| Online::new(members, false)),
             interval: ConformalInterval::new(residual.q05_w, residual.q95_w, floor_w, coverage),
         }
     }

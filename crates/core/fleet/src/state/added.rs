@@ -1,28 +1,62 @@
-//! Fields that the encoding of a state has gained. States of the version before lack them.
+//! Fields that the encoding of a state has gained. States of the versions before lack them.
 
 use std::cell::Cell;
 
+use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, PARTS, SHADOWS};
 use serde::{Deserialize, Deserializer};
 
 thread_local! {
-    /// True while a state of the version before is decoded. The format names no fields, so a field
-    /// alone cannot tell.
-    static IS_BEFORE: Cell<bool> = const { Cell::new(false) };
+    /// The version of the state that is decoded. The format names no fields, so a field alone cannot
+    /// tell.
+    static VERSION: Cell<u8> = const { Cell::new(u8::MAX) };
 }
 
-/// Decodes a state of the version before.
-pub(super) fn decode_before<T>(decode: impl FnOnce() -> T) -> T {
-    IS_BEFORE.set(true);
+/// The version that gained the fields of [`read`].
+const READ: u8 = 0x0f;
+/// The version that gained those of [`read_0x10`], and the groups of [`read_errors`].
+const READ_0X10: u8 = 0x10;
+
+/// Decodes a state of an older version.
+pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
+    VERSION.set(version);
     let decoded = decode();
-    IS_BEFORE.set(false);
+    VERSION.set(u8::MAX);
     decoded
 }
 
-/// Reads a field that the version before lacks. It is then the default of its type.
+/// Reads a field that versions before 0x0f lack. It is then the default of its type.
 pub(crate) fn read<'de, T, D>(from: D) -> Result<T, D::Error>
 where
     T: Deserialize<'de> + Default,
     D: Deserializer<'de>,
 {
-    if IS_BEFORE.get() { Ok(T::default()) } else { T::deserialize(from) }
+    if VERSION.get() < READ { Ok(T::default()) } else { T::deserialize(from) }
+}
+
+/// Same as [`read`], for versions before 0x10.
+pub(crate) fn read_0x10<'de, T, D>(from: D) -> Result<T, D::Error>
+where
+    T: Deserialize<'de> + Default,
+    D: Deserializer<'de>,
+{
+    if VERSION.get() < READ_0X10 { Ok(T::default()) } else { T::deserialize(from) }
+}
+
+/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown.
+pub(crate) fn read_errors<'de, T, D>(from: D) -> Result<ErrorCounts<T>, D::Error>
+where
+    T: Deserialize<'de> + Default,
+    D: Deserializer<'de>,
+{
+    #[derive(Deserialize)]
+    struct Before<T> {
+        classes: [[T; CLASSES]; ERRORS],
+        pulls: [[T; PARTS]; SHADOWS],
+    }
+    if VERSION.get() < READ_0X10 {
+        let Before { classes, pulls } = Before::deserialize(from)?;
+        Ok(ErrorCounts { classes, pulls, groups: Default::default() })
+    } else {
+        ErrorCounts::deserialize(from)
+    }
 }

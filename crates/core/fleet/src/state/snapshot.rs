@@ -17,9 +17,12 @@ use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x0f";
-/// The version before, which is read too. It lacks the [`added`] fields.
-const BEFORE: [u8; 8] = *b"jbstate\x0e";
+const MAGIC: [u8; 8] = *b"jbstate\x10";
+/// The oldest version that is read too. It lacks the [`added`] fields.
+const OLDEST: u8 = 0x0e;
+/// The first version whose robots and batteries are complete.
+const COMPLETE: u8 = 0x0f;
+const NEWEST: u8 = MAGIC[7];
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, energy states and their errors, online learning,
@@ -63,13 +66,15 @@ pub(crate) struct Counters {
 pub enum StateError {
     /// Not a state, or one of another version.
     #[error(
-        "not a fleet's state in version {expected} or the one before: it begins with {found:02x?}. \
+        "not a fleet's state in version {oldest} to {expected}: it begins with {found:02x?}. \
          Read it with the version of joulebus that wrote it"
     )]
     Version {
         /// Its first bytes.
         found: Vec<u8>,
-        /// The version that this program reads.
+        /// The oldest version that this program reads.
+        oldest: u8,
+        /// The newest version that this program reads.
         expected: u8,
     },
     /// The bytes end too early or are invalid.
@@ -181,22 +186,25 @@ impl FleetState {
     /// # Errors
     /// [`StateError::Version`] or [`StateError::Malformed`].
     pub fn decode(bytes: &[u8]) -> Result<Self, StateError> {
-        let decoded: Result<(Self, &[u8]), _> = if let Some(encoded) = bytes.strip_prefix(&MAGIC) {
-            postcard::take_from_bytes(encoded)
-        } else if let Some(encoded) = bytes.strip_prefix(&BEFORE) {
-            added::decode_before(|| postcard::take_from_bytes(encoded)).map(
-                |(mut state, rest): (Self, &[u8])| {
-                    state.columns.complete();
-                    state.departed.iter_mut().for_each(|account| account.battery.complete());
-                    (state, rest)
-                },
-            )
-        } else {
-            return Err(StateError::Version {
-                found: bytes.iter().take(MAGIC.len()).copied().collect(),
-                expected: MAGIC[7],
-            });
+        let version = match bytes.strip_prefix(&MAGIC[..7]) {
+            Some([version @ OLDEST..=NEWEST, ..]) => *version,
+            _ => {
+                return Err(StateError::Version {
+                    found: bytes.iter().take(MAGIC.len()).copied().collect(),
+                    oldest: OLDEST,
+                    expected: NEWEST,
+                });
+            }
         };
+        let decoded: Result<(Self, &[u8]), _> =
+            added::decode_version(version, || postcard::take_from_bytes(&bytes[MAGIC.len()..]));
+        let decoded = decoded.map(|(mut state, rest)| {
+            if version < COMPLETE {
+                state.columns.complete();
+                state.departed.iter_mut().for_each(|account| account.battery.complete());
+            }
+            (state, rest)
+        });
         let malformed = |reason: String| StateError::Malformed { bytes: bytes.len(), reason };
         match decoded {
             Ok((state, [])) => Ok(state),

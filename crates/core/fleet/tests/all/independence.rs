@@ -1,5 +1,6 @@
-//! The output of one robot depends on that robot's samples alone, except for the bounds of its
-//! energy's errors and the shares of its outlook, which the robots of a platform learn together.
+//! The output of one robot depends on that robot's samples alone, except for what the robots of a
+//! platform learn together: the bounds of its energy's errors, the shares of its outlook, the priors
+//! of its lasting power and of its trust in commands, and how its first forecasts start.
 
 use joulebus_fleet::Fleet;
 use joulebus_testkit_fleets::random::Noise;

@@ -13,6 +13,7 @@ mod levels;
 mod limits;
 mod oracle;
 mod recycling;
+mod remembered;
 mod shards;
 mod state_cost;
 mod time_to_empty;

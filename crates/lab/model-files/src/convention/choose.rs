@@ -454,10 +454,5 @@ fn network(candidate: &Candidate, card: ModelCard) -> Result<Network, ChooseErro
 
 /// A card for a network under evaluation.
 fn placeholder(feature_set: FeatureSet) -> ModelCard {
-    ModelCard::new(TrainingRange {
-        feature_set,
-        min: [0.0; INPUTS],
-        max: [0.0; INPUTS],
-        seen: None,
-    })
+    ModelCard::new(TrainingRange { feature_set, min: [0.0; INPUTS], max: [0.0; INPUTS] })
 }

@@ -193,7 +193,7 @@ class OnlineForecaster(OnlineConformal):
 
     Its members are the regressor, the robot's last reading, and two stacks of these, the robot's
     mean and an autoregression. Their weights follow from their errors so far. So the forecast is
-    never much worse than the best member, even on a robot unlike any in the training
+    never much worse than the best member, even on a robot that the member does not know
     (docs/measured/online.md). Until a robot has five readings, it is the regressor's own.
 
     Arguments and methods are those of `OnlineConformal`. With ``regressor=Predictor(file)``, and with the platform's

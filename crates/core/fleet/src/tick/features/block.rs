@@ -60,6 +60,12 @@ pub(crate) fn step_block(
             put(&mut network_w[lane], known, online.network_w[lane]);
         }
         learn(members, online, &windows.closed, &samples, mask);
+        // Once in a robot's life, so this loop may branch.
+        for lane in (0..LANES).filter(|lane| mask[*lane] & online.has_started(*lane)) {
+            if let Some(shown) = online.get(lane).shown_start(members) {
+                context.errors.show(columns.admissions[first + lane].id, &shown);
+            }
+        }
     }
     read_lasts(lasts, &samples, mask, &elapsed_s, &network_w);
     let mut steps = StepLanes::NONE;
@@ -67,7 +73,9 @@ pub(crate) fn step_block(
     qualify(context.required, lasts, &samples, mask, windows, &steps);
     store_expected(&mut columns.pending[block], mask, &steps);
     adapt_intervals(context, intervals, &samples, &steps);
-    observe_energy(context, &mut columns.energy[block], &samples, mask, &elapsed_s);
+    let admissions = &columns.admissions[first..first + LANES];
+    let energy = &mut columns.energy[block];
+    observe_energy(context, energy, &samples, mask, &elapsed_s, |lane| admissions[lane].id);
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&samples.get(lane));
@@ -117,15 +125,6 @@ fn learn(
         robot.read(&members, last_w[lane], due[lane], samples.power_w[lane]);
         online.set_sizes(lane, mask[lane], &robot);
     }
-    // Once in a robot's life, so this loop may branch.
-    for lane in 0..LANES {
-        if !(mask[lane] & online.is_first_full(lane)) {
-            continue;
-        }
-        let mut robot = online.get(lane);
-        robot.judge_first(&members, samples.power_w[lane], &windows.get(lane).lags_w());
-        online.set(lane, true, robot);
-    }
 }
 
 /// Advances the energy states of a block.
@@ -136,6 +135,7 @@ fn observe_energy(
     samples: &PendingLanes,
     mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
+    robot: impl Fn(usize) -> u32,
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
     let mut working_s = *elapsed_s;
@@ -154,7 +154,7 @@ fn observe_energy(
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };
-    energy.observe(&context.energy, context.learned_errors(), &mask, &samples);
+    energy.observe(&context.energy, context.learned_errors(), &mask, &samples, robot);
 }
 
 /// Replaces the last samples of a block by the next.

@@ -47,7 +47,9 @@ pub(crate) fn step(
                 online.learn(members, &window.lags_w(), window.due(), pending.power_w);
             }
             online.read(members, window.last_w(), window.due(), pending.power_w);
-            online.judge_first(members, pending.power_w, &window.lags_w());
+            if let Some(shown) = online.shown_start(members) {
+                context.errors.show(admission.id, &shown);
+            }
             columns.online[block].set(lane, true, online);
         }
         // After a gap it does not represent the power during it.
@@ -71,7 +73,8 @@ pub(crate) fn step(
     let sample = energy_sample(pending, working_s, on_time);
     energy.metered.advance(&context.energy.command, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
-        errors.count(&energy.compare(&context.energy, errors.platform(), sample.power_w));
+        let new = energy.compare(&context.energy, errors.platform(), sample.power_w);
+        errors.count(admission.id, &new);
     }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);

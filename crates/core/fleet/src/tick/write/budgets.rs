@@ -173,7 +173,7 @@ fn fill(
         let remaining = match &context.lasting {
             Some(lasting) => {
                 let (longest, factors) = block.energy.longest_level(lane);
-                let power = lasting.of(longest, &context.errors.platform().plans, &factors);
+                let power = lasting.of(longest, context.errors.platform(), &factors);
                 let range_w = |seconds| power.range_w(seconds);
                 Remaining::new(battery, &estimate, power.mean_w, range_w, robot.charging)
             }

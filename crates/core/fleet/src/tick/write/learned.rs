@@ -3,7 +3,7 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use crate::estimate::online::{Learned, LearnedColumns, StartLanes};
+use crate::estimate::online::{Learned, LearnedColumns, SCEPTIC_LOSSES};
 use crate::layout::lanes::{Block as _, LANES, Lanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -22,18 +22,18 @@ impl LearnedLanes {
         let Some(online) = block.online else {
             return all;
         };
-        let mut starts = StartLanes::NONE;
+        let mut sceptic_loss = SCEPTIC_LOSSES;
         for lane in 0..LANES {
             let platform = usize::from(block.admissions[lane].platform);
             let context = tick.platforms.get(platform);
             if let Some(members) = context.and_then(|context| context.members.as_ref()) {
                 all.learns[lane] = true;
-                starts.set(lane, members);
+                sceptic_loss[lane] = members.sceptic_loss;
             }
         }
         for lane in 0..LANES {
             let robot = online.get(lane);
-            let learned = robot.learned(&robot.weights(starts.of(lane, robot.mean_w)));
+            let learned = robot.learned(&robot.weights(sceptic_loss[lane]));
             all.learned.set(lane, all.learns[lane], &learned);
         }
         all

@@ -1,5 +1,6 @@
 //! Reference of forecasts that learn online, recomputed from all readings since the robot joined.
 
+use joulebus_energy::Shown;
 use joulebus_predictor::{FeatureSet, Features, Model};
 use joulebus_settings::Platform;
 
@@ -17,6 +18,8 @@ struct Reading {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Experts {
     readings: Vec<Reading>,
+    /// Of the memory of the platform when the robot joined.
+    from_last: bool,
 }
 
 /// The forecasts for the robot and by the network.
@@ -46,8 +49,9 @@ struct Knowledge {
     mean_w: f32,
     change_w: f32,
     seen: u8,
-    /// Mean powers like those of the training.
-    like_w: std::ops::RangeInclusive<f32>,
+    from_last: bool,
+    /// Excess over the first readings, W², and their number.
+    start: (f32, u32),
     /// Weights with a measurement due, and without.
     weights: [Weights; 2],
 }
@@ -66,6 +70,19 @@ pub(crate) fn possible(platform: &Platform, forecast_w: f32) -> f32 {
 }
 
 impl Experts {
+    pub(crate) fn new(from_last: bool) -> Self {
+        Self { readings: Vec::new(), from_last }
+    }
+
+    /// What the first thirty readings have shown, after the last of them.
+    pub(crate) fn start(&self, platform: &Platform, model: &Model) -> Option<Shown> {
+        let known = Knowledge::new(platform, model, &self.readings, self.from_last)?;
+        let std_w = model.residual().std_w.max(platform.power_resolution_w);
+        let (excess, number) = known.start;
+        (self.readings.len() == 30 && number > 0)
+            .then(|| joulebus_energy::shown_start(excess / (number as f32 * (std_w * std_w))))
+    }
+
     /// `forecasts` is given if the forecast is scored.
     pub(crate) fn learn(
         &mut self,
@@ -91,7 +108,7 @@ impl Experts {
         due: bool,
     ) -> Forecasts {
         let lag_w = [row[6], row[7], row[8], row[9], row[10]];
-        let known = Knowledge::new(platform, model, &self.readings);
+        let known = Knowledge::new(platform, model, &self.readings, self.from_last);
         let learns = known.is_some();
         let forecast_w = known.map_or(network_w, |known| {
             let (members_w, _, _) = known.members(model, &lag_w, network_w, due);
@@ -112,7 +129,7 @@ impl Experts {
 impl Experts {
     /// The diagnostics' values from `mean_w` to `level_w`. `None` if nothing is learned.
     pub(crate) fn learned(&self, platform: &Platform, model: &Model) -> Option<[f32; 11]> {
-        let known = Knowledge::new(platform, model, &self.readings)?;
+        let known = Knowledge::new(platform, model, &self.readings, self.from_last)?;
         let ([last, network, confident, sceptic], [held, _, held_stack, _]) =
             (known.shares(true), known.shares(false));
         let stack = (confident + sceptic).min(1.0);
@@ -159,17 +176,18 @@ impl Stack {
 
 impl Knowledge {
     /// `None` if nothing is learned.
-    fn new(platform: &Platform, model: &Model, readings: &[Reading]) -> Option<Self> {
+    fn new(
+        platform: &Platform,
+        model: &Model,
+        readings: &[Reading],
+        from_last: bool,
+    ) -> Option<Self> {
         if !platform.online || !matches!(model, Model::Network(_)) {
             return None;
         }
         let resolution_w = platform.power_resolution_w;
         let sigma_w = model.residual().std_w.max(resolution_w);
         let error_w = (0.8 * sigma_w).max(resolution_w);
-        let trained = model.training_range();
-        let (least_w, most_w) =
-            trained.map_or((f32::MIN, f32::MAX), |range| (range.min[6], range.max[6]));
-        let like_w = (least_w - 0.5 * error_w).max(error_w / 8.0)..=most_w + 0.5 * error_w;
         let reads_commands = model.feature_set().needs_command();
         let mut known = Self {
             confident: Stack::new([0.1, 0.95, 0.1, 0.0], [0.09, 0.04, 0.04, 0.25]),
@@ -178,7 +196,8 @@ impl Knowledge {
             mean_w: 0.0,
             change_w: error_w,
             seen: 0,
-            like_w,
+            from_last,
+            start: (0.0, 0),
             weights: [
                 Weights { learned: None, experts: 4.0 },
                 Weights { learned: None, experts: 2.0 },
@@ -217,11 +236,7 @@ impl Knowledge {
         let [confident_w, sceptic_w] = stacks_w;
         let both_w = sceptic_w + self.confidence() * (confident_w - sceptic_w);
         let stack_w = if due { confident_w } else { both_w };
-        let early_w = if due || !self.like_w.contains(&self.mean_w) {
-            0.0
-        } else {
-            0.02 * (stack_w - lag_w[0])
-        };
+        let early_w = if due || self.from_last { 0.0 } else { 0.02 * (stack_w - lag_w[0]) };
         let members_w = [lag_w[0] + early_w, network_w, stack_w, sceptic_w];
         (members_w, u, stacks_w)
     }
@@ -231,6 +246,13 @@ impl Knowledge {
             return;
         };
         let (members_w, u, stacks_w) = self.members(model, &lag_w, network_w, reading.due);
+        if reading.due && self.seen < 30 {
+            let [confident_w, sceptic_w] = stacks_w;
+            let both_w = sceptic_w + self.confidence() * (confident_w - sceptic_w);
+            let wrong = |watts: f32| (watts - reading.reading_w) * (watts - reading.reading_w);
+            let (excess, number) = self.start;
+            self.start = (excess + (wrong(both_w) - wrong(lag_w[0])), number + 1);
+        }
         let square = self.change_w * self.change_w;
         let shares = self.shares(reading.due);
         let (before, cost) = self.losses(reading.due);
@@ -277,11 +299,11 @@ impl Knowledge {
     fn losses(&self, due: bool) -> ([f32; 4], f32) {
         let square = self.change_w * self.change_w;
         let sceptic = self.sceptic_loss * square;
-        let start = match (self.like_w.contains(&self.mean_w), due) {
+        let start = match (!self.from_last, due) {
             (true, true) => [100.0 * square, 1.0 * square, 0.0, sceptic],
-            (false, true) => [-20.0 * square, 0.0, 0.0, sceptic],
+            (false, true) => [-5.0 * square, 0.0, 0.0, sceptic],
             (true, false) => [0.0, f32::INFINITY, 0.0, f32::INFINITY],
-            (false, false) => [-40.0 * square, f32::INFINITY, 0.0, f32::INFINITY],
+            (false, false) => [-5.0 * square, f32::INFINITY, 0.0, f32::INFINITY],
         };
         self.weights[usize::from(!due)].learned.unwrap_or((start, 2.0 * square))
     }

@@ -201,7 +201,12 @@ impl Oracle {
             .find(|slot| self.members.values().all(|member| member.slot != *slot))
             .unwrap_or(self.members.len());
         let member = Member {
-            robot: Robot::new(id, self.settings.platforms[context].clone(), account),
+            robot: Robot::new(
+                id,
+                self.settings.platforms[context].clone(),
+                account,
+                self.errors[context].calibration.platform(),
+            ),
             context,
             owner: header.source_id,
             epoch: header.source_epoch,

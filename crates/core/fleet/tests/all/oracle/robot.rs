@@ -1,7 +1,10 @@
 //! Reference of one robot, as simple as possible: every step and every score is kept, and sums are
 //! recomputed.
 
-use joulebus_energy::{Calibration, EnergyModel, EnergySample, EnergyState, ErrorCounts};
+use joulebus_energy::{
+    Calibration, EnergyModel, EnergySample, EnergyState, ErrorCounts, PlatformErrors, Shown,
+    group_of,
+};
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 use joulebus_testkit_fleets::random::Noise;
@@ -244,11 +247,20 @@ impl Errors {
         let model = model.energy_or_untrained(platform.power_max_w);
         Self { calibration: Calibration::new(&model), model, counts: Default::default() }
     }
+
+    fn show(&mut self, robot: u32, shown: Shown) {
+        for (quantity, shown) in shown.into_iter().enumerate() {
+            for (place, number) in shown.into_iter().enumerate() {
+                self.counts.groups[group_of(robot)][quantity][place] += number;
+            }
+        }
+    }
 }
 
 /// One robot during one membership in the fleet.
 #[derive(Debug, Clone)]
 pub(crate) struct Robot {
+    pub id: u32,
     pub platform: Platform,
     pub experts: Experts,
     pub run: Run,
@@ -257,21 +269,30 @@ pub(crate) struct Robot {
     pub energy: EnergyState,
     /// The newest sample: the energy state takes it before the next one, or in the tick.
     pub waiting: Option<EnergySample>,
+    /// What its newest reading has shown, which the platform learns with it.
+    pub waiting_start: Option<Shown>,
     pub last: Option<Sample>,
     pub residual_w: Option<f32>,
     pub quality: Quality,
 }
 
 impl Robot {
-    pub(crate) fn new(id: u32, platform: Platform, account: Account) -> Self {
+    pub(crate) fn new(
+        id: u32,
+        platform: Platform,
+        account: Account,
+        shown: &PlatformErrors,
+    ) -> Self {
         Self {
+            id,
             platform,
-            experts: Experts::default(),
+            experts: Experts::new(shown.memory.starts_from_last()),
             run: Run::default(),
             account,
             scored: Vec::new(),
-            energy: EnergyState::new(id),
+            energy: EnergyState::among(id, shown),
             waiting: None,
+            waiting_start: None,
             last: None,
             residual_w: None,
             quality: Quality::Warmup { have: 0 },
@@ -315,6 +336,7 @@ impl Robot {
         if let Some(reading_w) = reading_w {
             let forecasts = self.run.forecasts.filter(|_| scorable_w.is_some());
             self.experts.learn(forecasts.as_ref(), last_w, due, reading_w);
+            self.waiting_start = self.experts.start(&self.platform, model);
         }
         self.read(sample);
         self.forecast(sample, model);
@@ -348,6 +370,9 @@ impl Robot {
     /// Takes the waiting sample into the energy state.
     pub(crate) fn absorb(&mut self, errors: &mut Errors) {
         let Some(sample) = self.waiting.take() else { return };
+        if let Some(shown) = self.waiting_start.take() {
+            errors.show(self.id, shown);
+        }
         if !self.platform.energy_online {
             self.energy.metered.advance(&errors.model.command, &sample);
             return;
@@ -364,6 +389,7 @@ impl Robot {
                 errors.counts.pulls[shadow][place] += pull;
             }
         }
+        errors.show(self.id, new.shown);
     }
 
     /// Fills the periods between the last sample and this one. Returns whether there were any.

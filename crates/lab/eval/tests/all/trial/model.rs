@@ -73,12 +73,7 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
     let card = ModelCard {
         name: format!("random {seed}"),
         seed,
-        training_range: TrainingRange {
-            feature_set,
-            min: [-10.0; INPUTS],
-            max: [1_000.0; INPUTS],
-            seen: None,
-        },
+        training_range: TrainingRange { feature_set, min: [-10.0; INPUTS], max: [1_000.0; INPUTS] },
         residual: RESIDUAL,
         linear: None,
         ..random::card(feature_set)

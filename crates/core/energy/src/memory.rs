@@ -1,0 +1,279 @@
+//! The memory of a platform: what its robots have shown of themselves, for the next one.
+//!
+//! **Groups.** A robot belongs to one of [`GROUPS`] groups by its id, for ever. Each group has sums
+//! of its own, and each known group counts alike. So one robot moves one group, however long it
+//! runs and however often it comes back. While fewer than [`QUORUM`] groups are known, the trained
+//! model takes the part of the missing ones. So one robot weighs an eighth of any number at most.
+//!
+//! Sums are integers until they are added, so the result does not depend on the order in which
+//! robots are processed.
+
+// Several arrays are indexed alike.
+#![allow(clippy::needless_range_loop)]
+
+/// Groups of robots.
+pub const GROUPS: usize = 32;
+/// Groups that speak for a platform. The trained model stands for the missing ones.
+const QUORUM: f32 = 8.0;
+
+/// Quantities that are remembered: the place of each in [`Shown`].
+pub const SHOWN: usize = 3;
+/// Ten seconds of a robot: their number, and their power in the platform's trained mean.
+pub(crate) const POWER: usize = 0;
+/// The first readings of a robot: their number, and the [excess](Memory::start_excess).
+const START: usize = 1;
+/// Squares of the energy that the commands explained, and its products with what was to explain.
+pub(crate) const TRUST: usize = 2;
+
+/// Weight and sum of each quantity.
+pub type Shown<T = i64> = [[T; 2]; SHOWN];
+
+/// A weight or sum of 1, as an integer.
+const UNIT: f32 = 65536.0;
+/// Largest number that a robot may show.
+const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0];
+/// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts.
+const MEMORY: [f32; SHOWN] = [720.0, 4.0, 4.0];
+/// Weight with which a group counts half: 40 s of a robot, one start.
+const HALF: [f32; SHOWN] = [4.0, 1.0, 0.1];
+
+/// A weight and a number as [`Shown`] has them. None of either if they are not finite.
+pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
+    if !(weight.is_finite() && number.is_finite()) {
+        return [0; 2];
+    }
+    let most = MAX[quantity];
+    [(UNIT * weight.clamp(0.0, most)) as i64, (UNIT * number.clamp(-most, most)) as i64]
+}
+
+/// The first readings of a robot, whose forecasts without the last reading had this excess.
+pub fn shown_start(excess: f32) -> Shown {
+    let mut all = Shown::default();
+    all[START] = shown(START, 1.0, excess);
+    all
+}
+
+/// The group of a robot. Multiplied by the golden ratio, neighbouring and equally spaced ids are
+/// mostly in different groups.
+pub const fn group_of(robot: u32) -> usize {
+    (robot.wrapping_mul(0x9e37_79b9) >> (u32::BITS - GROUPS.ilog2())) as usize
+}
+
+/// What the robots of a platform have shown together. Each number is the trained model's until they
+/// have, and moves to theirs as more of them become known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Memory {
+    /// Known robots, at most [`GROUPS`].
+    pub robots: f32,
+    /// Mean power of the robots, in the platform's trained mean.
+    pub power: f32,
+    /// Trust in commands of a robot that has shown nothing yet, 0 to 1.
+    pub command_trust: f32,
+    /// Mean squared error of the robots' first forecasts without the last reading, above that of
+    /// the last reading, in the model's variance: −2 to 2.
+    pub start_excess: f32,
+}
+
+impl Memory {
+    /// Before the first robot.
+    pub const TRAINED: Self =
+        Self { robots: 0.0, power: 1.0, command_trust: 1.0, start_excess: 0.0 };
+
+    /// Of the remembered weights and sums of each group.
+    pub(crate) fn of(groups: &[Shown<f32>; GROUPS]) -> Self {
+        let power = Known::new(groups, POWER);
+        let trust = Known::new(groups, TRUST);
+        let trusts = |[square, product]: [f32; 2]| trusted(product, square, 1.0);
+        let means = |[weight, sum]: [f32; 2]| sum / weight.max(f32::MIN_POSITIVE);
+        Self {
+            robots: power.sum,
+            power: power.location(groups.each_ref().map(|shown| means(shown[POWER]))),
+            command_trust: trust.mean(1.0, groups.each_ref().map(|shown| trusts(shown[TRUST]))),
+            start_excess: Known::new(groups, START)
+                .mean(0.0, groups.each_ref().map(|shown| means(shown[START]))),
+        }
+    }
+
+    /// True if the next robot starts from its last reading.
+    pub fn starts_from_last(&self) -> bool {
+        /// Excess from which the trained model is worse than nothing.
+        const WORSE: f32 = 0.3;
+        self.start_excess > WORSE
+    }
+}
+
+/// How well each group is known, 0 to 1.
+struct Known {
+    weights: [f32; GROUPS],
+    sum: f32,
+}
+
+impl Known {
+    fn new(groups: &[Shown<f32>; GROUPS], quantity: usize) -> Self {
+        let known = |weight: f32| weight / (weight + HALF[quantity]);
+        let weights = groups.each_ref().map(|shown| known(shown[quantity][0]));
+        Self { sum: weights.iter().sum(), weights }
+    }
+
+    /// Weight of the trained number.
+    fn missing(&self) -> f32 {
+        (QUORUM - self.sum).max(0.0)
+    }
+
+    /// The mean of numbers that have bounds of their own. `trained` is that of missing groups.
+    fn mean(&self, trained: f32, numbers: [f32; GROUPS]) -> f32 {
+        let mut sum = self.missing() * trained;
+        for group in 0..GROUPS {
+            sum += self.weights[group] * numbers[group];
+        }
+        sum / self.sum.max(QUORUM)
+    }
+
+    /// The location of numbers about 1, some of which may be far off: a mean in which none counts
+    /// as farther from it than [`Known::REACH`] (Huber 1964).
+    fn location(&self, numbers: [f32; GROUPS]) -> f32 {
+        /// Enough to come from 1 to a fiftieth, or to a thousand.
+        const STEPS: usize = 64;
+        let per_weight = 1.0 / self.sum.max(QUORUM);
+        let mut location = 1.0f32;
+        for _ in 0..STEPS {
+            let reach = Self::REACH * location;
+            let mut pull = self.missing() * (1.0 - location).clamp(-reach, reach);
+            for group in 0..GROUPS {
+                let apart = (numbers[group] - location).max(-reach).min(reach);
+                pull += self.weights[group] * apart;
+            }
+            location += per_weight * pull;
+        }
+        location
+    }
+
+    /// Largest distance that counts, as a share of the location.
+    const REACH: f32 = 0.15;
+}
+
+/// Trust in commands after sums of products and squares, from `prior` on.
+pub(crate) fn trusted(product: f32, square: f32, prior: f32) -> f32 {
+    /// Weight of the prior, in the unit of the sums.
+    const PRIOR: f32 = 0.2;
+    ((PRIOR * prior + product) / (PRIOR + square)).clamp(0.0, 1.0)
+}
+
+/// Adds what a group has shown to what is remembered of it.
+pub(crate) fn add(seen: &mut Shown<f32>, shown: &Shown) {
+    for quantity in 0..SHOWN {
+        for (seen, shown) in seen[quantity].iter_mut().zip(shown[quantity]) {
+            *seen += shown as f32 / UNIT;
+        }
+        let (weight, most) = (seen[quantity][0], MEMORY[quantity]);
+        if weight > most {
+            seen[quantity] = seen[quantity].map(|number| number * (most / weight));
+        }
+    }
+}
+
+/// True if robots could have shown this.
+pub(crate) fn is_sound(seen: &Shown<f32>) -> bool {
+    (0..SHOWN).all(|quantity| {
+        let [weight, sum] = seen[quantity];
+        (0.0..=1.001 * MEMORY[quantity]).contains(&weight) && sum.abs() <= 1e6
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(robots: impl IntoIterator<Item = (u32, f32)>, windows: i64) -> Memory {
+        let mut groups = [Shown::default(); GROUPS];
+        for (robot, power) in robots {
+            let mut new = Shown::default();
+            new[POWER] = shown(POWER, 1.0, power).map(|number| number * windows);
+            add(&mut groups[group_of(robot)], &new);
+        }
+        Memory::of(&groups)
+    }
+
+    #[test]
+    fn eight_robots_with_equally_spaced_ids_are_in_six_groups_or_more() {
+        for spacing in [1, 2, 10, 64, 100, 1000] {
+            for first in [0, 7, 1_000, 4_000_000_000] {
+                let mut groups: Vec<usize> = (0..8)
+                    .map(|n: u32| group_of(n.wrapping_mul(spacing).wrapping_add(first)))
+                    .collect();
+                groups.sort_unstable();
+                groups.dedup();
+                assert!(
+                    groups.len() >= if spacing == 1 { 8 } else { 6 },
+                    "{spacing}, {first}: {groups:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_fleet_that_draws_something_else_is_believed_as_more_of_its_robots_are_known() {
+        assert_eq!(of([], 1), Memory::TRAINED);
+        for power in [0.03, 0.5, 0.83, 1.4, 3.0, 20.0] {
+            let whole = of((0..24).map(|robot| (robot, power)), 720).power;
+            assert!((whole / power - 1.0).abs() < 0.02, "{power}: {whole}");
+            let mut before = 1.0;
+            for robots in [1, 2, 4, 8, 16] {
+                let found = of((0..robots).map(|robot| (robot, power)), 720).power;
+                let apart = |found: f32| (found.ln() - power.ln()).abs();
+                assert!(apart(found) <= apart(before) + 1e-4, "{robots} at {power}: {found}");
+                before = found;
+            }
+        }
+    }
+
+    #[test]
+    fn one_robot_at_any_power_moves_the_mean_by_a_twentieth_however_long_it_runs() {
+        let spread = |robot: u32| 0.9 + 0.02 * (robot * 7 % 11) as f32;
+        for others in [0, 1, 3, 7, 12, 40] {
+            let fleet = |last: f32, hours: i64| {
+                let all = (0..others).map(|robot| (robot, spread(robot)));
+                let long = std::iter::repeat_n((others, last), hours as usize);
+                of(all.chain(long), 360).power
+            };
+            for hours in [1, 100] {
+                for factor in [-4.0, 0.0, 0.25, 4.0, 60.0] {
+                    let (usual, moved) = (fleet(1.0, 1), fleet(factor, hours));
+                    let by = (moved / usual - 1.0).abs();
+                    assert!(by <= 0.05, "{others} and one at {factor}: {usual} to {moved}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn one_robot_alone_changes_no_start_and_three_of_a_fleet_do() {
+        let starts = |robots: &[(u32, f32)]| {
+            let mut groups = [Shown::default(); GROUPS];
+            for (robot, excess) in robots {
+                for _ in 0..100 {
+                    add(&mut groups[group_of(*robot)], &shown_start(*excess));
+                }
+            }
+            Memory::of(&groups).starts_from_last()
+        };
+        assert!(!starts(&[]) && !starts(&[(3, 1e9)]) && !starts(&[(3, f32::NAN), (4, 0.1)]));
+        assert!(starts(&[(0, 2.0), (1, 2.0), (2, 2.0)]));
+        let fleet: Vec<(u32, f32)> = (0..12).map(|robot| (robot, -0.1)).collect();
+        let with = |other: (u32, f32)| [fleet.clone(), vec![other]].concat();
+        assert!(!starts(&fleet) && !starts(&with((12, 50.0))));
+    }
+
+    #[test]
+    fn what_a_robot_cannot_have_shown_is_not_added() {
+        assert_eq!(shown(POWER, 1.0, f32::NAN), [0; 2]);
+        assert_eq!(shown(TRUST, f32::INFINITY, 1.0), [0; 2]);
+        let mut seen = Shown::default();
+        for _ in 0..10_000 {
+            add(&mut seen, &shown_start(f32::MAX));
+        }
+        assert!(is_sound(&seen), "{seen:?}");
+        seen[START][0] = f32::NAN;
+        assert!(!is_sound(&seen));
+    }
+}
