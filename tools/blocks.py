@@ -119,7 +119,7 @@ WHOLE = {
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "clock": ("configs/links/worker.toml", "joulebus link configs/links/worker.toml --check"),
     "webhook": ("configs/webhooks/receivers.toml", "joulebus config check configs/webhooks/receivers.toml"),
-    "shard": ("configs/links/standby-shards.toml", "joulebus link configs/links/standby.toml --check"),
+    "workers": ("configs/links/standby.toml", "joulebus link configs/links/standby.toml --check"),
 }
 
 

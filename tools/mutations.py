@@ -128,8 +128,8 @@ MUTATIONS = [
     ("a hang is forgotten with its term", "link/src/leadership.rs",
      "permit.is_some_and(|permit| !permit.holds(clock::boot_ns()))", "permit.is_some_and(|_| false)"),
     ("a link that starts again forgets a hang", "link/src/standby.rs",
-     "            None => None,\n        };\n        let ttl_ns",
-     "            None => {\n                leadership.withdraw()?;\n                None\n            }\n        };\n        let ttl_ns"),
+     "        let ttl_ns = u64::from(lease.ttl_s)",
+     "        if leader_lease.is_none() {\n            Permit::withdraw(&leadership.places().permit)?;\n        }\n        let ttl_ns = u64::from(lease.ttl_s)"),
     ("messages to a host that was paused are from the future", "link/src/protocol/receiver.rs",
      " && !self.has_stepped(status, now_ns)", ""),
 ]

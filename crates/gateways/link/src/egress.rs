@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 
+use crate::config::Settings;
 use crate::network::{Event, Inbox, NetworkError, Outlet};
 use crate::protocol::carried::{Carried, Kind};
 use crate::protocol::message::{Body, FleetId, LeaderStatus, MAX_REQUEST_BYTES, Request, read};
@@ -51,7 +52,7 @@ impl Egress {
         Ok(Self {
             kind,
             only,
-            fleet: shared.settings.fleet(&shared.config),
+            fleet: Settings::fleet(&shared.config),
             clock: shared.network.wall_clock(),
             shared,
             inbox,
@@ -182,14 +183,8 @@ impl Egress {
     /// Sends a frame to every receiver that selects it, or holds it back for receivers with too
     /// many in flight.
     pub(crate) fn offer(&mut self, frame: LocalFrame<'_>) {
-        self.offer_to(|_| true, frame);
-    }
-
-    /// Same as [`Egress::offer`], for the links that satisfy `meant`.
-    pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
         let (leader, now_ns) = (self.leader, clock::monotonic_ns());
-        let streams = self.streams.iter_mut();
-        for (_, (stream, outlet)) in streams.filter(|(name, _)| meant(name)) {
+        for (stream, outlet) in self.streams.values_mut() {
             let mut out = Vec::new();
             if stream.offer(frame, leader, now_ns, &mut out) {
                 outlet.send(out);

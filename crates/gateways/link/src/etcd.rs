@@ -29,7 +29,7 @@ const MAX_BYTES: u64 = 64 << 10;
 const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// The etcd client of one candidate for one shard.
+/// The etcd client of one candidate.
 pub(crate) struct Etcd {
     agent: Agent,
     endpoints: Vec<String>,
@@ -143,9 +143,9 @@ impl Etcd {
     /// A file of the settings cannot be read.
     pub(crate) fn new(
         settings: &LeaseSettings,
-        (fleet, shard, own): (&str, &str, &str),
+        (fleet, own): (&str, &str),
     ) -> anyhow::Result<Self> {
-        let key = |name: &str| BASE64.encode(format!("{}{fleet}/{shard}/{name}", settings.prefix));
+        let key = |name: &str| BASE64.encode(format!("{}{fleet}/{name}", settings.prefix));
         let user = settings.user.as_ref().map(|(user, path)| {
             Ok::<_, std::io::Error>((user.clone(), joulebus_files::read_secret_line(path)?))
         });
@@ -388,7 +388,7 @@ mod tests {
             own: None,
             user: None,
         };
-        Etcd::new(&settings, ("lab", "hall", "base")).unwrap()
+        Etcd::new(&settings, ("lab", "base")).unwrap()
     }
 
     /// Reads a whole request: headers, an empty line, and a body of the stated length.

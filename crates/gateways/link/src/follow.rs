@@ -1,5 +1,5 @@
-//! The thread of a planners' host: writes the frames of workers elsewhere into this host's shared
-//! memory, in a worker's place.
+//! The thread of a planners' host: writes the frames of a worker elsewhere into this host's shared
+//! memory, in its place.
 
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
@@ -16,7 +16,6 @@ use crate::protocol::lease::MAX_TTL_S;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::report::Done;
-use crate::shard_merger::ShardMerger;
 use crate::shared::Shared;
 use crate::worker_ports::WorkerPorts;
 
@@ -25,38 +24,12 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Maximum sleep after a message. It exceeds the period of most fleets, so that the next message
 /// ends the sleep.
 const AFTER_MESSAGE: Duration = Duration::from_millis(40);
-/// Maximum sleep while frames of several shards are merged. A late shard delays the others by as
-/// much.
-const MERGE_INTERVAL: Duration = Duration::from_millis(5);
 /// Time without frames after which a term no longer fences off earlier ones. It exceeds the longest
 /// lease, so no earlier lease is left.
 const TERM_TIMEOUT_NS: u64 = 2 * MAX_TTL_S as u64 * 1_000_000_000;
 
-/// Opens a stream from every candidate of every shard.
-fn open(
-    shared: &Shared,
-    follow: &Follow,
-    inbox: &mut Inbox,
-) -> Result<Vec<ShardFeed>, NetworkError> {
-    let limits = shared.config.limits();
-    let most = limits.capacity.max(limits.listed_frames());
-    let candidates = |workers: &Vec<String>| {
-        let open = |worker: &String| {
-            let from = (Kind::Outputs, worker.as_str());
-            Ingress::open(shared, from, most, follow.selection.clone(), inbox)
-        };
-        Ok(ShardFeed {
-            ingresses: workers.iter().map(open).collect::<Result<_, _>>()?,
-            leader: 0,
-            highest: HighestTerm::default(),
-            reported: Worker::Unknown,
-        })
-    };
-    follow.workers.iter().map(candidates).collect()
-}
-
-/// The streams of one shard's candidates, or of the worker of a fleet without shards.
-struct ShardFeed {
+/// The streams of all candidates, or of the only worker.
+struct WorkerFeed {
     ingresses: Vec<Ingress>,
     /// Index of the leader, whose frames are passed on.
     leader: usize,
@@ -65,7 +38,7 @@ struct ShardFeed {
     reported: Worker,
 }
 
-/// The highest term in which a shard's candidates have sent. It fences off the leaders of earlier
+/// The highest term in which candidates have sent. It fences off the leaders of earlier
 /// terms.
 #[derive(Debug, Clone, Copy, Default)]
 struct HighestTerm {
@@ -99,8 +72,24 @@ impl HighestTerm {
     }
 }
 
-impl ShardFeed {
-    /// The state of the shard's worker. Unknown while nothing arrives.
+impl WorkerFeed {
+    /// Opens a stream from every candidate.
+    fn open(shared: &Shared, follow: &Follow, inbox: &mut Inbox) -> Result<Self, NetworkError> {
+        let limits = shared.config.limits();
+        let most = limits.capacity.max(limits.listed_frames());
+        let open = |worker: &String| {
+            let from = (Kind::Outputs, worker.as_str());
+            Ingress::open(shared, from, most, follow.selection.clone(), inbox)
+        };
+        Ok(Self {
+            ingresses: follow.workers.iter().map(open).collect::<Result<_, _>>()?,
+            leader: 0,
+            highest: HighestTerm::default(),
+            reported: Worker::Unknown,
+        })
+    }
+
+    /// The state of the worker. Unknown while nothing arrives.
     fn worker(&mut self) -> Worker {
         let receiver = self.ingresses[self.leader].receiver();
         match receiver.worker() {
@@ -146,19 +135,17 @@ impl ShardFeed {
     }
 }
 
-/// Follows the workers.
+/// Follows the worker.
 pub(crate) struct Following {
     worker_ports: WorkerPorts,
     bus: Bus,
     inbox: Inbox,
-    shards: Vec<ShardFeed>,
-    /// Merges the frames of several workers.
-    shard_merger: Option<ShardMerger>,
+    feed: WorkerFeed,
     /// Services that the link's file names.
     requested: u32,
     /// The last round took a message.
     has_message: bool,
-    /// The state of the fleet's workers that planners here know.
+    /// The worker's state that planners here know.
     reported: Worker,
 }
 
@@ -168,23 +155,20 @@ impl Rounds<Done, anyhow::Error> for Following {
         // Some services are requested only while somebody here reads them, as the worker itself
         // writes them.
         let services = self.requested & !self.worker_ports.unread();
-        for ingress in self.ingresses() {
+        for ingress in &mut self.feed.ingresses {
             ingress.receiver().select(services);
             ingress.request_if_due();
         }
-        let wait = match self.shard_merger {
-            Some(_) => MERGE_INTERVAL,
-            None if self.has_message => AFTER_MESSAGE,
-            None => POLL_INTERVAL,
-        };
-        self.has_message = false;
+        let has_message = std::mem::take(&mut self.has_message);
+        let wait = if has_message { AFTER_MESSAGE } else { POLL_INTERVAL };
         match self.inbox.next(wait) {
             Ok(Event::Message { from, bytes, arrived_ns }) => {
                 self.has_message = true;
                 self.message(&from, &bytes, arrived_ns)?;
             }
             Ok(Event::Lost { name }) => {
-                for ingress in self.ingresses().filter(|ingress| *ingress.from() == *name) {
+                let ingresses = self.feed.ingresses.iter_mut();
+                for ingress in ingresses.filter(|ingress| *ingress.from() == *name) {
                     ingress.receiver().lost();
                 }
             }
@@ -192,27 +176,18 @@ impl Rounds<Done, anyhow::Error> for Following {
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
         let now_ns = clock::monotonic_ns();
-        for shard in &mut self.shards {
-            for ingress in &mut shard.ingresses {
-                ingress.receiver().becomes_silent(now_ns);
-            }
-            shard.choose();
-            shard.report();
+        for ingress in &mut self.feed.ingresses {
+            ingress.receiver().becomes_silent(now_ns);
         }
-        if let Some(shard_merger) = &mut self.shard_merger {
-            let has_worker = self.shards.iter_mut().map(|shard| shard.worker() == Worker::Alive);
-            let has_worker: Vec<bool> = has_worker.collect();
-            let written = shard_merger.write(&mut self.worker_ports, &has_worker);
-            is_final(written)?;
-        }
+        self.feed.choose();
+        self.feed.report();
         self.report()?;
         Ok(Duration::ZERO)
     }
 
     fn finish(self) -> anyhow::Result<Done> {
         self.worker_ports.planners.wake(WakeEvent::Ended)?;
-        let ingresses = self.shards.iter().flat_map(|shard| &shard.ingresses);
-        Ok(ingress::finish(ingresses, &self.inbox))
+        Ok(ingress::finish(self.feed.ingresses.iter(), &self.inbox))
     }
 }
 
@@ -220,82 +195,60 @@ impl Following {
     /// # Errors
     /// The fleet cannot be joined, or the network is refused.
     pub(crate) fn open(shared: &Shared, follow: &Follow) -> anyhow::Result<Self> {
-        let Shared { config, settings, .. } = shared;
+        let config = &shared.config;
         let bus = shared.join()?;
         let mut inbox = Inbox::new(max_message_bytes(config.limits().capacity));
-        let shards = open(shared, follow, &mut inbox)?;
-        let every = follow.selection.every;
-        let shard_merger = match &settings.shards {
-            Some(map) if shards.len() > 1 => Some(ShardMerger::new(map, config, every)),
-            _ => None,
-        };
+        let feed = WorkerFeed::open(shared, follow, &mut inbox)?;
         Ok(Self {
-            worker_ports: WorkerPorts::open(&bus, config, shards.len(), every)?,
+            worker_ports: WorkerPorts::open(&bus, config, follow.selection.every)?,
             bus,
             inbox,
-            shards,
-            shard_merger,
+            feed,
             requested: follow.selection.services,
             has_message: false,
             reported: Worker::Unknown,
         })
     }
 
-    fn ingresses(&mut self) -> impl Iterator<Item = &mut Ingress> {
-        self.shards.iter_mut().flat_map(|shard| &mut shard.ingresses)
-    }
-
     /// Handles a message of the link `from`.
     fn message(&mut self, from: &str, bytes: &Bytes, arrived_ns: u64) -> Result<(), SendError> {
-        let Self { worker_ports, shards, shard_merger, .. } = self;
-        let mut ended = Ok(());
-        for (at, shard) in shards.iter_mut().enumerate() {
-            let ShardFeed { ingresses, leader, highest, .. } = shard;
-            let Some(place) = ingresses.iter().position(|ingress| ingress.from() == from) else {
-                continue;
-            };
-            let mut is_fenced = false;
-            ingresses[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
-                // A frame of a new term makes its sender the leader at once.
-                if highest.observe_frame(accepted.term, arrived_ns) {
-                    *leader = place;
-                }
-                // Another candidate has led since, so this one's frames are out of date.
-                is_fenced = accepted.term < highest.at(arrived_ns);
-                let is_leader = place == *leader && !is_fenced;
-                let passed = match shard_merger {
-                    _ if !is_leader => Ok(()),
-                    Some(shard_merger) => shard_merger.put(worker_ports, at, &accepted),
-                    None => worker_ports.pass_on(&accepted),
-                };
-                passed.map_err(|error| {
-                    let shown = error.to_string();
-                    if let PassError::Send(error) = error
-                        && error.is_final()
-                    {
-                        ended = Err(error);
-                    }
-                    ("not passed on", shown)
-                })
-            });
-            ingresses[place].fenced += u64::from(is_fenced);
-            let receiver = ingresses[place].receiver();
-            if receiver.is_sending() && receiver.worker() == Worker::Alive {
-                highest.observe_leader(receiver.term(), arrived_ns);
+        let Self { worker_ports, feed, .. } = self;
+        let WorkerFeed { ingresses, leader, highest, .. } = feed;
+        let Some(place) = ingresses.iter().position(|ingress| ingress.from() == from) else {
+            return Ok(());
+        };
+        let (mut ended, mut is_fenced) = (Ok(()), false);
+        ingresses[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
+            // A frame of a new term makes its sender the leader at once.
+            if highest.observe_frame(accepted.term, arrived_ns) {
+                *leader = place;
             }
+            // Another candidate has led since, so this one's frames are out of date.
+            is_fenced = accepted.term < highest.at(arrived_ns);
+            if place != *leader || is_fenced {
+                return Ok(());
+            }
+            worker_ports.pass_on(&accepted).map_err(|error| {
+                let shown = error.to_string();
+                if let PassError::Send(error) = error
+                    && error.is_final()
+                {
+                    ended = Err(error);
+                }
+                ("not passed on", shown)
+            })
+        });
+        ingresses[place].fenced += u64::from(is_fenced);
+        let receiver = ingresses[place].receiver();
+        if receiver.is_sending() && receiver.worker() == Worker::Alive {
+            highest.observe_leader(receiver.term(), arrived_ns);
         }
         ended
     }
 
-    /// Wakes planners once when no worker is left, with the reason.
+    /// Wakes planners once when the worker is gone, with the reason.
     fn report(&mut self) -> anyhow::Result<()> {
-        // Alive if any shard's worker is alive, and unknown only if all are.
-        let mut states = self.shards.iter_mut().map(ShardFeed::worker);
-        let worker = states.by_ref().fold(Worker::Unknown, |all, state| match (all, state) {
-            (Worker::Alive, _) | (_, Worker::Alive) => Worker::Alive,
-            (Worker::Unknown, state) => state,
-            (all, _) => all,
-        });
+        let worker = self.feed.worker();
         if worker == self.reported {
             return Ok(());
         }
@@ -309,18 +262,6 @@ impl Following {
         }
         self.reported = worker;
         Ok(())
-    }
-}
-
-/// Returns errors that end the link. Others concern only one frame.
-fn is_final(sent: Result<(), SendError>) -> Result<(), SendError> {
-    match sent {
-        Err(error) if error.is_final() => Err(error),
-        Err(error) => {
-            tracing::debug!(%error, "a frame was not passed on");
-            Ok(())
-        }
-        Ok(()) => Ok(()),
     }
 }
 

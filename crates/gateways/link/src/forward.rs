@@ -6,12 +6,10 @@ use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{Bus, FrameBuf, ReceiveError, Rounds, SampleReader, Waiter, clock};
-use joulebus_wire::{Sample, SampleHeader};
 
 use crate::egress::Egress;
 use crate::ingress::ABSENCE_TIMEOUT_NS;
 use crate::protocol::carried::{Carried, Kind};
-use crate::protocol::split::Split;
 use crate::protocol::stream::LocalFrame;
 use crate::report::{Done, EgressRecord};
 use crate::shared::Shared;
@@ -19,12 +17,11 @@ use crate::shared::Shared;
 /// Maximum sleep: the delay until a request or a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 20_000_000;
 
-/// Sends the samples published here to the links `to`, to each those of its shard.
+/// Sends the samples published here to the links `to`.
 pub(crate) struct Forwarding {
     shared: Arc<Shared>,
     to: Vec<String>,
     egress: Egress,
-    split: Option<Split>,
     samples: SampleReader,
     waiter: Waiter,
     bus: Bus,
@@ -41,7 +38,6 @@ impl Forwarding {
         let bus = shared.join()?;
         Ok(Self {
             egress: Egress::open(Arc::clone(&shared), Kind::Samples, Some(to.clone()))?,
-            split: shared.settings.shards.as_deref().cloned().map(Split::new),
             waiter: bus.arrivals_waiter(&limits)?,
             samples: bus.sample_reader(&limits)?,
             bus,
@@ -55,20 +51,17 @@ impl Forwarding {
 
 impl Rounds<Done, anyhow::Error> for Forwarding {
     fn round(&mut self) -> anyhow::Result<Duration> {
-        let Self { shared, egress, split, frame, .. } = self;
+        let Self { shared, egress, frame, .. } = self;
         self.bus.check()?;
         while is_taken(&mut self.samples, frame)? {
             let (header, samples) = (frame.header(), frame.samples());
-            match (&mut *split, shared.settings.shards.as_deref()) {
-                (Some(split), Some(shards)) => {
-                    split.split(header, samples, |shard, header, samples| {
-                        let workers = &shards.all()[shard].workers;
-                        let meant = |name: &str| workers.iter().any(|worker| worker == name);
-                        egress.offer_to(meant, local(header, samples));
-                    });
-                }
-                _ => egress.offer(local(header, samples)),
-            }
+            egress.offer(LocalFrame {
+                service: Carried::SAMPLES,
+                source: header.source_id,
+                tick: 0,
+                header: bytes_of(header),
+                elements: cast_slice(samples),
+            });
         }
         egress.poll()?;
         let now_ns = clock::monotonic_ns();
@@ -80,10 +73,6 @@ impl Rounds<Done, anyhow::Error> for Forwarding {
     }
 
     fn finish(self) -> anyhow::Result<Done> {
-        let unassigned = self.split.map_or(0, |split| split.unassigned);
-        if unassigned > 0 {
-            tracing::warn!("{unassigned} samples were of robots that no shard has");
-        }
         Ok(self.egress.finish())
     }
 }
@@ -97,16 +86,6 @@ fn log_absent_receivers(to: &[String], asked: &[EgressRecord], own: &str) {
                  of this link have that name?"
             );
         }
-    }
-}
-
-fn local<'a>(header: &'a SampleHeader, samples: &'a [Sample]) -> LocalFrame<'a> {
-    LocalFrame {
-        service: Carried::SAMPLES,
-        source: header.source_id,
-        tick: 0,
-        header: bytes_of(header),
-        elements: cast_slice(samples),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use joulebus_bus::clock;
 
+use crate::config::Settings;
 use crate::network::{Bytes, Inbox, NetworkError, Outlet};
 use crate::protocol::carried::Kind;
 use crate::protocol::message::{FleetId, Sender, read};
@@ -44,7 +45,7 @@ impl Ingress {
     ) -> Result<Self, NetworkError> {
         let network = &shared.network;
         network.take_frames(kind, from, inbox)?;
-        let fleet = shared.settings.fleet(&shared.config);
+        let fleet = Settings::fleet(&shared.config);
         let run = clock::monotonic_ns();
         Ok(Self {
             from: from.to_owned(),

@@ -28,7 +28,6 @@ const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 
 /// Takes the samples of other hosts.
 pub(crate) struct Intake {
-    shared: Arc<Shared>,
     hosts: BTreeMap<String, (Ingress, Selection)>,
     inbox: Inbox,
     writer: SampleWriter,
@@ -41,7 +40,7 @@ pub(crate) struct Intake {
 impl Intake {
     /// # Errors
     /// The fleet cannot be joined, or the network is refused.
-    pub(crate) fn open(shared: Arc<Shared>, takes: Vec<Take>) -> anyhow::Result<Self> {
+    pub(crate) fn open(shared: &Shared, takes: Vec<Take>) -> anyhow::Result<Self> {
         let limits = shared.config.limits();
         let bus = shared.join()?;
         let writer = bus.sample_writer(&limits, limits.capacity)?;
@@ -50,11 +49,11 @@ impl Intake {
         for Take { from, robots } in takes {
             let selection = Selection::new(Carried::SAMPLES.bit(), 1, robots.ranges().to_vec());
             let of = (Kind::Samples, from.as_str());
-            let ingress = Ingress::open(&shared, of, limits.capacity, selection, &mut inbox)?;
+            let ingress = Ingress::open(shared, of, limits.capacity, selection, &mut inbox)?;
             hosts.insert(from, (ingress, robots));
         }
         let (reported, wait) = (BTreeSet::new(), POLL_INTERVAL);
-        Ok(Self { shared, hosts, inbox, writer, bus, reported, wait })
+        Ok(Self { hosts, inbox, writer, bus, reported, wait })
     }
 
     /// Handles a message of the link `from`.
@@ -64,19 +63,18 @@ impl Intake {
         bytes: &Bytes,
         arrived_ns: u64,
     ) -> Result<(), SendError> {
-        let Self { shared, hosts, writer, reported, .. } = self;
+        let Self { hosts, writer, reported, .. } = self;
         let Some((ingress, robots)) = hosts.get_mut(&**from) else {
             return Ok(());
         };
         let (mut ended, mut foreign) = (Ok(()), None);
         ingress.message(bytes, arrived_ns, |accepted| {
             let has = |robot| {
-                let (is_taken, is_here) =
-                    (robots.has_robot(robot), shared.settings.has_robot(robot));
-                if is_here && !is_taken {
+                let is_taken = robots.has_robot(robot);
+                if !is_taken {
                     foreign = Some(robot);
                 }
-                is_here && is_taken
+                is_taken
             };
             publish(writer, (from, &accepted), has).map_err(|error| {
                 let shown = error.to_string();
@@ -131,7 +129,7 @@ impl Rounds<Done, anyhow::Error> for Intake {
 }
 
 /// Publishes a frame with the times of this host and the source's id on this host. Robots that
-/// belong to another host or shard are dropped, because a host may send only its own.
+/// belong to another host are dropped, because a host may send only its own.
 fn publish(
     writer: &mut SampleWriter,
     (from, accepted): (&str, &Accepted<'_>),

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use joulebus_bus::clock;
 use joulebus_standby::{Permit, PermitError, Places};
 
-/// Leadership of this host's worker over its shard, with the term. Shared by the threads.
+/// Leadership of this host's worker, with the term. Shared by the threads.
 #[derive(Debug)]
 pub(crate) struct Leadership {
     places: Places,

@@ -1,6 +1,5 @@
 //! `joulebus link`: starts the threads, waits for the stop, and reports.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::thread;
 use std::time::Duration;
@@ -53,15 +52,11 @@ struct CheckReport {
     listen: Vec<String>,
     encrypted: bool,
     certificate: Option<CertificateReport>,
-    /// Number of the config's robots in each shard.
-    shards: BTreeMap<String, usize>,
-    /// The shard that this host's worker may lead.
-    leads: Option<String>,
     /// Links whose samples are taken, or whose outputs are followed.
     takes: Vec<String>,
     /// Links that get the samples published here.
     gives: Vec<String>,
-    /// Links of the other candidates for this host's shard.
+    /// Links of the other candidates.
     stands_by_with: Vec<String>,
     /// The etcd members of the lease.
     lease: Vec<String>,
@@ -128,28 +123,13 @@ fn checked(
     let (takes, gives) = match &settings.side {
         Side::Worker(takes) => (takes.iter().map(|take| take.from.clone()).collect(), Vec::new()),
         Side::Other { samples, follow } => (
-            follow.iter().flat_map(|follow| follow.workers.concat()).collect(),
+            follow.iter().flat_map(|follow| follow.workers.clone()).collect(),
             samples.clone().unwrap_or_default(),
         ),
     };
-    let mut robots = BTreeMap::new();
-    let mut leads = None;
-    if let Some(map) = settings.shards.as_deref() {
-        let name = |shard: usize| map.all()[shard].name.clone();
-        robots.extend(map.all().iter().map(|shard| (shard.name.clone(), 0)));
-        let platforms = config.settings().platforms.iter();
-        for robot in platforms.flat_map(|platform| platform.robots.iter().cloned().flatten()) {
-            if let Some(shard) = map.of_robot(robot) {
-                *robots.entry(name(shard)).or_default() += 1;
-            }
-        }
-        leads = map.of_worker(&settings.name).map(name);
-    }
     CheckReport {
         fleet: config.fleet().to_owned(),
         link: settings.name.clone(),
-        shards: robots,
-        leads,
         mode: network.mode.name(),
         connect: network.connect.clone(),
         listen: network.listen.clone(),
@@ -190,7 +170,7 @@ fn open(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Opt
             samples_to: samples.iter().flatten().map(String::as_str).collect(),
             outputs_from: follow
                 .iter()
-                .flat_map(|follow| follow.workers.iter().flatten().map(String::as_str))
+                .flat_map(|follow| follow.workers.iter().map(String::as_str))
                 .collect(),
             ..Peers::default()
         },
@@ -282,11 +262,6 @@ impl fmt::Display for CheckReport {
         if let Some(CertificateReport { name, addresses, days_left }) = &self.certificate {
             let at = addresses.join(", ");
             writeln!(out, "certificate of {name}, to be reached as {at}: {days_left} days left")?;
-        }
-        for (shard, robots) in &self.shards {
-            let own =
-                if self.leads.as_ref() == Some(shard) { ", whose worker this is" } else { "" };
-            writeln!(out, "shard {shard}: {robots} robots{own}")?;
         }
         for (what, list) in [
             ("connects to", &self.connect),

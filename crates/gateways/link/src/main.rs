@@ -26,7 +26,6 @@ mod refusals;
 mod report;
 mod rmw;
 mod session;
-mod shard_merger;
 mod shared;
 mod standby;
 mod threads;

@@ -459,7 +459,7 @@ pub(crate) struct Peers<'a> {
     /// Links that get the samples published here.
     pub(crate) samples_to: Vec<&'a str>,
     /// Links whose outputs are requested: the workers that this host follows, or the other
-    /// candidates of its worker's shard.
+    /// candidates.
     pub(crate) outputs_from: Vec<&'a str>,
 }
 

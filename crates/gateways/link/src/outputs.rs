@@ -15,8 +15,7 @@ use joulebus_wire::{Channel, FrameHeader as _, FrameOrder, SCHEMA_VERSION, State
 
 use crate::egress::Egress;
 use crate::leadership::Leadership;
-use crate::protocol::carried::{Carried, Kind, OfMerged};
-use crate::protocol::merge::Merged;
+use crate::protocol::carried::{Carried, Kind, OfChannel};
 use crate::protocol::message::{LeaderStatus, Worker};
 use crate::protocol::stream::LocalFrame;
 use crate::report::Done;
@@ -211,17 +210,17 @@ type Pass = Box<dyn FnMut(&Subscriber, &mut Egress) -> Result<(), ReadError>>;
 /// The services that the worker writes after its forecasts. They are read only while a receiver
 /// requests them.
 struct Feeds {
-    merged: Vec<(Carried, Pass)>,
+    behind: Vec<(Carried, Pass)>,
     // Declared in this order: the port is dropped before the membership.
     ticks: Wanted<(Reader<Ticks>, Bus)>,
 }
 
 struct NewFeed;
 
-impl OfMerged for NewFeed {
+impl OfChannel for NewFeed {
     type Made = (Carried, Pass);
 
-    fn make<C: Merged>(&self, service: Carried) -> Self::Made {
+    fn make<C: Channel>(&self, service: Carried) -> Self::Made {
         let (mut wanted, mut sent) = (Wanted::<Feed<C>>::new(service), FrameOrder::default());
         (service, Box::new(move |planner, egress| pass(&mut wanted, &mut sent, planner, egress)))
     }
@@ -229,13 +228,13 @@ impl OfMerged for NewFeed {
 
 impl Feeds {
     fn new() -> Self {
-        Self { merged: Carried::behind_forecasts(&NewFeed), ticks: Wanted::new(Carried::TICKS) }
+        Self { behind: Carried::behind_forecasts(&NewFeed), ticks: Wanted::new(Carried::TICKS) }
     }
 
     /// True if a receiver requests any of them.
     fn are_wanted(&self, egress: &Egress) -> bool {
-        let mut merged = self.merged.iter();
-        merged.any(|(service, _)| egress.wants(*service)) || egress.wants(Carried::TICKS)
+        let mut behind = self.behind.iter();
+        behind.any(|(service, _)| egress.wants(*service)) || egress.wants(Carried::TICKS)
     }
 
     fn give(
@@ -244,7 +243,7 @@ impl Feeds {
         planner: &Subscriber,
         egress: &mut Egress,
     ) -> Result<(), ReadError> {
-        self.merged.iter_mut().try_for_each(|(_, pass)| pass(planner, egress))?;
+        self.behind.iter_mut().try_for_each(|(_, pass)| pass(planner, egress))?;
         self.ticks(config, egress);
         Ok(())
     }

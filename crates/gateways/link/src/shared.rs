@@ -16,7 +16,7 @@ pub(crate) struct Shared {
     pub(crate) config: Config,
     pub(crate) settings: Settings,
     pub(crate) network: Network,
-    /// Set if this host's worker is one of several candidates for its shard.
+    /// Set if this host's worker is one of several candidates.
     pub(crate) leadership: Option<Arc<Leadership>>,
     /// The worker lock of a host without a worker. Released after the threads that need it have
     /// ended.

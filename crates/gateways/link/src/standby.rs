@@ -33,7 +33,6 @@ const NANOSECONDS: u64 = 1_000_000_000;
 /// Holds the lease, or waits for it.
 pub(crate) struct Candidacy {
     leadership: Arc<Leadership>,
-    shard: String,
     etcd: Etcd,
     candidate: Candidate,
     permit_writer: PermitWriter,
@@ -53,14 +52,13 @@ impl Candidacy {
     ) -> anyhow::Result<Self> {
         let Shared { config, settings, .. } = shared;
         let lease = &standby.lease;
-        let etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
+        let etcd = Etcd::new(lease, (config.fleet(), &settings.name))?;
         let leader_lease =
             permit.map(|Permit { term, until_ns, lease }| LeaderLease { term, until_ns, lease });
         let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
         let timeouts = IdleTimeouts::new(ttl_ns, config.tick_period_ns());
         Ok(Self {
             leadership,
-            shard: standby.shard.clone(),
             etcd,
             candidate: Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease),
             permit_writer: PermitWriter { leader_lease },
@@ -72,7 +70,7 @@ impl Candidacy {
 
 impl Rounds<Done, anyhow::Error> for Candidacy {
     fn round(&mut self) -> anyhow::Result<Duration> {
-        let Self { leadership, shard, etcd, candidate, permit_writer, holder, worker } = self;
+        let Self { leadership, etcd, candidate, permit_writer, holder, worker } = self;
         candidate.observe_term(leadership.highest_term());
         worker.look(leadership);
         candidate.is_able(worker.is_able);
@@ -94,8 +92,8 @@ impl Rounds<Done, anyhow::Error> for Candidacy {
         let found = candidate.holder().map(|holder| holder.name.clone());
         if found != *holder {
             match &found {
-                Some(name) => tracing::info!("etcd: shard {shard} is held by {name}"),
-                None => tracing::info!("etcd: shard {shard} is held by nobody"),
+                Some(name) => tracing::info!("etcd: {name} holds the lease"),
+                None => tracing::info!("etcd: nobody holds the lease"),
             }
             *holder = found;
         }
@@ -140,7 +138,7 @@ impl WorkerWatch {
 
     fn look(&mut self, leadership: &Leadership) {
         let (now_ns, term) = (clock::monotonic_ns(), leadership.term());
-        // Check at once when a term ends: the shard may already be free again.
+        // Check at once when a term ends: the lease may already be free again.
         if now_ns >= self.look_ns || term != self.term {
             (self.look_ns, self.term) = (now_ns + WORKER_POLL_INTERVAL_NS, term);
             self.look_for_process(now_ns, leadership);

@@ -83,7 +83,7 @@ impl Threads {
                 threads.spawn("joulebus-outputs", &shared, Outputs::open)?;
                 if !takes.is_empty() {
                     let takes = takes.clone();
-                    let open = move |shared| Intake::open(shared, takes);
+                    let open = move |shared: Arc<Shared>| Intake::open(&shared, takes);
                     threads.spawn("joulebus-intake", &shared, open)?;
                 }
             }
@@ -111,12 +111,12 @@ impl Threads {
         standby: &Standby,
         (leadership, permit): (Arc<Leadership>, Option<Permit>),
     ) -> anyhow::Result<()> {
-        let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
-        let open = move |shared: Arc<Shared>| Ok(Rivals::open(&shared, its, &of_shard)?);
+        let (standby, candidate) = (standby.clone(), standby.clone());
+        let observer = Arc::clone(&leadership);
+        let open = move |shared: Arc<Shared>| Ok(Rivals::open(&shared, observer, &standby)?);
         self.spawn("joulebus-standby", shared, open)?;
-        let standby = standby.clone();
         let open =
-            move |shared: Arc<Shared>| Candidacy::open(&shared, leadership, &standby, permit);
+            move |shared: Arc<Shared>| Candidacy::open(&shared, leadership, &candidate, permit);
         self.spawn("joulebus-lease", shared, open)
     }
 

@@ -2,17 +2,16 @@
 
 use joulebus_bus::{Bus, Limits, Waker, Writer};
 use joulebus_config::Config;
-use joulebus_wire::{Forecasts, Ticks, WakeEvent};
+use joulebus_wire::{Channel, Forecasts, Ticks, WakeEvent};
 
 use crate::output_port::{AnyOutputPort, OutputPort, PassError, Runs, pass_on};
-use crate::protocol::carried::{Carried, OfMerged};
-use crate::protocol::merge::Merged;
+use crate::protocol::carried::{Carried, OfChannel};
 use crate::protocol::receiver::Accepted;
 
 /// The worker's ports of this host.
 pub(crate) struct WorkerPorts {
     pub(crate) forecasts: OutputPort<Forecasts>,
-    /// The merged channels that a worker writes after its forecasts.
+    /// The channels that a worker writes after its forecasts.
     pub(crate) behind: Vec<Box<dyn AnyOutputPort>>,
     ticks: Writer<Ticks>,
     pub(crate) planners: Waker,
@@ -21,28 +20,23 @@ pub(crate) struct WorkerPorts {
     every: u32,
 }
 
-/// Opens ports for frames of that many shards.
-struct Open<'a>(&'a Bus, &'a Limits, usize);
+/// Opens ports.
+struct Open<'a>(&'a Bus, &'a Limits);
 
-impl OfMerged for Open<'_> {
+impl OfChannel for Open<'_> {
     type Made = anyhow::Result<Box<dyn AnyOutputPort>>;
 
-    fn make<C: Merged>(&self, service: Carried) -> Self::Made {
-        Ok(Box::new(OutputPort::<C>::open(service, (self.0, self.1), self.2)?))
+    fn make<C: Channel>(&self, service: Carried) -> Self::Made {
+        Ok(Box::new(OutputPort::<C>::open(service, self.0, self.1)?))
     }
 }
 
 impl WorkerPorts {
-    pub(crate) fn open(
-        bus: &Bus,
-        config: &Config,
-        shards: usize,
-        every: u32,
-    ) -> anyhow::Result<Self> {
+    pub(crate) fn open(bus: &Bus, config: &Config, every: u32) -> anyhow::Result<Self> {
         let limits = config.limits();
-        let behind = Carried::behind_forecasts(&Open(bus, &limits, shards));
+        let behind = Carried::behind_forecasts(&Open(bus, &limits));
         Ok(Self {
-            forecasts: OutputPort::open(Carried::FORECASTS, (bus, &limits), shards)?,
+            forecasts: OutputPort::open(Carried::FORECASTS, bus, &limits)?,
             behind: behind.into_iter().collect::<Result<_, _>>()?,
             ticks: bus.writer(&limits)?,
             planners: bus.planner_waker(&limits)?,

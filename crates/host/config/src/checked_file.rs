@@ -1,4 +1,4 @@
-//! The files of bridges, links, shards and webhooks: sections whose keys have passed the table of
+//! The files of bridges, links and webhooks: sections whose keys have passed the table of
 //! keys.
 
 use std::ops::{Deref, RangeInclusive};

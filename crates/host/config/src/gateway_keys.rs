@@ -1,7 +1,7 @@
-//! Keys of the files of bridges, links, shards and webhooks.
+//! Keys of the files of bridges, links and webhooks.
 
 use crate::key::DefaultValue::{Flag, Integer, Number, Required, Text, Unset};
-use crate::key::File::{Bridge, Link, Shards, Webhooks};
+use crate::key::File::{Bridge, Link, Webhooks};
 use crate::key::{DefaultValue, Key, TextRule, ValueKind};
 use crate::keys::{int, key, num, of};
 
@@ -110,11 +110,12 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("ros2.write.negate", ValueKind::Flag, "", Flag(false), "With what = \"value\": turns the sign."),
 ];
 
-/// Every key of a link's file and of that of shards.
+/// Every key of a link's file.
 #[rustfmt::skip]
 pub(crate) const LINK: &[Key] = &[
     link("name", LINK_NAME, "", Required, "Name of this host's link, unique in the fleet. With TLS it is the common name in the certificate."),
-    link("shards", FILE, "", Unset, "File of the fleet's shards, the same on all hosts. Without it one worker has all robots."),
+    link("workers", texts(TextRule::Link, 2, 4), "", Unset,
+        "With standbys: names of the links of all workers, the same on all hosts, the preferred leader first."),
     link("network.mode", ValueKind::Choice(&["peer", "client"]), "", Text("peer"), "Whether the link meets other links, or a zenoh router."),
     link("network.connect", ADDRESSES, "", Unset, "Addresses of other links, or of a router."),
     link("network.listen", ADDRESSES, "", Unset, "Addresses that this host listens on. Without it nothing listens."),
@@ -125,24 +126,20 @@ pub(crate) const LINK: &[Key] = &[
     link("clock.realtime_within_s", num(1e-6..=0.01), "s", Required, "Maximum difference between the realtime clocks of two hosts, where something keeps them together."),
     link("worker.take.from", LINK_NAME, "", Required, "Name of the link whose samples are taken."),
     link("worker.take.robots", ValueKind::Robots, "ids", Unset, "Robots that it speaks for. Without it all."),
-    link("samples.to", LINK_NAME, "", Unset, "Name of the worker's link. With shards each robot has its own."),
-    link("follow.worker", LINK_NAME, "", Unset, "Name of the worker's link. With shards all of them are followed."),
+    link("samples.to", LINK_NAME, "", Unset, "Name of the worker's link. With standbys workers names them."),
+    link("follow.worker", LINK_NAME, "", Unset, "Name of the worker's link. With standbys workers names them."),
     link("follow.services", ValueKind::Words(&["diagnostics", "budgets", "plan_states", "outlooks", "ticks"]), "", Unset,
         "Services besides forecasts. Without it all but ticks."),
     link("follow.every", int(1..=3_600), "ticks", Integer(1), "The frames of every n-th tick are taken."),
     link("follow.robots", ValueKind::Robots, "ids", Unset, "Robots to follow. Without it all."),
     link("lease.endpoints", texts(TextRule::Any("\"https://host:port\""), 1, 16), "", Required, "Addresses of the members of etcd."),
-    link("lease.ttl_s", int(2..=60), "s", Integer(3), "Time without a sign of life after which a host has lost its shard."),
+    link("lease.ttl_s", int(2..=60), "s", Integer(3), "Time without a sign of life after which a host has lost its lease."),
     link("lease.prefix", ValueKind::Text(TextRule::Prefixes), "", Text("joulebus/"), "Prefix of the keys in etcd."),
     link("lease.ca", FILE, "", Unset, "Certificate of etcd's authority. Without it the authority of [network]."),
     link("lease.certificate", FILE, "", Unset, "Certificate of this host, with key."),
     link("lease.key", FILE, "", Unset, "Private key of this host, mode 0600."),
     link("lease.user", any("user name"), "", Unset, "Name of etcd's user, with password."),
     link("lease.password", FILE, "", Unset, "File with the password of etcd's user, mode 0600."),
-    of(Shards, key("shard.name", LINK_NAME, "", Required, "Name of the shard. With hashing its robots depend on the name.")),
-    of(Shards, key("shard.workers", texts(TextRule::Link, 1, 4), "", Required,
-        "Names of the links of its worker and the standbys, the preferred leader first.")),
-    of(Shards, key("shard.robots", ValueKind::Robots, "ids", Unset, "Robots of the shard. Either every shard lists its robots, or none does.")),
 ];
 
 /// Every key of a file of webhooks.

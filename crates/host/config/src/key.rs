@@ -39,16 +39,14 @@ pub enum File {
     Bridge,
     /// The file of `joulebus link`.
     Link,
-    /// The file of a fleet's shards.
-    Shards,
     /// The file of receivers of alarms, of `joulebus serve --webhooks`.
     Webhooks,
 }
 
 impl File {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Fleet, Self::Platform, Self::Bridge, Self::Link, Self::Shards, Self::Webhooks];
+    pub const ALL: [Self; 5] =
+        [Self::Fleet, Self::Platform, Self::Bridge, Self::Link, Self::Webhooks];
 
     /// Its name, as `joulebus config schema` takes it.
     #[must_use]
@@ -58,7 +56,6 @@ impl File {
             Self::Platform => "platform",
             Self::Bridge => "bridge",
             Self::Link => "link",
-            Self::Shards => "shards",
             Self::Webhooks => "webhooks",
         }
     }

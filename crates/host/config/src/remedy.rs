@@ -182,13 +182,18 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
 /// The replacement of bodies for single receivers.
 const ONE_BODY: &str = "It went: each request has one body, whose `text` Slack and Mattermost show. For another form, run curl by `joulebus alarms --on-alarm` (docs/how-to/webhook.md)";
 
-/// Keys and words of earlier versions, with their replacements.
+/// The replacement of shards.
+const SEVERAL_FLEETS: &str = "It went: a fleet has one worker. Split a fleet that is too large into several (docs/how-to/several-fleets.md). For a standby write `workers = [\"base\", \"base-2\"]` into every link's file, with the names of both links (docs/how-to/standby.md)";
+
+/// Keys, sections and words of earlier versions, with their replacements.
 const REPLACED: &[(&str, &str)] = &[
     (
         "platform.adapt",
         "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
     ),
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
+    ("shards", SEVERAL_FLEETS),
+    ("shard", SEVERAL_FLEETS),
     ("webhook.format", ONE_BODY),
     ("webhook.template", ONE_BODY),
     (
@@ -234,6 +239,9 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
 
 /// The remedy for an unknown section.
 pub(crate) fn unknown_section(file: File, path: &str) -> String {
+    if let Some(by) = replaced_key(path) {
+        return by.to_owned();
+    }
     let alike = |section: &String| strsim::normalized_damerau_levenshtein(section, path);
     let nearest = allowed(Some(file))
         .filter_map(|(path, _)| Some(path.rsplit_once('.')?.0.to_owned()))

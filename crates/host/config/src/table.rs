@@ -24,7 +24,6 @@ pub fn list(path: &str) -> Option<usize> {
         "mqtt.read" | "mqtt.vda5050" | "mqtt.write" | "ros2.read" | "ros2.write" => 10_000,
         "webhook" => 16,
         "worker.take" => 256,
-        "shard" => 64,
         _ => return None,
     })
 }

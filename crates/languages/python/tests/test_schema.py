@@ -18,8 +18,7 @@ KINDS = {
     "fleet": [CONFIGS / "fleet.toml", CONFIGS / "mixed.toml"],
     "platform": sorted((CONFIGS / "platforms").glob("*.toml")),
     "bridge": sorted((CONFIGS / "bridges").glob("*.toml")),
-    "link": [path for path in sorted((CONFIGS / "links").glob("*.toml")) if "shards" not in path.name],
-    "shards": sorted((CONFIGS / "links").glob("*shards.toml")),
+    "link": sorted((CONFIGS / "links").glob("*.toml")),
     "webhooks": sorted((CONFIGS / "webhooks").glob("*.toml")),
 }
 FILES = [(kind, path) for kind, paths in KINDS.items() for path in paths]
@@ -98,7 +97,7 @@ def test_a_name_that_no_reader_knows_is_refused_by_the_schema_and_by_config_chec
         ("bridge", '[robots]\na = 1.5\n[mqtt]\nbroker = "a:1"\n', "robots.a"),
         ("link", '[follow]\nservices = ["samples"]\n', "follow.services"),
         ("link", '[lease]\nendpoints = []\n', "lease.endpoints"),
-        ("shards", '[[shard]]\nname = "a b"\nworkers = ["a"]\n', "shard.name"),
+        ("link", 'workers = ["a"]\n', "workers"),
     ],
 )
 def test_a_value_out_of_its_range_is_refused_by_both(schemas, program, tmp_path, kind, text, of):

@@ -17,7 +17,7 @@ const MAX_DELAY_NS: usize = 3_000_000;
 pub struct SharedStore(Arc<Mutex<Store>>);
 
 impl SharedStore {
-    /// The link that holds the shard.
+    /// The link that holds the lease.
     pub fn holder(&self) -> Option<String> {
         let store = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         store.holder.as_ref().map(|holder| holder.name.clone())
@@ -51,10 +51,7 @@ pub(crate) struct Etcd {
 
 impl Etcd {
     #[allow(clippy::unnecessary_wraps, reason = "as in the real client")]
-    pub(crate) fn new(
-        settings: &LeaseSettings,
-        (_, _, own): (&str, &str, &str),
-    ) -> anyhow::Result<Self> {
+    pub(crate) fn new(settings: &LeaseSettings, (_, own): (&str, &str)) -> anyhow::Result<Self> {
         let ttl_ns = u64::from(settings.ttl_s) * 1_000_000_000;
         Ok(Self { own: own.to_owned(), ttl_ns })
     }

@@ -29,8 +29,6 @@ mod protocol;
 mod refusals;
 #[path = "../../../../crates/gateways/link/src/report.rs"]
 mod report;
-#[path = "../../../../crates/gateways/link/src/shard_merger.rs"]
-mod shard_merger;
 #[path = "../../../../crates/gateways/link/src/shared.rs"]
 mod shared;
 #[path = "../../../../crates/gateways/link/src/standby.rs"]

@@ -577,10 +577,6 @@ pub(super) fn files(setup: &Setup, name: &str) -> anyhow::Result<(Config, LinkFi
     let config = Config::parse(&setup.toml("/sim/ledger"), Path::new("/"))?;
     let folder = tempfile::tempdir()?;
     let [one, other] = BASES;
-    let shards = format!(
-        "[[shard]]\nname = \"all\"\nworkers = [\"{one}\", \"{other}\"]\nrobots = [\"0-999999\"]\n"
-    );
-    std::fs::write(folder.path().join("shards.toml"), shards)?;
     let network = "[network]\nlisten = [\"tcp/127.0.0.1:7447\"]\n";
     let rest = if BASES.contains(&name) {
         "[worker]\n[[worker.take]]\nfrom = \"edge\"\nrobots = [\"0-999999\"]\n\
@@ -588,7 +584,8 @@ pub(super) fn files(setup: &Setup, name: &str) -> anyhow::Result<(Config, LinkFi
     } else {
         "[samples]\n[follow]\n"
     };
-    let text = format!("name = \"{name}\"\nshards = \"shards.toml\"\n{network}{rest}");
+    let workers = format!("workers = [\"{one}\", \"{other}\"]\n");
+    let text = format!("name = \"{name}\"\n{workers}{network}{rest}");
     let path = folder.path().join("link.toml");
     std::fs::write(&path, text)?;
     let file = LinkFile::load(&path, &config)?;

@@ -501,8 +501,8 @@ impl World {
         for _ in 0..200 {
             self.run_until(self.now_ns + SECOND / 10)?;
             if self.store.holder().is_some_and(|holder| holder == HOSTS[hung]) {
-                let found = format!("{} holds the shard again", HOSTS[hung]);
-                return Err(broken("a worker that hangs gets no shard", found));
+                let found = format!("{} holds the lease again", HOSTS[hung]);
+                return Err(broken("a worker that hangs gets no lease", found));
             }
         }
         self.hosts[hung].due_ns = self.hosts[hung].ask(|machine| {

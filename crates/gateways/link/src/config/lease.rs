@@ -1,4 +1,4 @@
-//! Checks `[lease]`: the etcd cluster that elects the leader of a shard.
+//! Checks `[lease]`: the etcd cluster that elects the leader.
 
 use std::path::PathBuf;
 
@@ -81,7 +81,7 @@ fn endpoint(text: &str, unencrypted: bool) -> Result<(), &'static str> {
         "http" if is_loopback(host) || unencrypted => Ok(()),
         "http" => Err(
             "Use https://. `unencrypted = true` in [network] allows every host of the network to \
-                take the shard",
+                take the lease",
         ),
         _ => Err(form),
     }

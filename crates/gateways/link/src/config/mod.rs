@@ -6,10 +6,8 @@
 mod check;
 mod lease;
 mod network;
-mod shards;
 
 use std::path::Path;
-use std::sync::Arc;
 
 use joulebus_config::{CheckedFile, Config, ConfigError, File, Section};
 use joulebus_wire::fnv1a;
@@ -18,7 +16,6 @@ use crate::config::check::Check;
 use crate::protocol::carried::Carried;
 use crate::protocol::message::FleetId;
 use crate::protocol::selection::Selection;
-use crate::protocol::shards::Shards;
 
 pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings, TlsSettings};
@@ -28,19 +25,15 @@ pub(crate) use network::{Mode, NetworkSettings, TlsSettings};
 pub(crate) struct Settings {
     pub(crate) name: String,
     pub(crate) network: NetworkSettings,
-    /// The shards of the fleet, if it is split over several workers.
-    pub(crate) shards: Option<Arc<Shards>>,
     pub(crate) side: Side,
-    /// Set if this host's worker is one of several candidates for its shard.
+    /// Set if this host's worker is one of several candidates.
     pub(crate) standby: Option<Standby>,
 }
 
-/// A candidate for a shard. One of the candidates leads at a time.
+/// A host's worker that is one of several candidates. One of them leads at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Standby {
-    /// The shard's name.
-    pub(crate) shard: String,
-    /// Position in the shard's list of candidates.
+    /// Position in the list of candidates.
     pub(crate) rank: usize,
     /// Links of the other candidates.
     pub(crate) others: Vec<String>,
@@ -71,8 +64,8 @@ pub(crate) struct Take {
 /// Which workers' outputs to follow.
 #[derive(Debug, Clone)]
 pub(crate) struct Follow {
-    /// Names of each shard's links. A fleet without shards has one list of one name.
-    pub(crate) workers: Vec<Vec<String>>,
+    /// Names of the links of the worker and its standbys.
+    pub(crate) workers: Vec<String>,
     pub(crate) selection: Selection,
 }
 
@@ -93,17 +86,8 @@ impl Settings {
 
 impl Settings {
     /// The fleet's identity in messages.
-    pub(crate) fn fleet(&self, config: &Config) -> FleetId {
-        FleetId {
-            name: fnv1a(config.fleet().bytes()),
-            shards: self.shards.as_deref().map_or(0, Shards::digest),
-        }
-    }
-
-    /// True if the robot belongs to the worker of this link.
-    pub(crate) fn has_robot(&self, robot: u32) -> bool {
-        let shards = self.shards.as_deref();
-        shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))
+    pub(crate) fn fleet(config: &Config) -> FleetId {
+        FleetId(fnv1a(config.fleet().bytes()))
     }
 }
 
@@ -111,31 +95,26 @@ impl Check {
     fn settings(&mut self, file: &Section<'_>, config: &Config) -> Option<Settings> {
         let name = file.text("name");
         let network = self.network(file);
-        let shards = file.text("shards").map(|path| self.shards(&path, config));
-        let has_shards = shards.is_some();
-        let shards = shards.flatten().map(Arc::new);
+        let workers = self.candidates(file);
         let name = name?.to_string();
-        let standby = self.standby(file, (&name, shards.as_deref()));
+        let is_candidate = workers.contains(&name);
         let sides = ["worker", "samples", "follow"].map(|side| file.section(side));
         let side = match sides {
             [Some(worker), None, None] => {
-                if let Some(shards) = &shards
-                    && shards.of_worker(&name).is_none()
-                {
-                    let what = format!("= {name:?} is in `workers` of no shard");
-                    self.add(file.problem("name", what, "Name it in `shard.workers`"));
+                if !workers.is_empty() && !is_candidate {
+                    let what = format!("= {name:?} is not in `workers`");
+                    self.add(file.problem("name", what, "Name it in `workers`, on every host"));
                 }
                 Side::Worker(self.takes(&worker, &name, config))
             }
             [None, samples, follow] if samples.is_some() || follow.is_some() => {
-                let all = shards.as_deref().map(Shards::all).unwrap_or_default();
-                if let Some(shard) = all.iter().find(|shard| shard.workers.contains(&name)) {
-                    let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
+                if is_candidate {
+                    let what = format!("= {name:?} is in `workers`");
                     let remedy = "A worker's host has [worker]. Give this link another name";
                     self.add(file.problem("name", what, remedy));
                 }
-                let of = (name.as_str(), shards.as_deref(), has_shards);
-                let samples = samples.map(|section| self.workers(&section, "to", of).concat());
+                let of = (name.as_str(), workers.as_slice());
+                let samples = samples.map(|section| self.workers(&section, "to", of));
                 let follow = follow.map(|section| self.follow(&section, of, config));
                 Side::Other { samples, follow }
             }
@@ -147,36 +126,47 @@ impl Check {
                 return None;
             }
         };
-        Some(Settings { name, network: network?, shards, side, standby })
+        let is_worker = matches!(side, Side::Worker(_));
+        let standby = self.standby(file, (&name, &workers, is_worker));
+        Some(Settings { name, network: network?, side, standby })
+    }
+
+    /// The links of the worker and its standbys, if there are several.
+    fn candidates(&mut self, file: &Section<'_>) -> Vec<String> {
+        let workers = file.texts("workers");
+        for (at, name) in workers.iter().enumerate() {
+            if workers[..at].iter().any(|other| **other == **name) {
+                self.add(name.problem("stands twice", "Name each link once"));
+            }
+        }
+        workers.iter().map(|name| name.to_string()).collect()
     }
 
     /// Checks whether the worker of the link `name` is one of several candidates.
     fn standby(
         &mut self,
         file: &Section<'_>,
-        (name, shards): (&str, Option<&Shards>),
+        (name, workers, is_worker): (&str, &[String], bool),
     ) -> Option<Standby> {
         let section = file.section("lease");
         let lease = section.as_ref().and_then(|lease| self.lease(lease, file));
-        let shard = shards.and_then(|shards| Some(&shards.all()[shards.of_worker(name)?]));
-        let Some(shard) = shard.filter(|shard| shard.workers.len() > 1) else {
-            if let Some(lease) = section {
+        match &section {
+            Some(lease) if !is_worker || workers.is_empty() => {
                 let what = "decides nothing here".to_owned();
-                let remedy = "Name this link and another in `workers` of one shard, or leave the section out";
+                let remedy = "It needs [worker], and this link and another in `workers`. Else leave the section out";
                 self.add(lease.problem("", what, remedy));
+                return None;
             }
-            return None;
-        };
-        if section.is_none() {
-            let what =
-                format!("is missing, and shard {} has {} workers", shard.name, shard.workers.len());
-            let remedy = "Write the section: a lease in etcd decides which of them serves";
-            self.add(file.problem("lease", what, remedy));
+            None if is_worker && !workers.is_empty() => {
+                let what = format!("is missing, and there are {} `workers`", workers.len());
+                let remedy = "Write the section: a lease in etcd decides which of them serves";
+                self.add(file.problem("lease", what, remedy));
+            }
+            _ => {}
         }
         Some(Standby {
-            shard: shard.name.clone(),
-            rank: shard.workers.iter().position(|worker| worker == name)?,
-            others: shard.workers.iter().filter(|worker| *worker != name).cloned().collect(),
+            rank: workers.iter().position(|worker| worker == name)?,
+            others: workers.iter().filter(|worker| *worker != name).cloned().collect(),
             lease: lease?,
         })
     }
@@ -195,45 +185,33 @@ impl Check {
         takes
     }
 
-    /// The links of each shard's workers, or the one that `key` names in a fleet without shards.
+    /// The links of the worker and its standbys: those of `workers`, else the one that `key` names.
     fn workers(
         &mut self,
         section: &Section<'_>,
         key: &str,
-        (name, shards, has_shards): (&str, Option<&Shards>, bool),
-    ) -> Vec<Vec<String>> {
+        (name, workers): (&str, &[String]),
+    ) -> Vec<String> {
         match section.text(key) {
-            Some(text) if !has_shards => {
+            Some(text) if !workers.is_empty() => {
+                self.add(text.problem("beside `workers`", "Leave it out: `workers` has the links"));
+            }
+            Some(text) => {
                 if *text == *name {
                     self.add(text.problem("is this link itself", "Name the worker's link"));
                 }
-                vec![vec![text.to_string()]]
+                return vec![text.to_string()];
             }
-            Some(text) => {
-                let remedy = "Leave it out: the shards have their workers";
-                self.add(text.problem("beside a file of shards", remedy));
-                Vec::new()
+            None if workers.is_empty() && !section.has(key) => {
+                let remedy = "Name the worker's link, or with standbys all of them in `workers`";
+                self.add(section.problem(key, "is missing".to_owned(), remedy));
             }
-            None if !has_shards => {
-                if !section.has(key) {
-                    let remedy = "Name the worker's link, or the fleet's file of `shards`";
-                    self.add(section.problem(key, "is missing".to_owned(), remedy));
-                }
-                Vec::new()
-            }
-            None => {
-                let all = shards.map(Shards::all).unwrap_or_default();
-                all.iter().map(|shard| shard.workers.clone()).collect()
-            }
+            None => {}
         }
+        workers.to_vec()
     }
 
-    fn follow(
-        &mut self,
-        section: &Section<'_>,
-        of: (&str, Option<&Shards>, bool),
-        config: &Config,
-    ) -> Follow {
+    fn follow(&mut self, section: &Section<'_>, of: (&str, &[String]), config: &Config) -> Follow {
         let workers = self.workers(section, "worker", of);
         let mut services = Carried::FORECASTS.bit();
         for word in section.texts("services") {
@@ -245,12 +223,6 @@ impl Check {
         if !section.has("services") {
             let usual = Carried::ALL.iter().filter(|service| service.is_replaced());
             services = usual.fold(services, |all, service| all | service.bit());
-        }
-        let wants_ticks = services & Carried::TICKS.bit() != 0;
-        if workers.len() > 1 && wants_ticks {
-            let what = format!("has \"ticks\" of {} workers", workers.len());
-            let remedy = "Leave it out: a journal is of one worker";
-            self.add(section.problem("services", what, remedy));
         }
         let ranges = self.robots(section, config).ranges().to_vec();
         let every = section.integer("every").unwrap_or(1);
@@ -297,7 +269,7 @@ mod tests {
         };
         let follow = follow.unwrap();
         assert_eq!(samples.unwrap(), ["base"]);
-        assert_eq!(follow.workers, [["base"]]);
+        assert_eq!(follow.workers, ["base"]);
         assert!(
             follow.selection.wants(Carried::FORECASTS) && !follow.selection.wants(Carried::TICKS)
         );
@@ -365,103 +337,76 @@ mod tests {
         }
     }
 
-    const SHARDS: &str = "[[shard]]\nname = \"a\"\nworkers = [\"base\", \"spare\"]\nrobots = [\"0-4\"]\n\
-        [[shard]]\nname = \"b\"\nworkers = [\"south\"]\nrobots = [\"5-9\"]\n";
-    const DESK: &str = "name = \"desk\"\nshards = \"shards.toml\"\n[network]\n\
+    const WORKERS: &str = "workers = [\"base\", \"spare\"]\n";
+    const DESK: &str = "name = \"desk\"\nworkers = [\"base\", \"spare\"]\n[network]\n\
         connect = [\"tcp/127.0.0.1:7447\"]\n[samples]\n[follow]\n";
-
-    /// Loads a link's file with a file of shards beside it.
-    fn load_with(shards: &str, text: &str) -> Result<Settings, ConfigError> {
-        let config = Config::parse(FLEET, Path::new(".")).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("shards.toml"), shards).unwrap();
-        let path = folder.path().join("link.toml");
-        fs::write(&path, text).unwrap();
-        Settings::load(&path, &config)
-    }
+    const CANDIDATE: &str = "name = \"spare\"\nworkers = [\"base\", \"spare\"]\n[network]\n\
+        listen = [\"tcp/127.0.0.1:7447\"]\n[worker]\n";
+    const LEASE: &str =
+        "[lease]\nendpoints = [\"http://127.0.0.1:2379\", \"https://etcd.example:1\"]\n";
 
     #[test]
-    fn links_of_a_fleet_with_shards_follow_all_workers_and_give_samples_to_all() {
-        let settings = load_with(SHARDS, DESK).unwrap();
-        let Side::Other { samples, follow } = &settings.side else {
+    fn with_standbys_a_link_follows_all_workers_and_gives_samples_to_all() {
+        let Side::Other { samples, follow } = load(DESK).unwrap().side else {
             panic!("another host's");
         };
-        let links = ["base", "spare", "south"];
-        assert_eq!(samples.as_deref().unwrap(), links);
-        let follow = follow.as_ref().unwrap();
-        assert_eq!(follow.workers.concat(), links);
-        assert_eq!(follow.workers.len(), 2);
-        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
-        let settings = load_with(SHARDS, &worker).unwrap();
-        assert!(settings.has_robot(4) && !settings.has_robot(5));
-        let hashed = SHARDS.replace("robots", "# robots");
-        let (one, other) = (
-            load_with(&hashed, &worker).unwrap(),
-            load_with(&hashed, &worker.replacen("base", "south", 1)).unwrap(),
-        );
-        assert!((0..10).all(|robot| one.has_robot(robot) != other.has_robot(robot)));
+        assert_eq!(samples.unwrap(), ["base", "spare"]);
+        assert_eq!(follow.unwrap().workers, ["base", "spare"]);
     }
 
     #[test]
-    fn what_is_wrong_with_shards_is_named_with_its_line() {
-        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
+    fn one_of_several_workers_knows_the_others_and_its_place() {
+        let settings = load(&format!("{CANDIDATE}{LEASE}")).unwrap();
+        let Standby { rank, others, lease } = settings.standby.unwrap();
+        assert_eq!((rank, others), (1, vec!["base".to_owned()]));
+        assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
+        assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
+        assert_eq!(load(WORKER).unwrap().standby, None);
+    }
+
+    #[test]
+    fn what_is_wrong_with_several_workers_is_named_with_its_line() {
+        let candidate = format!("{CANDIDATE}{LEASE}");
         for (text, from, to, line, expected) in [
-            (DESK, "\"a\"", "\"b\"", 6, "twice"),
-            (DESK, "\"south\"", "\"spare\"", 7, "twice"),
-            (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
-            (DESK, "\"5-9\"", "\"6-9\"", 4, "not have robot 5"),
-            (DESK, "robots = [\"5-9\"]", "", 4, "1 of 2"),
-            (DESK, "[\"base\", \"spare\"]", "[]", 3, "has 0 entries"),
-            (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
-            (DESK, "name = \"b\"", "names = \"b\"", 6, "nearest key is `shard.name`"),
-            (DESK, "\"south\"", "\"desk\"", 1, "of the shard b"),
-            (&worker, "\"base\"", "\"west\"", 1, "no shard"),
+            (DESK, "\"spare\"]", "\"base\"]", 2, "twice"),
+            (DESK, ", \"spare\"", "", 2, "list of 2 to 4"),
+            (DESK, "\"spare\"]", "\"desk\"]", 1, "is in `workers`"),
+            (DESK, "[samples]", "[samples]\nto = \"base\"", 6, "Leave it out"),
+            (DESK, "[follow]", "[follow]\nworker = \"base\"", 7, "Leave it out"),
+            (DESK, WORKERS, "", 4, "with standbys all of them"),
+            (DESK, "[follow]\n", &format!("[follow]\n{LEASE}"), 7, "decides nothing here"),
+            (&candidate, "\"spare\"]", "\"west\"]", 1, "not in `workers`"),
+            (&candidate, WORKERS, "", 5, "decides nothing here"),
+            (&candidate, LEASE, "", 1, "a lease in etcd decides"),
         ] {
-            let shards = SHARDS.replacen(from, to, 1);
-            assert_ne!(shards, SHARDS, "{from}");
-            let refused = load_with(&shards, text).expect_err(to);
+            let text = text.replacen(from, to, 1);
+            let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
             assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> =
                 refused.problems().iter().filter_map(|problem| problem.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
-        for (from, to, expected) in [
-            ("[follow]", "[follow]\nworker = \"base\"", "Leave it out"),
-            ("[follow]", "[follow]\nservices = [\"ticks\"]", "of one worker"),
-            ("shards = ", "# shards = ", "file of `shards`"),
-            ("shards.toml", "none.toml", "cannot be read"),
-        ] {
-            let text = DESK.replace(from, to);
-            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
-            assert!(shown.contains(expected), "{expected}: {shown}");
-        }
     }
 
-    const CANDIDATE: &str = "name = \"spare\"\nshards = \"shards.toml\"\n[network]\n\
-        listen = [\"tcp/127.0.0.1:7447\"]\n[worker]\n";
-
+    /// Files of releases in which a fleet could be split over several workers.
     #[test]
-    fn one_of_several_workers_of_a_shard_knows_the_others_and_its_place() {
-        let lease =
-            "[lease]\nendpoints = [\"http://127.0.0.1:2379\", \"https://etcd.example:1\"]\n";
-        let settings = load_with(SHARDS, &format!("{CANDIDATE}{lease}")).unwrap();
-        let Standby { shard, rank, others, lease } = settings.standby.unwrap();
-        assert_eq!((shard.as_str(), rank, others), ("a", 1, vec!["base".to_owned()]));
-        assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
-        let refused = load_with(SHARDS, CANDIDATE).unwrap_err().to_string();
-        assert!(refused.contains("a lease in etcd decides"), "{refused}");
-        assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
-        // The only candidate of its shard.
-        let south = CANDIDATE.replace("spare", "south");
-        assert_eq!(load_with(SHARDS, &south).unwrap().standby, None);
+    fn a_file_that_names_shards_is_refused_with_the_way() {
+        for text in [
+            WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1),
+            format!("{WORKER}[[shard]]\nname = \"a\"\nworkers = [\"base\"]\nrobots = [1]\n"),
+        ] {
+            let shown = load(&text).unwrap_err().to_string();
+            assert!(shown.contains("docs/how-to/several-fleets.md"), "{shown}");
+            assert!(!shown.contains("nearest"), "{shown}");
+        }
     }
 
     #[test]
     fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
-        let refused = |name: &str, lease: &str, expected: &str| {
-            let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
-            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
+        let refused = |lease: &str, expected: &str| {
+            let shown =
+                load(&format!("{CANDIDATE}[lease]\n{lease}")).expect_err(expected).to_string();
             assert!(shown.contains(expected), "{expected}: {shown}");
         };
         for (members, expected) in [
@@ -472,10 +417,9 @@ mod tests {
             ("\"ftp://127.0.0.1:1\"", "https://host:port"),
             ("\"http://10.0.0.1:2379\"", "Use https"),
         ] {
-            refused("spare", &format!("endpoints = [{members}]\n"), expected);
+            refused(&format!("endpoints = [{members}]\n"), expected);
         }
         let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
-        refused("south", endpoint, "decides nothing here");
         for (line, expected) in [
             ("ttl_s = 1", "2 to 60"),
             ("ttl_s = 61", "2 to 60"),
@@ -485,12 +429,12 @@ mod tests {
             ("ca = \"none.pem\"", "cannot be read"),
             ("leash = 1", "leash"),
         ] {
-            refused("spare", &format!("{endpoint}{line}\n"), expected);
+            refused(&format!("{endpoint}{line}\n"), expected);
         }
     }
 
     #[test]
-    fn the_shipped_examples_are_taken_with_and_without_shards() {
+    fn the_shipped_examples_are_taken() {
         let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/links");
         // A published crate has no examples beside it.
         if !examples.is_dir() {
@@ -517,26 +461,10 @@ mod tests {
             let name = path.file_name().unwrap().to_str().unwrap().to_owned();
             let text = fs::read_to_string(&path).unwrap();
             let path = write(&name, &text);
-            if name.ends_with("shards.toml") {
-                continue;
-            }
-            if name == "standby.toml" {
-                let shards = "standby-shards.toml";
-                write(shards, &fs::read_to_string(examples.join(shards)).unwrap());
-            }
             files += 1;
             let settings = Settings::load(&path, &config);
             let settings = settings.unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(settings.standby.is_some(), name == "standby.toml", "{name}");
-            if settings.shards.is_some() {
-                continue;
-            }
-            // With shards, no section names a worker.
-            let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
-            let split = split.replace("to = \"base\"", "").replace("worker = \"base\"", "");
-            write("shards.toml", &fs::read_to_string(examples.join("shards.toml")).unwrap());
-            Settings::load(&write(&name, &split), &config)
-                .unwrap_or_else(|error| panic!("{name}: {error}"));
         }
         assert!(files >= 4, "{files}");
     }

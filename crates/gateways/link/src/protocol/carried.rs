@@ -8,8 +8,6 @@ use joulebus_wire::{
     PlanStates, SCHEMA_VERSION, Samples, State, Ticks,
 };
 
-use crate::protocol::merge::Merged;
-
 /// A channel whose frames cross a link.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Carried {
@@ -24,11 +22,11 @@ pub(crate) struct Carried {
     sent_ns: fn(&[u8]) -> Option<u64>,
 }
 
-/// Makes something of each merged channel.
-pub(crate) trait OfMerged {
+/// Makes something of each channel.
+pub(crate) trait OfChannel {
     type Made;
 
-    fn make<C: Merged>(&self, service: Carried) -> Self::Made;
+    fn make<C: Channel>(&self, service: Carried) -> Self::Made;
 }
 
 macro_rules! carried {
@@ -39,16 +37,15 @@ macro_rules! carried {
             /// In the order of their codes.
             pub(crate) const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// Makes something of each merged channel that a worker writes after its forecasts.
-            pub(crate) fn behind_forecasts<M: OfMerged>(of: &M) -> Vec<M::Made> {
+            /// Makes something of each channel that a worker writes after its forecasts.
+            pub(crate) fn behind_forecasts<M: OfChannel>(of: &M) -> Vec<M::Made> {
                 vec![$($(of.$make::<$channel>(Self::$name),)?)*]
             }
         }
     };
 }
 
-// The channels that cross a link, with `make` where a worker writes them after its forecasts and
-// those of several shards are merged. Words of `follow.services` are the names of the services.
+// The channels that cross a link, with `make` where a worker writes them after its forecasts. Words of `follow.services` are the names of the services.
 carried! {
     1 FORECASTS: Forecasts;
     2 DIAGNOSTICS: Diagnostics, make;

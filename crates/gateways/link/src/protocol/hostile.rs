@@ -1,29 +1,23 @@
 //! Messages of an untrusted peer in any order, for tests and for the fuzz target `link`.
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_wire::{
-    Forecast, ForecastHeader, Forecasts, FrameOrder, SCHEMA_VERSION, Sample, SampleHeader,
-};
+use joulebus_wire::{Forecast, ForecastHeader, SCHEMA_VERSION, Sample, SampleHeader};
 
 use crate::protocol::carried::Carried;
-use crate::protocol::merge::{Merge, Origin};
 use crate::protocol::message::{
     Body, FleetId, Message, Outgoing, Request, Sender, Status, Worker, read, write_frame,
     write_request,
 };
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
-use crate::protocol::shards::{Shard, Shards};
 use crate::protocol::shift::shift;
-use crate::protocol::split::Split;
 use crate::protocol::stream::{LocalFrame, Stream};
 use crate::protocol::wall::RealtimeClock;
 
-const FLEET: FleetId = FleetId { name: 7, shards: 0 };
+const FLEET: FleetId = FleetId(7);
 /// Maximum number of elements of a frame.
 const MAX_ELEMENTS: usize = 4;
 const START_NS: u64 = 5_000_000_000;
-const PERIOD_NS: u64 = 33_333_333;
 /// Realtime minus monotonic on both hosts.
 const REALTIME_NS: u64 = 1_700_000_000_000_000_000;
 
@@ -32,8 +26,6 @@ struct Victim {
     now_ns: u64,
     receiver: Receiver,
     stream: Option<Stream>,
-    split: Split,
-    merge: Merge<Forecasts>,
     /// Run, time and number of the newest message from which a frame was taken.
     last: Option<(u64, u64, u64)>,
     messages: u64,
@@ -44,17 +36,10 @@ struct Victim {
 /// whether a frame was taken.
 pub(crate) fn run(mut bytes: &[u8]) -> bool {
     let own = Sender { fleet: FLEET, run: START_NS };
-    let halves = [(0, 4), (5, u32::MAX)].map(|range| Shard {
-        name: format!("from {}", range.0),
-        workers: vec!["link".to_owned()],
-        robots: vec![range],
-    });
     let mut victim = Victim {
         now_ns: START_NS,
         receiver: Receiver::new(own, Selection::new(u32::MAX, 1, Vec::new())),
         stream: None,
-        split: Split::new(Shards::new(halves.to_vec())),
-        merge: Merge::new(2),
         last: None,
         messages: 0,
         frames: 0,
@@ -105,25 +90,14 @@ impl Victim {
         if frame.service == Carried::FORECASTS {
             let mut header: ForecastHeader = frame.header();
             shift(&mut header, accepted.offset_ns);
-            let rows = (0..frame.len()).map(|at| frame.element::<Forecast>(at));
-            self.merge.put(run as usize % 2, header, rows, self.now_ns);
+            for mut row in frame.elements::<Forecast>() {
+                shift(&mut row, accepted.offset_ns);
+            }
         }
         if frame.service == Carried::SAMPLES {
-            let samples: Vec<Sample> = (0..frame.len()).map(|at| frame.element(at)).collect();
-            let mut split = 0;
-            self.split.split(&frame.header(), &samples, |_, _, rows| split += rows.len());
-            assert_eq!(split, samples.len());
-        }
-        self.merges();
-    }
-
-    fn merges(&mut self) {
-        let live = [true, self.now_ns.is_multiple_of(2)];
-        if self.merge.is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1)) {
-            let own = Origin { pid: 1, order: FrameOrder { run: 1, number: 1 } };
-            let (most, mut rows) = (self.merge.len(), 0);
-            let header = self.merge.write(&live, own, self.now_ns, |_| rows += 1);
-            assert!(rows == most || header.is_none());
+            for at in 0..frame.len() {
+                shift(&mut frame.element::<Sample>(at), accepted.offset_ns);
+            }
         }
     }
 

@@ -1,4 +1,4 @@
-//! Leader election for one shard over an etcd lease, as a pure state machine. It yields the next
+//! Leader election for a fleet over an etcd lease, as a pure state machine. It yields the next
 //! call to the store and handles the replies. Time is an argument.
 //!
 //! The store has two keys. The *holder* disappears with its lease. The *term* stays and only grows.
@@ -6,7 +6,7 @@
 //!
 //! The store ends a lease when the time to live has passed since it processed the last renewal.
 //! This host sent that renewal earlier. It counts from the sending, less the possible drift between
-//! the two clocks, and so stops leading before the store gives the shard away. That needs no reply
+//! the two clocks, and so stops leading before another candidate can. That needs no reply
 //! and no time of another host.
 //!
 //! The next term is one more than the store's term and than any term that this host knows of. It is
@@ -21,7 +21,7 @@ const DRIFT_DIVISOR: u64 = 6;
 const DRIFT_MARGIN_NS: u64 = 10_000_000;
 /// Renewals per time to live. One or two may be lost.
 const RENEWALS: u64 = 5;
-/// Polls of a shard per time to live while another candidate leads it, and the minimum and maximum
+/// Polls of the store per time to live while another candidate leads, and the minimum and maximum
 /// interval.
 const LOOKS: u64 = 10;
 const POLL_INTERVAL_NS: (u64, u64) = (100_000_000, 500_000_000);
@@ -29,7 +29,7 @@ const POLL_INTERVAL_NS: (u64, u64) = (100_000_000, 500_000_000);
 /// store grants is cut to it.
 pub(crate) const MAX_TTL_S: u32 = 60;
 const MAX_TTL_NS: u64 = MAX_TTL_S as u64 * 1_000_000_000;
-/// Time that a candidate needs to take a shard after it has seen it free: two calls to the store. A
+/// Time that a candidate needs to take the lead after it has seen that nobody holds it: two calls to the store. A
 /// candidate waits so long, and one interval of polls, for each candidate before it in the list.
 const ACQUISITION_NS: u64 = 200_000_000;
 /// A leader that sends nothing for this share of the time to live, and for so many ticks, is idle.
@@ -42,7 +42,7 @@ const START_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Time after which an absent worker is not expected back.
 const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
 
-/// The store's contents for one shard.
+/// The store's contents.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct StoreView {
     pub(crate) holder: Option<Holder>,
@@ -52,7 +52,7 @@ pub(crate) struct StoreView {
     pub(crate) term_revision: u64,
 }
 
-/// The candidate that holds a shard.
+/// The candidate that leads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Holder {
     pub(crate) name: String,
@@ -65,7 +65,7 @@ pub(crate) struct Holder {
 pub(crate) enum Call {
     /// Grants a new lease.
     Grant,
-    /// Reads the shard's keys.
+    /// Reads the keys.
     Look,
     /// Makes this candidate the holder and sets the term, if there is no holder and the term's key
     /// still has this revision.
@@ -175,13 +175,13 @@ impl LocalWorker {
 #[derive(Debug)]
 pub(crate) struct Candidate {
     name: String,
-    /// Position in the list of candidates. The first one takes a free shard first.
+    /// Position in the list of candidates. The first one takes a free lease first.
     rank: u64,
     ttl_ns: u64,
     lease: Option<Lease>,
-    /// Term in which this candidate holds the shard.
+    /// Term in which this candidate leads.
     term: Option<u64>,
-    /// The shard is being given up: the lease is not renewed and runs out.
+    /// The lead is being given up: the lease is not renewed and runs out.
     resigns: bool,
     /// A lease that was given up, and whose permit has ended.
     released: Option<u64>,
@@ -191,7 +191,7 @@ pub(crate) struct Candidate {
     is_idle: bool,
     /// Highest term that any candidate is known to have led in.
     highest_term: u64,
-    /// When this candidate first saw the shard free.
+    /// When this candidate first saw that nobody leads.
     free_since_ns: Option<u64>,
     view: StoreView,
     look_ns: u64,
@@ -243,8 +243,8 @@ impl Candidate {
         self.highest_term = self.highest_term.max(term);
     }
 
-    /// Sets whether the worker of this host can lead. If not, the candidate takes no shard and
-    /// gives up the one that it holds.
+    /// Sets whether the worker of this host can lead. If not, the candidate takes no lead and gives
+    /// up the one that it has.
     pub(crate) fn is_able(&mut self, is_able: bool) {
         self.is_able = is_able;
         self.resigns |= !is_able;
@@ -256,7 +256,7 @@ impl Candidate {
         self.is_idle = is_idle;
     }
 
-    /// The holder of the shard in the last view of the store.
+    /// The holder in the last view of the store.
     pub(crate) fn holder(&self) -> Option<&Holder> {
         self.view.holder.as_ref()
     }
@@ -313,10 +313,10 @@ impl Candidate {
         Next::Wait(renews.unwrap_or(u64::MAX).min(self.look_ns))
     }
 
-    /// When this candidate may take the shard. `None` if it may not.
+    /// When this candidate may take the lead. `None` if it may not.
     ///
     /// It does not wait for its next poll. A candidate further down the list waits until all before
-    /// it have polled once more and made their calls. So the first that is able takes the shard.
+    /// it have polled once more and made their calls. So the first that is able leads.
     fn turn_ns(&self) -> Option<u64> {
         let since_ns = self.free_since_ns.filter(|_| self.is_able)?;
         let behind_ns = self.rank * (self.poll_interval_ns() + ACQUISITION_NS);
@@ -405,7 +405,7 @@ impl Candidate {
         self.renew_ns = now_ns + ttl_ns.min(MAX_TTL_NS) / RENEWALS;
     }
 
-    /// Gives up the shard and the lease.
+    /// Gives up the lead and the lease.
     fn ends(&mut self) {
         (self.term, self.lease, self.free_since_ns) = (None, None, None);
         self.resigns = !self.is_able;

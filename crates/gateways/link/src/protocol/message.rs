@@ -11,7 +11,7 @@ use crate::protocol::carried::{Carried, FrameError, RawFrame};
 use crate::protocol::selection::{MAX_RANGES, Selection};
 
 /// Version of the message format.
-const PROTOCOL: u32 = 4;
+const PROTOCOL: u32 = 5;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
@@ -27,10 +27,8 @@ struct Prelude {
     /// Release of the sender, padded with zeros.
     release: [u8; RELEASE_BYTES],
     schema: u32,
-    /// Digest of the fleet's shards. 0 without any.
-    shards: u32,
-    /// FNV-1a hash of the fleet's name.
-    fleet: u64,
+    reserved: u32,
+    fleet: FleetId,
     /// Run of the sending link. It grows with each restart.
     run: u64,
     /// Number of the message in its stream and run, from 1.
@@ -75,14 +73,11 @@ pub(crate) const MAX_REQUEST_BYTES: usize = 16 << 10;
 /// Size of all headers before the header of the frame itself, bytes.
 pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead>();
 
-/// Identity of a fleet in messages. Hosts with different identities refuse each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct FleetId {
-    /// FNV-1a hash of its name.
-    pub(crate) name: u64,
-    /// Digest of its shards. 0 without any.
-    pub(crate) shards: u32,
-}
+/// Identity of a fleet in messages: FNV-1a hash of its name. Hosts of other fleets refuse each
+/// other.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub(crate) struct FleetId(pub(crate) u64);
 
 /// Identity of the sending link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -121,7 +116,7 @@ impl Worker {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct LeaderStatus {
     pub(crate) worker: Worker,
-    /// Term in which the worker leads its shard, higher than all earlier terms. 0 if it is the only
+    /// Term in which the worker leads, higher than all earlier terms. 0 if it is the only
     /// worker.
     pub(crate) term: u64,
     /// Highest term that the sender knows of, its own or another's. A candidate or a store that
@@ -273,11 +268,8 @@ pub(crate) fn read_of<'a>(
             schema: prelude.schema,
         });
     }
-    if prelude.fleet != fleet.name {
-        return Err(MessageError::Fleet { found: prelude.fleet, allowed: fleet.name });
-    }
-    if prelude.shards != fleet.shards {
-        return Err(MessageError::Shards { found: prelude.shards, allowed: fleet.shards });
+    if prelude.fleet != fleet {
+        return Err(MessageError::Fleet { found: prelude.fleet.0, allowed: fleet.0 });
     }
     let body = match prelude.kind {
         FRAME => read_frame(channels, rest, most)?,
@@ -347,8 +339,8 @@ fn prelude(kind: u32, sender: Sender, number: u64) -> Prelude {
         kind,
         release,
         schema: SCHEMA_VERSION,
-        shards: sender.fleet.shards,
-        fleet: sender.fleet.name,
+        reserved: 0,
+        fleet: sender.fleet,
         run: sender.run,
         number,
     }
@@ -381,11 +373,6 @@ pub(crate) enum MessageError {
     Release { release: String, protocol: u32, schema: u32 },
     #[error("it is of another fleet ({found:016x}, this one is {allowed:016x})")]
     Fleet { found: u64, allowed: u64 },
-    #[error(
-        "its file of shards is another one ({found:08x}, this one is {allowed:08x}, 0 is none). \
-            Copy one to all hosts"
-    )]
-    Shards { found: u32, allowed: u32 },
     #[error("it has {found} bytes where {allowed} are needed")]
     Length { found: usize, allowed: usize },
     #[error("it is of the unknown kind {found}")]
@@ -403,7 +390,6 @@ impl MessageError {
             Self::Foreign => "not a message of a link",
             Self::Release { .. } => "another release",
             Self::Fleet { .. } => "another fleet",
-            Self::Shards { .. } => "other shards",
             Self::Length { .. } | Self::Frame(FrameError::Length { .. }) => "wrong length",
             Self::Kind { .. } => "unknown kind",
             Self::Ranges { .. } => "too many ranges",
@@ -420,7 +406,7 @@ mod tests {
 
     use super::*;
 
-    const FLEET: FleetId = FleetId { name: 77, shards: 6 };
+    const FLEET: FleetId = FleetId(77);
     const SENDER: Sender = Sender { fleet: FLEET, run: 5 };
 
     fn status() -> Status {
@@ -500,12 +486,13 @@ mod tests {
         let (own, shown) = (env!("CARGO_PKG_VERSION"), refused.to_string());
         assert!(shown.contains(own), "{shown}");
         assert!(shown.contains(&own.replacen('0', "9", 1)), "{shown}");
-        let other = FleetId { name: 78, ..FLEET };
-        let refused = read(&frame(), other, 3).unwrap_err();
+        let refused = read(&frame(), FleetId(78), 3).unwrap_err();
         assert_eq!(refused.name(), "another fleet");
-        let other = FleetId { shards: 0, ..FLEET };
-        let refused = read(&frame(), other, 3).unwrap_err();
-        assert_eq!(refused.name(), "other shards");
+        // The messages of a release that knew shards.
+        let mut bytes = frame();
+        bytes[8..12].copy_from_slice(&4_u32.to_le_bytes());
+        let shown = read(&bytes, FLEET, 3).unwrap_err().to_string();
+        assert!(shown.contains("messages 4") && shown.contains("one release"), "{shown}");
     }
 
     proptest! {

@@ -5,15 +5,12 @@ pub(crate) mod carried;
 #[cfg(test)]
 pub(crate) mod hostile;
 pub(crate) mod lease;
-pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;
 pub(crate) mod receiver;
 pub(crate) mod rmw;
 pub(crate) mod selection;
-pub(crate) mod shards;
 pub(crate) mod shift;
-pub(crate) mod split;
 pub(crate) mod stream;
 pub(crate) mod wall;
 #[cfg(test)]

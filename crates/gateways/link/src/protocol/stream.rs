@@ -294,7 +294,7 @@ mod tests {
             asked_ns: 1,
             selection: Selection::new(u32::MAX, 1, Vec::new()),
         };
-        let (fleet, run) = (FleetId { name: 1, shards: 0 }, 5);
+        let (fleet, run) = (FleetId(1), 5);
         let mut stream = Stream::new(fleet, request(0, 0), run);
         let header = SampleHeader { schema: SCHEMA_VERSION, ..SampleHeader::default() };
         let mut out = Vec::new();

@@ -14,7 +14,7 @@ use crate::protocol::selection::Selection;
 use crate::protocol::stream::{LocalFrame, SILENCE_TIMEOUT_NS, Stream};
 use crate::protocol::wall::{READ_NS, Reading, RealtimeClock, Wall};
 
-const FLEET: FleetId = FleetId { name: 3, shards: 0 };
+const FLEET: FleetId = FleetId(3);
 const STEP_NS: u64 = 1_000_000;
 const TICK_NS: u64 = 33_000_000;
 const ROWS: usize = 4;

@@ -10,7 +10,6 @@ mod local;
 mod namespaces;
 mod planner;
 mod router;
-mod shards;
 mod speed;
 mod standby;
 mod strangers;

@@ -1,4 +1,4 @@
-//! Failover of a shard: when the leader's host dies, another host's worker continues, and two never
+//! Failover: when the leader's host dies, another host's worker continues, and two never
 //! lead at once.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -42,7 +42,6 @@ const SECOND_NS: u64 = 1_000_000_000;
 pub(crate) const ROBOTS: u32 = 4;
 /// Interval between two samples of a robot, s.
 const PERIOD_S: f64 = 1.0 / 30.0;
-const SHARDS: &str = "[[shard]]\nname = \"hall\"\nworkers = [\"base-1\", \"base-2\"]\n";
 const NAMES: [&str; 2] = ["base-1", "base-2"];
 
 /// Two hosts with a candidate each, and a host with robots and planners.
@@ -85,9 +84,6 @@ impl Scene {
     }
 
     pub(crate) fn with(bases: [Host; 2], field: Host, addresses: [String; 2]) -> Self {
-        for host in bases.iter().chain([&field]) {
-            host.write("shards.toml", SHARDS);
-        }
         Self {
             bases,
             field,
@@ -107,7 +103,7 @@ impl Scene {
         let (name, lease, security) = (NAMES[at], &self.lease, &self.security[at]);
         let (own, other) = (&self.addresses[at], &self.addresses[1 - at]);
         format!(
-            "name = \"{name}\"\nshards = \"shards.toml\"\n[network]\nlisten = [\"{own}\"]\nconnect = [\"{other}\"]\n\
+            "name = \"{name}\"\nworkers = {NAMES:?}\n[network]\nlisten = [\"{own}\"]\nconnect = [\"{other}\"]\n\
              {security}\n[worker]\n[[worker.take]]\nfrom = \"field\"\n{lease}"
         )
     }
@@ -117,7 +113,7 @@ impl Scene {
     }
 
     /// Starts both candidates' links, and waits until the first worker leads. The second link
-    /// starts once it does, because it would take the shard after some 0.6 s.
+    /// starts once it does, because it would take the lease after some 0.6 s.
     pub(crate) fn base_links(&self, workers: &mut [Child; 2]) -> [Child; 2] {
         let first = self.base_link(0);
         workers[0].wait_for_line("ready:");
@@ -145,7 +141,7 @@ impl Scene {
     pub(crate) fn field_link(&self) -> Child {
         let (addresses, security) = (&self.addresses, &self.security[2]);
         self.field.link(&format!(
-            "name = \"field\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\n{security}\n\
+            "name = \"field\"\nworkers = {NAMES:?}\n[network]\nconnect = {addresses:?}\n{security}\n\
              [samples]\n[follow]\n"
         ))
     }
@@ -518,7 +514,7 @@ fn a_host_that_was_stopped_and_goes_on_too_late_sends_nothing_any_more() {
 /// A worker that hangs is still there, and its link works. `JOULEBUS_HANGS` states how many hang in
 /// turn.
 #[test]
-fn a_worker_that_hangs_alone_loses_the_shard_and_its_host_leads_again_only_with_another() {
+fn a_worker_that_hangs_alone_loses_the_lease_and_its_host_leads_again_only_with_another() {
     let Some((mut scene, etcd)) = Scene::with_lease() else {
         return;
     };
@@ -543,7 +539,7 @@ fn a_worker_that_hangs_alone_loses_the_shard_and_its_host_leads_again_only_with_
         workers[1 - at].wait_for_line("ready:");
         let names = |link: &Child| link.errors().matches("this host serves, term").count();
         let terms = names(&links[at]);
-        // The link of the host that hangs starts again, and then the shard is free for a while.
+        // The link of the host that hangs starts again, and then the lease is free for a while.
         if hangs.is_none() {
             links[at].kill();
             links[at] = scene.base_link(at);
@@ -677,7 +673,7 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     links[1].end();
     // Another store lets the other candidate lead, in a far greater term.
     scene.lease.push_str("prefix = \"other/\"\n");
-    let [key, term] = ["other/lab/hall/term", "100"].map(|text| BASE64.encode(text));
+    let [key, term] = ["other/lab/term", "100"].map(|text| BASE64.encode(text));
     etcd.post("kv/put", &format!("{{\"key\": \"{key}\", \"value\": \"{term}\"}}"));
     // A planners' host that uses its name changes nothing. The candidate itself does.
     scene.security[1] = tls(folder.path(), "desk");

@@ -248,7 +248,7 @@ proptest! {
 
     /// Each span takes 700 ms. Links restart, and the store is out of reach, in between.
     #[test]
-    fn a_host_whose_worker_hangs_loses_the_shard_once_and_leads_again_only_with_another_worker(
+    fn a_host_whose_worker_hangs_loses_the_lease_once_and_leads_again_only_with_another_worker(
         spans in prop::collection::vec(prop::collection::vec(weather(), 2), 10..60),
         hangs_at in 0usize..10,
     ) {
@@ -290,7 +290,7 @@ proptest! {
 
     /// The candidates poll at any instants, and their calls take a while.
     #[test]
-    fn a_free_shard_is_taken_by_the_first_of_the_list_that_is_able_whoever_sees_it_first(
+    fn a_free_lease_is_taken_by_the_first_of_the_list_that_is_able_whoever_sees_it_first(
         first_able in 0usize..3,
         later_ns in prop::collection::vec(0u64..1_000_000_000, 3),
         delay_ns in 0u64..25_000_000,
@@ -353,7 +353,7 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
         |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
     assert_eq!(hosts[0].terms, [1]);
-    // A candidate that is cut off stops before the store gives its shard away.
+    // A candidate that is cut off stops before the store gives its lease away.
     let weather = [CUT, CALM, CALM];
     let silent = |hosts: &mut [Host], ns: u64| hosts[0].leader_lease(ns).is_none();
     let silent_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, silent);
@@ -402,7 +402,7 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_learns_a_later_t
 }
 
 #[test]
-fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_back() {
+fn a_candidate_whose_worker_is_gone_leaves_the_lease_and_takes_none_until_it_is_back() {
     let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
     let serves =
         |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
