@@ -33,6 +33,7 @@ mod arguments;
 mod ask;
 mod completions;
 mod config;
+mod configs;
 mod demo;
 mod doctor;
 mod external;

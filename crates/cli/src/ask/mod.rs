@@ -13,11 +13,11 @@ use joulebus_config::Config;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
 use joulebus_plan::{MAX_STEPS, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
-use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use joulebus_wire::QueryRefusal;
 
+use crate::configs;
 use point::{PointArgument, ReturnTo};
 
 /// Timeout for a frame of the worker, or its answer.
@@ -36,6 +36,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
     joulebus ask --robot 7 --path p.csv --return dock       and back to where the path begins\n  \
     joulebus ask --robot 7 --path p.csv --return 1.5,-0.2 --format json\n  \
     joulebus ask --rank 7,9,12 --path p.csv                 the cheapest first\n  \
+    joulebus ask --rank 7,50009 --idle 60 --config north.toml --config south.toml   of two fleets\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
     A path file is CSV with the columns x_m and y_m. A third column, speed_mps, can state the \
@@ -60,8 +61,10 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
     large for the worker."
 )]
 pub(crate) struct Args {
-    #[command(flatten)]
-    config: ConfigFile,
+    /// The fleet's config. Repeat it to ask about robots of several fleets [default:
+    /// configs/fleet.toml, or the built-in one if that file does not exist]
+    #[arg(long, value_name = "FILE")]
+    config: Vec<PathBuf>,
     /// The robot
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
@@ -115,16 +118,86 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let wrong = "--dock is the place of `--return dock`, and --return names another: leave one of them out";
         return Err(UsageError(wrong.to_owned()).into());
     }
-    let config = args.config.load()?;
+    let configs = configs::load(&args.config)?;
     let path = args.path.as_deref().map(path_file::read).transpose()?;
-    let question = args.question(path.as_ref());
-    refuse_too_fast(&config, &question.plan)?;
-    let report = match args.through {
-        Through::Memory => args.compute(&config, question)?,
-        Through::Worker => args.send(&config, &question)?,
-    };
-    output.report(&report)?;
+    let (questions, missing) = divide(&configs, args.question(path.as_ref()))?;
+    for (config, question) in &questions {
+        refuse_too_fast(config, &question.plan)?;
+    }
+    let mut asked = Vec::new();
+    for (config, question) in questions {
+        asked.push(match args.through {
+            Through::Memory => args.compute(config, question)?,
+            Through::Worker => args.send(config, &question)?,
+        });
+    }
+    output.report(&args.report(asked, missing))?;
     Ok(Outcome::Done)
+}
+
+/// The answer of one fleet.
+struct Asked<'a> {
+    config: &'a Config,
+    tick: u64,
+    age_ns: u64,
+    reply: Reply,
+    missing: Vec<u32>,
+}
+
+/// The question for each fleet that has robots of it, and the robots that none has.
+fn divide(
+    configs: &[Config],
+    question: Question,
+) -> Result<(Vec<(&Config, Question)>, Vec<u32>), UsageError> {
+    if let [config] = configs {
+        return Ok((vec![(config, question)], Vec::new()));
+    }
+    let (mut missing, mut of_fleets) = (Vec::new(), vec![Vec::new(); configs.len()]);
+    for robot in robots(&question.plan) {
+        let mut fleets = configs.iter().enumerate().filter(|(_, config)| has(config, *robot));
+        match (fleets.next(), fleets.next()) {
+            (Some((at, _)), None) => of_fleets[at].push(*robot),
+            (Some((_, one)), Some((_, other))) => {
+                return Err(UsageError(format!(
+                    "robot {robot} is in the fleets {} and {}: give each fleet ids of its own \
+                     (`platform.robots`), or ask one of them",
+                    one.fleet(),
+                    other.fleet()
+                )));
+            }
+            (None, _) => missing.push(*robot),
+        }
+    }
+    let mut questions = Vec::new();
+    for (config, ids) in configs.iter().zip(of_fleets).filter(|(_, ids)| !ids.is_empty()) {
+        let mut question = question.clone();
+        if let Plan::Follow { robots, .. } | Plan::Idle { robots, .. } = &mut question.plan {
+            *robots = ids;
+        }
+        questions.push((config, question));
+    }
+    if questions.is_empty() {
+        let fleets: Vec<&str> = configs.iter().map(Config::fleet).collect();
+        return Err(UsageError(format!(
+            "none of the fleets {} has robot {missing:?}: name robots of `platform.robots`",
+            fleets.join(", ")
+        )));
+    }
+    Ok((questions, missing))
+}
+
+/// The robots that a plan is for.
+fn robots(plan: &Plan) -> &[u32] {
+    match plan {
+        Plan::Follow { robots, .. } | Plan::Idle { robots, .. } => robots,
+        _ => &[],
+    }
+}
+
+/// True if the fleet may have the robot.
+fn has(config: &Config, robot: u32) -> bool {
+    let mut platforms = config.settings().platforms.iter();
+    platforms.any(|platform| platform.robots.iter().any(|ids| ids.contains(&robot)))
 }
 
 impl Args {
@@ -146,7 +219,7 @@ impl Args {
     }
 
     /// Answers here, from shared memory.
-    fn compute(&self, config: &Config, question: Question) -> anyhow::Result<AnswersReport> {
+    fn compute<'a>(&self, config: &'a Config, question: Question) -> anyhow::Result<Asked<'a>> {
         let mut planner = Planner::with_config(config, "ask")?;
         let fleet = planner.fleet().clone();
         let domain = config.domain()?;
@@ -165,11 +238,11 @@ impl Args {
             QuestionError::Ask(error) => UsageError(error.to_string()).into(),
             error => anyhow::Error::from(error),
         })?;
-        Ok(self.report(config, (view.tick(), view.age_ns()), &reply, missing))
+        Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing })
     }
 
     /// Lets the worker answer.
-    fn send(&self, config: &Config, question: &Question) -> anyhow::Result<AnswersReport> {
+    fn send<'a>(&self, config: &'a Config, question: &Question) -> anyhow::Result<Asked<'a>> {
         let mut client = PlanClient::with_config(config, "ask")?;
         let mut missing = Vec::new();
         let mut answered = client.ask(question, WORKER_TIMEOUT);
@@ -193,8 +266,8 @@ impl Args {
             }
             error => refused(error, config),
         })?;
-        let of = (answered.tick, answered.age_ns);
-        Ok(self.report(config, of, &answered.reply, missing))
+        let (tick, age_ns, reply) = (answered.tick, answered.age_ns, answered.reply);
+        Ok(Asked { config, tick, age_ns, reply, missing })
     }
 
     /// Splits several robots into a question about those that are there, and the others. If none
@@ -205,12 +278,15 @@ impl Args {
         mut is_there: impl FnMut(u32) -> anyhow::Result<bool>,
     ) -> anyhow::Result<(Question, Vec<u32>)> {
         let mut missing = Vec::new();
-        for robot in &self.rank {
+        if self.rank.is_empty() {
+            return Ok((question, missing));
+        }
+        for robot in robots(&question.plan) {
             if !is_there(*robot)? {
                 missing.push(*robot);
             }
         }
-        if missing.len() == self.rank.len() {
+        if missing.len() == robots(&question.plan).len() {
             return Ok((question, Vec::new()));
         }
         if let Plan::Follow { robots, .. } | Plan::Idle { robots, .. } = &mut question.plan {
@@ -219,27 +295,39 @@ impl Args {
         Ok((question, missing))
     }
 
-    fn report(
-        &self,
-        config: &Config,
-        (tick, age_ns): (u64, u64),
-        reply: &Reply,
-        missing: Vec<u32>,
-    ) -> AnswersReport {
-        let answers = reply.ranked().into_iter().map(|row| {
+    /// Joins the answers of all fleets, the best first. `missing` are the robots of no fleet.
+    fn report(&self, asked: Vec<Asked<'_>>, mut missing: Vec<u32>) -> AnswersReport {
+        let configs: Vec<&Config> = asked.iter().map(|one| one.config).collect();
+        let names: Vec<&str> = configs.iter().map(|config| config.fleet()).collect();
+        let oldest = asked.iter().map(|one| (one.age_ns, one.tick)).max();
+        let (age_ns, tick) = oldest.unwrap_or_default();
+        let replies = asked.into_iter().map(|one| {
+            missing.extend(one.missing);
+            one.reply
+        });
+        let reply = replies.reduce(|mut all, other| {
+            all.rows.extend(other.rows);
+            all
+        });
+        let mut answers = Vec::new();
+        for row in reply.iter().flat_map(Reply::ranked) {
+            // Of a single fleet any robot that answers is its own.
+            let own = configs.iter().find(|config| has(config, row.robot));
+            let Some(config) = own.or(configs.first()) else { continue };
             let mut answer = AnswerReport::new(config.settings(), row);
+            answer.fleet = (self.config.len() > 1).then(|| config.fleet().to_owned());
             answer.asked_to_return = self.return_to.is_some();
             if self.power {
-                answer.power_w = Some(reply.power_w.clone());
+                answer.power_w = reply.as_ref().map(|reply| reply.power_w.clone());
             }
-            answer
-        });
+            answers.push(answer);
+        }
         AnswersReport {
-            fleet: config.fleet().to_owned(),
+            fleet: names.join(", "),
             tick,
             age_s: age_ns as f64 * 1e-9,
             coverage: self.coverage,
-            answers: answers.collect(),
+            answers,
             missing,
         }
     }

@@ -19,12 +19,12 @@ use joulebus_capture_recorder::{
 use joulebus_config::Config;
 use joulebus_models::load_models;
 use joulebus_plan::Fleet;
-use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Format, Output, log_line};
 use joulebus_program::stop::Stop;
 use signal_hook::consts::SIGUSR1;
 
+use crate::configs;
 use choice::TopicChoice;
 use others::Others;
 pub(crate) use recorder_process::RecorderProcess;
@@ -120,7 +120,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     signal_hook::flag::register(SIGUSR1, Arc::clone(&write_down))
         .context("cannot handle SIGUSR1")?;
     check_threads()?;
-    let configs = args.configs()?;
+    let configs = configs::load(&args.config)?;
     let clock = host_clock();
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
     let attachments = attach(&configs, clock)?;
@@ -211,14 +211,6 @@ fn progress(summary: &Summary, for_ns: u64) -> String {
 }
 
 impl Args {
-    fn configs(&self) -> anyhow::Result<Vec<Config>> {
-        let given = self.config.iter().map(|path| Some(path.clone()));
-        let files: Vec<Option<PathBuf>> =
-            if self.config.is_empty() { vec![None] } else { given.collect() };
-        let load = |config| ConfigFile { config }.load();
-        files.into_iter().map(load).collect()
-    }
-
     fn options(&self, fleets: &[&str]) -> anyhow::Result<Options> {
         let choice = TopicChoice::new(&self.topics, self.regex.as_deref())?;
         // Robots may join at any time, and have topics of their own with --per-robot.

@@ -11,9 +11,9 @@ use crate::question::Row;
 /// Answers about one question, as of one tick.
 #[derive(Debug, Clone, Serialize)]
 pub struct AnswersReport {
-    /// Name of the fleet.
+    /// Name of the fleet. Of several fleets all names, separated by commas.
     pub fleet: String,
-    /// The tick that the answers are computed from.
+    /// The tick that the answers are computed from. Of several fleets the oldest one.
     pub tick: u64,
     /// Its age, s.
     pub age_s: f64,
@@ -30,6 +30,9 @@ pub struct AnswersReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct AnswerReport {
     robot: u32,
+    /// Name of its fleet, if several fleets were asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fleet: Option<String>,
     platform: String,
     verdict: &'static str,
     /// Reason that the verdict is unknown.
@@ -74,6 +77,7 @@ impl AnswerReport {
         };
         Self {
             robot: row.robot,
+            fleet: None,
             platform,
             verdict,
             reason,
@@ -199,8 +203,11 @@ impl fmt::Display for AnswersReport {
             if place > 0 {
                 writeln!(out)?;
             }
-            let (robot, platform) = (answer.robot, &answer.platform);
-            write!(out, "robot {robot} ({platform}): {}", answer.verdict)?;
+            write!(out, "robot {}", answer.robot)?;
+            if let Some(fleet) = &answer.fleet {
+                write!(out, " of {fleet}")?;
+            }
+            write!(out, " ({}): {}", answer.platform, answer.verdict)?;
             if let Some(reason) = &answer.reason {
                 write!(out, ": {reason}")?;
             }

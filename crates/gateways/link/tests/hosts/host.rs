@@ -16,6 +16,7 @@ pub(crate) fn joulebus() -> &'static Path {
     joulebus_beside(env!("CARGO_BIN_EXE_joulebus-link"))
 }
 
+/// A host, as one fleet knows it.
 pub(crate) struct Host {
     directory: tempfile::TempDir,
     /// Network namespace.
@@ -37,16 +38,36 @@ impl Host {
     }
 
     fn with(namespace: Option<String>, robots: usize) -> Self {
+        Self::of_fleet(namespace, Self::number(), "lab", 0..robots)
+    }
+
+    /// Two fleets on one host, the second one with the ids after those of the first.
+    pub(crate) fn of_two(robots: usize) -> [Self; 2] {
+        let number = Self::number();
+        let of_fleet = |name, ids| Self::of_fleet(None, number, name, ids);
+        [of_fleet("north", 0..robots), of_fleet("south", robots..2 * robots)]
+    }
+
+    fn number() -> u32 {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        NUMBER.fetch_add(1, Ordering::Relaxed)
+    }
+
+    fn of_fleet(
+        namespace: Option<String>,
+        number: u32,
+        fleet: &str,
+        robots: std::ops::Range<usize>,
+    ) -> Self {
         let root = format!("/dev/shm/jblink-{}-{number}", std::process::id());
-        let (capacity, last) = (robots.max(20), robots - 1);
+        let capacity = robots.len().max(20);
+        let (first, last) = (robots.start, robots.end - 1);
         let text = format!(
-            "[fleet]\nname = \"lab\"\ncapacity = {capacity}\n\
+            "[fleet]\nname = \"{fleet}\"\ncapacity = {capacity}\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbl{number}_\"\n\
              [intake]\nmax_sources = 6\nleave_after_s = 60\n[readers]\nmax_planners = 10\n\
              [ledger]\ncheckpoint = \"\"\n\
-             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{last}\"]\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"{first}-{last}\"]\n\
              [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0.9\n"
         );
         let directory = tempfile::tempdir().unwrap();

@@ -5,6 +5,7 @@
 mod certificates;
 mod chaos;
 mod etcd;
+mod fleets;
 mod host;
 mod local;
 mod namespaces;
