@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Puts defects into the sources, one at a time, and prints the seed of the simulator that finds each.
+"""Puts defects into the sources, one at a time, and prints the seed of the simulator or the test that finds each.
 
     tools/mutations.py [--seeds N] [--only NAME,...] [--json FILE]
     tools/mutations.py --check      only looks whether the texts to be replaced are still there
@@ -26,7 +26,7 @@ def source(file):
     return found[0]
 
 
-# Name, file of a crate, text, replacement.
+# Name, file of a crate, text, replacement, and a test if it is none of the simulator that finds the defect.
 MUTATIONS = [
     # Found before, each put back.
     ("worker runs by the wall clock", "predictor-worker/src/worker.rs",
@@ -132,11 +132,36 @@ MUTATIONS = [
      "        if leader_lease.is_none() {\n            Permit::withdraw(&leadership.places().permit)?;\n        }\n        let ttl_ns = u64::from(lease.ttl_s)"),
     ("messages to a host that was paused are from the future", "link/src/protocol/receiver.rs",
      " && !self.has_stepped(status, now_ns)", ""),
+    ("the lease of a worker that hangs is renewed", "link/src/protocol/lease.rs",
+     "(!self.resigns && !self.is_idle).then_some", "(!self.resigns).then_some"),
+    # Of links: found by their own tests.
+    ("whoever polls first takes a free lease", "link/src/protocol/lease.rs",
+     "self.rank * (self.poll_interval_ns() + ACQUISITION_NS)", "self.rank * ACQUISITION_NS",
+     "--bin joulebus-link a_free_shard"),
+    ("the margin of a lease is that of a crystal", "link/src/protocol/lease.rs",
+     "const DRIFT_DIVISOR: u64 = 6;", "const DRIFT_DIVISOR: u64 = 200;", "--bin joulebus-link at_no_time"),
+    ("lanes are dropped only at the limit", "link/src/protocol/stream.rs",
+     "self.lanes.len() >= MAX_LANES", "self.lanes.len() == MAX_LANES", "--bin joulebus-link lanes_of_sources"),
+    ("requests are of any certificate", "link/src/proof.rs",
+     "        if own != name {\n", "        if own != name && false {\n", "--test hosts no_certificate_requests"),
+    ("a request needs no signature", "link/src/proof.rs",
+     "return Ok(age_ns < TOKEN_TIMEOUT_NS);", "return Ok(true);", "--test hosts no_certificate_requests"),
+    ("followers have no access rules", "link/src/network.rs",
+     "settings.mode == Mode::Peer {\n            let value", "peers.is_worker {\n            let value",
+     "--test hosts a_host_that_listens"),
+    ("a link that gets nothing waits for ever", "link/src/network.rs",
+     "self.session.close(now_ns);", "", "--test hosts a_link_whose_peer"),
 ]
 
 
 def run(command):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def find_by_test(test):
+    """The test that fails."""
+    failed = run(["cargo", "test", "-q", "-p", "joulebus-link", *test.split()]).returncode
+    return {"seed": None, "failure": {"invariant": test}} if failed else None
 
 
 def find(file, seeds, profile):
@@ -163,13 +188,13 @@ def main():
     parser.add_argument("--check", action="store_true", help="look for the texts, build nothing")
     asked = parser.parse_args()
     if asked.check:
-        gone = [f"{name}: {file}" for name, file, old, _ in MUTATIONS if old not in source(file).read_text()]
+        gone = [f"{name}: {file}" for name, file, old, *_ in MUTATIONS if old not in source(file).read_text()]
         print("\n".join(gone) or f"{len(MUTATIONS)} defects can be put in")
         sys.exit(1 if gone else 0)
     wanted = [part.strip() for part in (asked.only or "").split(",")]
     build = ["cargo", "build", "-q", "-p", "joulebus-simulator", "--bin", "joulebus-sim", "--profile", asked.profile]
     results, missed = [], 0
-    for name, file, old, new in MUTATIONS:
+    for name, file, old, new, *test in MUTATIONS:
         if not any(part in name for part in wanted):
             continue
         path = source(file)
@@ -181,16 +206,19 @@ def main():
         begin = time.time()
         try:
             path.write_text(text.replace(old, new))
-            built = run(build)
+            # A defect that does not compile is found by nothing.
+            built = run(["cargo", "check", "-q", "-p", "joulebus-link"] if test else build)
             if built.returncode:
                 print(built.stderr, file=sys.stderr)
-            found = find(file, asked.seeds, asked.profile) if built.returncode == 0 else None
+                found = None
+            else:
+                found = find_by_test(*test) if test else find(file, asked.seeds, asked.profile)
         finally:
             path.write_text(text)
         missed += found is None
         seed, invariant = (found["seed"], found["failure"]["invariant"]) if found else (None, None)
         results.append({"defect": name, "file": file, "seed": seed, "invariant": invariant})
-        what = f"seed {seed}: {invariant}" if found else f"not found by {asked.seeds} seeds"
+        what = (invariant if test else f"seed {seed}: {invariant}") if found else f"not found by {asked.seeds} seeds"
         print(f"| {name} | `{file}` | {what} | {time.time() - begin:.0f} s", flush=True)
     if asked.json:
         asked.json.write_text(json.dumps(results, indent=1))

@@ -85,6 +85,8 @@ struct Standby {
     follows: Option<(Following, u64)>,
     /// Keeps `current_permit` up to date once there is a permit.
     renewal: Option<Background>,
+    /// The permit was over: a later one is another process's.
+    is_over: bool,
 }
 
 /// Errors of starting a worker.
@@ -183,7 +185,8 @@ impl Worker {
         {
             let _ = Permit::withdraw(&places.permit);
         }
-        worker.standby = Some(Standby { places, follows: Some((following, 0)), renewal: None });
+        worker.standby =
+            Some(Standby { places, follows: Some((following, 0)), renewal: None, is_over: false });
         Ok(worker)
     }
 
@@ -467,7 +470,7 @@ impl Worker {
         fence(Ordering::Acquire);
         self.drain();
         let now_ns = clock::monotonic_ns();
-        if !self.current_permit.holds(clock::boot_ns()) {
+        if !self.current_permit.holds(clock::boot_ns()) && !self.is_renewed() {
             return Err(self.current_permit.over().into());
         }
         if let Some(name) = ended {
@@ -488,6 +491,18 @@ impl Worker {
                 Ok(true)
             }
         }
+    }
+
+    /// Reads the permit once more before the run ends: the link may have renewed it while this
+    /// process had no processor.
+    fn is_renewed(&mut self) -> bool {
+        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_over) else {
+            return false;
+        };
+        let permit = Permit::read(&standby.places.permit);
+        let is_renewed = permit.is_ok_and(|permit| self.current_permit.read_again(permit.as_ref()));
+        standby.is_over = !is_renewed;
+        is_renewed
     }
 
     /// A thread without which the run must not go on, and which has ended. Neither allocates nor
@@ -674,6 +689,34 @@ mod tests {
     }
 
     #[test]
+    fn a_worker_without_a_processor_goes_on_if_its_permit_was_renewed_and_ends_with_it() {
+        let root = format!("/dev/shm/joulebus-test-renewed-{}", std::process::id());
+        let root = std::path::PathBuf::from(root);
+        let config = config(&root);
+        let mut worker = Worker::open(&config).unwrap();
+        let places = Places::new(&config);
+        // The thread that reads the permit has not had a processor since the first one.
+        worker.current_permit = Arc::new(CurrentPermit::not_yet());
+        worker.current_permit.begin(&Permit { term: 4, until_ns: Some(1), lease: 9 });
+        worker.standby =
+            Some(Standby { places: places.clone(), follows: None, renewal: None, is_over: false });
+        let renewed = |term, until_ns| Permit { term, until_ns: Some(until_ns), lease: 9 };
+        renewed(4, u64::MAX - 1).write(&places.permit).unwrap();
+        assert!(worker.poll().is_ok());
+        for permit in [Some(renewed(4, 2)), Some(renewed(5, u64::MAX - 1)), None] {
+            worker.standby.as_mut().unwrap().is_over = false;
+            match permit {
+                Some(permit) => permit.write(&places.permit).unwrap(),
+                None => Permit::withdraw(&places.permit).unwrap(),
+            }
+            worker.current_permit.begin(&renewed(4, 1));
+            assert!(matches!(worker.poll(), Err(RunError::Permit(_))), "{permit:?}");
+        }
+        let _ = worker.finish();
+        let _ = std::fs::remove_dir_all(&root);
+    }
+
+    #[test]
     fn the_end_of_a_thread_ends_the_run_with_its_name_and_planners_are_told() {
         type Replace = fn(&mut Worker, &Config);
         let replace: [(&str, Replace); 3] = [
@@ -683,6 +726,7 @@ mod tests {
                     places: Places::new(config),
                     follows: None,
                     renewal: Some(panicking()),
+                    is_over: false,
                 });
             }),
             (PANICS, |worker, _| {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use joulebus_bus::{Background, Steps};
+use joulebus_bus::{Background, Steps, clock};
 use joulebus_standby::{Permit, PermitError};
 
 /// The thread's name.
@@ -62,6 +62,12 @@ impl CurrentPermit {
     pub(crate) fn begin(&self, permit: &Permit) {
         self.term.store(permit.term, Ordering::Release);
         self.renew(Some(permit));
+    }
+
+    /// Applies the file's contents. Returns whether the permit holds now.
+    pub(crate) fn read_again(&self, permit: Option<&Permit>) -> bool {
+        self.renew(permit);
+        self.holds(clock::boot_ns())
     }
 
     /// Applies the file's contents. A permit of another term is not this worker's, because another
