@@ -55,7 +55,7 @@ def main() -> int:
         for package in contained(metadata, sys.argv[1:])
     ]
     vendored = ROOT / "crates/gateways/serve/page/vendor"
-    libraries.append(("uPlot (in the page of joulebus-serve)", "MIT", "https://github.com/leeoniya/uPlot", vendored))
+    libraries.append(("uPlot (in the page of joulebus-serve and in reports)", "MIT", "https://github.com/leeoniya/uPlot", vendored))
     numbers: dict[str, int] = {}
     print("Libraries that the programs of joulebus contain. The numbers are those of the texts below.\n")
     unknown = []

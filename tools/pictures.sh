@@ -39,15 +39,9 @@ done
 python3 tools/ansi_svg.py --seconds 1.5 "${frames[@]}" > docs/pictures/live-view.svg
 tmux -L pictures kill-server
 
-# Forecast and report: trained on every second trial, shown on held-out trials. The picture of the
-# forecast is six seconds of one of them, the first panel of the report's figure.
+# The report: trained on every second trial, shown on held-out trials.
 "$joulebus" train trials "$data/*exp*[02468].csv.gz" --split trial --out "$work/robotino.safetensors" > /dev/null
-gzip -dc "$data/one_surface_type_gray_surface_exp05.csv.gz" | head -n 201 > "$work/gray_surface_exp05.csv"
-"$joulebus" report "$work/gray_surface_exp05.csv" --model "$work/robotino.safetensors" -o "$work/forecast" > /dev/null
-python3 tools/first_panel.py "$work/forecast/figures/figure-4-time.svg" > docs/pictures/forecast.svg
-"$joulebus" report "$data/*gray_surface_exp*[13579].csv.gz" --model "$work/robotino.safetensors" -o "$work/report" > /dev/null
-
-"$joulebus" mission --seeds 1 --hours 0.45 --picture docs/pictures/mission.svg > /dev/null
+"$joulebus" report "$data/*gray_surface_exp*[13579].csv.gz" --battery-wh 70 --model "$work/robotino.safetensors" -o "$work/report" > /dev/null
 
 screenshot() { # page, width, height, file
     chromium --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking \

@@ -6,13 +6,25 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 const FOXGLOVE: &str =
     "captures open in Foxglove, and the ROS 2 bridge publishes: docs/how-to/foxglove.md";
 
+/// Evaluations in parts.
+const PARTS: &str = "one `joulebus eval` runs the recordings on all processors. It gives the same \
+                     report, and --format json is for programs";
+
 /// The verb of an option, or the argument of a value, with what is gone and what takes its place.
-const GONE: [(&str, &str, &str); 6] = [
+const GONE: [(&str, &str, &str); 10] = [
     ("serve", "--foxglove", FOXGLOVE),
     ("serve", "--host", FOXGLOVE),
     ("serve", "--port", FOXGLOVE),
     ("serve", "--allow-origin", FOXGLOVE),
     ("serve", "--per-robot", FOXGLOVE),
+    ("eval", "--partition", PARTS),
+    ("eval", "--merge", PARTS),
+    ("eval", "--out", PARTS),
+    (
+        "mission",
+        "--picture",
+        "--format json has the outcome of each mission, and the Python package draws what you like",
+    ),
     (
         "BENCHMARK",
         "wait",

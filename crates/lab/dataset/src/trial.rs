@@ -193,7 +193,7 @@ impl Trial {
 
     /// True if the power of `row` (from 0) is unknown because the robot is on its charger: the file
     /// says so, or the current flows into the battery.
-    pub(crate) fn is_on_charger(&self, row: usize) -> bool {
+    pub fn is_on_charger(&self, row: usize) -> bool {
         let flows_in = || self.value(Column::Current, row).is_some_and(|current_a| current_a < 0.0);
         self.value(Column::Power, row).is_none() && (self.is_said_to_charge(row) || flows_in())
     }

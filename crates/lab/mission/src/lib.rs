@@ -25,7 +25,7 @@
 //! **Units** are s, J, W and m. States of charge and shares are 0 to 1.
 //!
 //! **Errors** ([`MissionError`]) are those of the config, the models, the plans and the network. A
-//! mission whose samples were refused is an error too. [`PictureError`] is for the drawing of one.
+//! mission whose samples were refused is an error too.
 //!
 //! **In the book**: [missions, what forecasts are worth][1], [how a mission is judged][2], [the
 //! simulated robots][3].
@@ -38,7 +38,6 @@
 mod broker;
 mod error;
 mod machine;
-mod picture;
 mod policy;
 mod run;
 mod scenario;
@@ -48,7 +47,6 @@ mod tuned;
 mod turning_back;
 
 pub use error::MissionError;
-pub use picture::{PictureError, picture};
 pub use policy::Policy;
 pub use run::{Outcome, mission};
 pub use scenario::{SPEED_MPS, Scenario};

@@ -62,20 +62,6 @@ pub struct Outcome {
     pub shared_chargers: u64,
 }
 
-/// The activity of a robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Doing {
-    Off,
-    Rests,
-    Works,
-    InLine,
-    Charges,
-    Stranded,
-}
-
-/// Time, and the activity of each robot with its true state of charge.
-pub(crate) type Look = (f64, Vec<(Doing, f64)>);
-
 #[derive(Clone, Debug)]
 enum Job {
     Idle,
@@ -115,28 +101,13 @@ struct Mission<'a> {
 /// # Errors
 /// [`MissionError`].
 pub fn mission(scenario: &Scenario, policy: Policy, seed: u64) -> Result<Outcome, MissionError> {
-    Ok(watched(scenario, policy, seed, None)?.0)
-}
-
-/// The same, with a look at all robots every `every_s`.
-pub(crate) fn watched(
-    scenario: &Scenario,
-    policy: Policy,
-    seed: u64,
-    every_s: Option<f64>,
-) -> Result<(Outcome, Vec<Look>), MissionError> {
     let product = Product::new(scenario, policy.reserve())?;
     let mut mission = Mission::new(scenario, &product, policy, seed)?;
-    let mut looks = Vec::new();
     let period_s = mission.dt_ns as f64 * 1e-9;
-    let every = every_s.map(|every_s| (every_s / period_s) as u64);
     for _ in 0..(scenario.duration_s / period_s) as u64 {
         mission.step()?;
-        if every.is_some_and(|every| mission.step.is_multiple_of(every)) {
-            looks.push(mission.look());
-        }
     }
-    Ok((mission.end()?, looks))
+    mission.end()
 }
 
 impl<'a> Mission<'a> {
@@ -447,22 +418,6 @@ impl<'a> Mission<'a> {
             state.map_or(0.0, |(_, budget)| (budget.drawn_j() / shown_j - 1.0).abs())
         });
         errors.fold(0.0, f64::max)
-    }
-
-    fn look(&self) -> Look {
-        let robots = self.jobs.iter().zip(&self.machines);
-        let robots = robots.map(|(job, machine)| {
-            let doing = match job {
-                _ if machine.is_empty() => Doing::Stranded,
-                _ if !machine.is_on(self.now_ns()) => Doing::Off,
-                Job::Idle => Doing::Rests,
-                Job::Task { .. } => Doing::Works,
-                Job::ToLine | Job::Waiting | Job::ToCharger(_) => Doing::InLine,
-                Job::Charging(..) => Doing::Charges,
-            };
-            (doing, machine.soc())
-        });
-        (self.now_s(), robots.collect())
     }
 
     fn end(mut self) -> Result<Outcome, MissionError> {

@@ -66,7 +66,7 @@ pub(crate) struct Args {
     battery_wh: Option<f64>,
 }
 
-fn capacity_wh(text: &str) -> Result<f64, String> {
+pub(crate) fn capacity_wh(text: &str) -> Result<f64, String> {
     let allowed = bounds::BATTERY_CAPACITY_WH;
     let found: Option<f64> = text.parse().ok();
     found

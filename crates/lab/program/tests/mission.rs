@@ -1,16 +1,12 @@
-//! `joulebus mission`: a report as JSON and a picture.
+//! `joulebus mission`: a report as JSON.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_testkit::run;
 
 #[test]
-fn the_program_reports_as_json_and_draws_a_picture() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("run.svg");
-    let picture = file.to_str().unwrap();
+fn the_program_reports_as_json() {
     let program = env!("CARGO_BIN_EXE_joulebus-lab");
-    let arguments =
-        ["mission", "--seeds", "2", "--hours", "0.05", "--format", "json", "--picture", picture];
+    let arguments = ["mission", "--seeds", "2", "--hours", "0.05", "--format", "json"];
     let made = run(program, arguments).exits(0);
     let report = made.json();
     let policies = report["policies"].as_array().unwrap();
@@ -19,6 +15,5 @@ fn the_program_reports_as_json_and_draws_a_picture() {
     assert_eq!(policies[0]["outcomes"].as_array().unwrap().len(), 2);
     // Two seeds give no interval: null, not a number.
     assert!(policies[0]["tasks_per_h"]["lo"].is_null(), "{report}");
-    assert!(std::fs::read_to_string(&file).unwrap().starts_with("<svg"));
     assert_eq!(run(program, ["mission", "--hours", "NaN"]).exit_code(), 2);
 }

@@ -1,10 +1,10 @@
 //! Figure 2: the gain of each kind of input.
 
 use super::document::{Cell, Column, Part, Section, Table};
+use super::figure::{Axis, Categories, Colour, Figure, Interval, Layer, Mark, Panel};
 use super::material::{Material, interval, scaled};
 use super::paper;
 use joulebus_eval::score::ForecasterScore;
-use joulebus_figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
 
 /// The section: from velocities alone to the network.
 pub(super) fn section(material: &Material<'_>) -> Section {
@@ -46,21 +46,20 @@ fn papers(score: &ForecasterScore) -> f64 {
 
 fn figure(material: &Material<'_>, steps: &[&ForecasterScore]) -> Figure {
     let names: Vec<String> = steps.iter().map(|score| score.name.clone()).collect();
-    let bars =
-        |values: Vec<Interval>| Mark::Bars { values, slot: [0, 1], direction: Direction::Across };
+    let bars = |values: Vec<Interval>| Mark::Bars(Categories { values, slot: [0, 1] });
     let r2 = steps.iter().map(|score| interval(score.r2)).collect();
     let unit = material.unit;
     let mae = steps.iter().map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
     let mut layers = vec![Layer::named("here, with 95 % interval", Colour::Blue, bars(r2))];
     if material.beside_paper {
         let values = steps.iter().map(|score| Interval::exact(papers(score))).collect();
-        let dots = Mark::Dots { values, slot: [0, 1], direction: Direction::Across };
+        let dots = Mark::Dots(Categories { values, slot: [0, 1] });
         layers.push(Layer::named("paper", Colour::Vermilion, dots));
     }
     let panel = |title: &str, x: Axis, layers: Vec<Layer>| Panel {
         title: title.to_owned(),
         x,
-        y: Axis::names("", names.clone()),
+        y: Axis::names(names.clone()),
         layers,
     };
     material.noted(Figure::new(

@@ -5,21 +5,17 @@ use joulebus_settings::{FleetSettings, Platform};
 use rayon::prelude::*;
 
 use super::document::{Cell, Column, Part, Section, Table};
-use super::material::{Material, label};
+use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
+use super::material::Material;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Series, evaluate_trial};
-use joulebus_eval::score::{Cell as Scores, Design, Recording, recorded_platform};
-use joulebus_figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
+use joulebus_eval::score::{Design, Recording, recorded_platform};
 use joulebus_statistics::metrics::CoverageTally;
 
 /// Nominal coverages.
 const LEVELS: [f32; 7] = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98];
 /// Number of bins of the forecasts.
 const PARTS: usize = 20;
-/// Window of coverage over time, s.
-const STRETCH_S: f64 = 10.0;
-/// Maximum number of names in a figure.
-const MAX_SETS: usize = 24;
 
 /// The live intervals of a model at one level.
 #[derive(Debug, Clone, Copy)]
@@ -103,13 +99,8 @@ fn normal_reach(share: f64) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// The section. `sets` are shown individually. `trial` is shown over time.
-pub(super) fn section(
-    material: &Material<'_>,
-    levels: &[Level],
-    sets: &[Scores],
-    trial: &str,
-) -> Section {
+/// The section.
+pub(super) fn section(material: &Material<'_>, levels: &[Level]) -> Section {
     Section {
         id: "calibration".to_owned(),
         title: "Calibration of the intervals".to_owned(),
@@ -120,60 +111,23 @@ pub(super) fn section(
                  with the standard deviation in the model file."
                     .to_owned(),
             ),
-            Part::Figure(figure(material, levels, sets, trial)),
+            Part::Figure(figure(material, levels)),
             Part::Table(table(material, levels)),
         ],
     }
 }
 
-fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &str) -> Figure {
-    let series = material.series(trial).unwrap_or_default();
-    let nominal = 100.0 * levels_asked(material);
-
-    let mut panels = vec![promise(levels), means(material)];
-    panels.push(Panel {
-        title: format!("over time, {}", label(trial)),
-        x: Axis::new("time (s)"),
-        y: Axis::new("readings inside (%)"),
-        layers: vec![
-            Layer::named("asked for", Colour::Grey, across(nominal)),
-            Layer::named(
-                format!("inside, by {STRETCH_S:.0} s"),
-                Colour::Blue,
-                Mark::Line { points: over_time(&series), dashed: false },
-            ),
-        ],
-    });
-    let shown = &sets[..sets.len().min(MAX_SETS)];
-    if shown.len() > 1 {
-        panels.push(each(material, shown, nominal));
-    }
-    let last =
-        if shown.len() > 1 { " (d) Share inside, individually, with 95 % intervals." } else { "" };
-    let mut figure = Figure::new(
+fn figure(material: &Material<'_>, levels: &[Level]) -> Figure {
+    material.noted(Figure::new(
         "figure-7-calibration",
         "Figure 7. Calibration.",
         format!(
             "(a) Share of readings inside the live interval against the nominal coverage. On the \
-                dashed line both are equal. (b) Mean of reading minus forecast in {PARTS} equal \
-                parts of the \
-             forecasts, from low to high. (c) Share inside over time.{last}"
+             dashed line both are equal. (b) Mean of reading minus forecast in {PARTS} equal parts \
+             of the forecasts, from low to high."
         ),
-        panels,
-    );
-    figure.panel_height_px = (110 + 18 * shown.len() as u32).clamp(260, 560);
-    material.noted(figure)
-}
-
-/// Nominal coverage of the live intervals, share.
-fn levels_asked(material: &Material<'_>) -> f64 {
-    let scores = material.scored.report.all.forecasters.first();
-    let interval = scores.and_then(|score| score.interval);
-    interval.map_or(f64::NAN, |interval| interval.scores.nominal)
-}
-
-const fn across(at: f64) -> Mark {
-    Mark::Rule { at, direction: Direction::Across }
+        vec![promise(levels), means(material)],
+    ))
 }
 
 fn promise(levels: &[Level]) -> Panel {
@@ -227,62 +181,10 @@ fn means(material: &Material<'_>) -> Panel {
         x: Axis::new(format!("forecast ({})", unit.name())),
         y: Axis::new(format!("mean residual ({})", unit.name())),
         layers: vec![
-            Layer::plain(Colour::Grey, across(0.0)),
+            Layer::plain(Colour::Grey, Mark::Rule { at: 0.0, direction: Direction::Across }),
             Layer::plain(Colour::Blue, Mark::Points(points.clone())),
             Layer::plain(Colour::Blue, Mark::Line { points, dashed: false }),
         ],
-    }
-}
-
-/// Share inside, in percent, of each time window.
-fn over_time(series: &Series) -> Vec<[f64; 2]> {
-    let mut points = Vec::new();
-    let mut from = 0;
-    while from < series.len() {
-        let end_s = series.time_s[from] + STRETCH_S;
-        let to = series.time_s.partition_point(|time_s| *time_s < end_s).max(from + 1);
-        let mut inside = CoverageTally::default();
-        for at in from..to {
-            inside.add(series.reading_w[at], series.lo_w[at], series.hi_w[at]);
-        }
-        points.push([series.time_s[from] + STRETCH_S / 2.0, 100.0 * inside.coverage()]);
-        from = to;
-    }
-    points
-}
-
-fn each(material: &Material<'_>, sets: &[Scores], nominal: f64) -> Panel {
-    let models = 0..material.models();
-    let mut layers = vec![
-        Layer::plain(Colour::Grey, Mark::Stripe([nominal - 2.0, nominal + 2.0])),
-        Layer::named(
-            "asked for",
-            Colour::Grey,
-            Mark::Rule { at: nominal, direction: Direction::Up },
-        ),
-    ];
-    layers.extend(models.map(|model| {
-        let values = sets.iter().map(|set| {
-            let score = set.forecasters.get(model).and_then(|score| score.interval);
-            score.map_or(Interval::exact(f64::NAN), |score| Interval {
-                value: 100.0 * score.inside.value,
-                low: 100.0 * score.inside.lo,
-                high: 100.0 * score.inside.hi,
-            })
-        });
-        let mark = Mark::Dots {
-            values: values.collect(),
-            slot: [model, material.models()],
-            direction: Direction::Across,
-        };
-        let name = material.scored.report.all.forecasters[model].name.clone();
-        Layer::named(name, material.colour(model), mark)
-    }));
-    Panel {
-        title: "individually".to_owned(),
-        x: Axis::new("readings inside (%)"),
-        y: Axis::names("", sets.iter().map(|set| label(&set.name)).collect()),
-        layers,
     }
 }
 
@@ -321,19 +223,5 @@ mod tests {
         for (share, reach) in [(0.5, 0.674_490), (0.9, 1.644_854), (0.95, 1.959_964)] {
             assert!((normal_reach(share) - reach).abs() < 1e-5, "{share}");
         }
-    }
-
-    #[test]
-    fn coverage_over_time_counts_each_window_separately() {
-        let count = 600;
-        let series = Series {
-            time_s: (0..count).map(|at| f64::from(at) / 30.0).collect(),
-            reading_w: (0..count).map(|at| if at < 300 { 1.0 } else { 5.0 }).collect(),
-            forecast_w: vec![1.0; 600],
-            lo_w: vec![0.0; 600],
-            hi_w: vec![2.0; 600],
-        };
-        let points = over_time(&series);
-        assert_eq!(points, [[5.0, 100.0], [15.0, 0.0]]);
     }
 }

@@ -4,7 +4,7 @@
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
 use serde::{Serialize, Serializer};
 
-use joulebus_figure::Figure;
+use super::figure::Figure;
 
 /// A report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -38,8 +38,7 @@ pub enum Part {
     Words(String),
     /// A table.
     Table(Table),
-    /// A picture.
-    #[serde(serialize_with = "picture")]
+    /// A figure, with its data.
     Figure(Figure),
 }
 
@@ -186,16 +185,6 @@ impl Serialize for Row<'_> {
         let keys = self.columns.iter().map(|column| &column.key);
         to.collect_map(keys.zip(self.cells))
     }
-}
-
-fn picture<S: Serializer>(figure: &Figure, to: S) -> Result<S::Ok, S::Error> {
-    let mut map = to.serialize_map(Some(5))?;
-    map.serialize_entry("id", &figure.name)?;
-    map.serialize_entry("title", &figure.title)?;
-    map.serialize_entry("description", &figure.description)?;
-    map.serialize_entry("svg", &format!("figures/{}.svg", figure.name))?;
-    map.serialize_entry("png", &format!("figures/{}.png", figure.name))?;
-    map.end()
 }
 
 impl Document {

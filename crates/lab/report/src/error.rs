@@ -2,7 +2,6 @@
 
 use joulebus_eval::evaluate::EvaluateError;
 use joulebus_eval::score::ScoreError;
-use joulebus_figure::FigureError;
 use joulebus_train::TrainError;
 
 /// Errors of making a report.
@@ -31,9 +30,6 @@ pub enum ReportError {
     /// The training was refused or diverged.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// A figure could not be drawn.
-    #[error(transparent)]
-    Figure(#[from] FigureError),
     /// The report could not be written as JSON.
     #[error("the report cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),

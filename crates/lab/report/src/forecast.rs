@@ -1,10 +1,10 @@
 //! Figures 3 and 4: one trial, forecast against reading, and over time.
 
 use super::document::{Cell, Column, Part, Section, Table};
+use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use super::material::{Material, label};
 use super::paper;
 use joulebus_eval::evaluate::Series;
-use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins, tiles};
 use joulebus_statistics::metrics::{ResidualQuantiles, quantile, sorted, tally};
 
 const TILES: usize = 60;
@@ -45,11 +45,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         x: Axis::new(format!("forecast ({})", unit.name())).within(ends[0], ends[1]),
         y: Axis::new(format!("reading ({})", unit.name())).within(ends[0], ends[1]),
         layers: vec![
-            Layer::named(
-                "rows, darker: more",
-                Colour::Blue,
-                Mark::Tiles(tiles(pairs(), ends, ends, TILES)),
-            ),
+            Layer::named("rows, darker: more", Colour::Blue, Mark::tiles(pairs(), ends, TILES)),
             Layer::named("equal", Colour::Grey, Mark::Diagonal),
         ],
     };
@@ -71,10 +67,10 @@ fn residual_panel(material: &Material<'_>, series: &Series) -> Panel {
     let residuals = sorted(series.residuals_w().map(|residual_w| unit.scaled_w(residual_w)));
     let middle = [quantile(&residuals, 0.05), quantile(&residuals, 0.95)];
     let ends = [quantile(&residuals, 0.005), quantile(&residuals, 0.995)];
-    let counted = bins(residuals.iter().copied(), ends, BINS);
+    let density = Mark::density(residuals.iter().copied(), ends, BINS);
     let mut layers = vec![
         Layer::named("90 % of residuals", Colour::Sky, Mark::Stripe(middle)),
-        Layer::named("residuals", Colour::Blue, Mark::density(&counted)),
+        Layer::named("residuals", Colour::Blue, density),
     ];
     if material.beside_paper {
         for (at, end_w) in paper::RESIDUAL_90_W.into_iter().enumerate() {

@@ -1,9 +1,9 @@
 //! Figure 6: accuracy by horizon in open loop.
 
 use super::document::{Cell, Column, Part, Section, Table};
+use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use super::material::{Material, scaled};
 use joulebus_eval::score::{Horizon, HorizonScore};
-use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_statistics::bootstrap::Estimate;
 
 /// The section. `None` if no horizon was evaluated.

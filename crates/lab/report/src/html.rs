@@ -1,18 +1,24 @@
-//! A report as one self-contained HTML file.
+//! A report as one self-contained HTML file: its tables, and its data as JSON, which uPlot draws.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::document::{Document, Part, Section, Table};
-use joulebus_figure::{Colour, Figure, FigureError};
+use super::figure::Figure;
 
 const STYLE: &str = include_str!("report.css");
+const SCRIPT: &str = include_str!("report.js");
+/// The library that draws, as the page of `joulebus serve` has it.
+const LIBRARY: &str = include_str!("uPlot.iife.min.js");
+const LIBRARY_STYLE: &str = include_str!("uPlot.min.css");
+const LIBRARY_LICENCE: &str = include_str!("uPlot.LICENSE");
 
-/// The document as HTML, with its figures as inline SVG.
+/// The document as HTML. `script[type="application/json"]` has what `report.json` has.
 ///
 /// # Errors
-/// A figure cannot be drawn.
-pub fn html(document: &Document) -> Result<String, FigureError> {
-    let sections = document.sections.iter().map(section).collect::<Result<Vec<_>, _>>()?;
+/// It cannot be written as JSON.
+pub fn html(document: &Document) -> Result<String, serde_json::Error> {
+    // In a script only `<` could end it.
+    let data = serde_json::to_string(document)?.replace('<', "\\u003c");
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -21,7 +27,7 @@ pub fn html(document: &Document) -> Result<String, FigureError> {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
                 title { (document.title) }
-                style { (PreEscaped(style())) }
+                style { (PreEscaped(LIBRARY_STYLE)) (PreEscaped(STYLE)) }
             }
             body {
                 header {
@@ -30,49 +36,54 @@ pub fn html(document: &Document) -> Result<String, FigureError> {
                         p.warning role="note" { (warning) }
                     }
                     @for words in &document.summary { p { (words) } }
+                    noscript { p.warning {
+                        "The figures need JavaScript. The tables have their numbers."
+                    } }
                 }
                 nav aria-label="Contents" {
                     ol { @for section in &document.sections {
                         li { a href={ "#" (section.id) } { (section.title) } }
                     } }
                 }
-                main { @for section in sections { (section) } }
+                main { @for part in &document.sections { (section(part)) } }
+                script type="application/json" id="data" { (PreEscaped(data)) }
+                script { "/*\n" (PreEscaped(LIBRARY_LICENCE)) "*/\n" (PreEscaped(LIBRARY)) }
+                script { (PreEscaped(SCRIPT)) }
             }
         }
     };
     Ok(page.into_string())
 }
 
-fn section(section: &Section) -> Result<Markup, FigureError> {
-    let parts = section.parts.iter().map(part).collect::<Result<Vec<_>, _>>()?;
-    Ok(html! {
+fn section(section: &Section) -> Markup {
+    html! {
         section id=(section.id) {
             h2 { (section.title) }
-            @for part in parts { (part) }
+            @for part in &section.parts {
+                @match part {
+                    Part::Words(words) => p { (words) },
+                    Part::Table(shown) if shown.folded => {
+                        details { summary { "Numbers: " (shown.caption) } (table(shown)) }
+                    }
+                    Part::Table(shown) => (table(shown)),
+                    Part::Figure(drawn) => (figure(drawn)),
+                }
+            }
         }
-    })
+    }
 }
 
-fn part(part: &Part) -> Result<Markup, FigureError> {
-    Ok(match part {
-        Part::Words(words) => html! { p { (words) } },
-        Part::Table(shown) if shown.folded => html! {
-            details { summary { "Numbers: " (shown.caption) } (table(shown)) }
-        },
-        Part::Table(shown) => table(shown),
-        Part::Figure(figure) => picture(figure)?,
-    })
-}
-
-fn picture(figure: &Figure) -> Result<Markup, FigureError> {
-    let drawing = figure.inline_svg()?;
-    let wide = if figure.columns > 1 { "wide" } else { "narrow" };
-    Ok(html! {
-        figure id=(figure.name) class=(wide) {
-            (PreEscaped(drawing))
-            figcaption { strong { (figure.title) } " " (figure.description) }
+/// A figure, whose panels the script draws.
+fn figure(figure: &Figure) -> Markup {
+    html! {
+        figure id=(figure.name) {
+            div.panels {}
+            figcaption {
+                strong { (figure.title) } " " (figure.description)
+                @if let Some(note) = &figure.note { " " em { "(" (note) ")" } }
+            }
         }
-    })
+    }
 }
 
 fn table(table: &Table) -> Markup {
@@ -96,19 +107,4 @@ fn table(table: &Table) -> Markup {
             }
         }
     }
-}
-
-/// The page's style, with the figures' colours for dark mode.
-fn style() -> String {
-    let dark: String = Colour::ALL
-        .iter()
-        .map(|colour| {
-            let (light, dark) = (Colour::hex(colour.light()), Colour::hex(colour.dark()));
-            format!(
-                "figure svg [fill=\"{light}\"]{{fill:{dark}}}\
-                 figure svg [stroke=\"{light}\"]{{stroke:{dark}}}\n"
-            )
-        })
-        .collect();
-    format!("{STYLE}@media screen and (prefers-color-scheme: dark) {{\n{dark}}}\n")
 }

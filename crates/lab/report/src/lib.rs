@@ -1,4 +1,4 @@
-//! Evaluation reports as one HTML file, as figures, as text and as JSON.
+//! Reports on recordings and on forecasts of them: one HTML file, text and JSON.
 //!
 //! ```
 //! use joulebus_report::{Cell, Column, Document, Part, Section, Table, html};
@@ -26,16 +26,16 @@
 //! ```
 //!
 //! **Three types to know.** A [`Document`] is a report as data. [`html`](html()) renders it as one
-//! self-contained file, `Display` as text, `serde` as JSON, and [`files`](files()) as all of them
-//! with the figures as files. [`Recorded`] has the inputs of a report on recordings
+//! self-contained file, whose figures uPlot draws. `Display` renders it as text, `serde` as JSON
+//! with the data of the figures, and [`files`](files()) as all three. [`Recorded`] has the inputs of a report on recordings
 //! ([`recorded`](recorded())). [`Simulated`] has those of the paper's experiments on simulated
 //! robots ([`simulated`](simulated())).
 //!
 //! **Units** stand in the titles of columns and axes. An unknown number is NaN, and shown as a
 //! dash.
 //!
-//! **Errors** ([`ReportError`]) are those of the evaluation, of the training and of the drawing, or
-//! an experiment that is too short.
+//! **Errors** ([`ReportError`]) are those of the evaluation and of the training, or an experiment
+//! that is too short.
 //!
 //! The program `joulebus-lab` has this crate as `joulebus report`.
 //!
@@ -54,6 +54,7 @@ mod document;
 mod draw;
 mod error;
 mod experiment;
+mod figure;
 mod files;
 mod forecast;
 mod horizons;
@@ -67,10 +68,12 @@ mod scores;
 mod simulated;
 mod text;
 mod unit;
+mod usage;
 
 pub use document::{Cell, Column, Document, Part, Section, Table};
 pub use error::ReportError;
 pub use experiment::{DRAWS, Simulated};
+pub use figure::Figure;
 pub use files::{File, files};
 pub use html::html;
 pub use recorded::{Recorded, recorded};

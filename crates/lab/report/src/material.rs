@@ -1,8 +1,8 @@
 //! Inputs of a report's sections.
 
+use super::figure::{Colour, Figure, Interval};
 use joulebus_eval::evaluate::{RobotEvaluation, Series};
 use joulebus_eval::score::{ForecasterScore, Recording, Scored};
-use joulebus_figure::{Colour, Figure, Interval};
 use joulebus_train::linear::Terms;
 
 use super::unit::Unit;

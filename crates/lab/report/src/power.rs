@@ -1,12 +1,12 @@
 //! Figure 1: distribution and autocorrelation of power.
 
 use super::document::{Cell, Column, Part, Section, Table};
+use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use super::material::{Material, label};
 use super::paper;
 use joulebus_dataset::trial::{Column as Recorded, Trial};
 use joulebus_eval::analyze::autocorrelation;
 use joulebus_eval::score::{Contents, Recording};
-use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins};
 use joulebus_statistics::metrics::{quantile, sorted};
 
 /// Maximum lag shown, rows.
@@ -131,7 +131,7 @@ fn distribution(material: &Material<'_>) -> Panel {
     let contents = material.recordings.iter().filter_map(Recording::in_memory);
     let power_w = sorted(contents.flat_map(|contents| readings_w(&contents.trial)));
     let ends = [quantile(&power_w, 0.0005), quantile(&power_w, 0.9995)];
-    let counted = bins(
+    let density = Mark::density(
         power_w.iter().map(|power_w| unit.scaled_w(*power_w)),
         ends.map(|end| unit.scaled_w(end)),
         BINS,
@@ -139,7 +139,7 @@ fn distribution(material: &Material<'_>) -> Panel {
     let mean_w = power_w.iter().sum::<f64>() / power_w.len() as f64;
     let rule = |at_w: f64| Mark::Rule { at: unit.scaled_w(at_w), direction: Direction::Up };
     let mut layers = vec![
-        Layer::named("readings", Colour::Blue, Mark::density(&counted)),
+        Layer::named("readings", Colour::Blue, density),
         Layer::named("their mean", Colour::Ink, rule(mean_w)),
     ];
     if material.beside_paper {

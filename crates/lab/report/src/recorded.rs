@@ -7,6 +7,7 @@ use super::document::{Cell, Column, Document, Part, Section, Table};
 use super::material::{BASELINES, Material};
 use super::robots::Grouping;
 use super::unit::Unit;
+use super::usage::Usage;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
 use joulebus_dataset::trial::TrialError;
 use joulebus_eval::score::{
@@ -20,7 +21,8 @@ pub struct Recorded<'a> {
     pub settings: &'a FleetSettings,
     /// The platform. `None` takes period and limits from each recording.
     pub platform: Option<&'a Platform>,
-    /// The models, at least one. The first is shown in every figure.
+    /// The models. The first is shown in every figure. Without one, the report is on what the
+    /// recordings say by themselves.
     pub models: &'a [Model],
     /// The evaluated recordings.
     pub recordings: &'a [Recording],
@@ -31,6 +33,8 @@ pub struct Recorded<'a> {
     pub references: Vec<Reference>,
     /// True if these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,
+    /// Energy of a battery from full to empty, Wh. `None`: the platform's.
+    pub battery_wh: Option<f64>,
 }
 
 /// Evaluates the models on the recordings and makes the report.
@@ -38,13 +42,24 @@ pub struct Recorded<'a> {
 /// # Errors
 /// [`ReportError`]: nothing to evaluate, or settings that are refused.
 pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
-    let Recorded { settings, platform, models, recordings, design: _, ref references, published } =
-        *what;
+    let Recorded { settings, platform, models, recordings, ref references, published, .. } = *what;
     // Every section needs them.
     let loaded: Result<Vec<Recording>, TrialError> =
         recordings.iter().map(Recording::loaded).collect();
     let recordings = loaded.map_err(ScoreError::from)?;
     let recordings = recordings.as_slice();
+    if recordings.is_empty() {
+        return Err(ScoreError::NoRecording.into());
+    }
+    let usage = Usage::new(recordings, platform, what.battery_wh);
+    if models.is_empty() {
+        return Ok(Document {
+            title: format!("Energy in {} recordings", recordings.len()),
+            warning: None,
+            summary: vec![usage.summary()],
+            sections: vec![usage.section()],
+        });
+    }
     let design = what.design.clone().hold_apart(recordings, models)?;
     let subject = Subject { settings, platform, models, recordings, design: &design };
     let options = Options { references: references.clone(), ..options() };
@@ -74,20 +89,23 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         beside_paper: published,
     };
     let trial = shown_trial(recordings, published);
-    let mut sections =
-        vec![inputs(&material), power::section(&material), ablation::section(&material)];
+    let mut sections = vec![
+        usage.section(),
+        inputs(&material),
+        power::section(&material),
+        ablation::section(&material),
+    ];
     sections.extend(forecast::section(&material, &trial));
     let chosen = robots::chosen(&material);
     sections.extend(chosen.map(|(kind, sets)| robots::section(&material, kind, sets)));
     sections.extend(horizons::section(&material));
-    let sets = chosen.map_or(&[] as &[_], |(_, sets)| sets);
-    sections.push(calibration::section(&material, &levels, sets, &trial));
+    sections.push(calibration::section(&material, &levels));
     sections.push(all_scores(&material, chosen.map(|(kind, _)| kind)));
     let trials = recordings.len();
     Ok(Document {
         title: format!("Power forecasts of {}, on {trials} recordings", material.model()),
         warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
-        summary: vec![verdict(&scored)],
+        summary: vec![usage.summary(), verdict(&scored)],
         sections,
     })
 }

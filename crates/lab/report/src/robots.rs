@@ -1,10 +1,10 @@
 //! Figure 5: one model on different robots, groups or trials.
 
 use super::document::{Part, Section};
+use super::figure::{Axis, Categories, Colour, Figure, Interval, Layer, Mark, Panel};
 use super::material::{Material, interval, label, scaled};
 use super::{paper, scores};
 use joulebus_eval::score::{Cell as Scores, ForecasterScore};
-use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 
 /// Maximum number of names in a figure.
 const MAX_SETS: usize = 24;
@@ -72,17 +72,14 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
 fn figure(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Figure {
     let what = kind.plural();
     let names: Vec<String> = sets.iter().map(|set| label(&set.name)).collect();
-    let axis = || Axis::names("", names.clone());
+    let axis = || Axis::names(names.clone());
     let unit = material.unit;
     let models = 0..material.models();
     let energy = models.map(|model| {
         let values =
             scores_of(sets, model).map(|score| scaled(score.energy_error, |share| 100.0 * share));
-        let bars = Mark::Bars {
-            values: values.collect(),
-            slot: [model, material.models()],
-            direction: Direction::Across,
-        };
+        let slot = [model, material.models()];
+        let bars = Mark::Bars(Categories { values: values.collect(), slot });
         let name = material.scored.report.all.forecasters[model].name.clone();
         Layer::named(name, material.colour(model), bars)
     });
@@ -125,17 +122,14 @@ fn scores_of(sets: &[Scores], forecaster: usize) -> impl Iterator<Item = &Foreca
 fn dots(
     material: &Material<'_>,
     sets: &[Scores],
-    value: impl Fn(&ForecasterScore) -> joulebus_figure::Interval,
+    value: impl Fn(&ForecasterScore) -> Interval,
 ) -> Vec<Layer> {
     let compared = material.compared();
     let count = compared.len();
     let each = compared.into_iter().enumerate();
     each.map(|(slot, (at, name))| {
-        let mark = Mark::Dots {
-            values: scores_of(sets, at).map(&value).collect(),
-            slot: [slot, count],
-            direction: Direction::Across,
-        };
+        let values = scores_of(sets, at).map(&value).collect();
+        let mark = Mark::Dots(Categories { values, slot: [slot, count] });
         Layer::named(name, material.colour(at), mark)
     })
     .collect()
@@ -147,9 +141,9 @@ fn draw_panel(material: &Material<'_>, sets: &[Scores], names: Axis) -> Panel {
     let values = sets.iter().map(|set| {
         let [value, low, high] = [0.0, -1.0, 1.0]
             .map(|deviations| unit.scaled_w(set.reading_mean_w + deviations * set.reading_std_w));
-        joulebus_figure::Interval { value, low, high }
+        Interval { value, low, high }
     });
-    let mark = Mark::Dots { values: values.collect(), slot: [0, 1], direction: Direction::Across };
+    let mark = Mark::Dots(Categories { values: values.collect(), slot: [0, 1] });
     Panel {
         title: "power drawn".to_owned(),
         x: Axis::new(format!("power ({})", unit.name())),

@@ -9,13 +9,13 @@ use super::comparison::{self, Numbers};
 use super::document::{Document, Part, Section};
 use super::draw::{Draw, Recordings, scores_only};
 use super::experiment::Simulated;
+use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use super::material::Material;
 use super::recorded::{all_scores, options};
 use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
 use joulebus_eval::score::{Cell as Scores, Recording};
-use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_train::{Epoch, Trained};
 
 /// The note on every figure of simulated robots.
@@ -94,9 +94,7 @@ fn document(
         beside_paper: true,
     };
     let fleet = Material { recordings: robots, scored: &shown.together, ..single };
-    let name =
-        |trial: Option<&Recording>| trial.map(|trial| trial.name.clone()).unwrap_or_default();
-    let (sixth, first) = (name(trials.last()), name(robots.first()));
+    let sixth = trials.last().map(|trial| trial.name.clone()).unwrap_or_default();
     let together = &shown.together.report.robots;
     let mut sections = vec![
         comparison::product(draws),
@@ -109,7 +107,7 @@ fn document(
     sections.extend(forecast::section(&single, &sixth));
     sections.push(robots::section(&fleet, Grouping::Robots, together));
     sections.extend(horizons::section(&fleet));
-    sections.push(calibration::section(&fleet, levels, together, &first));
+    sections.push(calibration::section(&fleet, levels));
     sections.push(all_scores(&fleet, Some(Grouping::Robots)));
     let (count, samples) = (experiment.draws, experiment.samples);
     let (from, to) = (experiment.seed, experiment.seed + u64::from(count) - 1);

@@ -6,7 +6,9 @@ use super::document::{Cell, Document, Part, Table};
 
 impl fmt::Display for Document {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{}\n{}", self.title, "=".repeat(width(&self.title)))?;
+        // Each text begins alike, so that a report replaces another one.
+        let title = format!("Report: {}", self.title);
+        writeln!(out, "{title}\n{}", "=".repeat(width(&title)))?;
         if let Some(warning) = &self.warning {
             writeln!(out, "\n!! {warning}")?;
         }
@@ -20,7 +22,7 @@ impl fmt::Display for Document {
                     Part::Words(words) => writeln!(out, "\n{words}")?,
                     Part::Table(table) => write!(out, "\n{table}")?,
                     Part::Figure(figure) => {
-                        writeln!(out, "\n[figures/{}.png] {}", figure.name, figure.title)?;
+                        writeln!(out, "\n[{}] {}", figure.name, figure.title)?;
                     }
                 }
             }

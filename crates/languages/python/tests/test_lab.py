@@ -153,6 +153,24 @@ def test_a_report_is_the_programs_and_its_figures_are_drawn_by_matplotlib(progra
     assert found.network is None
 
 
+def test_every_figure_of_a_report_is_written_as_svg_and_pdf(files, tmp_path):
+    found = joulebus.report(files[:2], MODEL, battery_wh=20.0)
+    assert next(iter(found.tables)) == "table-speed" and found.to_pandas("table-battery")["lasts_h"].notna().any()
+    report = found.save(tmp_path).with_name("report.json")
+    command = [sys.executable, "-m", "joulebus.figures", report]
+    subprocess.run(command, check=True, capture_output=True)
+    names = sorted(path.name for path in (tmp_path / "figures").iterdir())
+    assert names == sorted(f"{figure.name}.{ending}" for figure in found.figures for ending in ("svg", "pdf"))
+    for figure in found.figures:
+        assert (tmp_path / "figures" / f"{figure.name}.pdf").read_bytes().startswith(b"%PDF")
+        assert "<svg" in (tmp_path / "figures" / f"{figure.name}.svg").read_text()
+    refused = subprocess.run([*command, "none"], capture_output=True, text=True)
+    assert refused.returncode == 1 and "there is no figure none, allowed are figure-" in refused.stderr
+    with pytest.raises(ValueError, match="battery_wh is 0, allowed is 0.001 to"):
+        joulebus.report(files[:2], MODEL, battery_wh=0)
+
+
+
 def test_the_papers_experiments_run_on_simulated_robots():
     found = joulebus.report(simulated=True, seed=3, draws=2, samples=700, max_epochs=2, progress=False)
     assert "simulated" in found.data["warning"] and found.network.name == "network"

@@ -1,7 +1,5 @@
 //! The options of `joulebus mission`.
 
-use std::path::PathBuf;
-
 /// Simulate missions under several charging policies, to see what energy forecasts are worth
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -9,8 +7,7 @@ use std::path::PathBuf;
     two cores\n  \
     joulebus mission --seeds 8 --hours 0.25            a quick look\n  \
     joulebus mission --dragging 0 --battery-wh 0.25    no faults, larger batteries\n  \
-    joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n  \
-    joulebus mission --seeds 1 --picture run.svg       a picture of one mission\n\n\
+    joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n\n\
     Twenty simulated robots with small batteries and varied parts do tasks, which arrive at \
     random. Three chargers take one robot each. Every policy gets the same tasks, robots, \
     dispatcher and account of its batteries, and faces the same seeds. Settings were chosen on \
@@ -38,9 +35,6 @@ pub(crate) struct Args {
     /// Also a policy that knows the true energies: what perfect forecasts would be worth
     #[arg(long)]
     pub(super) oracle: bool,
-    /// Write a picture of the first seed's mission with joulebus (.svg)
-    #[arg(long, value_name = "FILE", conflicts_with = "tune")]
-    pub(super) picture: Option<PathBuf>,
 }
 
 fn within(text: &str, lo: f64, hi: f64) -> Result<f64, String> {

@@ -5,10 +5,9 @@ mod arguments;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use joulebus_mission::{
-    CHOSEN, MissionError, Outcome, Policy, Runs, Scenario, Summary, mission, picture, tried,
+    CHOSEN, MissionError, Outcome, Policy, Runs, Scenario, Summary, mission, tried,
 };
 use joulebus_program::exit::Outcome as Exit;
-use joulebus_program::file::write;
 use joulebus_program::output::{Output, log_line};
 use rayon::prelude::*;
 
@@ -31,11 +30,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Exit> {
     }
     let default = if args.tune { TUNING_SEED } else { SEED };
     let first_seed = args.first_seed.unwrap_or(default);
-    if let (Some(file), Some(joulebus)) = (&args.picture, policies.last()) {
-        let drawn = picture(&scenario, *joulebus, first_seed)?;
-        write(file, drawn.as_bytes())?;
-        log_line(&format!("written: {}", file.display()));
-    }
     let runs = all(&scenario, &policies, first_seed, args.seeds)?;
     let summary = Summary::new(scenario, first_seed, &runs);
     output.report(&summary)?;

@@ -8,16 +8,19 @@ use crate::judgement::AcceptArguments;
 use crate::recordings::ColumnArguments;
 use crate::references::ReferenceArguments;
 
-/// Report the accuracy of models in figures and tables, compared with the baselines
+/// Report what recordings say of energy and battery, and the accuracy of models
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
+    joulebus report recordings/ --battery-wh 20 -o report/\n  \
     joulebus report --simulated -o report/\n  \
     joulebus report recordings/ --model my.safetensors -o report/\n  \
     joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
     joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
     joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
-    DIR/report.html is a self-contained file. DIR also gets report.json, report.txt and \
-    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten \
+    DIR/report.html is a self-contained file. DIR also gets report.json and report.txt. `python3 -m \
+    joulebus.figures DIR/report.json` draws its figures as SVG and PDF.\n\
+    First comes what recordings say by themselves: energy per metre, power by speed, how long a \
+    battery lasts, and the worst run. Only plausible readings count. --simulated runs the paper's experiments on simulated robots, ten \
     times. It trains on trials 1 to 4 and evaluates on all six trials and on seven robots. Mean \
     and deviation stand beside the paper's figures, and everything says that it is simulated.\n\
     Rows that a model was trained on, as its file states, are scored apart from the others. The \
@@ -36,7 +39,8 @@ pub(crate) struct Args {
     #[command(flatten)]
     pub(super) accept: AcceptArguments,
     /// A model file. The first is shown in every figure, further ones are compared with it
-    #[arg(long, value_name = "FILE", required_unless_present = "simulated")]
+    /// [default: none, and no forecasts are scored]
+    #[arg(long, value_name = "FILE")]
     pub(super) model: Vec<PathBuf>,
     /// The output directory, which is created if it does not exist
     #[arg(short, long, value_name = "DIR")]
@@ -45,7 +49,10 @@ pub(crate) struct Args {
     /// ones]
     #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with = "simulated")]
     pub(super) train: Vec<PathBuf>,
-    /// Platform of the config with the period and limits [default: as recorded]
+    /// Energy of the battery from full to empty, Wh [default: that of the platform]
+    #[arg(long, value_name = "WH", conflicts_with = "simulated", value_parser = crate::config_init::capacity_wh)]
+    pub(super) battery_wh: Option<f64>,
+    /// Platform of the config with the period, limits and battery [default: as recorded]
     #[arg(long, value_name = "NAME", conflicts_with = "simulated")]
     pub(super) platform: Option<String>,
     /// The recordings are those of arXiv 2603.13908: show its numbers for comparison

@@ -1,4 +1,4 @@
-//! `joulebus report`: an evaluation as one HTML file, figures, text and JSON.
+//! `joulebus report`: recordings and forecasts of them as one HTML file, text and JSON.
 
 mod arguments;
 
@@ -30,18 +30,17 @@ const SIMULATED_SEED: u64 = 1;
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Created first, so that an invalid directory fails before the evaluation.
-    let pictures = args.out.join("figures");
     let mut several = Several::default();
     several
-        .folder(&pictures)
-        .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
+        .folder(&args.out)
+        .with_context(|| format!("cannot make the directory {}", args.out.display()))?;
     let (document, implausible) =
         if args.simulated { (simulate(args)?, Vec::new()) } else { evaluate(args)? };
     log_line("rendering the report");
     for file in files(&document)? {
-        let path = args.out.join(&file.path);
+        let path = args.out.join(file.name);
         let is_new = !path.exists();
-        write(&path, &file.bytes)?;
+        write(&path, file.text.as_bytes())?;
         if is_new {
             several.file(&path);
         }
@@ -107,6 +106,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         design: &design,
         references: args.references.read()?,
         published: args.published,
+        battery_wh: args.battery_wh,
     })?;
     if let Some(warning) = &document.warning {
         log_line(&format!("warning: {warning}"));

@@ -1,7 +1,15 @@
-"""Figures of reports, drawn by matplotlib from the data that joulebus draws them from."""
+"""Figures of reports, drawn by matplotlib from the data in report.json.
+
+    python3 -m joulebus.figures report/report.json              # every figure as SVG and PDF, beside the report
+    python3 -m joulebus.figures report.json -o paper/ figure-4-time      # one of them, elsewhere
+"""
 from __future__ import annotations
 
+import argparse
+import json
 import math
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -110,18 +118,57 @@ def _categories(ax: Any, kind: str, data: dict[str, Any], colour: str, label: st
     width = _TAKEN / max(1, slots)
     at = np.arange(len(values)) + (slot - 0.5 * (slots - 1)) * width
     errors = np.nan_to_num(np.stack([values - low, high - values]))
-    up = data["direction"] == "up"
     if kind == "bars":
-        draw, size = (ax.bar, "width") if up else (ax.barh, "height")
-        draw(at, values, color=colour, label=label, **{size: 0.9 * width})
+        ax.barh(at, values, color=colour, label=label, height=0.9 * width)
     else:
-        ax.plot(*((at, values) if up else (values, at)), "o", color=colour, label=label, markersize=4.0)
+        ax.plot(values, at, "o", color=colour, label=label, markersize=4.0)
     if errors.any():
-        bars = {"yerr": errors} if up else {"xerr": errors}
-        ax.errorbar(*((at, values) if up else (values, at)), fmt="none", color="#1B1F24", linewidth=1.0, **bars)
+        ax.errorbar(values, at, xerr=errors, fmt="none", color="#1B1F24", linewidth=1.0)
 
 
 def _numbers(values: Any, width: int | None = None) -> np.ndarray:
     # In JSON, a number that is not finite is null.
     found = np.array(values, np.float64)
     return found if width is None else found.reshape(-1, width)
+
+
+def draw(report: Path, out: Path, names: list[str]) -> list[Path]:
+    """Draws figures of a report.json, all if none is named, as SVG and PDF. Needs matplotlib."""
+    pyplot = needed("matplotlib.pyplot", "figures")
+    parts = [part for section in json.loads(report.read_text())["sections"] for part in section["parts"]]
+    figures = {part["figure"]["name"]: Figure(part["figure"]) for part in parts if "figure" in part}
+    for name in names:
+        if name not in figures:
+            raise ValueError(f"{report}: there is no figure {name}, allowed are {', '.join(figures)}")
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    # The same bytes each time.
+    with pyplot.rc_context({"svg.hashsalt": "joulebus"}):
+        for name in names or figures:
+            drawn = figures[name].figure()
+            for ending, date in ("svg", "Date"), ("pdf", "CreationDate"):
+                written.append(out / f"{name}.{ending}")
+                drawn.savefig(written[-1], metadata={date: None})
+            pyplot.close(drawn)
+    return written
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python3 -m joulebus.figures", description="Draws the figures of a report.")
+    parser.add_argument("report", type=Path, help="the report.json of a report")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="figures to draw (default: all)")
+    parser.add_argument("-o", "--out", type=Path, help="folder (default: figures/ beside the report)")
+    given = parser.parse_args()
+    needed("matplotlib", "figures").use("agg")
+    try:
+        for path in draw(given.report, given.out or given.report.parent / "figures", given.names):
+            print(path)
+    except (OSError, ValueError, KeyError) as error:
+        print(f"figures: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -426,7 +426,7 @@ class Report(_Result):
         self.tables: dict[str, list[dict[str, Any]]] = {
             part["table"]["id"]: part["table"]["rows"] for part in parts if "table" in part
         }
-        self.figures: list[Figure] = [Figure(one) for one in json.loads(native.figures())]
+        self.figures: list[Figure] = [Figure(part["figure"]) for part in parts if "figure" in part]
         contents = native.network()
         self.network: Predictor | None = None
         if contents is not None:
@@ -472,6 +472,7 @@ def report(
     leave_out: Sequence[str] = (),
     seed: int | None = None,
     published: bool = False,
+    battery_wh: float | None = None,
     simulated: bool = False,
     draws: int = 10,
     samples: int = 8000,
@@ -481,10 +482,11 @@ def report(
     accept: Sequence[str] = (),
     progress: bool = True,
 ) -> Report:
-    """Reports the accuracy of models in figures and tables, as `joulebus report` does.
+    """Reports what recordings say of energy, and the accuracy of models, as `joulebus report` does.
 
     recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`. The first model is in every figure
     published: the recordings are the paper's: its numbers are shown
+    battery_wh: energy of the battery from full to empty, to report how long it lasts
     simulated: runs the paper's experiments on simulated robots instead, without recordings: `draws` times, with `samples`
                of each trial and at most `max_epochs` of training. `seed` is that of the first draw (1)
     """
@@ -500,7 +502,7 @@ def report(
 
             return Report(native.report_simulated(first, draws, samples, max_epochs, told))
     choice = _choice(split, held_out, leave_out, seed or 0)
-    asked = json.dumps({"choice": choice, "published": published})
+    asked = json.dumps({"choice": choice, "published": published, "battery_wh": battery_wh})
     found = native.report_recorded(
         _inputs(recordings), _inputs(fit), _reading(columns, current, accept), _models(model), asked, _warn
     )

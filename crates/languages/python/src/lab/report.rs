@@ -5,6 +5,7 @@ use joulebus_predictor::Network;
 use joulebus_report::{
     Document, Recorded, ReportError, Simulated, SimulatedReport, files, html, recorded, simulated,
 };
+use joulebus_settings::bounds;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -30,26 +31,22 @@ impl Report {
         json(&self.document)
     }
 
-    /// Every figure with the data that it draws.
-    fn figures(&self) -> PyResult<String> {
-        let figures: Vec<_> = self.document.figures().collect();
-        json(&figures)
-    }
-
     fn text(&self) -> String {
         self.document.to_string()
     }
 
     /// One page that needs no other file.
     fn html(&self, py: Python<'_>) -> PyResult<String> {
-        py.detach(|| html(&self.document)).map_err(drawing)
+        let page = py.detach(|| html(&self.document));
+        page.map_err(|error| PyRuntimeError::new_err(error.to_string()))
     }
 
     /// The files of a report's directory: paths below it, and contents.
     fn files<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
-        let files = py.detach(|| files(&self.document)).map_err(drawing)?;
+        let files = py.detach(|| files(&self.document)).map_err(refused)?.into_iter();
+        let bytes = |text: String| PyBytes::new(py, text.as_bytes());
         let mut files: Vec<_> =
-            files.into_iter().map(|file| (file.path, PyBytes::new(py, &file.bytes))).collect();
+            files.map(|file| (file.name.to_owned(), bytes(file.text))).collect();
         if let Some(bytes) = self.network(py)? {
             files.push(("network.safetensors".to_owned(), bytes));
         }
@@ -70,6 +67,7 @@ impl Report {
 struct Asked {
     choice: Choice,
     published: bool,
+    battery_wh: Option<f64>,
 }
 
 /// A report on recordings. `remark` is called with what was left out of directories.
@@ -86,6 +84,12 @@ pub(crate) fn report_recorded(
     let (inputs, fit, reading) =
         (Inputs::new(recordings)?, Inputs::new(fit)?, Reading::new(reading)?);
     let asked: Asked = settings(asked)?;
+    let allowed = bounds::BATTERY_CAPACITY_WH;
+    if let Some(found) = asked.battery_wh.filter(|found| !allowed.contains(found)) {
+        let (least, most) = (allowed.start(), allowed.end());
+        let text = format!("battery_wh is {found}, allowed is {least} to {most}");
+        return Err(PyValueError::new_err(text));
+    }
     let models = models(given_models)?;
     let config = config()?;
     let work = move |reporter: &job::Reporter<String>| {
@@ -104,6 +108,7 @@ pub(crate) fn report_recorded(
             design: &design,
             references: Reference::OWN.to_vec(),
             published: asked.published,
+            battery_wh: asked.battery_wh,
         });
         Ok(Report { document: document.map_err(refused)?, network: None })
     };
@@ -137,8 +142,4 @@ pub(crate) fn report_simulated(
 
 fn refused(error: ReportError) -> PyErr {
     PyValueError::new_err(error.to_string())
-}
-
-fn drawing(error: impl std::fmt::Display) -> PyErr {
-    PyRuntimeError::new_err(error.to_string())
 }
