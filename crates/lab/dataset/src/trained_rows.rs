@@ -5,8 +5,8 @@
 //! training rows are cut into blocks, and the model file has a hash of each block. A recording is
 //! compared at every offset. It is therefore recognised renamed, copied, converted, played and
 //! captured, imported, cut at its ends, or as part of a longer one. It is not recognised when it is
-//! resampled, reversed or scaled, or its readings are changed by more than rounding. Stretches whose
-//! readings hardly change [cannot be told](is_untold) from those of other resting robots.
+//! resampled, reversed or scaled, or its readings are changed by more than rounding. Of short pieces
+//! and of those whose readings hardly change, [nothing is known](is_untold).
 
 use std::collections::BTreeMap;
 
@@ -37,7 +37,11 @@ const NEWEST: usize = FeatureSet::PowerOnly.first();
 /// Hashes of the rows for fitting and for early stopping. `None` if there are too many short runs
 /// to state them.
 pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
-    let parts = [&dataset.training, &dataset.validation];
+    hashed([&dataset.training, &dataset.validation])
+}
+
+/// Hashes of the rows of some parts of a dataset, as [`trained_rows`].
+pub fn hashed<const N: usize>(parts: [&[Row]; N]) -> Option<TrainedRows> {
     let mut stretches: Vec<Vec<u64>> = Vec::new();
     for part in parts {
         stretches.extend(self::stretches(part));
@@ -98,15 +102,47 @@ pub fn is_trained_on(rows: &[Row], trained: &TrainedRows) -> Vec<bool> {
     widened(&inside.collect::<Vec<bool>>(), rows)
 }
 
-/// For each row of a recording, in order, whether its gapless run changes too rarely to be told
-/// from others: [`is_trained_on`] recognises none of its rows, even if they were trained on.
-pub fn is_untold(rows: &[Row]) -> Vec<bool> {
-    let runs = rows.chunk_by(follows);
-    let untold = runs.flat_map(|run| {
-        let fewest = fewest_changes(run.len());
-        std::iter::repeat_n(changes(run) < fewest || run.len() < SHORTEST, run.len())
+/// For each row of a recording, in order, whether it is unknown if it was trained on: it is not
+/// recognised ([`is_trained_on`]), and a copy of it might not be either. Its piece of a gapless
+/// run, up to recognised rows, may contain no whole block of the longer run that it was cut from,
+/// or changes too rarely.
+pub fn is_untold(rows: &[Row], is_known: &[bool], trained: &TrainedRows) -> Vec<bool> {
+    let block = trained.blocks.iter().map(|group| group.rows as usize).max().unwrap_or(0);
+    let mut untold = Vec::with_capacity(rows.len());
+    for run in runs(rows) {
+        let of_run = &is_known[untold.len()..][..run.len()];
+        let mut end = 0;
+        for piece in of_run.chunk_by(|a, b| a == b) {
+            let start = end;
+            end += piece.len();
+            let is_untold = !piece[0] && !is_told(&run[start..end], block);
+            untold.extend(std::iter::repeat_n(is_untold, piece.len()));
+        }
+    }
+    untold
+}
+
+/// Whether this piece would be recognised if it was cut from a longer run that was trained on,
+/// wherever the blocks of that run begin.
+fn is_told(piece: &[Row], block: usize) -> bool {
+    // Element n counts the changes up to row n.
+    let mut changed = 0;
+    let pairs = piece.windows(2);
+    let counts = pairs.map(|pair| {
+        changed += usize::from(is_change(&pair[0], &pair[1]));
+        changed
     });
-    untold.collect()
+    let counts: Vec<usize> = std::iter::once(0).chain(counts).collect();
+    let is_recognised = |start: usize| {
+        let blocks = (piece.len() - start) / block;
+        blocks > 0 && counts[start + blocks * block - 1] - counts[start] + 1 >= FEWEST_CHANGES
+    };
+    (1..=piece.len()).contains(&block) && (0..block).all(is_recognised)
+}
+
+/// The gapless runs of some rows, in order.
+pub fn runs(rows: &[Row]) -> impl Iterator<Item = &[Row]> {
+    rows.chunk_by(follows)
 }
 
 /// Changes needed to recognise a whole gapless run.
@@ -117,8 +153,11 @@ const fn fewest_changes(run: usize) -> usize {
 /// Number of different readings in a row.
 fn changes(rows: &[Row]) -> usize {
     let pairs = rows.windows(2);
-    let changes = pairs.filter(|pair| pair[0].target_w.to_bits() != pair[1].target_w.to_bits());
-    changes.count() + usize::from(!rows.is_empty())
+    pairs.filter(|pair| is_change(&pair[0], &pair[1])).count() + usize::from(!rows.is_empty())
+}
+
+fn is_change(before: &Row, after: &Row) -> bool {
+    before.target_w.to_bits() != after.target_w.to_bits()
 }
 
 /// Without stretches of too few changes, and with the rows beside the others.
@@ -146,7 +185,7 @@ fn widened(found: &[bool], rows: &[Row]) -> Vec<bool> {
 fn stretches(rows: &[Row]) -> Vec<Vec<u64>> {
     let mut stretches: Vec<Vec<u64>> = Vec::new();
     let mut joined: Vec<u64> = Vec::new();
-    for run in rows.chunk_by(follows) {
+    for run in runs(rows) {
         let elements = run.iter().map(element);
         if run.len() >= SHORTEST {
             joined.clear();

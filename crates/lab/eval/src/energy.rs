@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
-/// Rows between the origins of forecasts, unless asked otherwise.
-const EVERY: usize = 10;
+/// Rows between the origins of forecasts in an evaluation.
+pub const EVERY: usize = 10;
 /// Coverage of the intervals.
 const COVERAGE: f32 = 0.9;
 
@@ -99,22 +99,10 @@ pub struct EnergyScores {
 }
 
 impl EnergyScores {
-    /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
-    /// start as new ones, each alone on its platform. Only readings with `true` in `scored` are
-    /// forecast. Those beyond its end are not.
-    pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
-        self.add_every(EVERY, model, trial, scored);
-    }
-
-    /// Same as `add`, at every n-th row, n at least 1.
-    pub fn add_every(&mut self, rows: usize, model: &Model, trial: &Trial, scored: &[bool]) {
-        let energy = model.energy().cloned().unwrap_or_else(|| EnergyModel::untrained(1.0));
-        let mut platform = Calibration::new(&energy);
-        self.add_among(rows, model, trial, scored, (0, &mut platform));
-    }
-
-    /// Same as `add_every`, for the robot `number` of a platform whose robots' errors so far are
-    /// given, and extended by its own.
+    /// Adds the forecasts of a recording, at every n-th row, n at least 1, by `model` and its energy
+    /// model. Its robot is a new one, the one of this number on a platform whose robots' errors so
+    /// far are given, and extended by its own. Only readings with `true` in `scored` are forecast.
+    /// Those beyond its end are not.
     pub fn add_among(
         &mut self,
         rows: usize,
@@ -158,6 +146,25 @@ impl EnergyScores {
         EnergyErrors {
             horizons: horizons.map(|(scored, horizon_s)| errors(scored, horizon_s)).collect(),
         }
+    }
+}
+
+/// The errors of a platform without robots.
+pub fn untried(model: &Model) -> Calibration {
+    match model.energy() {
+        Some(energy) => Calibration::new(energy),
+        None => Calibration::new(&EnergyModel::untrained(1.0)),
+    }
+}
+
+/// Extends a platform's errors by those of a recording's robot, as
+/// [`add_among`](EnergyScores::add_among) does, without a forecast.
+pub fn observe_all(model: &Model, trial: &Trial, (number, platform): (u32, &mut Calibration)) {
+    let untrained = EnergyModel::untrained(1.0);
+    let energy = model.energy().unwrap_or(&untrained);
+    let mut state = EnergyState::new(number);
+    for step in Recorded::new(model, energy, trial).steps {
+        observe(&mut state, platform, energy, &step);
     }
 }
 
@@ -405,7 +412,7 @@ impl fmt::Display for EnergyErrors {
         }
         writeln!(
             out,
-            " coverage % | right yes % | width | narrowest | score | outlook's coverage % | its score |"
+            " coverage % | score | outlook's coverage % | its score | right yes % | width | narrowest |"
         )?;
         writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 9))?;
         for row in &self.horizons {
@@ -417,11 +424,11 @@ impl fmt::Display for EnergyErrors {
                 [row.width, row.narrowest, row.score].map(|value| share(value, 2));
             writeln!(
                 out,
-                " {:>10} | {:>11} | {width:>5} | {narrowest:>9} | {score:>5} | {:>20} | {:>9} |",
+                " {:>10} | {score:>5} | {:>20} | {:>9} | {:>11} | {width:>5} | {narrowest:>9} |",
                 share(100.0 * row.coverage, 1),
-                share(100.0 * row.right_yes, 1),
                 share(100.0 * row.outlook_coverage, 1),
-                share(row.outlook_interval_score, 2)
+                share(row.outlook_interval_score, 2),
+                share(100.0 * row.right_yes, 1),
             )?;
         }
         Ok(())

@@ -77,7 +77,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     let warnings: Vec<String> = simulation(models).into_iter().chain(warnings).collect();
     let seen = match scored.report.scored_rows {
         ScoredRows::TrainedOn | ScoredRows::Mixed => Some("trained on these rows".to_owned()),
-        ScoredRows::NotTrainedOn | ScoredRows::Unknown => None,
+        ScoredRows::NotTrainedOn | ScoredRows::NoneRecognised | ScoredRows::Unknown => None,
     };
     let notes: Vec<String> = simulation(models).into_iter().chain(seen).collect();
     let note = (!notes.is_empty()).then(|| notes.join("; "));
@@ -165,10 +165,14 @@ pub(super) fn verdict(scored: &Scored) -> String {
         })
         .collect();
     let whose = match scored.report.scored_rows {
-        ScoredRows::NotTrainedOn => " that no model was trained on",
-        ScoredRows::TrainedOn => " that a model was trained on",
-        ScoredRows::Mixed => ", on some of which a model was trained",
-        ScoredRows::Unknown => "",
+        ScoredRows::NotTrainedOn => " that no model was trained on".to_owned(),
+        ScoredRows::NoneRecognised => {
+            let (rows, untold) = (scored.report.design.rows, scored.report.untold_rows);
+            format!(" (trained on: none recognised of {rows}; {untold} cannot be told)")
+        }
+        ScoredRows::TrainedOn => " that a model was trained on".to_owned(),
+        ScoredRows::Mixed => ", on some of which a model was trained".to_owned(),
+        ScoredRows::Unknown => String::new(),
     };
     format!(
         "On {} rows of {} trials{whose}, one tick ahead, {} reaches R² {:.3} and is {}.",
@@ -198,7 +202,17 @@ fn inputs(material: &Material<'_>) -> Section {
         };
         let trained_on = match &model.trained_on {
             Some(found) => {
-                format!("{} of {} rows here ({:.1} %)", found.rows, found.of, 100.0 * found.share)
+                let known = match found.rows {
+                    0 => format!("none recognised of {} rows here", found.of),
+                    rows => {
+                        let percent = 100.0 * found.share;
+                        format!("{rows} of {} rows here ({percent:.1} %)", found.of)
+                    }
+                };
+                match found.untold {
+                    0 => known,
+                    untold => format!("{known}; {untold} cannot be told"),
+                }
             }
             None => "unknown: its file does not state its rows".to_owned(),
         };

@@ -24,8 +24,8 @@ pub enum TrainError {
     },
     /// Almost all held-out rows were also trained on.
     #[error(
-        "{known} of {of} held-out rows were also trained on, so there is nothing to score. Leave \
-         copies of recordings out, or hold out others with --hold-out"
+        "{known} of {of} held-out rows were also trained on, or belong to recordings that are copies \
+         in part, so there is nothing to score. Leave copies of recordings out, or hold out others with --hold-out"
     )]
     HeldOutTrainedOn {
         /// Held-out rows that are recognised.

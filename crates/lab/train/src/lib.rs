@@ -71,7 +71,7 @@ mod weights;
 
 pub use energy::energy_model;
 pub use error::TrainError;
-pub use prepare::Findings;
+pub use prepare::{Findings, recorded_features};
 pub use recipe::{Recipe, RecipeError};
 pub use report::TrainReport;
 pub use saved::ResumeError;

@@ -7,18 +7,28 @@ use joulebus_predictor::{FEATURE_NAMES, FeatureSet, INPUTS, Normalisation};
 use serde::Serialize;
 
 use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_dataset::trained_rows::is_trained_on;
+use joulebus_dataset::trained_rows::{hashed, is_trained_on, is_untold, runs};
 
 use super::TrainError;
 use super::chunk::{Example, PADDED_INPUTS};
+
+/// Share of a held-out recording's rows from which it counts as a copy of training data. Rows of
+/// which nothing can be known do not count.
+const COPIED: f64 = 0.25;
 
 /// Irregularities of the data that were worked around.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Findings {
     /// Rows left out because an input or target is NaN or infinite: training, validation, held out.
     pub unusable_rows: [usize; 3],
-    /// Held-out rows that were also trained on, as in a copy of a recording. They are not scored.
+    /// Held-out rows that were also trained on, and the others of recordings of which at least a
+    /// quarter was. They are not scored.
     pub held_out_trained_on: usize,
+    /// Scored rows in pieces too short, or that change too rarely, to be recognised if they were
+    /// also trained on.
+    pub held_out_untold: usize,
+    /// Rows for early stopping that are also among those for fitting.
+    pub validation_trained_on: usize,
     /// Features that are constant in the training rows: the network gets 0 for them.
     pub constant_features: Vec<&'static str>,
     /// Number of training rows.
@@ -29,6 +39,20 @@ pub struct Findings {
     pub recordings: usize,
     /// True if they are too few: plans then have no interval.
     pub few_recordings: bool,
+}
+
+/// The features that these recordings have: velocities and readings, or readings alone if fewer
+/// than half of the training rows have velocities.
+#[must_use]
+pub fn recorded_features(dataset: &Dataset) -> FeatureSet {
+    let velocities = FeatureSet::Full.range().start..FeatureSet::PowerOnly.first();
+    let has_velocities =
+        |row: &&Row| row.features[velocities.clone()].iter().all(|value| value.is_finite());
+    let with = dataset.training.iter().filter(has_velocities).count();
+    match 2 * with < dataset.training.len() {
+        true => FeatureSet::PowerOnly,
+        false => FeatureSet::Full,
+    }
 }
 
 /// The usable rows.
@@ -53,27 +77,86 @@ pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [u
     (kept, unusable)
 }
 
-/// The dataset without held-out rows that were also trained on, and their number. Its description
-/// states their share.
+/// Rows of a part that are also in another part.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Known {
+    pub(super) held_out: usize,
+    pub(super) held_out_untold: usize,
+    pub(super) validation: usize,
+}
+
+/// The dataset without held-out rows that were also trained on. Its description states the share
+/// of known rows.
 pub(super) fn without_known<'a>(
     dataset: &'a Dataset,
     trained_rows: Option<&TrainedRows>,
-) -> (Cow<'a, Dataset>, usize) {
-    let is_known = trained_rows.map(|trained| is_trained_on(&dataset.held_out, trained));
-    let is_known = is_known.unwrap_or_default();
-    let known = is_known.iter().filter(|known| **known).count();
-    if known == 0 {
-        return (Cow::Borrowed(dataset), 0);
+) -> (Cow<'a, Dataset>, Known) {
+    let (is_known, held_out_untold) = held_out_known(dataset, trained_rows);
+    let count = |mask: &[bool]| mask.iter().filter(|known| **known).count();
+    let known = Known {
+        held_out: count(&is_known),
+        held_out_untold,
+        validation: count(&validation_known(dataset)),
+    };
+    if known.held_out == 0 && known.validation == 0 {
+        return (Cow::Borrowed(dataset), known);
     }
     let mut dataset = dataset.clone();
-    let of = dataset.held_out.len();
+    let share = |known: usize, of: usize, part: &str| {
+        let percent = 100.0 * known as f64 / of as f64;
+        format!("; {known} of {of} {part} rows ({percent:.1} %)")
+    };
+    if known.validation > 0 {
+        let share = share(known.validation, dataset.validation.len(), "validation");
+        dataset.description +=
+            &format!("{share} were also trained on, so it may have stopped late");
+    }
+    if known.held_out > 0 {
+        let share = share(known.held_out, dataset.held_out.len(), "held-out");
+        dataset.description += &format!("{share} were also trained on and are not scored");
+    }
     let mut is_known = is_known.into_iter();
     dataset.held_out.retain(|_| is_known.next() == Some(false));
-    let percent = 100.0 * known as f64 / of as f64;
-    let share = format!("{known} of {of} held-out rows ({percent:.1} %)");
-    dataset.description =
-        format!("{}; {share} were also trained on and are not scored", dataset.description);
     (Cow::Owned(dataset), known)
+}
+
+/// Which held-out rows are trained on, and of how many that is unknown. Short pieces of a copy are
+/// not recognised, so all rows of its recording count if a good part is.
+fn held_out_known(dataset: &Dataset, trained_rows: Option<&TrainedRows>) -> (Vec<bool>, usize) {
+    let rows = &dataset.held_out;
+    let Some(trained) = trained_rows else {
+        return (vec![false; rows.len()], rows.len());
+    };
+    let mut is_known = is_trained_on(rows, trained);
+    let is_untold = is_untold(rows, &is_known, trained);
+    let mut untold = 0;
+    let mut end = 0;
+    for recording in recordings(rows, dataset.period_s > 0.0) {
+        let start = end;
+        end += recording.len();
+        let of = |mask: &[bool]| mask[start..end].iter().filter(|is| **is).count();
+        let (known, of_untold) = (of(&is_known), of(&is_untold));
+        if known > 0 && known as f64 >= COPIED * (recording.len() - of_untold) as f64 {
+            is_known[start..end].fill(true);
+        } else {
+            untold += of_untold;
+        }
+    }
+    (is_known, untold)
+}
+
+/// Which rows for early stopping are among those for fitting.
+fn validation_known(dataset: &Dataset) -> Vec<bool> {
+    let fitted = hashed([&dataset.training]);
+    fitted.map(|fitted| is_trained_on(&dataset.validation, &fitted)).unwrap_or_default()
+}
+
+/// The rows by recording. If the recordings are not known, each gapless run counts as one.
+fn recordings(rows: &[Row], is_recording_known: bool) -> Vec<&[Row]> {
+    match is_recording_known {
+        true => rows.chunk_by(|a, b| a.origin.recording == b.origin.recording).collect(),
+        false => runs(rows).collect(),
+    }
 }
 
 /// Names of the constant features.

@@ -29,4 +29,12 @@ impl Recipe {
     pub fn parse(text: &str) -> Result<Self, RecipeError> {
         toml::from_str(text).map_err(|error| RecipeError(error.to_string()))
     }
+
+    /// Whether a TOML file's text states the features. The default is for recordings with
+    /// velocities.
+    pub fn states_features(text: &str) -> bool {
+        let table: Option<toml::Table> = toml::from_str(text).ok();
+        let training = table.as_ref().and_then(|table| table.get("training"));
+        training.is_some_and(|training| training.get("feature_set").is_some())
+    }
 }

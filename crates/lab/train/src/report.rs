@@ -146,6 +146,22 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
             "{known} held-out rows were also trained on, as in copies of recordings: not scored"
         )?;
     }
+    let untold = findings.held_out_untold;
+    if untold > 0 {
+        writeln!(
+            out,
+            "{untold} held-out rows cannot be told from training rows: their pieces are too short, \
+             or change too rarely"
+        )?;
+    }
+    let known = findings.validation_trained_on;
+    if known > 0 {
+        writeln!(
+            out,
+            "{known} validation rows were also trained on, as in copies of recordings: training \
+             may have stopped too late"
+        )?;
+    }
     if !findings.constant_features.is_empty() {
         let names = findings.constant_features.join(", ");
         writeln!(out, "constant in training, so nothing is learned from it: {names}")?;

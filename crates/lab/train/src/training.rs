@@ -106,9 +106,9 @@ impl Training {
         let trained_rows = trained_rows(dataset);
         let (dataset, known) = without_known(dataset, trained_rows.as_ref());
         let (dataset, unusable_rows) = usable(&dataset, settings.feature_set);
-        if known > 0 && dataset.held_out.len() < FEWEST_ROWS {
-            let of = known + dataset.held_out.len() + unusable_rows[2];
-            return Err(TrainError::HeldOutTrainedOn { known, of });
+        if known.held_out > 0 && dataset.held_out.len() < FEWEST_ROWS {
+            let of = known.held_out + dataset.held_out.len() + unusable_rows[2];
+            return Err(TrainError::HeldOutTrainedOn { known: known.held_out, of });
         }
         check_rows(&dataset, unusable_rows)?;
         let normalisation = normalisation(&dataset.training, settings.feature_set)?;
@@ -127,7 +127,9 @@ impl Training {
         Ok(Self {
             findings: Findings {
                 unusable_rows,
-                held_out_trained_on: known,
+                held_out_trained_on: known.held_out,
+                held_out_untold: known.held_out_untold,
+                validation_trained_on: known.validation,
                 constant_features: constant_features(&normalisation, settings.feature_set),
                 training_rows: training.len(),
                 few_rows: training.len() < weights.values.len(),

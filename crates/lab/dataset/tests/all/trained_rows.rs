@@ -1,8 +1,11 @@
 //! Rows that a model was trained on are recognised by their readings, and no others are.
 
+use std::ops::Range;
+
 use joulebus_dataset::rows::{Dataset, Row, TrialRows, sample_rows};
 use joulebus_dataset::split::{By, PAUSE_ROWS, Source, Split, assign};
 use joulebus_dataset::trained_rows::{is_trained_on, is_untold, trained_rows};
+use joulebus_predictor::training::TrainedRows;
 use joulebus_statistics::noise::Noise;
 use joulebus_wire::Sample;
 use proptest::prelude::*;
@@ -176,13 +179,63 @@ fn a_short_recording_that_changes_rarely_is_recognised_as_a_whole_or_counted_as_
     // 138 rows, as of a monitor that is read at 5 Hz: 23 readings, and 9.
     for (times, is_told) in [(6, true), (15, false)] {
         let rows = held(5, 138, times);
-        let seen = found(&rows.rows, &[held(6, 400, times), rows.clone()]);
-        let unseen = found(&held(7, 138, times).rows, std::slice::from_ref(&rows));
-        let untold = is_untold(&rows.rows);
+        let trained = trained_rows(&dataset(&[held(6, 400, times), rows.clone()])).unwrap();
+        let seen = is_trained_on(&rows.rows, &trained);
+        let untold = is_untold(&rows.rows, &seen, &trained);
         assert!(seen.iter().all(|trained| *trained == is_told), "{times}");
-        assert!(unseen.iter().all(|trained| !trained), "{times}");
         assert!(untold.iter().all(|untold| *untold != is_told), "{times}");
+        // Another one may be an excerpt of a recording that was trained on.
+        let other = held(7, 138, times).rows;
+        let unseen = is_trained_on(&other, &trained);
+        assert!(unseen.iter().all(|trained| !trained), "{times}");
+        assert!(is_untold(&other, &unseen, &trained).iter().all(|untold| *untold), "{times}");
     }
+}
+
+/// How often each excerpt of a trained recording is recognised, untold, or neither.
+fn silently_missed(whole: &TrialRows, trained: &TrainedRows, excerpt: Range<usize>) -> usize {
+    let excerpt = &whole.rows[excerpt];
+    let is_known = is_trained_on(excerpt, trained);
+    let untold = is_untold(excerpt, &is_known, trained);
+    is_known.iter().zip(&untold).filter(|(known, untold)| !**known && !**untold).count()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+
+    #[test]
+    fn each_row_of_an_excerpt_is_recognised_or_counted_as_untold(
+        seed in 0u64..1_000_000,
+        times in 1usize..16,
+        start in 0usize..500,
+        length in 1usize..300,
+    ) {
+        let whole = held(seed, 900, times);
+        let trained = trained_rows(&dataset(std::slice::from_ref(&whole))).unwrap();
+        prop_assert_eq!(silently_missed(&whole, &trained, start..start + length), 0);
+    }
+}
+
+#[test]
+fn excerpts_of_large_data_are_recognised_or_counted_as_untold() {
+    // So many rows that a block has 256 of them.
+    let training: Vec<TrialRows> =
+        (0..30).map(|seed| Recorded::driving(seed, 20_000, Vec::new()).rows()).collect();
+    let trained = trained_rows(&dataset(&training)).unwrap();
+    for (start, length) in [(101, 200), (101, 400), (101, 511), (3, 2_000)] {
+        let missed = silently_missed(&training[5], &trained, start..start + length);
+        assert_eq!(missed, 0, "{length}");
+    }
+}
+
+#[test]
+fn a_driving_robots_other_recording_can_be_told_and_nothing_can_without_hashes() {
+    let trained = trained_rows(&dataset(&[Recorded::driving(1, 600, Vec::new()).rows()])).unwrap();
+    let other = Recorded::driving(2, 600, Vec::new()).rows();
+    let is_known = is_trained_on(&other.rows, &trained);
+    assert!(is_untold(&other.rows, &is_known, &trained).iter().all(|untold| !untold));
+    let none = TrainedRows { rows: 9, blocks: Vec::new() };
+    assert!(is_untold(&other.rows, &is_known, &none).iter().all(|untold| *untold));
 }
 
 #[test]

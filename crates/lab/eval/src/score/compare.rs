@@ -34,6 +34,9 @@ pub struct Comparison {
     pub new: ModelReport,
     /// Relation of the compared rows to the models' training.
     pub scored_rows: ScoredRows,
+    /// Rows of these tables that are not recognised, in pieces too short, or that change too
+    /// rarely, to be recognised as trained on.
+    pub untold_rows: usize,
     /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,
     /// The rows that were compared.
@@ -204,6 +207,7 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
         old,
         new,
         scored_rows: report.scored_rows,
+        untold_rows: report.untold_rows,
         warnings: report.warnings,
         design: report.design,
         bootstrap: options.bootstrap,

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use joulebus_energy::Calibration;
 use joulebus_predictor::FeatureSet;
 use joulebus_settings::FleetSettings;
 
@@ -10,7 +11,7 @@ use super::design::Lines;
 use super::members::Member;
 use super::references::{Learned, forecasts_w};
 use super::{Contents, Options, ScoreError, Subject, open_loop, recorded_platform};
-use crate::energy::EnergyScores;
+use crate::energy::{EVERY, EnergyScores, observe_all, untried};
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
 use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::{CoverageTally, Tally};
@@ -43,7 +44,7 @@ pub(super) struct Found<T> {
 pub(super) fn one<T>(
     subject: Subject<'_>,
     options: &Options,
-    (lines, learned): (&Lines, &[Vec<Learned>]),
+    (lines, learned, platforms): (&Lines, &[Vec<Learned>], &[PlatformsBefore]),
     at: usize,
     keep: impl Fn(RobotEvaluation) -> T,
 ) -> Result<Found<T>, ScoreError> {
@@ -99,14 +100,44 @@ pub(super) fn one<T>(
         trained_on: sums_of(&apart)?,
         live,
         energy: match options.energy {
-            true => energy(subject, at, contents),
+            true => energy(subject, at, contents, &platforms[at]),
             false => Vec::new(),
         },
     })
 }
 
+/// Errors of each model's platform before a recording. Empty if it has no evaluated rows.
+pub(super) type PlatformsBefore = Vec<Calibration>;
+
+/// Errors of each model's platform before each recording, if its robots drove one after the other,
+/// as one fleet. They are the same however the recordings are divided among processes.
+///
+/// # Errors
+/// [`ScoreError::Recording`].
+pub(super) fn platforms_before(subject: Subject<'_>) -> Result<Vec<PlatformsBefore>, ScoreError> {
+    let mut platforms: Vec<Calibration> = subject.models.iter().map(untried).collect();
+    let mut before = Vec::with_capacity(subject.recordings.len());
+    for (at, recording) in subject.recordings.iter().enumerate() {
+        if subject.design.evaluated(at).all(|(_, rows)| rows.is_empty()) {
+            before.push(Vec::new());
+            continue;
+        }
+        before.push(platforms.clone());
+        let contents = recording.contents()?;
+        for (model, platform) in subject.models.iter().zip(&mut platforms) {
+            observe_all(model, &contents.trial, (at as u32, platform));
+        }
+    }
+    Ok(before)
+}
+
 /// Forecasts of the energy of the rows that are evaluated, by each model.
-fn energy(subject: Subject<'_>, at: usize, contents: &Contents) -> Vec<EnergyScores> {
+fn energy(
+    subject: Subject<'_>,
+    at: usize,
+    contents: &Contents,
+    before: &PlatformsBefore,
+) -> Vec<EnergyScores> {
     let mut scored = vec![false; contents.trial.rows()];
     let parts = subject.design.evaluated(at).map(|(_, part)| part);
     for row in parts.flatten() {
@@ -116,12 +147,13 @@ fn energy(subject: Subject<'_>, at: usize, contents: &Contents) -> Vec<EnergySco
             *scored = true;
         }
     }
-    let of = |model| {
+    let of = |(model, mut platform): (_, Calibration)| {
         let mut scores = EnergyScores::default();
-        scores.add(model, &contents.trial, &scored);
+        let robot = (at as u32, &mut platform);
+        scores.add_among(EVERY, model, &contents.trial, &scored, robot);
         scores
     };
-    subject.models.iter().map(of).collect()
+    subject.models.iter().zip(before.iter().cloned()).map(of).collect()
 }
 
 fn live(subject: Subject<'_>, id: u32, trial: &Trial) -> Result<Vec<RobotEvaluation>, ScoreError> {

@@ -24,6 +24,9 @@ pub struct ScoreReport {
     pub models: Vec<ModelReport>,
     /// Relation of the rows of all tables but `trained_on` to the models' training.
     pub scored_rows: ScoredRows,
+    /// Rows of these tables that are not recognised, in pieces too short, or that change too
+    /// rarely, to be recognised as trained on.
+    pub untold_rows: usize,
     /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,
     /// The rows that were evaluated.
@@ -110,6 +113,7 @@ pub(super) fn report(
     Ok(ScoreReport {
         platform: common.platform.clone(),
         scored_rows: common.scored_rows,
+        untold_rows: common.untold_rows,
         warnings: warnings(stated, common.scored_rows),
         models,
         design: common.design.clone(),

@@ -7,7 +7,7 @@ use joulebus_train::linear::Linear;
 
 use super::blocks::Sums;
 use super::common::Common;
-use super::corrected::{self, Found};
+use super::corrected::{self, Found, PlatformsBefore, platforms_before};
 use super::design::{fit_lines, fit_references};
 use super::references::Learned;
 use super::report::{ScoreReport, report};
@@ -137,6 +137,7 @@ pub(super) struct Prepared<'a> {
     options: &'a Options,
     lines: Vec<Vec<Option<Linear>>>,
     learned: Vec<Vec<Learned>>,
+    platforms: Vec<PlatformsBefore>,
     pub(super) common: Common,
 }
 
@@ -152,7 +153,11 @@ impl<'a> Prepared<'a> {
         let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
         let learned = fit_references(subject.design, subject.recordings, &options.references)?;
         let common = Common::new(subject, options, &lines)?;
-        Ok(Self { subject, options, common, lines, learned })
+        let platforms = match options.energy {
+            true => platforms_before(subject)?,
+            false => Vec::new(),
+        };
+        Ok(Self { subject, options, common, lines, learned, platforms })
     }
 
     /// Runs some recordings in parallel. `take` gets their indices and results in the order of
@@ -172,7 +177,7 @@ impl<'a> Prepared<'a> {
             let found = corrected::one(
                 self.subject,
                 self.options,
-                (&self.lines, &self.learned),
+                (&self.lines, &self.learned, &self.platforms),
                 at,
                 &keep,
             )?;

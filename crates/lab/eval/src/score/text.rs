@@ -24,7 +24,7 @@ impl fmt::Display for ScoreReport {
             out,
             "\nCorrected: from real readings, one tick ahead ({:.1} ms){}",
             1e3 * self.period_s,
-            whose(self.scored_rows)
+            whose(self.scored_rows, self.design.rows, self.untold_rows)
         )?;
         write_cell(out, &self.all, &self.bootstrap)?;
         if let Some(apart) = &self.trained_on {
@@ -93,12 +93,12 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
     match model.trained_on {
         Some(TrainedOn { rows, untold, of, share }) => {
             match rows {
-                0 => write!(out, "  none of the {of} rows evaluated here is recognised")?,
+                0 => write!(out, "  none recognised of the {of} rows here")?,
                 _ => write!(out, "  on {rows} of the {of} rows here ({:.1} %)", 100.0 * share)?,
             }
             match untold {
                 0 => writeln!(out),
-                _ => writeln!(out, "; {untold} change too rarely to be recognised"),
+                _ => writeln!(out, "; {untold} cannot be told"),
             }
         }
         None => writeln!(
@@ -148,12 +148,15 @@ fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
 }
 
 /// The heading's words for a table's rows.
-const fn whose(rows: ScoredRows) -> &'static str {
-    match rows {
-        ScoredRows::NotTrainedOn => ", rows that no model was trained on",
-        ScoredRows::TrainedOn => ", ROWS THAT A MODEL WAS TRAINED ON",
-        ScoredRows::Mixed => ", ROWS OF WHICH A MODEL WAS TRAINED ON SOME",
-        ScoredRows::Unknown => "",
+fn whose(scored: ScoredRows, rows: usize, untold: usize) -> String {
+    match scored {
+        ScoredRows::NotTrainedOn => ", rows that no model was trained on".to_owned(),
+        ScoredRows::NoneRecognised => {
+            format!(", rows trained on: none recognised of {rows}; {untold} cannot be told")
+        }
+        ScoredRows::TrainedOn => ", ROWS THAT A MODEL WAS TRAINED ON".to_owned(),
+        ScoredRows::Mixed => ", ROWS OF WHICH A MODEL WAS TRAINED ON SOME".to_owned(),
+        ScoredRows::Unknown => String::new(),
     }
 }
 
@@ -418,7 +421,7 @@ impl fmt::Display for Comparison {
         writeln!(
             out,
             "\nCorrected: from real readings, one tick ahead{}",
-            whose(self.scored_rows)
+            whose(self.scored_rows, self.design.rows, self.untold_rows)
         )?;
         write_sides(out, &self.all)?;
         for member in &self.members {

@@ -19,8 +19,7 @@ const FEWEST_APART: usize = 50;
 pub struct TrainedOn {
     /// Rows trained on, or beside such rows, as far as recognised.
     pub rows: usize,
-    /// Rows that change too rarely to be recognised.
-    #[serde(default)]
+    /// Rows in pieces too short, or that change too rarely, to be recognised.
     pub untold: usize,
     /// Rows to be evaluated.
     pub of: usize,
@@ -32,8 +31,10 @@ pub struct TrainedOn {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
-    /// None of them is recognised as one that a model was trained on.
+    /// All of them would be recognised if a model was trained on them, and none is.
     NotTrainedOn,
+    /// None of them is recognised, but some [cannot be told](TrainedOn::untold).
+    NoneRecognised,
     /// A model was trained on all of them.
     TrainedOn,
     /// A model was trained on some of them.
@@ -47,12 +48,18 @@ pub enum ScoredRows {
 pub(super) struct Recognised {
     /// `None` if the model's file does not state its rows.
     of: Vec<Option<OfModel>>,
-    /// Rows that no model's hashes can tell.
-    untold: OfModel,
 }
 
 /// Stretches of each recording's rows, ascending.
-type OfModel = Vec<Vec<Range<usize>>>;
+type Stretches = Vec<Vec<Range<usize>>>;
+
+#[derive(Clone)]
+struct OfModel {
+    /// Trained on.
+    known: Stretches,
+    /// Neither recognised nor told from rows that were trained on.
+    untold: Stretches,
+}
 
 impl Recognised {
     pub(super) fn new(recordings: &[Recording], models: &[Model]) -> Result<Self, ScoreError> {
@@ -63,56 +70,79 @@ impl Recognised {
         let stated: Vec<Option<&TrainedRows>> = stated.collect();
         let of = models.iter().zip(&stated);
         let of = of.map(|(model, stated)| match model {
-            Model::Persistence(_) => Some(vec![Vec::new(); recordings.len()]),
-            Model::Network(_) => stated.map(|_| Vec::new()),
+            Model::Persistence(_) => {
+                let none = vec![Vec::new(); recordings.len()];
+                Some(OfModel { known: none.clone(), untold: none })
+            }
+            Model::Network(_) => stated.map(|_| OfModel { known: Vec::new(), untold: Vec::new() }),
         });
         let mut of: Vec<Option<OfModel>> = of.collect();
         if stated.iter().all(Option::is_none) {
-            return Ok(Self { of, untold: Vec::new() });
+            return Ok(Self { of });
         }
-        let mut untold = OfModel::new();
         each(
             &recordings.iter().collect::<Vec<_>>(),
             |at| {
                 let rows = &recordings[at].contents()?.rows.rows;
-                let found = stated.iter();
-                let found = found.map(|stated| Some(stretches(&is_trained_on(rows, (*stated)?))));
-                Ok::<_, ScoreError>((found.collect::<Vec<_>>(), stretches(&is_untold(rows))))
+                let found = stated.iter().map(|stated| {
+                    let stated = (*stated)?;
+                    let is_known = is_trained_on(rows, stated);
+                    let is_untold = is_untold(rows, &is_known, stated);
+                    Some((stretches(&is_known), stretches(&is_untold)))
+                });
+                Ok::<_, ScoreError>(found.collect::<Vec<_>>())
             },
-            |_, (found, untold_rows)| {
-                untold.push(untold_rows);
+            |_, found| {
                 for (all, found) in of.iter_mut().zip(found) {
-                    if let (Some(all), Some(found)) = (all, found) {
-                        all.push(found);
+                    if let (Some(all), Some((known, untold))) = (all, found) {
+                        all.known.push(known);
+                        all.untold.push(untold);
                     }
                 }
                 Ok(())
             },
         )?;
-        Ok(Self { of, untold })
+        Ok(Self { of })
     }
 
     /// Rows of the parts that a model was trained on. `None` if that is not known.
     fn count<'a>(&self, model: usize, parts: impl Iterator<Item = &'a Part>) -> Option<TrainedOn> {
-        let recordings = self.of.get(model)?.as_ref()?;
+        let of_model = self.of.get(model)?.as_ref()?;
         let (mut rows, mut untold, mut of) = (0, 0, 0);
         let count = |stretches: &[Range<usize>], part: &Range<usize>| -> usize {
             stretches.iter().map(|one| overlap(one, part)).sum()
         };
         for (at, part) in parts {
-            rows += count(recordings.get(*at)?, part);
-            untold += self.untold.get(*at).map_or(0, |untold| count(untold, part));
+            rows += count(of_model.known.get(*at)?, part);
+            untold += count(of_model.untold.get(*at)?, part);
             of += part.len();
         }
         let share = rows as f64 / of as f64;
         Some(TrainedOn { rows, untold, of, share })
     }
 
+    /// Rows of the parts of which a model's hashes tell nothing.
+    fn untold<'a>(&self, parts: impl Iterator<Item = &'a Part>) -> usize {
+        let of_part = |(at, part): &Part| {
+            let mut is_untold = vec![false; part.len()];
+            let untold = self.of.iter().flatten().filter_map(|model| model.untold.get(*at));
+            for stretch in untold.flatten() {
+                let start = stretch.start.max(part.start);
+                let end = stretch.end.min(part.end);
+                if start < end {
+                    is_untold[start - part.start..end - part.start].fill(true);
+                }
+            }
+            is_untold.iter().filter(|untold| **untold).count()
+        };
+        parts.map(of_part).sum()
+    }
+
     /// For each of a recording's rows, whether any of the models was trained on it.
     fn by_any(&self, recording: usize, rows: usize) -> Vec<bool> {
         let mut trained = vec![false; rows];
         let of = self.of.iter().flatten();
-        for stretch in of.filter_map(|model| model.get(recording)).flatten() {
+        for stretch in of.filter_map(|model| model.known.get(recording)).flatten() {
             trained[stretch.clone()].fill(true);
         }
         trained
@@ -184,6 +214,11 @@ impl Design {
         recognised.count(model, self.parts().chain(apart))
     }
 
+    /// The evaluated rows of which a model's hashes tell nothing.
+    pub(super) fn untold_rows(&self, recognised: &Recognised) -> usize {
+        recognised.untold(self.parts())
+    }
+
     /// Relation of the evaluated rows to the models' training.
     pub(super) fn scored_rows(&self, recognised: &Recognised) -> ScoredRows {
         let counts = 0..recognised.of.len();
@@ -197,6 +232,8 @@ impl Design {
             }
         } else if counts.iter().any(Option::is_none) {
             ScoredRows::Unknown
+        } else if known().any(|found| found.untold > 0) {
+            ScoredRows::NoneRecognised
         } else {
             ScoredRows::NotTrainedOn
         }
@@ -239,7 +276,9 @@ pub(super) fn warnings<'a>(
         let percent = 100.0 * share;
         let consequence = match scored {
             _ if rows == 0 => return None,
-            ScoredRows::NotTrainedOn | ScoredRows::Unknown => "they are scored apart",
+            ScoredRows::NotTrainedOn | ScoredRows::NoneRecognised | ScoredRows::Unknown => {
+                "they are scored apart"
+            }
             ScoredRows::TrainedOn | ScoredRows::Mixed => {
                 "these scores say nothing about recordings that it has not seen"
             }

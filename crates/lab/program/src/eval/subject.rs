@@ -49,7 +49,8 @@ pub(crate) struct Selection {
     /// Rows between the origins of rollouts, or as many rows as a shorter horizon has ticks
     #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
     origins_every: usize,
-    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach
+    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach. The robots run
+    /// one after the other, as one fleet that learns from each
     #[arg(long)]
     energy: bool,
     /// Draws for confidence intervals, at most 1,000,000 (0 disables them)

@@ -1,7 +1,7 @@
 //! Training is reproducible, learns, and refuses bad data; the shipped models match their stated
 //! origin.
 
-use joulebus_dataset::rows::{Dataset, Row, sample_rows};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin, sample_rows};
 use joulebus_plant::protocol::SAMPLES;
 use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
@@ -9,10 +9,12 @@ use joulebus_predictor::{
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_testkit::assert_contains;
 use joulebus_train::{
-    Epoch, TrainError, TrainSettings, Trained, Training, scored, settings_for_sim, train,
+    Epoch, TrainError, TrainReport, TrainSettings, Trained, Training, scored, settings_for_sim,
+    train,
 };
 use joulebus_wire::{Sample, sample_flag};
 use std::path::Path;
+use std::time::Duration;
 
 /// The seed in the documented command.
 const SHIPPED_SEED: u64 = 7;
@@ -87,10 +89,84 @@ fn held_out_rows_that_were_also_trained_on_are_not_scored_and_their_share_is_sta
     assert_eq!(card.scores.rows, (copied.held_out.len() - known) as u64);
     let stated = format!("{known} of {} held-out rows", copied.held_out.len());
     assert_contains(&card.training_data, [&*stated]);
+    assert_contains(&report(&trained), [&*format!("{known} held-out rows were also trained on")]);
     // Nothing else is held out.
     copied.held_out.clone_from(&data.training);
     let error = refused(&copied, &settings);
     assert!(matches!(error, TrainError::HeldOutTrainedOn { .. }), "{error}");
+}
+
+/// The readings of a part's first run, recorded again as another recording.
+fn recorded_again(rows: &[Row], recording: usize, change: impl Fn(&[f32]) -> Vec<f32>) -> Vec<Row> {
+    let readings_w: Vec<f32> = rows.iter().map(|row| row.target_w).collect();
+    let samples = (1..).zip(change(&readings_w)).map(|(seq, power_w)| {
+        let stamp_ns = seq * 33_000_000;
+        Sample::new(0, seq, stamp_ns).command(0.2, 0.1).reading(power_w, stamp_ns)
+    });
+    let samples: Vec<Sample> = samples.collect();
+    let rows = sample_rows(&samples, 33_000_000).rows;
+    rows.iter().map(|row| row.of(RowOrigin::recording(recording))).collect()
+}
+
+fn report(trained: &Trained) -> String {
+    TrainReport::new(None, trained, Duration::ZERO, None).to_string()
+}
+
+#[test]
+fn a_held_out_recording_that_is_a_copy_in_good_part_goes_whole_and_short_pieces_are_counted() {
+    let settings = tiny_settings(FeatureSet::PowerOnly);
+    let data = tiny_data();
+    let copied = &data.training[..290];
+    let held_out = |rows: Vec<Row>| Dataset {
+        held_out: [data.held_out.clone(), rows].concat(),
+        ..data.clone()
+    };
+    let honest = made(&data, &settings).findings;
+    for (what, range) in [
+        ("two rows shorter", 1..289),
+        ("an excerpt", 101..260),
+        ("an excerpt that misses its blocks at both ends", 30..270),
+    ] {
+        let copy = recorded_again(copied, 99, |powers_w| powers_w[range.clone()].to_vec());
+        let trained = made(&held_out(copy.clone()), &settings);
+        let known = trained.findings.held_out_trained_on;
+        assert_eq!(known, copy.len(), "{what}");
+        assert_eq!(trained.findings.held_out_untold, honest.held_out_untold, "{what}");
+        assert_eq!(trained.network.card().scores.rows, data.held_out.len() as u64, "{what}");
+    }
+    // Two blocks of a copy, then a long drive of another robot: only the copy goes.
+    let joined = |powers_w: &[f32]| {
+        let other = data.held_out[..290].iter().chain(&data.held_out[300..590]);
+        let other = other.map(|row| row.target_w * 1.2);
+        powers_w[..200].iter().copied().chain(other).collect()
+    };
+    let joined = recorded_again(copied, 99, joined);
+    let known = made(&held_out(joined), &settings).findings.held_out_trained_on;
+    assert!((128..=160).contains(&known), "{known}");
+    // Too short for a whole block.
+    let short = recorded_again(copied, 99, |powers_w| powers_w[70..130].to_vec());
+    let trained = made(&held_out(short.clone()), &settings);
+    let findings = &trained.findings;
+    assert_eq!(findings.held_out_trained_on, 0);
+    assert_eq!(findings.held_out_untold, honest.held_out_untold + short.len());
+    let stated = format!("{} held-out rows cannot be told", findings.held_out_untold);
+    assert_contains(&report(&trained), [&*stated]);
+}
+
+#[test]
+fn validation_rows_that_were_also_trained_on_are_stated_in_the_report_and_the_card() {
+    let settings = tiny_settings(FeatureSet::Full);
+    let mut data = tiny_data();
+    assert_eq!(made(&data, &settings).findings.validation_trained_on, 0);
+    let rows = data.validation.len();
+    data.validation.extend_from_slice(&data.training[..200]);
+    let trained = made(&data, &settings);
+    let known = trained.findings.validation_trained_on;
+    assert!((200..=216).contains(&known), "{known}");
+    let stated = format!("{known} of {} validation rows", rows + 200);
+    assert_contains(&trained.network.card().training_data, [&*stated]);
+    assert_contains(&report(&trained), [&*format!("{known} validation rows")]);
+    assert_eq!(trained.findings.held_out_trained_on, 0);
 }
 
 #[test]

@@ -1,13 +1,14 @@
 //! Scores against slow references and published figures, and without leakage.
 
 use std::collections::{BTreeSet, HashSet};
+use std::ops::Range;
 use std::sync::{Arc, LazyLock};
 
-use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_dataset::split::{By, Source, Split, split};
 use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_dataset::trial::Trial;
-use joulebus_eval::energy::EnergyScores;
+use joulebus_eval::energy::{EVERY, EnergyScores, untried};
 use joulebus_eval::evaluate;
 use joulebus_eval::score::{
     Comparison, Contents, Design, ForecasterScore, Foreign, Options, Part, Recording, Reference,
@@ -18,9 +19,11 @@ use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
+use joulebus_statistics::noise::Noise;
 use joulebus_testkit::assert_contains;
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
+use joulebus_train::energy_model;
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
 use rayon::prelude::*;
@@ -55,7 +58,22 @@ fn made_up(trials: u32, rows: u32) -> Vec<Recording> {
     made_up_of(&vec![rows; trials as usize])
 }
 
-/// The same, of these numbers of rows.
+/// Rows of a synthetic recording without gaps. Two ranges of one trial share readings.
+fn gapless(trial: u32, rows: Range<u32>) -> Recording {
+    let mut noise = Noise::new(trial.into(), 0);
+    let mut power_mw = 30e3;
+    let mut all = Vec::new();
+    for row in 0..rows.end {
+        let (v, omega) = (0.1 + 0.05 * f64::from(row / 50 % 4), f64::from(row / 40 % 3) * 0.3);
+        power_mw = 0.9 * power_mw + 3e3 + 4e3 * v + (noise.below(2_001) as f64 - 1_000.0);
+        all.push(driven(0.0333 * f64::from(row + 1), v, omega, power_mw));
+    }
+    let files = Files::new();
+    let file = files.write("gapless.npy", &npy_f8(&all[rows.start as usize..]));
+    Recording::new(trial, Trial::read(file).unwrap())
+}
+
+/// As [`made_up`], with these numbers of rows.
 fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
     let files = Files::new();
     let recording = |(trial, rows): (u32, u32)| {
@@ -543,10 +561,11 @@ fn energy_is_scored_on_the_evaluated_rows_only() {
     assert!(of(&whole, &quick()).all(|energy| energy.is_none()));
     for (at, (whole, half)) in of(&whole, &options).zip(of(&half, &options)).enumerate() {
         let (whole, half) = (whole.unwrap().horizons, half.unwrap().horizons);
-        let mut expected = EnergyScores::default();
-        for recording in &recordings {
-            let rows = recording.trial_rows();
-            expected.add(&models[at], &contents(recording).trial, &vec![true; rows]);
+        let (mut expected, mut platform) = (EnergyScores::default(), untried(&models[at]));
+        for (number, recording) in recordings.iter().enumerate() {
+            let rows = vec![true; recording.trial_rows()];
+            let robot = (number as u32, &mut platform);
+            expected.add_among(EVERY, &models[at], &contents(recording).trial, &rows, robot);
         }
         let expected = expected.errors().horizons;
         assert_eq!(whole.len(), expected.len());
@@ -590,22 +609,27 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     assert!(text.contains("rows left out"), "{text}");
 }
 
+/// All rows of recordings for training.
+fn dataset_of(recordings: &[Recording]) -> Dataset {
+    let rows = recordings.iter().enumerate().flat_map(|(number, one)| {
+        let rows = contents(one).rows.rows.iter();
+        rows.map(move |row| row.of(RowOrigin::recording(number)))
+    });
+    Dataset {
+        training: rows.collect(),
+        validation: Vec::new(),
+        held_out: Vec::new(),
+        description: String::new(),
+        period_s: 0.0,
+    }
+}
+
 /// A network whose file states that it was trained on these recordings, or that it is unknown.
 fn trained_on(recordings: Option<&[Recording]>) -> Model {
     let Model::Network(network) = network(5, FeatureSet::Full, 30.0) else {
         panic!("a network");
     };
-    let rows = recordings.map(|recordings| {
-        let rows = recordings.iter().flat_map(|one| &contents(one).rows.rows);
-        let dataset = Dataset {
-            training: rows.copied().collect(),
-            validation: Vec::new(),
-            held_out: Vec::new(),
-            description: String::new(),
-            period_s: 0.0,
-        };
-        trained_rows(&dataset).unwrap()
-    });
+    let rows = recordings.map(|recordings| trained_rows(&dataset_of(recordings)).unwrap());
     let card = ModelCard { trained_rows: rows, ..network.card().clone() };
     Model::Network(Network::new(network.parameters().clone(), card).unwrap())
 }
@@ -633,7 +657,8 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     let stated = report.models[0].trained_on.unwrap();
     assert_eq!(stated.rows, rows_of(seen));
     assert_eq!(stated.of, rows_of(&recordings));
-    assert_eq!(report.scored_rows, ScoredRows::NotTrainedOn);
+    // Their runs between gaps are too short to be told.
+    assert_eq!(report.scored_rows, ScoredRows::NoneRecognised);
     assert_eq!(report.all.rows, rows_of(others) as u64);
     assert_eq!(report.trials.len(), 2, "{report}");
     let cell = report.trained_on.as_ref().unwrap();
@@ -654,8 +679,82 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     };
     assert!(warning.contains("scored apart"), "{warning}");
     let text = report.to_string();
-    let parts = "rows that no model was trained on | on rows that a model was trained on";
+    let parts = "rows trained on: none recognised | on rows that a model was trained on";
     assert_contains(&text, parts.split(" | "));
+}
+
+#[test]
+fn rows_count_as_not_trained_on_only_if_every_one_could_be_told() {
+    let models = [trained_on(Some(&[gapless(0, 0..900)]))];
+    // An excerpt of the training, too short for a whole block.
+    let excerpt = gapless(0, 120..190);
+    let other = gapless(1, 0..400);
+    let found = apart(&[other.clone(), excerpt.clone()], &models).report;
+    let untold = excerpt.rows();
+    assert_eq!(found.scored_rows, ScoredRows::NoneRecognised);
+    assert_eq!(found.untold_rows, untold);
+    let stated = found.models[0].trained_on.unwrap();
+    assert_eq!((stated.rows, stated.untold), (0, untold));
+    let of = found.all.rows;
+    let text = found.to_string();
+    assert!(!text.contains("rows that no model was trained on"), "{text}");
+    assert_contains(&text, [&*format!("none recognised of {of}; {untold} cannot be told")]);
+    let json = serde_json::to_value(&found).unwrap();
+    assert_eq!(json["scored_rows"], "none_recognised");
+    assert_eq!(json["untold_rows"], untold);
+    // Two models: what one of them cannot tell is counted.
+    let two = [models[0].clone(), trained_on(Some(&[gapless(2, 0..500)]))];
+    let recordings = [other.clone(), excerpt];
+    let design = Design::folds(&recordings);
+    let compared = compare(subject(&recordings, &two, &design), &quick()).unwrap();
+    assert_eq!(compared.scored_rows, ScoredRows::NoneRecognised);
+    assert!(compared.untold_rows >= untold);
+    // Without the excerpt every row can be told.
+    let found = apart(&[other], &models).report;
+    assert_eq!((found.scored_rows, found.untold_rows), (ScoredRows::NotTrainedOn, 0));
+}
+
+/// A network with the energy model of these recordings.
+fn with_energy(recordings: &[Recording]) -> Model {
+    let Model::Network(network) = network(5, FeatureSet::Full, 30.0) else {
+        panic!("a network");
+    };
+    let mut dataset = dataset_of(recordings);
+    dataset.period_s = 0.0333;
+    let energy = energy_model(&dataset, FeatureSet::Full);
+    assert!(energy.is_some());
+    let card = ModelCard { energy, ..network.card().clone() };
+    Model::Network(Network::new(network.parameters().clone(), card).unwrap())
+}
+
+#[test]
+fn robots_of_an_energy_evaluation_share_the_errors_of_their_platform() {
+    let recordings: Vec<Recording> = (0..6).map(|trial| gapless(trial, 0..900)).collect();
+    let models = [with_energy(&recordings)];
+    let options = Options { energy: true, horizons: Vec::new(), ..quick() };
+    let design = Design::folds(&recordings);
+    let found = run(&recordings, &models, &design, &options).report;
+    let found = found.models[0].energy.clone().unwrap();
+    let (mut fleet, mut platform) = (EnergyScores::default(), untried(&models[0]));
+    let mut alone = EnergyScores::default();
+    for (at, recording) in recordings.iter().enumerate() {
+        let contents = contents(recording);
+        let mut scored = vec![false; recording.trial_rows()];
+        for row in design.evaluated(at).flat_map(|(_, rows)| rows) {
+            scored[contents.rows.sample_seq[row] as usize + 1] = true;
+        }
+        let trial = &contents.trial;
+        fleet.add_among(EVERY, &models[0], trial, &scored, (at as u32, &mut platform));
+        let mut own = untried(&models[0]);
+        alone.add_among(EVERY, &models[0], trial, &scored, (at as u32, &mut own));
+    }
+    assert_eq!(format!("{found}"), format!("{}", fleet.errors()));
+    assert_ne!(format!("{found}"), format!("{}", alone.errors()));
+    // The interval score stands beside the coverage.
+    assert_contains(
+        &found.to_string(),
+        ["coverage % | score |", "outlook's coverage % | its score"],
+    );
 }
 
 #[test]
@@ -712,7 +811,7 @@ fn a_comparison_is_on_rows_that_neither_model_was_trained_on() {
     let design = Design::folds(&recordings).hold_apart(&recordings, &models).unwrap();
     let found = compare(subject(&recordings, &models, &design), &quick()).unwrap();
     assert_eq!(found.all.rows, rows_of(&recordings[4..]) as u64);
-    assert_eq!(found.scored_rows, ScoredRows::NotTrainedOn);
+    assert_eq!(found.scored_rows, ScoredRows::NoneRecognised);
     assert_eq!(found.warnings.len(), 2, "{:?}", found.warnings);
     let names: Vec<&str> = found.members.iter().map(|one| one.name.as_str()).collect();
     assert_eq!(names.len(), 3, "persistence and two networks: {names:?}");
