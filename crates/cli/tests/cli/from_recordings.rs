@@ -288,6 +288,142 @@ fn a_model_of_another_range_of_power_is_warned_about() {
 }
 
 #[test]
+fn a_model_of_another_rate_is_warned_about() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    fs::create_dir(&runs).unwrap();
+    recording(&runs.join("a.csv"), LAYOUT.0, LAYOUT.1, 400, 1);
+    let out = folder.path().join("lab");
+    let init = format!("config init --from {} --out {} --name slow", text(&runs), text(&out));
+    // 20 Hz. The model forecasts 33 ms ahead.
+    let made = done((init + " --model builtin:gternal-sim").split(' '));
+    let parts = ["warning", "gternal-sim was trained on a reading every 33.0 ms", "50.0 ms"];
+    assert_contains(&stderr(&made), parts);
+    let platform = out.join("platforms/slow.toml");
+    let written = fs::read_to_string(&platform).unwrap();
+    let checked_at = |rate_hz: f64| {
+        let at = |line: &str| match line.starts_with("rate_hz = ") {
+            true => format!("rate_hz = {rate_hz:?}\n"),
+            false => format!("{line}\n"),
+        };
+        fs::write(&platform, written.lines().map(at).collect::<String>()).unwrap();
+        let checked = done(["config", "check", text(&out.join("fleet.toml"))]);
+        stderr(&checked).contains("was trained on a reading every")
+    };
+    // Periods of 40.0, 39.2, 27.0 and 26.0 ms.
+    let found = [25.0, 25.5, 37.0, 38.5].map(checked_at);
+    assert_eq!(found, [true, false, false, true]);
+}
+
+#[test]
+fn config_init_takes_every_built_in_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    fs::create_dir(&runs).unwrap();
+    recording(&runs.join("a.csv"), LAYOUT.0, LAYOUT.1, 300, 1);
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/models");
+    let mut count = 0;
+    for file in fs::read_dir(models).unwrap().map(|file| file.unwrap().path()) {
+        let Some(name) = file.file_stem().filter(|_| file.extension().is_some()) else {
+            continue;
+        };
+        let (name, out) = (name.to_str().unwrap(), folder.path().join(format!("lab{count}")));
+        let init = ["config", "init", "--from", text(&runs), "--out", text(&out), "--name", "own"];
+        let made = done([&init[..], &["--model", &format!("builtin:{name}")]].concat());
+        assert_contains(&stdout(&made), ["against the last reading"]);
+        let written = fs::read_to_string(out.join("platforms/own.toml")).unwrap();
+        assert_contains(&written, [&*format!("model = \"builtin:{name}\"")]);
+        done(["config", "check", text(&out.join("fleet.toml"))]);
+        count += 1;
+    }
+    assert!(count >= 6, "{count}");
+    let out = folder.path().join("none");
+    let init = ["config", "init", "--from", text(&runs), "--out", text(&out)];
+    let refused = output([&init[..], &["--model", "builtin:nothing"]].concat()).exits(2);
+    assert_contains(&stderr(&refused), ["builtin:nothing", "builtin:husky"]);
+    assert!(!out.exists());
+}
+
+/// A recording of power that wanders at random, so that nothing is better than the last reading.
+fn random_walk(path: &Path, rows: u32, seed: u64) {
+    let mut state = seed * 7_919 + 1;
+    let mut table = "time,power_W\n".to_owned();
+    let mut power_w = 40.0_f64;
+    for row in 0..rows {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        power_w += if state >> 63 == 0 { 0.5 } else { -0.5 };
+        power_w = power_w.clamp(10.0, 70.0);
+        writeln!(table, "{},{power_w}", f64::from(row) / 20.0).unwrap();
+    }
+    fs::write(path, table).unwrap();
+}
+
+#[test]
+fn config_init_writes_persistence_if_the_trained_model_is_no_better_and_says_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    fs::create_dir(&runs).unwrap();
+    for seed in 0..4 {
+        random_walk(&runs.join(format!("{seed}.csv")), 300, seed);
+    }
+    let from = text(&runs);
+    let init = |out: &Path, more: &str| {
+        let out = text(out);
+        let asked =
+            format!("config init --from {from} --out {out} --name own --format json {more}");
+        json(&done(asked.split(' ')))
+    };
+    let platform = |out: &Path| fs::read_to_string(out.join("platforms/own.toml")).unwrap();
+    let out = folder.path().join("trained");
+    let report = init(&out, "--train");
+    assert!(report["held_out"]["skill"]["value"].as_f64().unwrap() <= 0.0, "{report}");
+    assert_eq!(report["persistence_is_better"], true);
+    assert_eq!(report["uses_persistence"], true);
+    assert_contains(&platform(&out), ["model = \"persistence\"", "../models/own.safetensors"]);
+    done(["config", "check", text(&out.join("fleet.toml"))]);
+    // Whoever names the model gets it, and is told as well.
+    let model = out.join("models/own.safetensors");
+    let told = folder.path().join("told");
+    let report = init(&told, &format!("--model {}", text(&model)));
+    assert_eq!(report["uses_persistence"], false);
+    assert_contains(&platform(&told), ["own.safetensors"]);
+    let again = folder.path().join("again");
+    let asked = format!("config init --from {from} --out {} --train --name own", text(&again));
+    let shown = done(asked.split(' '));
+    assert_contains(&stdout(&shown), ["persistence is better here", "own.safetensors"]);
+}
+
+#[test]
+fn train_reads_velocities_only_where_they_are_recorded_as_config_init_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let features = |name: &str, more: &[&str]| {
+        let runs = folder.path().join(name);
+        let out = folder.path().join(format!("{name}-lab"));
+        let model = folder.path().join(format!("{name}.safetensors"));
+        let recipe = folder.path().join("recipe.toml");
+        fs::write(&recipe, "[training]\nmax_epochs = 1\n").unwrap();
+        let train = ["train", "trials", text(&runs), "--split", "time", "--out", text(&model)];
+        done([&train[..], &["--recipe", text(&recipe)], more].concat());
+        let init = ["config", "init", "--from", text(&runs), "--out", text(&out), "--name", "own"];
+        done([&init[..], &["--train"]].concat());
+        [model, out.join("models/own.safetensors")].map(|model| {
+            let found = json(&done(["model", "info", text(&model), "--format", "json"]));
+            found["feature_set"].as_str().unwrap().to_owned()
+        })
+    };
+    for name in ["with", "without"] {
+        fs::create_dir(folder.path().join(name)).unwrap();
+    }
+    recording(&folder.path().join("with/a.csv"), LAYOUT.0, LAYOUT.1, 300, 1);
+    random_walk(&folder.path().join("without/a.csv"), 300, 1);
+    assert_eq!(features("with", &[]), ["full", "full"]);
+    assert_eq!(features("without", &[]), ["power_only", "power_only"]);
+    // What is asked for is taken.
+    fs::remove_dir_all(folder.path().join("with-lab")).unwrap();
+    assert_eq!(features("with", &["--features", "power"])[0], "power_only");
+}
+
+#[test]
 fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
     let folder = tempfile::tempdir().unwrap();
     let recordings = folder.path().join("runs");

@@ -13,6 +13,12 @@ use crate::exit::UsageError;
 /// Prefix of built-in models, as in a config.
 const BUILTIN: &str = "builtin:";
 
+/// True if the path names a built-in model.
+#[must_use]
+pub fn is_builtin(path: &Path) -> bool {
+    path.to_str().is_some_and(|name| name.starts_with(BUILTIN))
+}
+
 /// The network of a safetensors file, or of `builtin:NAME`.
 ///
 /// # Errors

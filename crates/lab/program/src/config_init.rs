@@ -9,7 +9,9 @@ use joulebus_config::{Assignment, Config, fleet_file, platform_file};
 use joulebus_dataset::inspect::{Profile, Profiler, is_short};
 use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
-use joulebus_eval::score::{Design, Options, Role, ScoreError, Subject, score_reported};
+use joulebus_eval::score::{
+    Design, Options, Role, ScoreError, ScoredRows, Subject, score_reported,
+};
 use joulebus_files::Several;
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
@@ -25,7 +27,7 @@ use crate::judgement::{AcceptArguments, Source, report};
 use crate::next_command::recordings;
 use crate::recordings::{ColumnArguments, find_recordings, open_with_ids};
 use crate::train::train_recordings;
-use joulebus_program::model_range;
+use joulebus_program::{model_range, model_source};
 
 /// Write a platform's and a fleet's config from recordings, and train its model if asked
 #[derive(Debug, clap::Args)]
@@ -36,7 +38,7 @@ use joulebus_program::model_range;
     Rate, limits, resolution, holds and residual deviation are those of the recordings, each with \
     its measured value in a comment. Limits leave a margin. Without --train or --model, forecasts \
     are by \
-    persistence. The files pass `config check`. Nothing is overwritten.")]
+    persistence. So they are if the trained model is no better on held-out rows. The files pass `config check`. Nothing is overwritten.")]
 pub(crate) struct Args {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
     /// patterns in quotes
@@ -58,7 +60,7 @@ pub(crate) struct Args {
     /// Train a model on the recordings
     #[arg(long, conflicts_with = "model")]
     train: bool,
-    /// Use this model file
+    /// Use this model file, or builtin:NAME, even if the last reading is a better forecast
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Energy of the battery from full to empty, Wh, which recordings do not state
@@ -79,13 +81,21 @@ struct InitReport {
     fleet: PathBuf,
     platform: PathBuf,
     model: Option<PathBuf>,
+    /// The model that was trained.
+    #[serde(skip)]
+    trained: Option<PathBuf>,
     held_out: Option<HeldOut>,
+    /// True if the model does not beat the last reading on the scored rows.
+    persistence_is_better: bool,
+    /// True if the platform uses persistence.
+    uses_persistence: bool,
     recorded: Profile,
     warnings: Vec<String>,
     next: Vec<String>,
 }
 
-/// Scores of the trained model on rows that it has not seen.
+/// Scores of the model: of a trained one on rows that it has not seen, of a given one on all rows
+/// that it was not trained on, if there are some.
 #[derive(Debug, Serialize)]
 struct HeldOut {
     rows: u64,
@@ -94,6 +104,7 @@ struct HeldOut {
     /// Against the last reading.
     skill: Estimate,
     confidence: f64,
+    scored_rows: ScoredRows,
 }
 
 impl HeldOut {
@@ -102,7 +113,7 @@ impl HeldOut {
         config: &Config,
         models: &[Model],
         (files, map): (Vec<PathBuf>, &ColumnMap),
-        split: Split,
+        split: Option<Split>,
     ) -> anyhow::Result<Option<Self>> {
         let settings = config.settings();
         let platform = settings.platforms.first();
@@ -110,7 +121,11 @@ impl HeldOut {
         let of_robot = |file| (robot.unwrap_or_default(), file);
         let files: Vec<(u32, PathBuf)> = files.into_iter().map(of_robot).collect();
         let recordings = open_with_ids(&files, map)?;
-        let design = Design::held_out(&recordings, split)?;
+        let design = match split {
+            Some(split) => Design::held_out(&recordings, split)?,
+            None => Design::folds(&recordings),
+        };
+        let design = design.hold_apart(&recordings, models)?;
         let subject =
             Subject { settings, platform, models, recordings: &recordings, design: &design };
         let options = Options { horizons: Vec::new(), ..Options::default() };
@@ -132,7 +147,13 @@ impl HeldOut {
             design: design.description.clone(),
             skill: skill.skill,
             confidence: options.bootstrap.confidence,
+            scored_rows: report.scored_rows,
         }))
+    }
+
+    /// An undefined skill is none.
+    fn is_below_persistence(&self) -> bool {
+        !(self.skill.value > 0.0)
     }
 }
 
@@ -140,7 +161,11 @@ impl fmt::Display for HeldOut {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Estimate { value, lo, hi } = self.skill;
         let (rows, trials, design) = (self.rows, self.trials, &self.design);
-        write!(out, "held out, {rows} rows of {trials} recordings ({design}): skill {value:.3}")?;
+        let whose = match self.scored_rows {
+            ScoredRows::TrainedOn | ScoredRows::Mixed => "TRAINED ON",
+            _ => "held out",
+        };
+        write!(out, "{whose}, {rows} rows of {trials} recordings ({design}): skill {value:.3}")?;
         match lo.is_finite() && hi.is_finite() {
             true => write!(out, " [{lo:.3}, {hi:.3}] at {:.0} %", 100.0 * self.confidence)?,
             false => out.write_str(" (too few for an interval)")?,
@@ -179,12 +204,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
-    check(&name, &platform(&name, &recorded, given.as_deref(), args), &fleet)?;
+    let draft = platform(&name, &recorded, ChosenModel::new(given.as_deref()), args);
+    check(&name, &draft, &fleet)?;
     let mut split = None;
     if args.train {
         make(&places.models, &mut several)?;
-        let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
-        split = train_recordings(&files, &args.columns, &places.model, full, count)?;
+        split = train_recordings(&files, &args.columns, &places.model, count)?;
         if split.is_none() {
             return Ok(Outcome::Failed);
         }
@@ -194,18 +219,26 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         true => Some(places.trained_model()),
         false => given,
     };
-    let platform = platform(&name, &recorded, model.as_deref(), args);
-    places.write(&platform, &fleet, &mut several)?;
+    let chosen = ChosenModel::new(model.as_deref());
+    places.write(&platform(&name, &recorded, chosen, args), &fleet, &mut several)?;
     if model.is_none() {
         // For the model of the next command.
         make(&places.models, &mut several)?;
     }
-    let config = Config::load(&places.fleet)?;
-    let models = load_models(&config)?;
-    let held_out = match split {
-        Some(split) => HeldOut::score(&config, &models, (files, &map), split)?,
+    let mut config = Config::load(&places.fleet)?;
+    let mut models = load_models(&config)?;
+    let held_out = match model {
+        Some(_) => HeldOut::score(&config, &models, (files, &map), split)?,
         None => None,
     };
+    let persistence_is_better = held_out.as_ref().is_some_and(HeldOut::is_below_persistence);
+    if persistence_is_better && args.train {
+        // --model states which model is wanted, --train does not.
+        let chosen = ChosenModel { path: model.as_deref(), is_below_persistence: true };
+        write(&places.platform, platform(&name, &recorded, chosen, args).as_bytes())?;
+        config = Config::load(&places.fleet)?;
+        models = load_models(&config)?;
+    }
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
     warnings.extend(model_range::warnings(&config, &models).iter().map(ToString::to_string));
     for warning in &warnings {
@@ -223,8 +256,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,
-        model: args.train.then_some(places.model).or(args.model.clone()),
+        model: args.train.then_some(&places.model).or(args.model.as_ref()).cloned(),
+        trained: args.train.then_some(places.model),
         held_out,
+        persistence_is_better,
+        uses_persistence: model.is_none() || (persistence_is_better && args.train),
         recorded,
         warnings,
         next,
@@ -340,6 +376,10 @@ impl Args {
         let Some(path) = &self.model else {
             return Ok(None);
         };
+        if model_source::is_builtin(path) {
+            model_source::load(path)?;
+            return Ok(Some(path.to_string_lossy().into_owned()));
+        }
         let path =
             path.canonicalize().with_context(|| format!("cannot read {}", path.display()))?;
         Ok(Some(path.to_string_lossy().into_owned()))
@@ -377,7 +417,44 @@ fn number(key: &'static str, value: f64, note: impl Into<String>) -> Assignment 
     Assignment::number(key, value, note)
 }
 
-fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) -> String {
+/// The model of a platform's file.
+#[derive(Clone, Copy)]
+struct ChosenModel<'a> {
+    /// As the file writes it. None for persistence.
+    path: Option<&'a str>,
+    /// True if the file names persistence instead.
+    is_below_persistence: bool,
+}
+
+impl<'a> ChosenModel<'a> {
+    const fn new(path: Option<&'a str>) -> Self {
+        Self { path, is_below_persistence: false }
+    }
+
+    fn assignment(self) -> Assignment {
+        match self.path {
+            Some(path) if self.is_below_persistence => Assignment::text(
+                "model",
+                "persistence",
+                format!(
+                    "Better here than {path} on rows held out. To use that model, put its path here."
+                ),
+            ),
+            Some(path) => Assignment::text("model", path, ""),
+            None => Assignment::text(
+                "model",
+                "persistence",
+                "Put a trained model here: joulebus train trials.",
+            ),
+        }
+    }
+
+    const fn is_persistence(self) -> bool {
+        self.path.is_none() || self.is_below_persistence
+    }
+}
+
+fn platform(name: &str, recorded: &Profile, model: ChosenModel<'_>, args: &Args) -> String {
     let (least_w, greatest_w) = recorded.power_w;
     let span_w = greatest_w - least_w;
     let rate_hz = nearest(recorded.rate_hz);
@@ -409,14 +486,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
     };
     let mut assignments = vec![
         Assignment::text("name", name, ""),
-        match model {
-            Some(path) => Assignment::text("model", path, ""),
-            None => Assignment::text(
-                "model",
-                "persistence",
-                "Put a trained model here: joulebus train trials.",
-            ),
-        },
+        model.assignment(),
         number("rate_hz", rate_hz, "Median of the recordings."),
         number("stale_after_s", stale_s, "6.5 samples or more."),
         number(
@@ -439,7 +509,7 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
         speed("v_max_mps", recorded.v_mps, "m/s", 1.0),
         speed("omega_max_radps", recorded.omega_radps, "rad/s", 3.0),
     ];
-    if model.is_none() {
+    if model.is_persistence() {
         assignments.push(number(
             "residual_std_w",
             nearest(recorded.difference_w),
@@ -564,12 +634,19 @@ impl fmt::Display for InitReport {
         if let Some(step_w) = self.recorded.resolution_w {
             writeln!(out, "resolution {step_w:.4} W")?;
         }
-        let trained = self.model.as_ref().filter(|_| self.held_out.is_some());
+        let trained = self.trained.as_ref();
         for path in [&self.platform, &self.fleet].into_iter().chain(trained) {
             writeln!(out, "written: {}", path.display())?;
         }
         if let Some(held_out) = &self.held_out {
             writeln!(out, "{held_out}")?;
+        }
+        if self.persistence_is_better {
+            let chosen = match self.uses_persistence {
+                true => "the platform uses it. The trained model is kept",
+                false => "the platform uses the model that --model names",
+            };
+            writeln!(out, "persistence is better here: {chosen}")?;
         }
         writeln!(out, "next:")?;
         for command in &self.next {

@@ -100,8 +100,8 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
 }
 
 /// Trains on files of recordings that were judged before, by the default recipe. Returns the split,
-/// or none if the run was interrupted. `full` states that velocities are recorded. A few trials are
-/// split in time, because there is none to hold out.
+/// or none if the run was interrupted. A few trials are split in time, because there is none to
+/// hold out.
 ///
 /// # Errors
 /// The recordings cannot be read or are too few, or the model cannot be written.
@@ -109,11 +109,9 @@ pub(crate) fn train_recordings(
     files: &[PathBuf],
     columns: &ColumnArguments,
     out: &std::path::Path,
-    full: bool,
     count: usize,
 ) -> anyhow::Result<Option<Split>> {
-    let features = if full { FeatureChoice::Full } else { FeatureChoice::Power };
-    trials::Args::new(files, columns, out, features, count).train()
+    trials::Args::new(files, columns, out, count).train()
 }
 
 /// Path of the checkpoint of an unfinished run: beside the model.

@@ -13,7 +13,7 @@ use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::shell::word;
-use joulebus_train::{Recipe, TrainReport, TrainSettings};
+use joulebus_train::{Recipe, TrainReport, TrainSettings, recorded_features};
 
 use super::FeatureChoice;
 use super::run::RunArguments;
@@ -59,7 +59,8 @@ pub(super) struct Args {
     /// Name of the model [default: that of the recipe, or of its file]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Input features of the network [default: those of the recipe]
+    /// Input features of the network [default: those of the recipe. If it states none: full, or
+    /// power if most rows have no velocities]
     #[arg(long, value_enum)]
     features: Option<FeatureChoice>,
     /// Also write the rows of each part into this directory: training.npy, validation.npy and
@@ -81,8 +82,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
-    let recipe = args.recipe()?;
-    let (dataset, summary, implausible) = args.dataset(&recipe)?;
+    let (dataset, summary, implausible, recipe) = args.prepare()?;
     if let Some(directory) = &args.rows {
         write_rows(directory, &dataset)
             .with_context(|| format!("cannot write rows to {}", directory.display()))?;
@@ -107,7 +107,6 @@ impl Args {
         paths: &[PathBuf],
         columns: &ColumnArguments,
         out: &Path,
-        features: FeatureChoice,
         trials: usize,
     ) -> Self {
         Self {
@@ -122,7 +121,7 @@ impl Args {
             recipe: None,
             seed: None,
             name: None,
-            features: Some(features),
+            features: None,
             rows: None,
             most_rows: MAX_ROWS,
             columns: columns.clone(),
@@ -147,15 +146,30 @@ impl Args {
     /// Trains without a report. Returns the split, or none if the run was interrupted.
     pub(super) fn train(&self) -> anyhow::Result<Option<Split>> {
         self.run.check()?;
-        let recipe = self.recipe()?;
-        let (dataset, ..) = self.dataset(&recipe)?;
+        let (dataset, .., recipe) = self.prepare()?;
         let trained = self.run.train(&dataset, &recipe.training)?;
         Ok(trained.map(|_| recipe.split))
     }
 
-    fn recipe(&self) -> anyhow::Result<Recipe> {
-        let mut recipe = match &self.recipe {
-            None => Recipe::default(),
+    /// The rows, how they are split, what is implausible, and the recipe with the features that the
+    /// rows have, unless they are stated.
+    fn prepare(&self) -> anyhow::Result<(Dataset, SplitSummary, Vec<Judged>, Recipe)> {
+        let (mut recipe, states_features) = self.recipe()?;
+        let (dataset, summary, implausible) = self.dataset(&recipe)?;
+        if !states_features {
+            recipe.training.feature_set = recorded_features(&dataset);
+            log_line(&format!(
+                "features: {}, as the recordings have them",
+                recipe.training.feature_set.name()
+            ));
+        }
+        Ok((dataset, summary, implausible, recipe))
+    }
+
+    /// The recipe, and whether it or an option states the features.
+    fn recipe(&self) -> anyhow::Result<(Recipe, bool)> {
+        let (mut recipe, mut states_features) = match &self.recipe {
+            None => (Recipe::default(), false),
             Some(path) => read_recipe(path)?,
         };
         let settings = &mut recipe.training;
@@ -164,6 +178,7 @@ impl Args {
         }
         if let Some(features) = self.features {
             settings.feature_set = features.into();
+            states_features = true;
         }
         if let Some(name) = &self.name {
             settings.name.clone_from(name);
@@ -175,7 +190,7 @@ impl Args {
         if let Some(together) = self.split {
             recipe.split.by = together.into();
         }
-        Ok(recipe)
+        Ok((recipe, states_features))
     }
 
     fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary, Vec<Judged>)> {
@@ -208,11 +223,14 @@ impl Args {
 /// Maximum size of a recipe, bytes.
 const MAX_RECIPE_BYTES: u64 = 4 << 20;
 
-fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
+/// The recipe, and whether it states the features.
+fn read_recipe(path: &Path) -> anyhow::Result<(Recipe, bool)> {
     let name = path.display();
     let text = joulebus_files::read_to_string(path, MAX_RECIPE_BYTES)
         .with_context(|| format!("cannot read {name}"))?;
-    Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
+    let recipe = Recipe::parse(&text);
+    let recipe = recipe.map_err(|error| UsageError(format!("the recipe {name}: {error}")))?;
+    Ok((recipe, Recipe::states_features(&text)))
 }
 
 fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
@@ -233,7 +251,8 @@ mod tests {
     #[test]
     fn shipped_recipe_equals_the_default() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/recipes/paper.toml");
-        let recipe = read_recipe(Path::new(path)).expect("valid recipe");
+        let (recipe, states_features) = read_recipe(Path::new(path)).expect("valid recipe");
+        assert!(states_features);
         assert_eq!(recipe, Recipe::default());
         let text = std::fs::read_to_string(path).expect("readable file");
         let keys = |name: &str| text.contains(&format!("\n{name} = "));
