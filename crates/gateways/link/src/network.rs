@@ -395,9 +395,8 @@ fn configured(
     set("listen/endpoints", json!(settings.listen))?;
     // A client needs its router. A link that does not listen retries without end (-1), in the
     // background. A link that listens tries once (0), because peers that start later connect to it.
-    // If both peers retried without end, each would go on after they are connected. Zenoh refuses
-    // the second connection. If a peer is cut off at that moment, the other receives nothing for
-    // ten seconds.
+    // If both peers retried without end, they would have two connections. If these break and one of
+    // the peers does not notice it, zenoh loses its subscriptions (`reopen_if_split`).
     let is_client = settings.mode == Mode::Client;
     let within_ms = match (is_client, settings.listen.is_empty()) {
         (true, _) => ROUTER_TIMEOUT_MS,
