@@ -27,13 +27,12 @@
 //!
 //! **Modules.** [`energy`] scores the energy over horizons, [`calibrate`] chooses limits of alarms,
 //! [`analyze`] describes datasets, [`online_learning`] judges online forecasts, and
-//! [`training_data`] chooses the rows to train on. An [`EvalPart`] is one process' share of an
-//! evaluation.
+//! [`training_data`] chooses the rows to train on.
 //!
 //! **Units** are W, J, s and ns. A score that is undefined is NaN, and null in JSON.
 //!
 //! **Errors** state what was found, what is allowed and the remedy:
-//! [`EvaluateError`](evaluate::EvaluateError), [`ScoreError`](score::ScoreError), [`PartError`].
+//! [`EvaluateError`](evaluate::EvaluateError), [`ScoreError`](score::ScoreError).
 //!
 //! **In the book**: [resample, split and evaluate][1], [how forecasters are scored][2], [calibrate
 //! alarms][3], [a benchmark][4].
@@ -49,10 +48,8 @@ pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
 pub mod online_learning;
-mod part;
 mod report;
 pub mod score;
 pub mod training_data;
 
-pub use part::{EvalPart, Merged, PartError};
 pub use report::EvalReport;

@@ -1,6 +1,5 @@
 //! `joulebus eval`: offline evaluation of recorded trials against the baselines.
 
-mod part;
 mod subject;
 
 use std::path::{Path, PathBuf};
@@ -15,7 +14,6 @@ use joulebus_program::output::{Output, log_line};
 
 use crate::judgement::report;
 use crate::references::ReferenceArguments;
-use part::PartArguments;
 pub(crate) use subject::{Selection, usage};
 
 /// Evaluate recorded trials offline: the same bits as playing them live, compared with the
@@ -27,9 +25,7 @@ pub(crate) use subject::{Selection, usage};
     joulebus eval --model without-ice.safetensors husky/ --leave-out ICE\n  \
     joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
-    joulebus eval --model my.safetensors recordings/ --split trial --energy\n  \
-    joulebus eval --model my.safetensors recordings/ --partition 2/7 -o 2.part\n  \
-    joulebus eval --merge *.part\n\n\
+    joulebus eval --model my.safetensors recordings/ --split trial --energy\n\n\
     Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
     with its own forecasts and the true commands. MAE is in W. Skill is 1 - squared error over \
     that of persistence: above 0 is better than repeating the last reading. [lo, hi] are \
@@ -40,10 +36,7 @@ pub(crate) use subject::{Selection, usage};
     those of the config's platforms. Rows that a model was trained on, as its file states, are \
     recognised by their readings and scored apart. The tables are of the others. --split \
     evaluates what `joulebus train trials` with the same recordings, \
-    split and seed holds out.\n\n\
-    --partition I/N runs every N-th recording, on any host. --merge makes the report of a single \
-    run from the N files, to the bit. Each part reads all recordings, because baselines are fitted \
-    on them.")]
+    split and seed holds out.")]
 pub(crate) struct Args {
     #[command(flatten)]
     asked: Selection,
@@ -52,8 +45,6 @@ pub(crate) struct Args {
     model: Option<PathBuf>,
     #[command(flatten)]
     references: ReferenceArguments,
-    #[command(flatten)]
-    parts: PartArguments,
 }
 
 impl Args {
@@ -63,9 +54,6 @@ impl Args {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    if args.parts.merge {
-        return part::merge(args.asked.arguments(), output);
-    }
     let config = args.asked.config()?;
     let named = args.model.as_deref().map(load).transpose()?;
     let models = match &named {
@@ -74,9 +62,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let sections = args.asked.sections(&config, named.is_some())?;
     let implausible = args.asked.judge(&sections)?;
-    if let Some(asked) = args.parts.asked() {
-        return part::run(args, &asked, (&sections, &models), output);
-    }
     let mut evaluations = Vec::new();
     let options = args.options()?;
     let mut refused = None;

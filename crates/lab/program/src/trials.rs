@@ -73,11 +73,6 @@ impl TrialFiles {
         Ok(trials)
     }
 
-    /// The paths as they were given.
-    pub(crate) fn arguments(&self) -> impl Iterator<Item = &Path> {
-        self.paths.iter().map(Path::new)
-    }
-
     /// The names of the recordings' columns.
     pub(crate) fn map(&self) -> ColumnMap {
         self.columns.map()

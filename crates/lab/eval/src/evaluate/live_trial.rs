@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use joulebus_fleet::{Learned, Scores};
 use joulebus_wire::Quality;
-use serde::{Deserialize, Serialize};
 
 use super::{Forecast, RobotEvaluation};
 
 /// The live path of a trial without its steps. All trials of a platform are pooled reading by
 /// reading, so that the sums have the same bits in one process and of several.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LiveTrial {
     pub(super) robot: u32,
     pub(super) file: String,

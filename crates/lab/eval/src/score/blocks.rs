@@ -1,11 +1,9 @@
 //! Sums of each recording.
 
-use serde::{Deserialize, Serialize};
-
 use joulebus_statistics::metrics::{Additive, CoverageTally, Tally};
 
 /// Sums of one recording.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Sums {
     /// Blocks of consecutive rows, in order.
     pub(crate) blocks: Vec<Block>,
@@ -16,7 +14,7 @@ pub(crate) struct Sums {
 }
 
 /// A block of consecutive rows.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Block {
     /// One entry per forecaster: the models, persistence, the linear baselines, the references, the
     /// models' members.
@@ -26,7 +24,7 @@ pub(crate) struct Block {
 }
 
 /// All origins at one horizon. One entry per forecaster.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct HorizonSums {
     /// The reading at the horizon.
     pub(crate) power: Vec<Tally>,

@@ -4,7 +4,7 @@ use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::cell::Names;
 use super::design::{DesignReport, Lines};
@@ -15,7 +15,7 @@ use super::{Options, ScoreError, Subject};
 use crate::evaluate::Forecast;
 
 /// An evaluation without its sums.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Common {
     pub(super) platform: String,
     /// Hash of the settings, the platform's among them.
@@ -34,7 +34,7 @@ pub(super) struct Common {
 }
 
 /// A model before the energy of its forecasts is known.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evaluated {
     pub(super) name: String,
     pub(super) hash: String,
@@ -45,7 +45,7 @@ pub(super) struct Evaluated {
 }
 
 /// A linear baseline.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BaselineReport {
     /// Its name.
     pub name: String,

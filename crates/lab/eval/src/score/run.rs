@@ -120,9 +120,8 @@ fn run_all<T: Send>(
     mut take: impl FnMut(usize, T),
 ) -> Result<(ScoreReport, Tallied), ScoreError> {
     let prepared = Prepared::new(subject, options)?;
-    let places: Vec<usize> = (0..subject.recordings.len()).collect();
     let mut sums = SumsOfAll::default();
-    prepared.run(&places, watch, keep, |at, found| {
+    prepared.run(watch, keep, |at, found| {
         let live = found.live.into_iter().enumerate();
         live.for_each(|(model, kept)| take(model, kept));
         let listed = &prepared.common.recordings[at];
@@ -132,17 +131,17 @@ fn run_all<T: Send>(
 }
 
 /// An evaluation before its recordings are run.
-pub(super) struct Prepared<'a> {
+struct Prepared<'a> {
     subject: Subject<'a>,
     options: &'a Options,
     lines: Vec<Vec<Option<Linear>>>,
     learned: Vec<Vec<Learned>>,
     platforms: Vec<PlatformsBefore>,
-    pub(super) common: Common,
+    common: Common,
 }
 
 impl<'a> Prepared<'a> {
-    pub(super) fn new(subject: Subject<'a>, options: &'a Options) -> Result<Self, ScoreError> {
+    fn new(subject: Subject<'a>, options: &'a Options) -> Result<Self, ScoreError> {
         options.check()?;
         if subject.recordings.is_empty() {
             return Err(ScoreError::NoRecording);
@@ -160,20 +159,17 @@ impl<'a> Prepared<'a> {
         Ok(Self { subject, options, common, lines, learned, platforms })
     }
 
-    /// Runs some recordings in parallel. `take` gets their indices and results in the order of
-    /// `places`. Of the live path only the result of `keep` is retained when a recording is done.
-    pub(super) fn run<T: Send>(
+    /// Runs the recordings in parallel. `take` gets their indices and results in order. Of the live
+    /// path only the result of `keep` is retained when a recording is done.
+    fn run<T: Send>(
         &self,
-        places: &[usize],
         watch: impl Fn(usize) -> ControlFlow<()> + Sync,
         keep: impl Fn(RobotEvaluation) -> T + Sync,
-        mut take: impl FnMut(usize, Found<T>) -> Result<(), ScoreError>,
+        take: impl FnMut(usize, Found<T>) -> Result<(), ScoreError>,
     ) -> Result<(), ScoreError> {
         let done = AtomicUsize::new(0);
-        let recordings: Vec<&Recording> =
-            places.iter().filter_map(|at| self.subject.recordings.get(*at)).collect();
-        let one = |place: usize| {
-            let at = places[place];
+        let recordings: Vec<&Recording> = self.subject.recordings.iter().collect();
+        let one = |at: usize| {
             let found = corrected::one(
                 self.subject,
                 self.options,
@@ -186,13 +182,13 @@ impl<'a> Prepared<'a> {
                 ControlFlow::Break(()) => Err(ScoreError::Ended),
             }
         };
-        each(&recordings, one, |place, found| take(places[place], found))
+        each(&recordings, one, take)
     }
 }
 
 /// The sums of all recordings, in their order.
 #[derive(Default)]
-pub(super) struct SumsOfAll {
+struct SumsOfAll {
     evaluated: Tallied,
     trained_on: Tallied,
     /// Energy scores of each model.
@@ -200,7 +196,7 @@ pub(super) struct SumsOfAll {
 }
 
 impl SumsOfAll {
-    pub(super) fn push(
+    fn push(
         &mut self,
         listed: &Listed,
         evaluated: Sums,
@@ -219,7 +215,7 @@ impl SumsOfAll {
         Ok(())
     }
 
-    pub(super) fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
+    fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
         if self.evaluated.rows() == 0 {
             let rows = common.recordings.iter().map(|recording| recording.rows);
             return Err(ScoreError::NoRows {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::ops::Range;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::Recording;
 use super::blocks::{Block, HorizonSums, Sums};
@@ -48,7 +48,7 @@ struct Named {
 }
 
 /// The contents of tables about a recording, beside its sums.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Listed {
     pub(crate) name: String,
     robot: String,

@@ -1,6 +1,6 @@
 //! Inputs of an evaluation: recordings, their platforms, the evaluated rows, and options.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use joulebus_config::Config;
 use joulebus_dataset::split::Split;
@@ -88,11 +88,6 @@ impl Section {
         }
     }
 
-    /// Number of its recordings.
-    pub(crate) fn len(&self) -> usize {
-        self.recordings.len()
-    }
-
     pub(crate) fn name(&self) -> &str {
         let platform = self.platform.as_ref();
         platform.map_or("recorded", |platform| &platform.name)
@@ -100,11 +95,6 @@ impl Section {
 }
 
 impl Selection {
-    /// The paths as they were given.
-    pub(crate) fn arguments(&self) -> impl Iterator<Item = &Path> {
-        self.trials.arguments()
-    }
-
     pub(crate) fn config(&self) -> anyhow::Result<Config> {
         self.config.load()
     }

@@ -100,33 +100,6 @@ fn training_on_an_archive_gives_the_same_model_to_the_byte() {
 }
 
 #[test]
-fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings() {
-    let place = tempfile::tempdir().unwrap();
-    let from = place.path().join("runs");
-    fs::create_dir(&from).unwrap();
-    for number in 0..3 {
-        full(&from, &format!("full_{number}.csv"), 200, number);
-    }
-    sparse(&from, "sparse.csv", 150, 2);
-    let archive = exported(&from, place.path());
-    let model = model();
-    let words = "eval --resamples 20 --horizons 1,3 --model";
-    let whole = joulebus(words, &[&model, &from]).exits(0);
-    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/eval_parts.sh");
-    let parts = std::process::Command::new(tool)
-        .arg("3")
-        .args(words.split_whitespace().skip(1))
-        .args([&model, &archive])
-        .env("JOULEBUS", joulebus_testkit::joulebus_beside(crate::LAB))
-        .output()
-        .unwrap();
-    let message = String::from_utf8_lossy(&parts.stderr);
-    assert!(parts.status.success(), "{message}");
-    let text = String::from_utf8(parts.stdout).unwrap();
-    assert_eq!(text.trim_end(), whole.text().trim_end());
-}
-
-#[test]
 fn real_recordings_report_the_same_from_an_archive() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     if !data.is_dir() {
