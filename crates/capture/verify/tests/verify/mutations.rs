@@ -522,7 +522,8 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
     }),
     ("the recording twice", Verified, |messages| messages.extend(messages.clone())),
     // Keyframes.
-    ("a bit of the first keyframe", Incomplete, |messages| forged_keyframe(messages, 0)),
+    // What a platform remembers goes on from there, so the next ones differ.
+    ("a bit of the first keyframe", Different, |messages| forged_keyframe(messages, 0)),
     ("a bit of a keyframe", Different, |messages| forged_keyframe(messages, KEYFRAME_EVERY)),
     ("a bit of the last keyframe", Different, |messages| forged_keyframe(messages, 160)),
     ("a keyframe of garbage", Different, |messages| {
