@@ -162,9 +162,9 @@ pub fn untried(model: &Model) -> Calibration {
 pub fn observe_all(model: &Model, trial: &Trial, (number, platform): (u32, &mut Calibration)) {
     let untrained = EnergyModel::untrained(1.0);
     let energy = model.energy().unwrap_or(&untrained);
-    let mut state = EnergyState::new(number);
+    let mut state = EnergyState::among(number, platform.platform());
     for step in Recorded::new(model, energy, trial).steps {
-        observe(&mut state, platform, energy, &step);
+        observe(&mut state, (number, &mut *platform), energy, &step);
     }
 }
 
