@@ -61,6 +61,12 @@ pub const ERRORS: usize = 2 * SHADOWS;
 pub const PARTS: usize = 3;
 /// Shares of [`PARTS`] in an outlook before the first error.
 const SHARES: [[f32; PARTS]; SHADOWS] = [[0.2, 0.65, 0.15], [0.05, 0.65, 0.3], [0.02, 0.48, 0.5]];
+/// Share of the robot's own mean in a plan without commands, beside the level.
+pub(crate) fn own_share(shares: [f32; SHADOWS]) -> f32 {
+    let of = |shadow: usize| SHARES[shadow][2] / (SHARES[shadow][1] + SHARES[shadow][2]);
+    shares[0] * of(0) + shares[1] * of(1) + shares[2] * of(2)
+}
+
 /// A pull of the platform's mean power, as an integer.
 pub(crate) const PULL: f32 = 65536.0;
 

@@ -34,7 +34,10 @@ impl Level {
 pub(crate) struct Parts {
     pub factor: f32,
     pub added_w: f32,
+    /// The mean power of the levels.
     pub mean_w: f32,
+    /// Power without commands: the outlook's parts that do not need the last reading.
+    pub without_w: f32,
 }
 
 impl Parts {
@@ -42,7 +45,7 @@ impl Parts {
     pub(crate) fn level(&self, trust: f32) -> Level {
         Level {
             factor: trust * self.factor,
-            added_w: trust * self.added_w + (1.0 - trust) * self.mean_w,
+            added_w: trust * self.added_w + (1.0 - trust) * self.without_w,
         }
     }
 }

@@ -18,7 +18,7 @@ const QUORUM: f32 = 8.0;
 
 /// Quantities that are remembered: the place of each in [`Shown`].
 pub const SHOWN: usize = 3;
-/// Ten seconds of a robot: their number, and their power in the platform's trained mean.
+/// Seconds of a robot: their number, and their power in the platform's trained mean.
 pub(crate) const POWER: usize = 0;
 /// The first readings of a robot: their number, and the [excess](Memory::start_excess).
 const START: usize = 1;
@@ -33,9 +33,9 @@ const UNIT: f32 = 65536.0;
 /// Largest number that a robot may show.
 const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0];
 /// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts.
-const MEMORY: [f32; SHOWN] = [720.0, 4.0, 4.0];
-/// Weight with which a group counts half: 40 s of a robot, one start.
-const HALF: [f32; SHOWN] = [4.0, 1.0, 0.1];
+const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0];
+/// Weight with which a group counts half: 10 s of a robot, one start.
+const HALF: [f32; SHOWN] = [10.0, 1.0, 0.1];
 
 /// A weight and a number as [`Shown`] has them. None of either if they are not finite.
 pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
@@ -184,11 +184,11 @@ pub(crate) fn is_sound(seen: &Shown<f32>) -> bool {
 mod tests {
     use super::*;
 
-    fn of(robots: impl IntoIterator<Item = (u32, f32)>, windows: i64) -> Memory {
+    fn of(robots: impl IntoIterator<Item = (u32, f32)>, seconds: i64) -> Memory {
         let mut groups = [Shown::default(); GROUPS];
         for (robot, power) in robots {
             let mut new = Shown::default();
-            new[POWER] = shown(POWER, 1.0, power).map(|number| number * windows);
+            new[POWER] = shown(POWER, 1.0, power).map(|number| number * seconds);
             add(&mut groups[group_of(robot)], &new);
         }
         Memory::of(&groups)
@@ -215,11 +215,11 @@ mod tests {
     fn a_fleet_that_draws_something_else_is_believed_as_more_of_its_robots_are_known() {
         assert_eq!(of([], 1), Memory::TRAINED);
         for power in [0.03, 0.5, 0.83, 1.4, 3.0, 20.0] {
-            let whole = of((0..24).map(|robot| (robot, power)), 720).power;
+            let whole = of((0..24).map(|robot| (robot, power)), 7_200).power;
             assert!((whole / power - 1.0).abs() < 0.02, "{power}: {whole}");
             let mut before = 1.0;
             for robots in [1, 2, 4, 8, 16] {
-                let found = of((0..robots).map(|robot| (robot, power)), 720).power;
+                let found = of((0..robots).map(|robot| (robot, power)), 7_200).power;
                 let apart = |found: f32| (found.ln() - power.ln()).abs();
                 assert!(apart(found) <= apart(before) + 1e-4, "{robots} at {power}: {found}");
                 before = found;
@@ -234,7 +234,7 @@ mod tests {
             let fleet = |last: f32, hours: i64| {
                 let all = (0..others).map(|robot| (robot, spread(robot)));
                 let long = std::iter::repeat_n((others, last), hours as usize);
-                of(all.chain(long), 360).power
+                of(all.chain(long), 3_600).power
             };
             for hours in [1, 100] {
                 for factor in [-4.0, 0.0, 0.25, 4.0, 60.0] {

@@ -5,7 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::{ErrorBounds, NewErrors, PARTS, PULL, PlatformErrors, class_of};
+use crate::calibration::{
+    ErrorBounds, NewErrors, PARTS, PULL, PlatformErrors, class_of, own_share,
+};
 use crate::command::{CommandModel, Motion};
 use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
 use crate::memory::{POWER, Shown, TRUST, shown, trusted};
@@ -16,8 +18,8 @@ use crate::quantiles;
 const SETTLE_S: f32 = 0.75;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
-/// The shadow forecast whose power is remembered of the robot: of 10 s.
-const REMEMBERED: usize = 1;
+/// The shadow forecast whose power is remembered of the robot: of 1 s.
+const REMEMBERED: usize = 0;
 /// Share of errors outside the interval that the factor of a robot's errors aims at.
 const MISSES: f32 = 0.1;
 /// Limits of that factor.
@@ -299,12 +301,15 @@ impl Learned {
         }
     }
 
-    /// The shadow forecast's parts.
-    fn parts(&self, shadow: usize) -> Parts {
+    /// The shadow forecast's parts. `own_w`: the robot's own mean when it was made, W.
+    fn parts(&self, shadow: usize, own_w: f32) -> Parts {
+        let mean_w = self.shadow_mean_w[shadow];
+        let share = own_share(error_shares(SHADOWS_S[shadow]));
         Parts {
             factor: self.shadow_factor[shadow],
             added_w: self.shadow_added_w[shadow],
-            mean_w: self.shadow_mean_w[shadow],
+            mean_w,
+            without_w: mean_w + share * (own_w - mean_w),
         }
     }
 
@@ -323,7 +328,7 @@ impl Learned {
         const KEEPS: f32 = 0.97;
         /// Errors below this share of the platform's mean do not weigh more.
         const MIN: f32 = 0.02;
-        let without_j = parts.mean_w * duration_s;
+        let without_j = parts.without_w * duration_s;
         let with_j = parts.factor * command_j + parts.added_w * duration_s;
         let explained = (with_j - without_j) / mean_j;
         let wanted = (measured_j - without_j) / mean_j;
@@ -495,7 +500,7 @@ impl EnergyState {
         let (metered, learned) = (&self.metered, &mut self.learned);
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
-        let parts = learned.parts(shadow);
+        let parts = learned.parts(shadow, self.ahead.own_w[shadow]);
         let trust = self.made.command_trust[shadow];
         let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
@@ -577,6 +582,9 @@ impl EnergyState {
             parts.added_w += weight * (added_share * above_j / time_s);
             parts.mean_w += weight * (mean_w + shrunk * (energy_j / time_s - mean_w));
         }
+        let [_, level_w, own_w] =
+            outlook_parts(&self.metered, &contradictions, parts.mean_w, f32::NAN);
+        parts.without_w = level_w + own_share(error_shares(horizon_s)) * (own_w - level_w);
         (parts, changed)
     }
 }

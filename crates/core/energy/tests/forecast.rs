@@ -145,28 +145,42 @@ impl Reference<'_> {
         count
     }
 
-    /// Weights of the levels. A level loses weight to those that the newest readings support.
-    fn weights(&self, horizon_s: f64) -> [f64; LEVELS] {
+    /// How far the newest readings contradict a level.
+    fn contradiction(&self, level: usize) -> f64 {
         let sums = LEVELS_S.map(|level_s| self.sums(level_s.into()));
         let mean_w = f64::from(self.model.command.mean_w);
+        let mut contradiction = 0.0;
+        for newer in 0..level.min(2) {
+            let ([old_j, old_command_j, old_s], [new_j, new_command_j, new_s]) =
+                (sums[level], sums[newer]);
+            if old_s <= 0.0 {
+                continue;
+            }
+            let errors = self.model.errors[newer];
+            let spread = (f64::from(errors[7] - errors[1]) / 3.29).max(1e-3);
+            let mean = 0.5 * ((new_j / new_s).abs() + (old_j / old_s).abs());
+            let apart_w = (new_j - new_command_j) / new_s - (old_j - old_command_j) / old_s;
+            contradiction += (apart_w / mean.max(0.01 * mean_w) / spread / 2.0).powi(4);
+        }
+        contradiction
+    }
+
+    /// The share of the robot's own mean in a forecast without commands.
+    fn own_share(horizon_s: f64) -> f64 {
+        let [at_1_s, at_10_s, at_100_s] = [0.15 / 0.8, 0.3 / 0.95, 0.5 / 0.98];
+        match horizon_s {
+            ..10.0 => at_1_s + (at_10_s - at_1_s) * ((horizon_s - 1.0) / 9.0).max(0.0),
+            _ => at_10_s + (at_100_s - at_10_s) * ((horizon_s - 10.0) / 90.0).min(1.0),
+        }
+    }
+
+    /// Weights of the levels. A level loses weight to those that the newest readings support.
+    fn weights(&self, horizon_s: f64) -> [f64; LEVELS] {
         let mut weights: [f64; LEVELS] = std::array::from_fn(|index| {
             Self::at(horizon_s, |place| self.model.weights[place][index].into())
         });
         for level in 1..LEVELS {
-            let mut contradiction = 0.0;
-            for newer in 0..level.min(2) {
-                let ([old_j, old_command_j, old_s], [new_j, new_command_j, new_s]) =
-                    (sums[level], sums[newer]);
-                if old_s <= 0.0 {
-                    continue;
-                }
-                let errors = self.model.errors[newer];
-                let spread = (f64::from(errors[7] - errors[1]) / 3.29).max(1e-3);
-                let mean = 0.5 * ((new_j / new_s).abs() + (old_j / old_s).abs());
-                let apart_w = (new_j - new_command_j) / new_s - (old_j - old_command_j) / old_s;
-                contradiction += (apart_w / mean.max(0.01 * mean_w) / spread / 2.0).powi(4);
-            }
-            weights[level] /= 1.0 + contradiction;
+            weights[level] /= 1.0 + self.contradiction(level);
         }
         let kept: f64 = weights.iter().sum();
         weights.map(|weight| weight / kept)
@@ -186,7 +200,7 @@ impl Reference<'_> {
             let errors = self.model.errors[place];
             f64::from(errors[7] - errors[1]) / 3.29
         });
-        let mut energy_j = 0.0;
+        let (mut with_j, mut level_w, mut own_w) = (0.0, 0.0, None);
         let (added, trust) = (f64::from(self.model.added_shares[0]), f64::from(trust));
         let mean_w = f64::from(self.model.command.mean_w);
         for (index, level_s) in LEVELS_S.into_iter().enumerate() {
@@ -204,10 +218,13 @@ impl Reference<'_> {
             let scaled = command_j * (1.0 + shrunk * (ratio - 1.0));
             let raised = command_j + shrunk * above_w * duration_s;
             let with_commands = (1.0 - added) * scaled + added * raised;
-            let without = (mean_w + shrunk * (read_w - mean_w)) * duration_s;
-            energy_j += weights[index] * (trust * with_commands + (1.0 - trust) * without);
+            with_j += weights[index] * with_commands;
+            level_w += weights[index] * (mean_w + shrunk * (read_w - mean_w));
+            own_w = Some(read_w).filter(|_| time_s > 0.0);
         }
-        energy_j
+        let apart_w = own_w.map_or(0.0, |own_w| own_w - level_w);
+        let own = Self::own_share(duration_s) / (1.0 + self.contradiction(LEVELS - 1));
+        trust * with_j + (1.0 - trust) * (level_w + own * apart_w) * duration_s
     }
 }
 
@@ -683,7 +700,7 @@ fn a_robot_that_goes_on_draws_its_mean_at_every_horizon() {
 }
 
 #[test]
-fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
+fn without_trust_in_commands_a_plan_is_the_outlook_without_the_last_reading() {
     let model = EnergyModel { calibrated: 4, ..driving_model() };
     let mut state = driven(&model, 20.0, |v_mps| 2.0 + 30.0 * v_mps);
     state.learned.command_trust = 0.0;
@@ -691,7 +708,9 @@ fn without_trust_in_commands_an_outlook_is_the_forecast_of_any_plan() {
     state.ahead.error_factor = [1.0; SHADOWS];
     let platform = PlatformErrors {
         outlooks: state.bounds,
-        shares: [[0.0, 1.0, 0.0]; SHADOWS],
+        shares: PlatformErrors::TRAINED
+            .shares
+            .map(|[_, level, own]| [0.0, level / (level + own), own / (level + own)]),
         ..PlatformErrors::TRAINED
     };
     let horizons_s = [1.0, 10.0, 30.0, 60.0];

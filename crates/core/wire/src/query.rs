@@ -22,7 +22,9 @@ use crate::rows;
 /// 4: a path is followed by its shape and not by its points, a probability is known only where the
 /// model's errors cover the plan, an alarm on a robot's readings bars yes, and the error of counting
 /// a plan's energy is part of verdict and probability.
-pub const ANSWER_RULES: u32 = 4;
+///
+/// 5: a plan whose commands are not trusted leans on the robot's own mean, as its outlook does.
+pub const ANSWER_RULES: u32 = 5;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.

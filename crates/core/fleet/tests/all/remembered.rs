@@ -37,6 +37,8 @@ fn run(fleet: &mut Fleet, robots: &[(u32, f32)]) {
             robots.iter().map(|(robot, power_w)| sample(*robot, step, *power_w)).collect();
         source.tick(fleet, &frame, START_NS + step * PERIOD_NS);
     }
+    // What the last samples have shown is remembered with the next tick.
+    fleet.tick(START_NS + 999 * PERIOD_NS + 1, false);
 }
 
 fn seen(fleet: &Fleet) -> ErrorCounts<f32> {
