@@ -144,11 +144,11 @@ struct Asked<'a> {
     missing: Vec<u32>,
 }
 
+/// Fleets, with the question for each.
+type Questions<'a> = Vec<(&'a Config, Question)>;
+
 /// The question for each fleet that has robots of it, and the robots that none has.
-fn divide(
-    configs: &[Config],
-    question: Question,
-) -> Result<(Vec<(&Config, Question)>, Vec<u32>), UsageError> {
+fn divide(configs: &[Config], question: Question) -> Result<(Questions<'_>, Vec<u32>), UsageError> {
     if let [config] = configs {
         return Ok((vec![(config, question)], Vec::new()));
     }

@@ -127,6 +127,6 @@ fn two_fleets_of_fifty_thousand_robots() {
         let pid = child.pid();
         let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
         let memory = status.lines().find(|line| line.starts_with("VmRSS"));
-        println!("figure: {count} robots, {memory:?}: {}", child.end().json());
+        println!("figure: {count} robots, {memory:?}: {}", child.end().text());
     }
 }
