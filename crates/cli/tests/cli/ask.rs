@@ -286,3 +286,25 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
     assert_eq!(code(&worker.end(Signal::INT)), 0);
     assert!(fleet.stale_files().is_empty());
 }
+
+#[test]
+fn a_robot_that_two_of_the_fleets_have_or_none_is_refused_before_a_worker_is_looked_for() {
+    let fleet = fleet();
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let [other, same] = ["other.toml", "same.toml"].map(|name| fleet.path(name));
+    let renamed = text.replace("name = \"cli\"", "name = \"other\"");
+    assert_ne!(renamed, text);
+    fs::write(&same, &renamed).unwrap();
+    fs::write(&other, renamed.replace("[\"0-9\"]", "[\"70-79\"]")).unwrap();
+    let both = "robot 3 is in the fleets other and cli: give each fleet ids of its own";
+    let none = "none of the fleets other, cli has robot [999, 998]";
+    for (robots, with, expected) in [
+        ("--robot 3", &same, both),
+        ("--rank 999,3", &same, both),
+        ("--rank 999,998", &other, none),
+    ] {
+        let asked = fleet.output(&format!("ask {robots} --idle 5 --config {}", with.display()));
+        assert_eq!(code(&asked), 2, "{asked:?}");
+        assert!(stderr(&asked).contains(expected), "{asked:?}");
+    }
+}
