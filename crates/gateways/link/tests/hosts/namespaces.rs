@@ -6,6 +6,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use joulebus_testkit::Child;
+
 use crate::host::{
     FOLLOW, Host, SAMPLES, disturbances, of_other, of_worker, silences, undisturbed,
 };
@@ -153,6 +155,36 @@ fn a_partition_is_reported_within_its_bound_and_after_it_all_goes_on_by_itself()
     assert!(known <= sent, "{known} of {sent}: {report}");
     assert!(dropped > 0, "the cut's samples are counted: {report}");
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
+}
+
+/// Of a link with one receiving thread, as with TLS.
+#[test]
+fn a_host_that_is_cut_off_silences_no_other() {
+    let Some(wires) = Wires::new(3) else { return };
+    let [here, there, third] = [0, 1, 2].map(|at| wires.host(at));
+    let _worker = here.worker();
+    let mut command = here.link_command(&of_worker(&listening(), &["edge"]));
+    command.env("ZENOH_RUNTIME", "(rx: (worker_threads: 1))");
+    let mut base = Child::spawn("link", command);
+    base.wait_for_line("is open");
+    let _edge = there.link(&of_other("edge", &listening(), &format!("{SAMPLES}{FOLLOW}")));
+    let _desk = third.link(&of_other("desk", &listening(), FOLLOW));
+    let _robots = there.robots(&["--robots", "3"]);
+    let mut beside = there.planner();
+    beside.fresh_sample();
+    let mut planner = third.planner();
+    planner.fresh_sample();
+    wires.set(1, false);
+    let begin = Instant::now();
+    let (mut last, mut longest) = (begin, Duration::ZERO);
+    while begin.elapsed() < Duration::from_secs(9) {
+        if planner.frame_within(Duration::from_millis(100)).is_some() {
+            longest = longest.max(last.elapsed());
+            last = Instant::now();
+        }
+    }
+    longest = longest.max(last.elapsed());
+    assert!(longest < Duration::from_secs(5), "no forecasts for {longest:?}");
 }
 
 #[test]

@@ -754,6 +754,13 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_reported
     }
 }
 
+fn hang(process: &mut Child, time: Duration, what: &'static str) -> &'static str {
+    process.signal(Signal::STOP);
+    std::thread::sleep(time);
+    process.signal(Signal::CONT);
+    what
+}
+
 /// The two hosts under a supervisor that restarts what has ended, and the faults.
 struct Supervised {
     scene: Scene,
@@ -770,7 +777,7 @@ impl Supervised {
         let at = usize::from(chance.below(2) == 1);
         let short = chance.while_s(900);
         let long = chance.while_s(4_000);
-        match chance.below(8) {
+        match chance.below(10) {
             0 => self.cut(at, short, "a short cut of a worker's host"),
             1 => self.cut(at, long, "a cut of a worker's host"),
             2 => self.cut(2, long, "a cut of the robots' host"),
@@ -794,6 +801,8 @@ impl Supervised {
                 }
                 "a worker's host stopped"
             }
+            7 => hang(&mut self.workers[at], long, "a worker alone stopped"),
+            8 => hang(&mut self.links[at], long, "a worker's link alone stopped"),
             _ => {
                 self.etcd.kill();
                 std::thread::sleep(short);
