@@ -225,7 +225,7 @@ mod tests {
             ("eval, train trials, analyze", open(found.clone(), &map).err().map(Into::into)),
             ("eval of a config's robots", open_with_ids(&with_ids, &map).err().map(Into::into)),
             ("calibrate", trials(&recorded, own, &map).err()),
-            ("config init --train", train_recordings(&found, &columns, &out, false, 2).err()),
+            ("config init --train", train_recordings(&found, &columns, &out, 2).err()),
         ] {
             let error: anyhow::Error = error.unwrap_or_else(|| panic!("{verb}: it is missed"));
             assert!(format!("{error:#}").contains("gone.csv"), "{verb}: {error:#}");
