@@ -42,6 +42,7 @@
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/resample-and-split.md
 #![forbid(unsafe_code)]
 
+pub mod altered;
 pub mod archive;
 pub mod inspect;
 pub mod npy;

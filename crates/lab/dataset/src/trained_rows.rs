@@ -233,14 +233,14 @@ fn element(row: &Row) -> u64 {
 }
 
 /// Every bit depends on every bit (SplitMix64's finaliser).
-fn mixed(x: u64) -> u64 {
+pub(crate) fn mixed(x: u64) -> u64 {
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
 }
 
 /// Hashes of any part of a sequence: polynomials in [`BASE`], from sums over its beginnings.
-struct Sums {
+pub(crate) struct Sums {
     /// The sum of the first n elements, at index n.
     sums: Vec<u64>,
     /// Powers of the base.
@@ -248,7 +248,7 @@ struct Sums {
 }
 
 impl Sums {
-    fn new(elements: impl Iterator<Item = u64>) -> Self {
+    pub(crate) fn new(elements: impl Iterator<Item = u64>) -> Self {
         let (mut sums, mut powers) = (vec![0_u64], vec![1_u64]);
         for (at, element) in elements.enumerate() {
             sums.push(sums[at].wrapping_mul(BASE).wrapping_add(element));
@@ -257,7 +257,7 @@ impl Sums {
         Self { sums, powers }
     }
 
-    fn hash(&self, start: usize, length: usize) -> u64 {
+    pub(crate) fn hash(&self, start: usize, length: usize) -> u64 {
         let before = self.sums[start].wrapping_mul(self.powers[length]);
         mixed(self.sums[start + length].wrapping_sub(before))
     }

@@ -143,7 +143,8 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
     if known > 0 {
         writeln!(
             out,
-            "{known} held-out rows were also trained on, as in copies of recordings: not scored"
+            "{known} held-out rows were also trained on, as in copies of recordings, also scaled, \
+             reversed or thinned ones: not scored"
         )?;
     }
     let untold = findings.held_out_untold;
