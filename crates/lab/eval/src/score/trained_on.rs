@@ -14,12 +14,17 @@ use crate::evaluate::RobotEvaluation;
 /// Fewer rows than these are not worth a headline: 1.7 s at 30 Hz.
 const FEWEST_APART: usize = 50;
 
+/// A recording's period differs from that of the training by at most this share of it, unless it is
+/// resampled.
+const MAX_PERIOD_DIFFERENCE: f32 = 0.2;
+
 /// Rows that a model was trained on, among those that were to be evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainedOn {
     /// Rows trained on, or beside such rows, as far as recognised.
     pub rows: usize,
-    /// Rows in pieces too short, or that change too rarely, to be recognised.
+    /// Rows in pieces too short, or that change too rarely, to be recognised, and rows of recordings
+    /// with another period than the training's.
     pub untold: usize,
     /// Rows to be evaluated.
     pub of: usize,
@@ -83,11 +88,15 @@ impl Recognised {
         each(
             &recordings.iter().collect::<Vec<_>>(),
             |at| {
-                let rows = &recordings[at].contents()?.rows.rows;
-                let found = stated.iter().map(|stated| {
+                let contents = recordings[at].contents()?;
+                let rows = &contents.rows.rows;
+                let found = models.iter().zip(&stated).map(|(model, stated)| {
                     let stated = (*stated)?;
                     let is_known = is_trained_on(rows, stated);
-                    let is_untold = is_untold(rows, &is_known, stated);
+                    let is_untold = match is_of_its_rate(model, contents.rows.period_s) {
+                        true => is_untold(rows, &is_known, stated),
+                        false => is_known.iter().map(|is_known| !is_known).collect(),
+                    };
                     Some((stretches(&is_known), stretches(&is_untold)))
                 });
                 Ok::<_, ScoreError>(found.collect::<Vec<_>>())
@@ -147,6 +156,18 @@ impl Recognised {
         }
         trained
     }
+}
+
+/// False if a recording's period is another than that of the model's training. Then it may be a
+/// resampled copy, which is not recognised.
+fn is_of_its_rate(model: &Model, period_s: f32) -> bool {
+    let Model::Network(network) = model else {
+        return true;
+    };
+    network.card().period_s().is_none_or(|trained_s| {
+        let difference_s = (period_s - trained_s).abs();
+        difference_s <= MAX_PERIOD_DIFFERENCE * trained_s
+    })
 }
 
 /// The ranges in which a mask is true.
