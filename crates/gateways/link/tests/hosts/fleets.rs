@@ -109,11 +109,14 @@ fn share_hosts() -> u64 {
     all_disturbances
 }
 
-/// Two fleets whose robots one worker would serve, each with its worker, on one host.
+/// Robots of each large fleet. Programs that are not optimised have a tenth of them.
+const LARGE: usize = if cfg!(debug_assertions) { 5_000 } else { 50_000 };
+
+/// Two large fleets on one host. `JOULEBUS_ROBOTS` states another number of robots of each.
 #[test]
-#[ignore = "prints figures: docs/how-to/several-fleets.md"]
+#[ignore = "prints figures, and needs both processors"]
 fn two_fleets_of_fifty_thousand_robots() {
-    let count = std::env::var("JOULEBUS_ROBOTS").map_or(50_000, |count| count.parse().unwrap());
+    let count = std::env::var("JOULEBUS_ROBOTS").map_or(LARGE, |count| count.parse().unwrap());
     let hosts = Host::of_two(count);
     let workers = hosts.each_ref().map(Host::worker);
     let sources = hosts.each_ref().map(|host| host.robots(&["--robots", &count.to_string()]));
