@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_standby::{Permit, Places};
-use joulebus_testkit::{Child, eventually};
+use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use zenoh::Wait as _;
 use zenoh::sample::SampleKind;
@@ -252,16 +252,17 @@ fn a_link_whose_peer_is_present_and_sends_nothing_any_more_connects_anew_and_say
     let present = liveliness.declare_subscriber("joulebus/lab/links/desk").wait().unwrap();
     let requests = base.declare_subscriber("joulebus/lab/ask/outputs/base/desk").wait().unwrap();
     let desk = there.link(&of_other("desk", &address, FOLLOW));
+    let changes = || present.recv_timeout(PATIENCE).unwrap().expect("a change").kind();
     // Another session has the declarations and publishers of the one before.
     for round in 1..=2 {
-        assert_eq!(present.recv().unwrap().kind(), SampleKind::Put);
+        assert_eq!(changes(), SampleKind::Put);
         while requests.try_recv().unwrap().is_some() {}
-        requests.recv().unwrap();
+        assert!(requests.recv_timeout(PATIENCE).unwrap().is_some());
         for _ in 0..20 {
             base.put("joulebus/lab/outputs/base/desk", vec![1, 2, 3]).wait().unwrap();
             std::thread::sleep(Duration::from_millis(20));
         }
-        assert_eq!(present.recv().unwrap().kind(), SampleKind::Delete);
+        assert_eq!(changes(), SampleKind::Delete);
         let errors = desk.errors();
         let count = errors.matches("nothing has come from base for 5 s").count();
         assert_eq!(count, round, "{errors}");
