@@ -17,11 +17,11 @@ use joulebus_dataset::split::{
 use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_eval::online_learning::{Judged, VARIANTS, judge, judge_from};
 use joulebus_eval::score::recorded_platform;
-use joulebus_predictor::{FeatureSet, Network};
+use joulebus_predictor::{FeatureSet, ModelCard, Network};
 use joulebus_settings::Platform;
 use joulebus_sim::{protocol, scenario};
 use joulebus_statistics::metrics::Tally;
-use joulebus_train::{TrainSettings, train};
+use joulebus_train::{TrainSettings, scored, train};
 use live::settings;
 
 /// Seed of splits and networks.
@@ -55,7 +55,7 @@ fn heading() {
     println!(
         "| trained on | tested on | trials · readings | persistence | linear | {} | best member | \
          online, MAE in W | squared error over persistence's: first 100 readings · later | \
-         first 30 readings: persistence · online · squared error over persistence's of the worst trial | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
+         first 30 readings, % of online's squared error: persistence · online · squared error over persistence's of the worst trial | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
          the same, network alone |",
         VARIANTS.map(|(name, _)| name).join(" | ")
     );
@@ -81,8 +81,15 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
             variant.due.coverage()
         )
     };
+    let [of_persistence, of_online] = judged.start_shares(VARIANTS.len() - 1);
+    let start = format!(
+        "{:.2} · {:.2} · {:.1}",
+        100.0 * of_persistence,
+        100.0 * of_online,
+        last.squares.worst_start(&judged.allowed)
+    );
     println!(
-        "| {trained_on} | {tested_on} | {} · {} | {} | {} | {} | {:+.4} | {:.4} | {:.2} · {:.2} | {} · {} · {:.1} | {} | {} |",
+        "| {trained_on} | {tested_on} | {} · {} | {} | {} | {} | {:+.4} | {:.4} | {:.2} · {:.2} | {} | {} | {} |",
         judged.trials,
         network.forecasts.count(),
         r2(&judged.persistence),
@@ -92,9 +99,7 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
         last.forecasts.mae_w(),
         last.squares.first / judged.allowed.first,
         last.squares.later / judged.allowed.later,
-        r2(&judged.start),
-        r2(&last.start),
-        last.squares.worst_start(&judged.allowed),
+        start,
         coverage(VARIANTS.len() - 1),
         coverage(0),
     );
@@ -193,11 +198,14 @@ impl Recordings {
             .collect();
         let assignment = assign_leaving_out(&self.sources, split, &left_out)
             .unwrap_or_else(|error| panic!("{error}"));
+        let dataset = assignment.dataset(&self.sources, trained_on.to_owned());
+        let network = self.network(&dataset);
         // The scores in a model file must be of its training population: the other trials are not
         // available when the model is made.
-        let mut dataset = assignment.dataset(&self.sources, trained_on.to_owned());
-        dataset.held_out.clone_from(&dataset.validation);
-        let network = self.network(&dataset);
+        let (scores, residual) = scored(&network, &dataset.validation);
+        let card = ModelCard { scores, residual, ..network.card().clone() };
+        let network = Network::new(network.parameters().clone(), card);
+        let network = network.unwrap_or_else(|error| panic!("{error}"));
         for (tested_on, group) in tests {
             let judged = self.judge(&network, |source| source.group == *group);
             line(trained_on, tested_on, &judged);

@@ -99,8 +99,8 @@ fn evaluate(
         all().filter(|(place, trial)| trains(*place, trial)).map(|(_, trial)| trial).collect();
     let scored: Vec<&Trial> =
         all().filter(|(place, trial)| scored(*place, trial)).map(|(_, trial)| trial).collect();
-    let rows = |of: &[&Trial], first: usize, keep: fn(usize) -> bool| {
-        let kept = of.iter().enumerate().filter(|(place, _)| keep(*place));
+    let rows = |trials: &[&Trial], first: usize, keep: fn(usize) -> bool| {
+        let kept = trials.iter().enumerate().filter(|(place, _)| keep(*place));
         let rows = kept.flat_map(|(place, trial)| {
             let origin = RowOrigin::recording(first + place);
             trial_rows(trial).rows.into_iter().map(move |row| row.of(origin))
@@ -110,6 +110,7 @@ fn evaluate(
     let dataset = Dataset {
         training: rows(&own, 0, |place| place % 5 != 4),
         validation: rows(&own, 0, |place| place % 5 == 4),
+        // For the scores in the model's card alone.
         held_out: rows(&scored, own.len(), |_| true),
         description: settings.name.clone(),
         period_s: (trials[0].period_ns() as f64 * 1e-9) as f32,

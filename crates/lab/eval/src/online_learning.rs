@@ -103,6 +103,18 @@ impl Variant {
 }
 
 impl Judged {
+    /// Squared error over the first [`START`] readings of persistence and of a variant, each as a
+    /// share of the variant's whole squared error. R² over them says little: a robot that rests has
+    /// no variance to explain.
+    pub fn start_shares(&self, variant: usize) -> [f64; 2] {
+        let square = |tally: &Tally| match tally.count() {
+            0 => 0.0,
+            count => count as f64 * tally.rmse_w() * tally.rmse_w(),
+        };
+        let variant = &self.variants[variant];
+        [&self.start, &variant.start].map(|start| square(start) / square(&variant.forecasts))
+    }
+
     /// The best R² of persistence, the linear baseline and the network alone.
     pub fn best_member_r2(&self) -> f64 {
         let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);

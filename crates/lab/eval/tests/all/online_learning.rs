@@ -59,6 +59,12 @@ fn check(terrain: &str) -> Option<Judged> {
         network.forecasts.r2(),
         both.forecasts.r2()
     );
+    // Of the online forecast: its own first readings are part of its squared error.
+    let [of_persistence, own] = judged.start_shares(1);
+    let starts: f64 = both.squares.starts.iter().sum();
+    let expected = starts / (both.squares.first + both.squares.later);
+    assert!((own - expected).abs() <= 1e-9 * expected, "{terrain}: {own}, {expected}");
+    assert!(of_persistence.is_finite(), "{terrain}: {of_persistence}");
     let mixed = both.forecasts.r2();
     assert!(mixed >= judged.best_member_r2() - 0.005, "{terrain}: {mixed}");
     for variant in &judged.variants {
