@@ -16,26 +16,12 @@ UNSAFE="frames keyframes model"
 sanitizer() { [[ " $UNSAFE " == *" $1 "* ]] && echo address || echo none; }
 seeds() { case $1 in recover | scan) echo mcap ;; *) echo "$1" ;; esac; }
 # Maximum length of an input, bytes.
-longest() { case $1 in archive | checkpoint) echo 65536 ;; frames) echo 2048 ;; *) echo 16384 ;; esac; }
-
-# The model files of the tests, which mutation would not find.
-fixtures() {
-    local fixture name
-    for fixture in crates/lab/model-files/tests/fixtures/*.gz; do
-        name=$(basename "$fixture" .gz)
-        case $1-$name in
-            checkpoint-*) gzip -dc "$fixture" >"fuzz/corpus/$1/fixture-$name" ;;
-            # Without the header of the array.
-            pickle-*.npy) { printf '\0'; gzip -dc "$fixture" | tail -c +129; } >"fuzz/corpus/$1/fixture-$name" ;;
-        esac
-    done
-}
+longest() { case $1 in frames) echo 2048 ;; *) echo 16384 ;; esac; }
 
 run() {
     local target=$1 seconds=$2 program status=0
     program=fuzz/target/$(sanitizer "$target")/$(host)/release/$target
     mkdir -p "fuzz/corpus/$target" "fuzz/artifacts/$target" fuzz/logs
-    fixtures "$target"
     # Trials are files: in memory, if possible.
     [ -w /dev/shm ] && export TMPDIR=/dev/shm
     TIMEFORMAT='cpu %U %S'

@@ -12,7 +12,7 @@ from pinned_environment import TORCH, python_of
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 HOME = pathlib.Path(os.environ.get("JOULEBUS_PARITY_HOME", ROOT / "target/model-parity"))
 # The newest that Python 3.11 has.
-PINNED = ["numpy==2.4.6", "onnx==1.23.2", "onnxruntime==1.32.0", TORCH]
+PINNED = ["numpy==2.4.6", "onnx==1.23.2", "onnxruntime==1.32.0", "pytest==9.2.0", "safetensors==0.8.0", TORCH]
 
 
 def inside():

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the model files that crates/lab/model-files/tests/all/model_files.rs reads, with NumPy and PyTorch.
+"""Writes the model files that crates/languages/python/tests/test_models.py reads, with NumPy and PyTorch.
 
 The files are what those programs really write: the published layout (a pickled object array of
 NumPy) in several styles, PyTorch's state dicts, checkpoints and whole modules, zip and legacy, and
@@ -26,7 +26,7 @@ inside()
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
-OUT = ROOT / "crates/lab/model-files/tests/fixtures"
+OUT = ROOT / "crates/languages/python/tests/models"
 SIZES = [(64, 11), (64, 64), (32, 64), (1, 32)]
 V, OMEGA, POWER = (0.0279, 0.0736), (0.0479, 1.0187), (3651.7, 374.7)
 ROWS = 48

@@ -206,21 +206,6 @@ fn offline_evaluation() {
 }
 
 #[test]
-fn model_import() {
-    assert_starts(
-        &run("model_import"),
-        &[
-            "found layers.0.weight",
-            "found layers.1.weight",
-            "found layers.2.weight",
-            "found layers.3.weight",
-            "convention ",
-            "a model file of",
-        ],
-    );
-}
-
-#[test]
 fn read_capture() {
     let lines = recorded(|| start("read_capture", &[]));
     assert!(lines.iter().any(|line| line == "joulebus/example/samples: 60 messages"), "{lines:#?}");

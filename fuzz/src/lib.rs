@@ -5,7 +5,6 @@
 //! of the parent workspace runs every seed and every finding through them on stable.
 
 mod capture;
-mod checkpoints;
 mod config;
 mod frames;
 mod input;
@@ -39,16 +38,13 @@ const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target
     Target { name, seeds: name, run, max_bytes: most_mib << 20 }
 }
 
-/// All targets. A scan buffers a record of at most 64 MiB, an archive at most 32 MiB.
-pub const TARGETS: [Target; 14] = [
-    of("archive", 96, checkpoints::archive),
-    of("checkpoint", 96, checkpoints::whole),
+/// All targets.
+pub const TARGETS: [Target; 11] = [
     of("config", 16, config::run),
     of("frames", 16, frames::run),
     of("import", 24, capture::import),
     of("keyframes", 16, keyframes::run),
     of("model", 16, model::run),
-    of("pickle", 96, checkpoints::pickle),
     of("questions", 16, questions::run),
     Target { seeds: "mcap", ..of("recover", 24, capture::recover) },
     of("ros", 16, ros::run),

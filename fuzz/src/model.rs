@@ -3,8 +3,10 @@
 //!
 //! If an input's first byte is 0, the rest is the file. Otherwise the rest is the file's header
 //! (text up to a zero byte) and weights, repeated up to the size in the header; the file gets a
-//! valid digest, so that mutations pass that check.
+//! valid digest, so that mutations pass that check. If it is 2, the file is a plain network of another
+//! program, which has no digest.
 
+use joulebus_model_files::Plain;
 use joulebus_predictor::{Features, Kernel, Network, Tiling};
 use joulebus_testkit_networks::forged;
 use safetensors::SafeTensors;
@@ -23,6 +25,9 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let Some(whole) = grown(bytes) else {
         return false;
     };
+    if *kind == 2 {
+        return plain(&whole);
+    }
     if SafeTensors::deserialize(&whole).is_err() {
         return read(&whole);
     }
@@ -41,6 +46,21 @@ fn grown(bytes: &[u8]) -> Option<Vec<u8>> {
     let data = data.iter().cycle().take(wanted.min(MAX_DATA_BYTES));
     let length = (header.len() as u64).to_le_bytes();
     Some(length.iter().chain(header).chain(data).copied().collect())
+}
+
+fn plain(bytes: &[u8]) -> bool {
+    match Plain::read(bytes) {
+        Ok(plain) => {
+            let widths = plain.widths();
+            assert!([5, 11].contains(&widths[0]) && widths.ends_with(&[1]), "{widths:?}");
+            assert!((3..=5).contains(&widths.len()), "{widths:?}");
+            true
+        }
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            false
+        }
+    }
 }
 
 fn read(bytes: &[u8]) -> bool {

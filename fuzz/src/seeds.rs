@@ -11,7 +11,6 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Message, Preset, Tim
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;
-use joulebus_model_files::{to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
 use joulebus_ros_messages::{RosError, TwistStamped, encode};
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
@@ -22,7 +21,6 @@ use joulebus_wire::{
 use mcap::WriteOptions;
 
 use super::capture::damaged;
-use super::checkpoints::{packed, wrapped};
 use super::frames::{encoded, setting};
 use super::keyframes::beginning;
 
@@ -32,15 +30,12 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     let mut add = |directory, seeds: Vec<(String, Vec<u8>)>| {
         all.extend(seeds.into_iter().map(|(name, bytes)| (directory, name, bytes)));
     };
-    add("archive", archives());
-    add("checkpoint", checkpoints());
     add("config", configs());
     add("frames", frames());
     add("import", recordings());
     add("keyframes", keyframes());
     add("mcap", captures());
     add("model", models());
-    add("pickle", pickles());
     add("questions", questions());
     add("ros", ros_messages());
     add("trial_csv", tables());
@@ -50,62 +45,6 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
 
 fn named(name: &str, bytes: impl Into<Vec<u8>>) -> (String, Vec<u8>) {
     (name.to_owned(), bytes.into())
-}
-
-/// A dict of a number, a string and nested lists, in protocol 2.
-const PLAIN: &[u8] =
-    b"\x80\x02}q\x00(X\x01\x00\x00\x00aG@\t!\xfbTD-\x18X\x01\x00\x00\x00bX\x02\x00\x00\x00\
-    hiX\x01\x00\x00\x00c](]K\x01a]K\x02aeu.";
-/// An array of two numbers, as NumPy pickles it.
-const NUMPY: &[u8] = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01\
-    K\x02\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x10\
-    \x00\x00\x00\x00\x00\x00\xf0\x3f\x00\x00\x00\x00\x00\x00\x00\x40tb.";
-/// A tensor of two by two, whose values are in another member.
-const TORCH: &[u8] = b"\x80\x02}X\x01\x00\x00\x00wctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storage\
-    ctorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x04tQK\x00K\x02K\x02\x86K\x02K\x01\x86\x89\
-    ccollections\nOrderedDict\n)RtRs.";
-
-fn pickles() -> Vec<(String, Vec<u8>)> {
-    let kinds = [("plain", PLAIN), ("numpy", NUMPY), ("torch", TORCH)];
-    let of = |(name, pickle): &(&str, &[u8])| {
-        (0..3u8)
-            .map(|file| (format!("{name}-{file}"), [&[file], *pickle].concat()))
-            .collect::<Vec<_>>()
-    };
-    kinds.iter().flat_map(of).collect()
-}
-
-fn archives() -> Vec<(String, Vec<u8>)> {
-    let torch: [(&str, &[u8]); 4] = [
-        ("a/data.pkl", TORCH),
-        ("a/byteorder", b"little"),
-        ("a/data/0", &[0; 16]),
-        ("a/version", b"3\n"),
-    ];
-    let arrays = to_arrays(&network(1, FeatureSet::PowerOnly)).expect("a network of ours");
-    let arrays: Vec<_> =
-        arrays.into_iter().map(|(name, bytes)| (format!("{name}.npy"), bytes)).collect();
-    let all: Vec<(&str, &[u8])> = arrays.iter().map(|(name, bytes)| (&**name, &**bytes)).collect();
-    let few: Vec<(&str, &[u8])> =
-        all.iter().filter(|(_, bytes)| bytes.len() < 500).copied().collect();
-    vec![
-        named("torch", packed(&torch)),
-        named("arrays", packed(&all)),
-        named("few-arrays", packed(&few)),
-    ]
-}
-
-fn checkpoints() -> Vec<(String, Vec<u8>)> {
-    let small =
-        wrapped::zipped(&[("a.npy", &wrapped::in_npy(PLAIN)), ("b.npy", &numbers("<f4", false))]);
-    vec![
-        named("object.npy", wrapped::in_npy(NUMPY)),
-        named("numbers.npy", numbers("<f8", false)),
-        named("torch.pt", wrapped::in_zip(PLAIN)),
-        named("legacy.pt", wrapped::in_legacy(PLAIN)[0].clone()),
-        named("small.npz", small),
-        named("own.npz", to_npz(&network(1, FeatureSet::PowerOnly)).expect("a network of ours")),
-    ]
 }
 
 /// Three rows of the published layout.
@@ -271,7 +210,34 @@ fn models() -> Vec<(String, Vec<u8>)> {
     let mut all: Vec<_> = sets.map(|set| named(set.name(), of(set))).into();
     let empty = b"\x00\x10\x00\x00\x00\x00\x00\x00\x00{\"__metadata__\":{}";
     all.push(named("as-it-is", *empty));
+    all.push(named("plain", plain()));
     all
+}
+
+/// A network of five readings and one unit, as `joulebus.models.convert` states it: the header, and
+/// the bytes of a half.
+fn plain() -> Vec<u8> {
+    let stated = "{\"unit\":\"W\",\"lag_order\":\"newest-first\",\"activation\":\"relu\"}";
+    let mut header = format!("{{\"__metadata__\":{stated}");
+    let mut end = 0;
+    for (name, shape, count) in [
+        ("layers.0.weight", "[1,5]", 5),
+        ("layers.0.bias", "[1]", 1),
+        ("layers.1.weight", "[1,1]", 1),
+        ("layers.1.bias", "[1]", 1),
+        ("feature_mean", "[5]", 5),
+        ("feature_std", "[5]", 5),
+        ("power_mean", "[]", 1),
+        ("power_std", "[]", 1),
+    ] {
+        let begin = end;
+        end += 4 * count;
+        header.push_str(&format!(
+            ",\"{name}\":{{\"dtype\":\"F32\",\"shape\":{shape},\"data_offsets\":[{begin},{end}]}}"
+        ));
+    }
+    header.push('}');
+    [&[2], header.as_bytes(), &[0], &0.5_f32.to_le_bytes()].concat()
 }
 
 fn captures() -> Vec<(String, Vec<u8>)> {

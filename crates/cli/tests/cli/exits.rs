@@ -142,12 +142,13 @@ const CASES: &[(i32, &str)] = &[
     (2, "mission --hours 0"),
     (0, "model info MODEL"),
     (0, "model info builtin:husky"),
-    (1, "model info builtin:nothing"),
+    (2, "model info builtin:nothing"),
     (1, "model info JUNK"),
     (2, "model info"),
-    (0, "model import EXPORTED -o NEW"),
-    (1, "model import JUNK -o NEW"),
-    (2, "model import EXPORTED"),
+    (1, "model import JUNK --data TRIAL -o NEW"),
+    (2, "model import MODEL --data TRIAL -o NEW"),
+    (2, "model import JUNK -o NEW"),
+    (2, "model import JUNK --data TRIAL --part x -o NEW"),
     (0, "model export MODEL --to npz -o NEW"),
     (1, "model export JUNK --to npz -o NEW"),
     (0, "model export MODEL --python NEW"),
@@ -167,16 +168,13 @@ const CASES: &[(i32, &str)] = &[
 const MODEL: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
 
-/// Writes a file of text, a capture, one that is cut short, and a model of another format.
+/// Writes a file of text, a capture and one that is cut short.
 fn prepare(fleet: &Fleet) {
     fs::write(fleet.path("junk"), "hello\n").unwrap();
     fleet.recording("trial.csv", 300);
     let (whole, _) = capture(fleet, 300);
     let bytes = fs::read(whole).unwrap();
     fs::write(fleet.path("cut.mcap"), &bytes[..bytes.len() * 2 / 3]).unwrap();
-    let exported = fleet.path("exported.npz");
-    let export = ["model", "export", MODEL, "--to", "npz", "-o"].map(PathBuf::from);
-    assert_eq!(code(&output(export.iter().chain([&exported]))), 0);
 }
 
 /// The file that a word names; `new` for NEW.
@@ -187,7 +185,6 @@ fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
         "CAPTURE" => fleet.path("trials.mcap"),
         "CUT" => fleet.path("cut.mcap"),
         "JUNK" | "THERE" => fleet.path("junk"),
-        "EXPORTED" => fleet.path("exported.npz"),
         "FLEET" => fleet.config(),
         "NEW" => new.to_owned(),
         word => word.into(),

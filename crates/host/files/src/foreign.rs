@@ -207,6 +207,62 @@ fn is_mat_4(head: &[u8]) -> bool {
     is_of(false) || is_of(true)
 }
 
+/// Recognises a file of `contents` that was named as a model and is none of joulebus, with its
+/// conversion. `None` for a damaged model, and for contents of no known kind. `path` is that of the
+/// file.
+pub fn of_model(path: &Path, contents: &[u8]) -> Option<String> {
+    let shown = path.display();
+    let stem = path.file_stem().map_or("model".into(), |stem| stem.to_string_lossy());
+    let import = |file: &str| {
+        format!("`joulebus model import {file} --data RECORDINGS --out {stem}.safetensors`")
+    };
+    let convert = |what: &str, source: &str, before: &str| {
+        let plain = format!("{stem}.plain.safetensors");
+        format!(
+            "{what}. {before}State in Python how its author computed the features, such as \
+             `joulebus.models.convert({source}, {plain:?}, unit=\"mW\", \
+             lag_order=\"newest-first\", activation=\"gelu_erf\", \
+             derivative=\"normalised-per-second\", magnitude=\"as-velocity\")`, then {}",
+            import(&plain)
+        )
+    };
+    let file = format!("{:?}", shown.to_string());
+    if contents.get(8) == Some(&b'{') {
+        // The header is looked at as text: a damaged one is one of joulebus if it says so.
+        let length = contents.first_chunk().map_or(0, |length| u64::from_le_bytes(*length));
+        let end = usize::try_from(length).unwrap_or(usize::MAX).saturating_add(8);
+        let header = &contents[8..contents.len().min(end)];
+        let has = |word: &str| header.windows(word.len()).any(|found| found == word.as_bytes());
+        if OWN.iter().any(|word| has(word)) {
+            return None;
+        }
+        return Some(match has("\"lag_order\"") && has("\"layers.0.weight\"") {
+            true => format!("a converted network. Import it: {}", import(&shown.to_string())),
+            false => convert("safetensors of another program", &file, ""),
+        });
+    }
+    let is_onnx = matches!(contents, [0x08, 1..=32, 0x12 | 0x1a | 0x22 | 0x2a | 0x3a | 0x42, ..]);
+    if is_onnx {
+        return Some(convert("a network of ONNX", &file, ""));
+    }
+    let kind = recognise(contents)?;
+    let starts = |magic: &[u8]| contents.starts_with(magic);
+    Some(if kind.remedy == PICKLE || starts(b"\x93NUMPY") || starts(b"PK\x03\x04") {
+        let what = match kind.what.starts_with("a zip") {
+            true => "a file of PyTorch or NumPy (a zip archive)",
+            false => kind.what,
+        };
+        convert(what, &file, "")
+    } else if starts(b"\x89HDF") {
+        convert(kind.what, "arrays", "Read it with h5py or Keras into a dict of arrays. ")
+    } else {
+        kind.of_any_contents()
+    })
+}
+
+/// Words of the header of every model of joulebus: one that is damaged still has some.
+const OWN: [&str; 3] = ["joulebus-model", "\"training_data_sha256\"", "\"format_version\""];
+
 /// Recognises a file, if it is of one of the kinds and can be read.
 pub fn of_file(path: &Path) -> Option<Foreign> {
     let mut head = Vec::new();
@@ -217,7 +273,43 @@ pub fn of_file(path: &Path) -> Option<Foreign> {
 
 #[cfg(test)]
 mod tests {
-    use super::{KINDS, recognise};
+    use std::path::Path;
+
+    use super::{KINDS, of_model, recognise};
+
+    #[test]
+    fn a_model_of_another_program_is_named_with_the_call_that_converts_it() {
+        let file = |header: &str| {
+            [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &[0; 8]].concat()
+        };
+        let of = |name: &str, contents: &[u8]| of_model(Path::new(name), contents);
+        for (name, contents, what) in [
+            ("a/x.pt", b"PK\x03\x04\0\0".to_vec(), "PyTorch or NumPy"),
+            ("x.pt", b"\x80\x02\x8a\x0al\xfc\x9c".to_vec(), "a pickle"),
+            ("x.npy", b"\x93NUMPY\x01\0v\0{'descr': '|O'".to_vec(), "a NumPy array"),
+            ("x.onnx", b"\x08\x08\x12\x07pytorch".to_vec(), "a network of ONNX"),
+            ("x.onnx", b"\x08\x0a:\x07pytorch".to_vec(), "a network of ONNX"),
+            ("x.h5", b"\x89HDF\r\n\x1a\n".to_vec(), "an HDF5 file"),
+            ("x.safetensors", file("{\"net.0.weight\":{}}"), "safetensors of another program"),
+        ] {
+            let said = of(name, &contents).expect(what);
+            assert!(said.contains(what), "{said}");
+            let source =
+                if what.contains("HDF5") { "arrays".to_owned() } else { format!("{name:?}") };
+            let call = format!("joulebus.models.convert({source}, \"x.plain.safetensors\", unit=");
+            assert!(said.contains(&call), "{said}");
+            let import = "`joulebus model import x.plain.safetensors --data RECORDINGS --out";
+            assert!(said.contains(import), "{said}");
+        }
+        let plain = file("{\"__metadata__\":{\"lag_order\":\"a\"},\"layers.0.weight\":{}}");
+        let said = of("p.safetensors", &plain).expect("it is known");
+        let import = "a converted network. Import it: `joulebus model import p.safetensors --data";
+        assert!(said.starts_with(import), "{said}");
+        let own = file("{\"__metadata__\":{\"format\":\"joulebus-model\"");
+        for none in [&own[..], &own[..30], b"", b"hello", b"robot,power\n1,2\n"] {
+            assert_eq!(of("x", none), None, "{none:x?}");
+        }
+    }
 
     #[test]
     fn every_kind_is_known_by_its_first_bytes_and_no_table_of_text_is_one() {

@@ -52,6 +52,16 @@ pub enum ModelsError {
         /// The operating system's error.
         source: std::io::Error,
     },
+    /// The file is of another program.
+    #[error("model {path} of platform {platform} is {kind}")]
+    Foreign {
+        /// The platform.
+        platform: String,
+        /// The file.
+        path: PathBuf,
+        /// The kind of file, with its conversion.
+        kind: String,
+    },
     /// The model is refused.
     #[error("model {model} of platform {platform} is refused: {source}")]
     Refused {
@@ -83,11 +93,12 @@ fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
                 source,
             })?;
             let network = Network::from_safetensors(&bytes).map(Model::Network);
-            let name = match foreign::recognise(&bytes).filter(|_| network.is_err()) {
-                Some(kind) => format!("{}, {},", path.display(), kind.of_any_contents()),
-                None => path.display().to_string(),
-            };
-            (name, network)
+            let kind = foreign::of_model(path, &bytes).filter(|_| network.is_err());
+            if let Some(kind) = kind {
+                let (platform, path) = (platform.to_owned(), path.clone());
+                return Err(ModelsError::Foreign { platform, path, kind });
+            }
+            (path.display().to_string(), network)
         }
         ModelSource::Builtin(name, bytes) => {
             let network = Network::from_safetensors(bytes).map(Model::Network);

@@ -10,8 +10,12 @@ const FOXGLOVE: &str =
 const PARTS: &str = "one `joulebus eval` runs the recordings on all processors. It gives the same \
                      report, and --format json is for programs";
 
+/// How a network's features were computed, which its author states.
+const STATED: &str =
+    "it is stated when the network is converted, by joulebus.models.convert of the Python package";
+
 /// The verb of an option, or the argument of a value, with what is gone and what takes its place.
-const GONE: [(&str, &str, &str); 10] = [
+const GONE: [(&str, &str, &str); 16] = [
     ("serve", "--foxglove", FOXGLOVE),
     ("serve", "--host", FOXGLOVE),
     ("serve", "--port", FOXGLOVE),
@@ -25,6 +29,12 @@ const GONE: [(&str, &str, &str); 10] = [
         "--picture",
         "--format json has the outcome of each mission, and the Python package draws what you like",
     ),
+    ("model import", "--convention", STATED),
+    ("model import", "--normalisation", STATED),
+    ("model import", "--activation", STATED),
+    ("model import", "--part", STATED),
+    ("model info", "--activation", STATED),
+    ("model info", "--part", STATED),
     (
         "BENCHMARK",
         "wait",

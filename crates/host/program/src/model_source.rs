@@ -32,10 +32,9 @@ pub fn load(path: &Path) -> anyhow::Result<Network> {
             .with_context(|| format!("cannot read the model {shown}"))?
             .into(),
     };
-    let network = Network::from_safetensors(&bytes);
-    network.with_context(|| match foreign::recognise(&bytes) {
-        Some(kind) => format!("the model {shown} is refused: it is {}", kind.of_any_contents()),
-        None => format!("the model {shown} is refused"),
+    Network::from_safetensors(&bytes).map_err(|error| match foreign::of_model(path, &bytes) {
+        Some(kind) => anyhow!("the model {shown} is {kind}"),
+        None => anyhow!(error).context(format!("the model {shown} is refused")),
     })
 }
 

@@ -1,185 +1,71 @@
-//! Errors of reading a file and of finding its network.
+//! Errors of importing a network.
 
 use joulebus_predictor::ModelError;
 
-use super::entry::Container;
-use super::pickle::PickleError;
+use crate::convention::Convention;
 
-/// Maximum size of a file to import, bytes: a checkpoint of this network with its optimizer has
-/// some 100 kB.
-pub const MAX_FILE_BYTES: usize = 16 << 20;
-
-/// Errors of reading a file. The caller adds the file's name.
+/// Errors of importing a plain network.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ReadError {
-    /// Larger than any model of this kind.
+pub enum ImportError {
+    /// There are too few readings.
     #[error(
-        "the file has {found} bytes, at most {MAX_FILE_BYTES} are read. Check that it is a model \
-            file"
+        "the recordings have {found} readings with all inputs of a forecast (command, five \
+         readings before it, no gap), at least {allowed} are needed"
     )]
-    TooLarge {
-        /// Bytes found.
+    TooFewRows {
+        /// Rows found.
         found: usize,
+        /// Rows needed.
+        allowed: usize,
     },
-    /// None of the supported formats.
+    /// The power is constant.
+    #[error("all {rows} readings are the same. Recordings with changing power are needed")]
+    ConstantPower {
+        /// Rows.
+        rows: usize,
+    },
+    /// The network forecasts worse than a constant.
     #[error(
-        "byte 0: {found}, expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth), tensors \
-         (.safetensors) or a model that joulebus exported (.onnx)"
+        "as stated, the network has R² {r2:.4} on these {rows} readings, no better than a \
+         constant, and no other convention fits better. Check the statistics, and that the \
+         recordings are of the robots that it was trained for"
     )]
-    Kind {
-        /// The arrays found.
-        found: String,
+    NothingFits {
+        /// Its R².
+        r2: f64,
+        /// Readings.
+        rows: usize,
     },
-    /// A part of the file is corrupt or has an unexpected type.
-    #[error("{container}, {part}: {detail}")]
-    Part {
-        /// Format of the file.
-        container: Container,
-        /// The part, with its location.
-        part: String,
-        /// The problem with the expected value.
-        detail: String,
+    /// Another convention forecasts clearly better.
+    #[error(
+        "the recordings contradict the stated convention: R² {stated_r2:.4}, and R² {r2:.4} \
+         ({less:.0} % less squared error) with another one. Check what the author of the network \
+         did. If this is it, convert it again with {better}"
+    )]
+    Contradicted {
+        /// R² of the stated convention.
+        stated_r2: f64,
+        /// The better one.
+        better: Convention,
+        /// Its R².
+        r2: f64,
+        /// By how much its squared error is smaller, %.
+        less: f64,
     },
-    /// A pickle in the file was refused.
-    #[error("{container}, {part}: {source}")]
-    Pickle {
-        /// Format of the file.
-        container: Container,
-        /// The part of the file that contains the pickle.
-        part: String,
-        /// The reason.
-        source: PickleError,
+    /// Another convention forecasts clearly better, and cannot be run.
+    #[error(
+        "the recordings contradict the stated convention: R² {stated_r2:.4}, and R² {r2:.4} if the \
+         magnitudes are those of normalised velocities. That cannot run here: it needs |v − mean|, \
+         and the worker's features hold |v|. Train the network with |v|"
+    )]
+    CannotRun {
+        /// R² of the stated convention.
+        stated_r2: f64,
+        /// R² of the better one.
+        r2: f64,
     },
-    /// A joulebus model file was refused.
+    /// The predictor refused the network.
     #[error(transparent)]
     Model(#[from] ModelError),
-}
-
-/// Errors of finding a network in a file.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum FindError {
-    /// No part of the file has the arrays of the network.
-    #[error(
-        "no part of the file has exactly the arrays of a network, found: {found}. A network has one to \
-         three hidden layers of at most 64, 64 and 32 units. Each layer has biases, and weights from \
-         11 or 5 inputs to one output, all of them or none transposed. No other array has these \
-         sizes. A network that reads the age of a reading is read only from a file of \
-         joulebus"
-    )]
-    NoNetwork {
-        /// The arrays found, with their shapes.
-        found: String,
-    },
-    /// The network is larger than the worker's.
-    #[error(
-        "the network is {found}. The worker runs 11→64→64→32→1 or smaller: 11 inputs, or the 5 \
-         readings alone, and one to three hidden layers of at most 64, 64 and 32 units. Train a \
-         smaller one"
-    )]
-    TooLarge {
-        /// Its widths, such as `11→128→64→32→1`.
-        found: String,
-    },
-    /// Several parts of the file have them.
-    #[error("several parts of the file hold a network: {found}. Name one of them")]
-    Several {
-        /// The parts.
-        found: String,
-    },
-    /// The requested part does not exist.
-    #[error("no part of the file is called {asked:?}, parts: {found}")]
-    NoSuchPart {
-        /// The requested part.
-        asked: String,
-        /// The parts.
-        found: String,
-    },
-    /// A weight or bias is NaN, infinite or too large for f32.
-    #[error("{path:?} has {value} at position {index}, allowed: finite numbers of f32")]
-    NotFinite {
-        /// The array.
-        path: String,
-        /// Position in C order.
-        index: usize,
-        /// The value.
-        value: f64,
-    },
-    /// The activation is unsupported.
-    #[error(
-        "{path:?} states the activation {found:?}, which the worker does not have, allowed: \
-            {allowed}, \
-         or gelu, which is gelu_erf. If this is not about the hidden layers, name theirs with \
-         --activation",
-        allowed = joulebus_predictor::Activation::NAMES
-    )]
-    Activation {
-        /// The setting.
-        path: String,
-        /// Its value.
-        found: String,
-    },
-    /// Statements of the activation contradict each other.
-    #[error(
-        "{first}, but {second}, allowed: one activation in all hidden layers, or name it with \
-            --activation"
-    )]
-    ActivationsDiffer {
-        /// A statement.
-        first: String,
-        /// Another.
-        second: String,
-    },
-    /// The output has an activation.
-    #[error(
-        "{path:?} is {found:?}: the output has no activation here, allowed: identity, linear, none"
-    )]
-    OutputActivation {
-        /// The setting.
-        path: String,
-        /// Its value.
-        found: String,
-    },
-    /// The weights are a product of other arrays.
-    #[error(
-        "{path:?} is a factor of weights (weight_norm or another parametrisation). Save the \
-            weights themselves: \
-         `torch.nn.utils.parametrize.remove_parametrizations(layer, 'weight')`, or `remove_weight_norm(layer)`, \
-         of each such layer before `state_dict()`"
-    )]
-    Parametrised {
-        /// An array of it.
-        path: String,
-    },
-    /// The network has layers that are not run.
-    #[error(
-        "{path:?} belongs to a normalisation layer. The worker runs dense layers alone: fold it \
-            into the \
-         layer beside it, or train without it"
-    )]
-    NormalisationLayer {
-        /// An array of it.
-        path: String,
-    },
-    /// Some statistics of the normalisation are missing.
-    #[error("the normalisation is incomplete: found {found}, missing: {missing}")]
-    Normalisation {
-        /// The statistics found.
-        found: String,
-        /// The missing parts.
-        missing: String,
-    },
-    /// A statistic has an invalid value.
-    #[error("{path:?} is {value}, allowed for {what}: {allowed}")]
-    Statistic {
-        /// Its path.
-        path: String,
-        /// Its value.
-        value: f64,
-        /// The statistic.
-        what: &'static str,
-        /// Allowed values.
-        allowed: &'static str,
-    },
 }

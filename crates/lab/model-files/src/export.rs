@@ -2,10 +2,12 @@
 
 use prost::Message as _;
 
-use super::{archive, npy, onnx, own};
-use crate::{Entry, EntryValue};
+use joulebus_dataset::npy;
 use joulebus_predictor::{Features, ModelError, Network};
 use joulebus_statistics::noise::Noise;
+
+use crate::arrays::{self, Array};
+use crate::{npz, onnx};
 
 /// Number of rows that exported arrays include with their forecasts.
 pub const CHECK_ROWS: usize = 32;
@@ -17,9 +19,6 @@ pub enum ExportError {
     /// The model could not be serialised.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The archive could not be written.
-    #[error("the archive cannot be written: {0}")]
-    Archive(#[from] zip::result::ZipError),
     /// The Python file's interface has no place for the age of readings.
     #[error(
         "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not get. Export \
@@ -37,8 +36,7 @@ pub enum ExportError {
 ///   training has no effect: its deviation is 1 and its weights are 0. The weights that the model
 ///   file has instead are in `constant_feature_weight`, only there where needed.
 /// - `feature_min`, `feature_max` (11): the training range.
-/// - `metadata` (text): the other contents of the model file, as JSON. With it, the arrays are read
-///   back as the same model.
+/// - `metadata` (text): the other contents of the model file, as JSON.
 /// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
 ///   training range and their forecasts, for testing a reimplementation of the network.
 ///
@@ -48,25 +46,23 @@ pub enum ExportError {
 /// # Errors
 /// [`ExportError`]: a card too long for a model file.
 pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportError> {
-    let metadata = own::metadata(&network.to_safetensors()?)?;
+    let metadata = arrays::metadata(&network.to_safetensors()?)?;
     let descr = format!("|S{}", metadata.len());
-    let mut arrays = vec![(own::METADATA.to_owned(), npy::write(&descr, &[], metadata.as_bytes()))];
-    for Entry { path, value } in own::entries(network) {
-        if let EntryValue::Tensor(tensor) = value {
-            let values = tensor.values().iter().map(|value| *value as f32);
-            arrays.push((path, plain(tensor.shape(), values)));
-        }
+    let metadata = file(&descr, &[], metadata.as_bytes());
+    let mut files = vec![(arrays::METADATA.to_owned(), metadata)];
+    for Array { name, shape, values } in arrays::arrays(network) {
+        files.push((name, plain(&shape, values.into_iter())));
     }
     let rows = check_rows(network);
     let mut forecasts_w = [0.0; CHECK_ROWS];
     network.predict(&rows, &mut forecasts_w);
     let set = network.feature_set();
     let inputs = rows.iter().flat_map(|row| row[set.range()].to_vec());
-    let name = |what: &str| format!("{}{what}", own::CHECK);
+    let name = |what: &str| format!("{}{what}", arrays::CHECK);
     let shape = [CHECK_ROWS, set.inputs()];
-    arrays.push((name("features"), plain(&shape, inputs)));
-    arrays.push((name("power_w"), plain(&[CHECK_ROWS], forecasts_w.into_iter())));
-    Ok(arrays)
+    files.push((name("features"), plain(&shape, inputs)));
+    files.push((name("power_w"), plain(&[CHECK_ROWS], forecasts_w.into_iter())));
+    Ok(files)
 }
 
 /// The model as an archive of [`to_arrays`], uncompressed: the same bytes for the same model.
@@ -76,7 +72,7 @@ pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportErro
 pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
     let arrays = to_arrays(network)?.into_iter();
     let members: Vec<_> = arrays.map(|(name, bytes)| (format!("{name}.npy"), bytes)).collect();
-    Ok(archive::write(&members)?)
+    Ok(npz::archive(&members))
 }
 
 /// The model as an ONNX graph, opset 17: input `features` (n, 11) in SI units, as the worker has
@@ -86,13 +82,20 @@ pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
 /// # Errors
 /// [`ExportError`]: a card too long for a model file.
 pub fn to_onnx(network: &Network) -> Result<Vec<u8>, ExportError> {
-    let metadata = own::metadata(&network.to_safetensors()?)?;
+    let metadata = arrays::metadata(&network.to_safetensors()?)?;
     Ok(onnx::model(network, &metadata).encode_to_vec())
 }
 
 fn plain(shape: &[usize], values: impl Iterator<Item = f32>) -> Vec<u8> {
     let bytes: Vec<u8> = values.flat_map(f32::to_le_bytes).collect();
-    npy::write("<f4", shape, &bytes)
+    file("<f4", shape, &bytes)
+}
+
+/// An array file in NumPy's format. `element` is the type and `contents` its bytes.
+fn file(element: &str, shape: &[usize], contents: &[u8]) -> Vec<u8> {
+    let mut bytes = npy::header(element, shape);
+    bytes.extend(contents);
+    bytes
 }
 
 /// Random rows within the training range.

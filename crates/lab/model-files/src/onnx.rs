@@ -5,8 +5,6 @@ use std::f32::consts::{FRAC_1_SQRT_2, PI};
 use joulebus_predictor::{Activation, FEATURE_NAMES, Network};
 use prost::Message;
 
-use super::{Container, Entry, EntryValue, ReadError, own};
-
 const PRODUCER: &str = "joulebus";
 /// Property with the model file's metadata.
 const METADATA: &str = "joulebus_metadata";
@@ -209,49 +207,6 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
             property("joulebus_hash", format!("{:016x}", network.hash())),
             property(METADATA, metadata.to_owned()),
         ],
-    }
-}
-
-/// The network of a graph that [`model`] made. `None` if the bytes are no such graph. The graph
-/// must be exactly that of the network.
-pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
-    // The first field is the version, a short number.
-    if bytes.first() != Some(&0x08) {
-        return None;
-    }
-    let model = Model::decode(bytes).ok()?;
-    let graph = model.graph.as_ref()?;
-    let bad = |part: &str, detail: &str| ReadError::Part {
-        container: Container::Onnx,
-        part: format!("{part:?}"),
-        detail: detail.to_owned(),
-    };
-    let metadata = model.metadata_props.iter().find(|property| property.key == METADATA);
-    let Some(metadata) = metadata.filter(|_| model.producer_name == PRODUCER) else {
-        let detail = "is not joulebus. Only graphs that `model export` wrote are read, others as \
-                      state dict (.pt, .safetensors) or arrays (.npz)";
-        return Some(Err(bad("producer_name", detail)));
-    };
-    let network = || {
-        let fields = serde_json::from_str(&metadata.value)
-            .map_err(|error| bad(METADATA, &error.to_string()))?;
-        let entries: Vec<Entry> = graph.initializer.iter().map(entry).collect();
-        let network = Network::from_safetensors(&own::whole(&entries, fields)?)?;
-        match self::model(&network, &metadata.value).graph.as_ref() == Some(graph) {
-            true => Ok(network),
-            false => Err(bad("graph", "contradicts the metadata of the model")),
-        }
-    };
-    Some(network())
-}
-
-fn entry(tensor: &Tensor) -> Entry {
-    let shape = tensor.dims.iter().map(|size| usize::try_from(*size).unwrap_or(0));
-    let (words, _) = tensor.raw_data.as_chunks::<4>();
-    let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
-    Entry {
-        path: tensor.name.clone(),
-        value: EntryValue::Tensor(super::Tensor::from_f32(shape.collect(), &values)),
     }
 }
 

@@ -4,9 +4,8 @@ use std::fmt::Write as _;
 
 use joulebus_predictor::Network;
 
-use super::own;
+use crate::arrays::{Array, CONSTANT_WEIGHT, arrays};
 use crate::export::ExportError;
-use crate::{Entry, EntryValue};
 
 /// The module, with placeholders for the parts that differ between models.
 const FILE: &str = include_str!("predictor.py");
@@ -29,18 +28,14 @@ pub fn to_python(network: &Network) -> Result<String, ExportError> {
         return Err(ExportError::ReadingAge);
     }
     let (mut shapes, mut hex, mut bytes) = ("{\n".to_owned(), String::new(), 0usize);
-    for Entry { path, value } in own::entries(network) {
-        let EntryValue::Tensor(tensor) = value else {
-            continue;
-        };
-        if path == own::CONSTANT_WEIGHT {
+    for Array { name, shape, values } in arrays(network) {
+        if name == CONSTANT_WEIGHT {
             continue;
         }
-        let shape = tensor.shape().iter().map(|size| format!("{size},"));
-        let shape = shape.collect::<Vec<_>>().join(" ");
+        let shape = shape.iter().map(|size| format!("{size},")).collect::<Vec<_>>().join(" ");
         // Writing to a string never fails.
-        let _ = writeln!(shapes, "    \"{path}\": ({shape}),");
-        for byte in tensor.values().iter().flat_map(|value| (*value as f32).to_le_bytes()) {
+        let _ = writeln!(shapes, "    \"{name}\": ({shape}),");
+        for byte in values.iter().flat_map(|value| value.to_le_bytes()) {
             if bytes > 0 && bytes.is_multiple_of(LINE_BYTES) {
                 hex.push('\n');
             }

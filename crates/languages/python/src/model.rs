@@ -1,9 +1,10 @@
-//! Opening a model: a file of joulebus in any of its formats, or a built-in one.
+//! Opening a model: a file of joulebus, or a built-in one.
 
 use std::path::Path;
 
 use joulebus_config::{builtin_model, builtin_models};
-use joulebus_predictor::Network;
+use joulebus_files::foreign;
+use joulebus_predictor::{MAX_MODEL_BYTES, Network};
 use pyo3::exceptions::PyValueError;
 use pyo3::{PyErr, PyResult};
 
@@ -11,41 +12,20 @@ use crate::error::{ModelError, of_file};
 
 /// Prefix of the names of built-in models, as in the config.
 const BUILTIN: &str = "builtin:";
-/// Size of the largest model file, as of `joulebus_model_files`.
-const MAX_BYTES: u64 = 16 << 20;
 
 /// The network of a file, or of `builtin:NAME`.
 pub(crate) fn open(model: &Path) -> PyResult<Network> {
     if let Some(name) = model.to_str().and_then(|name| name.strip_prefix(BUILTIN)) {
         return builtin(name);
     }
-    let bytes = joulebus_files::read(model, MAX_BYTES).map_err(|error| of_file(model, &error))?;
-    read(model, &bytes)
-}
-
-#[cfg(feature = "lab")]
-fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
-    let name = model.display();
-    let checkpoint = joulebus_model_files::Checkpoint::read(bytes)
-        .map_err(|error| ModelError::new_err(format!("{name}: {error}")))?;
-    checkpoint.network.ok_or_else(|| {
-        ModelError::new_err(format!(
-            "{name} ({}) is another program's model, which does not state how its features were \
-                computed. Convert it once: joulebus model import {name} --data RECORDINGS --out \
-                my.safetensors",
-            checkpoint.container
-        ))
-    })
-}
-
-#[cfg(not(feature = "lab"))]
-fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
-    Network::from_safetensors(bytes).map_err(|error| {
+    let bytes = joulebus_files::read(model, MAX_MODEL_BYTES as u64)
+        .map_err(|error| of_file(model, &error))?;
+    Network::from_safetensors(&bytes).map_err(|error| {
         let name = model.display();
-        ModelError::new_err(format!(
-            "{name}: {error}. Other formats than .safetensors are read by the lab: pip install \
-                'joulebus[lab]'"
-        ))
+        ModelError::new_err(match foreign::of_model(model, &bytes) {
+            Some(kind) => format!("{name} is {kind}"),
+            None => format!("{name}: {error}"),
+        })
     })
 }
 

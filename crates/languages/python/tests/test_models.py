@@ -8,6 +8,7 @@ import json
 import math
 import pickle
 import struct
+import subprocess
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -15,10 +16,9 @@ from pathlib import Path
 import joulebus
 import numpy as np
 import pytest
-from conftest import ROOT
 from joulebus.models import PUBLISHED, convert
 
-FIXTURES = ROOT / "crates/lab/model-files/tests/fixtures"
+FIXTURES = Path(__file__).parent / "models"
 STATED = {
     "unit": "mW",
     "lag_order": "newest-first",
@@ -114,6 +114,21 @@ def test_every_file_of_numpy_and_pytorch_gives_the_forecasts_of_its_author(name,
     assert len(metadata["source_sha256"]) == 64
 
 
+@pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
+def test_arrays_of_every_protocol_of_pickles_are_read(protocol, tmp_path):
+    network = [(weight.astype(kind), bias) for kind, (weight, bias) in zip(("<f4", ">f8"), layers(11, 8, 1))]
+    network[0] = (np.asfortranarray(network[0][0]), network[0][1][::1])
+    contents = named(network) | {"power_mean": np.float32(3.5), "power_std": np.float64(0.5), "note": "größer"}
+    to = tmp_path / "plain.safetensors"
+    of = {name: PUBLISHED[name] for name in PUBLISHED if not name.startswith("power")}
+    for name, data in [("x.pkl", contents | of), ("x.npy", np.array(contents | of, object))]:
+        pickled = pickle.dumps(data, protocol)
+        (tmp_path / name).write_bytes(pickled if name == "x.pkl" else in_npy(pickled))
+        convert(tmp_path / name, to, **STATED)
+        assert_is(to, network)
+        assert read(to)[0]["power_mean"] == 3.5
+
+
 @pytest.mark.parametrize("name", ["checkpoint.pt", "checkpoint_legacy.pt", "module.pt", "script.pt"])
 def test_a_file_of_pytorch_with_more_than_tensors_is_refused_unless_its_owner_reads_it(name, tmp_path):
     torch = pytest.importorskip("torch", reason="skipped: no torch, tools/model_parity.py runs this")
@@ -161,6 +176,9 @@ def test_a_graph_of_onnx_is_read_in_the_order_in_which_it_computes(operator, tmp
     onnx.save(onnx.helper.make_model(graph), path)
     convert(path, to, **STATED, statistics=PUBLISHED)
     assert_is(to, network)
+    onnx.save(onnx.load(path), path, save_as_external_data=True, location="weights", size_threshold=0)
+    with pytest.raises(joulebus.ModelError, match="in other files"):
+        convert(path, to, **STATED, statistics=PUBLISHED)
 
 
 @pytest.mark.parametrize("kind", ["float16", "float32", "float64"])
@@ -339,7 +357,7 @@ def hostile(canary: Path) -> dict[str, bytes]:
         "persistent": b"\x80\x02X\x01\x00\x00\x00aQ.",
         "state of a name": b"\x80\x02cnumpy\nndarray\n}X\x04\x00\x00\x00madeK\x01sb.",
         "state of a dict": b"\x80\x02}}X\x01\x00\x00\x00aK\x01sb.",
-        "state of a shape": array + b"(K\x01(J\xff\xff\xff\x7ftcnumpy\ndtype\n(X\x02\x00\x00\x00f8tR\x89C\x08abcdefghtb.",
+        "state of a shape": b"\x80\x02" + array + b"(K\x01(J\xff\xff\xff\x7ftcnumpy\ndtype\n(X\x02\x00\x00\x00f8tR\x89C\x08abcdefghtb.",
         "records": b"\x80\x02cnumpy\ndtype\n(X\x05\x00\x00\x00f8,f8tR.",
         "wide memo": b"\x80\x02K\x01r\xff\xff\xff\x7f.",
         "claimed bytes": b"\x80\x05\x96" + struct.pack("<Q", 1 << 40) + b".",
@@ -348,8 +366,8 @@ def hostile(canary: Path) -> dict[str, bytes]:
         "in itself": b"\x80\x02]q\x00h\x00a.",
         "doubled": b"\x80\x02]K\x01a" + b"".join(b"q" + bytes([at]) + b"]h" + bytes([at]) + b"ah" + bytes([at]) + b"a"
                                                   for at in range(60)) + b".",
-        "one row for all": b"\x80\x02](" + b"K\x01" * 60_000 + b"eq\x00](" + b"h\x00" * 60_000 + b"e.",
-        "many": pickle.dumps({str(at): {} for at in range(70_000)}),
+        "one row for all": b"\x80\x02](" + b"K\x01" * 9_000 + b"eq\x00](" + b"h\x00" * 60_000 + b"e.",
+        "many": b"\x80\x02]q\x00](" + b"h\x00" * 70_000 + b"e.",
         "empty": b"\x80\x02.",
         "stopped": b"\x80\x02}",
     }  # fmt: skip
@@ -413,3 +431,50 @@ def test_files_of_other_kinds_are_refused_with_what_is_read(tmp_path):
         with pytest.raises(joulebus.ModelError, match=said):
             convert(tmp_path / name, to, **STATED)
     assert not to.exists()
+
+
+def recording(path: Path, forecast_w, rows: int = 1_500) -> Path:
+    """A robot that draws what a network forecasts, and a little noise, in the published layout of commands."""
+    noise, step_s = np.random.default_rng(7), 1.0 / 30.0
+    lag_w, before, command = [3.6] * 5, np.zeros(2), np.zeros(2)
+    lines = ["robot_id,timestamp_s,v_cmd_mps,omega_cmd_radps,power_mW"]
+    for row in range(rows):
+        if row % 3 == 0:
+            command = noise.uniform(-1.0, 1.0, 2) * [0.2, 2.0]
+        features = np.array([*command, *(command - before) / step_s, *abs(command), *lag_w])
+        power_w = forecast_w(features[None])[0] + 0.001 * noise.uniform(-1.0, 1.0)
+        lines.append(f"1,{row * step_s:.9f},{command[0]!r},{command[1]!r},{power_w * 1e3!r}".replace("np.float64(", "").replace(")", ""))
+        lag_w, before = [power_w, *lag_w[:4]], command
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("name", ["flat.npy", "state_dict.pt"])
+def test_a_converted_network_is_imported_with_the_forecasts_of_its_author(name, run, program, tmp_path):
+    if name in TORCH:
+        pytest.importorskip("torch", reason="skipped: no torch, tools/model_parity.py runs this")
+    plain, to = tmp_path / "plain.safetensors", tmp_path / "model.safetensors"
+    convert(fixture(name, tmp_path), plain, **STATED, statistics=statistics(name))
+    tensors, _ = read(plain)
+    data = recording(tmp_path / "trial.csv", lambda rows: forecasts_w(tensors, rows))
+    run("model", "import", plain, "--data", data, "--out", to)
+    rows, power_w = expected(tmp_path)
+    model = joulebus.Predictor(str(to))
+    assert abs(model.predict(rows.astype(np.float32)) - power_w).max() < 1e-5
+    # A false statement is refused with the true one, as the arguments of the call.
+    convert(fixture(name, tmp_path), plain, **{**STATED, "lag_order": "oldest-first"}, statistics=statistics(name))
+    command = [program, "model", "import", plain, "--data", data, "--out", tmp_path / "other.safetensors"]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1 and 'lag_order="newest-first"' in refused.stderr, refused.stderr
+    assert not (tmp_path / "other.safetensors").exists()
+
+
+def test_a_file_of_another_program_is_no_model_and_the_error_has_the_call(tmp_path):
+    path = fixture("flat.npy", tmp_path)
+    with pytest.raises(joulebus.ModelError, match=r"joulebus\.models\.convert\(") as refused:
+        joulebus.Predictor(str(path))
+    # The call is one of this package, with values that it takes.
+    call = str(refused.value).split("`")[1]
+    assert call.startswith("joulebus.models.convert(")
+    given = call.replace(json.dumps(f"{path.stem}.plain.safetensors"), repr(str(tmp_path / "plain.safetensors")))
+    assert eval(given, {"joulebus": joulebus}) == tmp_path / "plain.safetensors"

@@ -1,15 +1,8 @@
-//! The tests of other programs' model files: read, written, damaged and hostile.
+//! The tests of networks of other programs that are imported, and of models that are exported.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod damaged_models;
-mod fixture;
-mod model_files;
-mod other_networks;
-mod pickles;
+mod exports;
+mod imports;
+mod plain;
 mod python;
-mod wrapped;
-
-use joulebus_testkit::counting::Counting;
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+mod statements;

@@ -14,6 +14,7 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use joulebus_program::file::write;
+use joulebus_program::model_source;
 
 /// Export a model for Python, NumPy, PyTorch or any ONNX runtime
 #[derive(Debug, clap::Args)]
@@ -29,7 +30,7 @@ use joulebus_program::file::write;
     NumPy only, with the model inside and the paper's `EnergyPredictor`: `reset`, `step(v_cmd, w_cmd)`, \
     `step_with_correction(v_cmd, w_cmd, measured_power)`, in mW.")]
 pub(crate) struct Args {
-    /// A joulebus model: .safetensors, or exported arrays
+    /// A joulebus model (.safetensors), or builtin:NAME
     #[arg(value_name = "MODEL")]
     model: PathBuf,
     #[command(flatten)]
@@ -80,12 +81,7 @@ enum ExportFormat {
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let (out, kind) = args.target()?;
-    let checkpoint = super::read(&args.model)?;
-    let Some(network) = checkpoint.network else {
-        let (model, kind) = (args.model.display(), checkpoint.container);
-        let what = format!("{model} ({kind}) is another program's model");
-        return Err(UsageError(format!("{what}. Import it first: joulebus model import")).into());
-    };
+    let network = model_source::load(&args.model)?;
     let bytes = export(&network, kind, out)?;
     output.report(&ExportReport {
         file: out.display().to_string(),

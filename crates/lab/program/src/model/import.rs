@@ -1,40 +1,38 @@
-//! `joulebus model import`: converts another program's model to a joulebus model.
+//! `joulebus model import`: converts another program's network to a joulebus model.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-use clap::ValueEnum;
+use anyhow::{Context as _, anyhow};
 use joulebus_dataset::trial::{ColumnMap, Trial};
-use joulebus_model_files::{Choice, Convention, Origin, Ranked, StatisticsFrom};
-use joulebus_predictor::Activation;
+use joulebus_files::foreign;
+use joulebus_model_files::{Imported, MAX_FILE_BYTES, Plain, Ranked};
+use joulebus_predictor::Network;
 use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::file::write;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use super::info::{FoundReport, ScoreReport};
+use super::info::ScoreReport;
 use crate::recordings::ColumnArguments;
 use crate::trials::recordings;
-use joulebus_program::file::write;
 
-/// Number of conventions shown in the report.
-const SHOWN: usize = 5;
+/// Number of other conventions shown in the report.
+const SHOWN: usize = 4;
 
-/// Import a model of NumPy or PyTorch: find its network, and identify the feature convention by
-/// statistics and recordings
+/// Import a network that `joulebus.models.convert` wrote, and check on recordings how its features
+/// are said to be computed
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \
-    joulebus model import checkpoint.pt --part model_state_dict --data a.npy b.csv.gz \
-    --out mine.safetensors\n  \
-    joulebus model import exported.npz --out again.safetensors    a joulebus model needs no data\n\n\
-    No code in the file is executed. Networks of one to three hidden layers of at most 64, 64 and 32 \
-    units run, with gelu_erf, gelu_tanh or relu. The recordings should be of the robots that the \
-    model was trained for. Range, residuals and scores of the imported model are those on them. \
-    If they do not clearly distinguish the best convention from the second, nothing is written. \
-    Then name one with --convention.")]
+    joulebus model import plain.safetensors --data recordings/ --out mine.safetensors\n  \
+    joulebus model import plain.safetensors --data a.npy b.csv.gz --out mine.safetensors --name lab\n\n\
+    FILE has one to three hidden layers of at most 64, 64 and 32 units with gelu_erf, gelu_tanh or \
+    relu, and states how its features were computed. The recordings should be of the robots that the \
+    network was trained for. If another convention has a squared error smaller by 5 %, nothing is \
+    written, and the error names that one. Range, residuals and scores of the model are those on the \
+    recordings.")]
 pub(crate) struct Args {
-    /// A model file (.npy, .npz, .pt, .pth, .safetensors, our .onnx) or a directory of .npy files
+    /// A network that `joulebus.models.convert` of the Python package wrote (.safetensors)
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// The model file to write
@@ -42,82 +40,45 @@ pub(crate) struct Args {
     out: PathBuf,
     /// Recordings with power, and with commands if the network reads them (.npy, .csv,
     /// .csv.gz, .mcap), or directories of them
-    #[arg(long, value_name = "PATH", num_args = 1..)]
+    #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     #[command(flatten)]
     columns: ColumnArguments,
     /// Name of the model [default: that of the file]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// The part of the file with the network, if there are several
-    #[arg(long, value_name = "PATH")]
-    part: Option<String>,
-    /// Activation of the hidden layers, whatever the file states
-    /// [default: as stated, else gelu_erf]
-    #[arg(long, value_name = "NAME", value_parser = super::activation)]
-    activation: Option<Activation>,
-    /// Normalisation constants, for a file that has none [default: published, if the recordings
-    /// agree with it]
-    #[arg(long, value_enum, value_name = "FROM")]
-    normalisation: Option<Constants>,
-    /// Use this convention, in the notation of a report, instead of the one that forecasts best
-    #[arg(long, value_name = "CONVENTION")]
-    convention: Option<Convention>,
-}
-
-/// Normalisation constants for a file that has none.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Constants {
-    /// Those of the published GTernal model
-    Published,
-    /// Those of the recordings: right if the network was trained on them
-    Recordings,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let checkpoint = super::read(&args.file)?;
-    let file = args.file.display().to_string();
-    if let Some(network) = &checkpoint.network {
-        write(&args.out, &network.to_safetensors()?)?;
-        output.report(&OwnReport {
-            file,
-            out: args.out.display().to_string(),
-            kind: checkpoint.container.to_string(),
-            model_hash: format!("{:016x}", network.hash()),
-        })?;
-        return Ok(Outcome::Done);
-    }
-    let mut found =
-        checkpoint.find(args.part.as_deref(), args.activation).with_context(|| file.clone())?;
-    match (args.normalisation, found.normalisation.from) {
-        (None, _) => {}
-        (Some(_), StatisticsFrom::File) => {
-            let what = format!("{file} has normalisation constants of its own");
-            return Err(UsageError(format!("{what}. Leave out --normalisation")).into());
-        }
-        (Some(Constants::Published), _) => found.normalisation.from = StatisticsFrom::Published,
-        (Some(Constants::Recordings), _) => found.normalisation.from = StatisticsFrom::Recordings,
-    }
+    let plain = read(&args.file)?;
     let trials = trials(&args.data, &args.columns.map())?;
+    let shown = args.file.display().to_string();
     let usual = args.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let origin = Origin {
-        name: args.name.as_deref().or(usual.as_deref()).unwrap_or("imported"),
-        file: &args.file.file_name().unwrap_or_default().to_string_lossy(),
-        sha256: &checkpoint.sha256,
-    };
-    let choice = found.choose(&trials, args.convention, &origin).with_context(|| file.clone())?;
-    write(&args.out, &choice.network().to_safetensors()?)?;
-    let kind = checkpoint.container.to_string();
-    output.report(&ImportReport::new(file, &args.out, kind, FoundReport::new(&found), &choice))?;
+    let name = args.name.as_deref().or(usual.as_deref()).unwrap_or("imported");
+    let file = args.file.file_name().unwrap_or_default().to_string_lossy();
+    let imported = plain.import(&trials, name, &file).with_context(|| shown.clone())?;
+    write(&args.out, &imported.network.to_safetensors()?)?;
+    output.report(&ImportReport::new(shown, &args.out, &plain, &imported))?;
     Ok(Outcome::Done)
 }
 
+/// The network in a file. Of a file of another kind, the error says how to convert it.
+fn read(path: &Path) -> anyhow::Result<Plain> {
+    let shown = path.display();
+    let bytes = joulebus_files::read(path, MAX_FILE_BYTES as u64)
+        .with_context(|| format!("cannot read {shown}"))?;
+    Plain::read(&bytes).map_err(|error| match foreign::of_model(path, &bytes) {
+        _ if Network::from_safetensors(&bytes).is_ok() => {
+            let remedy = "Use it as it is, such as in `model = …` of a platform";
+            UsageError(format!("{shown} is a joulebus model already. {remedy}")).into()
+        }
+        // The reader says what is wrong with a converted one.
+        Some(kind) if !kind.starts_with("a converted network") => anyhow!("{shown} is {kind}"),
+        _ => anyhow!(error).context(shown.to_string()),
+    })
+}
+
 fn trials(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
-    if paths.is_empty() {
-        let what = "the file does not state how its features were computed";
-        let remedy = "Give recordings with --data, on which every convention is evaluated";
-        return Err(UsageError(format!("{what}. {remedy}")).into());
-    }
     let mut trials = Vec::new();
     for path in paths {
         let files = if path.is_dir() { recordings(path)? } else { vec![path.clone()] };
@@ -128,45 +89,20 @@ fn trials(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
     Ok(trials)
 }
 
-/// A joulebus model, written unchanged.
-#[derive(Debug, Serialize)]
-struct OwnReport {
-    file: String,
-    out: String,
-    kind: String,
-    model_hash: String,
-}
-
-impl fmt::Display for OwnReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { file, out: written, kind, model_hash } = self;
-        writeln!(out, "{file} ({kind}): a joulebus model, hash {model_hash}, written to {written}")
-    }
-}
-
-/// The network found, and the reasons for its interpretation.
+/// The imported network, and how well its convention fits.
 #[derive(Debug, Serialize)]
 struct ImportReport {
     file: String,
     out: String,
-    kind: String,
     model_hash: String,
-    found: FoundReport,
+    /// Widths of the network, inputs first.
+    widths: Vec<usize>,
     convention: String,
-    /// True if it was requested.
-    forced: bool,
-    margin_r2: f64,
-    /// Share by which the second's squared error is larger.
-    excess: f64,
-    blocks: usize,
-    blocks_won: usize,
-    /// Conventions under which the file's statistics are far from the recordings'.
-    ruled_out_by_statistics: Vec<String>,
     /// The step of per-step derivatives.
     step_s: f64,
-    conventions_tried: usize,
-    ranking: Vec<RankedReport>,
     scores: ScoreReport,
+    /// Other conventions, best first.
+    others: Vec<RankedReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -177,7 +113,7 @@ struct RankedReport {
 }
 
 impl ImportReport {
-    fn new(file: String, out: &Path, kind: String, found: FoundReport, choice: &Choice) -> Self {
+    fn new(file: String, out: &Path, plain: &Plain, imported: &Imported) -> Self {
         let ranked = |ranked: &Ranked| RankedReport {
             convention: ranked.convention.to_string(),
             r2: ranked.r2,
@@ -186,54 +122,25 @@ impl ImportReport {
         Self {
             file,
             out: out.display().to_string(),
-            kind,
-            model_hash: format!("{:016x}", choice.network().hash()),
-            found,
-            convention: choice.convention.to_string(),
-            forced: choice.forced,
-            margin_r2: choice.margin_r2,
-            excess: choice.excess,
-            ruled_out_by_statistics: choice.ruled_out.iter().map(ToString::to_string).collect(),
-            blocks: choice.blocks,
-            blocks_won: choice.blocks_won,
-            step_s: choice.step_s,
-            conventions_tried: choice.ranking.len(),
-            ranking: choice.ranking.iter().map(ranked).collect(),
-            scores: ScoreReport::new(choice.network()),
+            model_hash: format!("{:016x}", imported.network.hash()),
+            widths: plain.widths(),
+            convention: imported.stated.convention.to_string(),
+            step_s: imported.step_s,
+            scores: ScoreReport::new(&imported.network),
+            others: imported.others.iter().map(ranked).collect(),
         }
     }
 }
 
 impl fmt::Display for ImportReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (file, kind, hash) = (&self.file, &self.kind, &self.model_hash);
-        writeln!(out, "{file} ({kind}), written to {} as {hash}", self.out)?;
-        write!(out, "{}", self.found)?;
-        let how = match (self.forced, self.ruled_out_by_statistics.len(), self.ranking.len()) {
-            (true, ..) => "as requested",
-            (false, 0, _) => "found on the recordings",
-            (false, _, 1) => "the only one that fits the file's statistics",
-            (false, ..) => "found by the file's statistics and on the recordings",
-        };
-        writeln!(out, "convention    {}, {how}", self.convention)?;
-        if !self.ruled_out_by_statistics.is_empty() {
-            let count = self.ruled_out_by_statistics.len();
-            writeln!(out, "statistics    rule out {count} other conventions")?;
-        }
-        if self.ranking.len() > 1 {
-            writeln!(
-                out,
-                "margin        best over second by R² {:.5}, {:.0} % less than its squared error, smaller in {} \
-                 of {} blocks",
-                self.margin_r2,
-                100.0 * self.excess / (1.0 + self.excess),
-                self.blocks_won,
-                self.blocks
-            )?;
-        }
+        writeln!(out, "{}, written to {} as {}", self.file, self.out, self.model_hash)?;
+        let widths: Vec<String> = self.widths.iter().map(usize::to_string).collect();
+        writeln!(out, "layers        {}", widths.join("→"))?;
+        writeln!(out, "convention    {}, as stated", self.convention)?;
         writeln!(out, "on            {}", self.scores)?;
-        writeln!(out, "\n{:>9} {:>9}  of {} conventions", "R²", "MAE W", self.conventions_tried)?;
-        for RankedReport { convention, r2, mae_w } in self.ranking.iter().take(SHOWN) {
+        writeln!(out, "\n{:>9} {:>9}  of {} other conventions", "R²", "MAE W", self.others.len())?;
+        for RankedReport { convention, r2, mae_w } in self.others.iter().take(SHOWN) {
             writeln!(out, "{r2:9.5} {mae_w:9.5}  {convention}")?;
         }
         Ok(())

@@ -3,53 +3,33 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_model_files::{ActivationFrom, Checkpoint, Entry, EntryValue, Found, StatisticsFrom};
-use joulebus_predictor::{Activation, FEATURE_NAMES, Network};
+use joulebus_predictor::{FEATURE_NAMES, Network};
 use joulebus_program::exit::Outcome;
+use joulebus_program::model_source;
 use joulebus_program::output::Output;
 use serde::Serialize;
-
-/// Maximum number of entries shown as text. JSON has all.
-const MAX_SHOWN: usize = 40;
 
 /// Show the contents of a model file: layers, features, normalisation, training range, hash, scores
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model info builtin:husky\n  \
-    joulebus model info energy_predictor_full.pt --format json\n\n\
-    For a file of another program it shows the contents, and where it found a network. Exit code \
-    1: there is no network.")]
+    joulebus model info my.safetensors --format json")]
 pub(crate) struct Args {
-    /// A model file of any format, a directory of .npy files, or builtin:NAME
+    /// A joulebus model (.safetensors), or builtin:NAME
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// The part of the file with the network, if there are several
-    #[arg(long, value_name = "PATH")]
-    part: Option<String>,
-    /// Activation of the hidden layers of another program's network, whatever the file states
-    #[arg(long, value_name = "NAME", value_parser = super::activation)]
-    activation: Option<Activation>,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let checkpoint = super::read(&args.file)?;
-    let file = args.file.display().to_string();
-    if let Some(network) = &checkpoint.network {
-        let kind = checkpoint.container.to_string();
-        output.report(&OwnReport::new(file, kind, &checkpoint.sha256, network))?;
-        return Ok(Outcome::Done);
-    }
-    let report = ForeignReport::new(file, &checkpoint, args);
-    output.report(&report)?;
-    Ok(if report.problem.is_none() { Outcome::Done } else { Outcome::Failed })
+    let network = model_source::load(&args.file)?;
+    output.report(&ModelReport::new(args.file.display().to_string(), &network))?;
+    Ok(Outcome::Done)
 }
 
 /// A joulebus model.
 #[derive(Debug, Serialize)]
-struct OwnReport {
+struct ModelReport {
     file: String,
-    kind: String,
-    file_sha256: String,
     model: String,
     /// Identifies the contents.
     model_hash: String,
@@ -128,8 +108,8 @@ impl fmt::Display for ScoreReport {
     }
 }
 
-impl OwnReport {
-    fn new(file: String, kind: String, sha256: &str, network: &Network) -> Self {
+impl ModelReport {
+    fn new(file: String, network: &Network) -> Self {
         let card = network.card();
         let parameters = network.parameters();
         let normalisation = &parameters.normalisation;
@@ -150,8 +130,6 @@ impl OwnReport {
         };
         Self {
             file,
-            kind,
-            file_sha256: sha256.to_owned(),
             model: card.name.clone(),
             model_hash: format!("{:016x}", network.hash()),
             source: card.source.clone(),
@@ -177,9 +155,9 @@ impl OwnReport {
     }
 }
 
-impl fmt::Display for OwnReport {
+impl fmt::Display for ModelReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{} ({}): {}", self.file, self.kind, self.model)?;
+        writeln!(out, "{}: {}", self.file, self.model)?;
         writeln!(out, "hash          {}", self.model_hash)?;
         writeln!(out, "source        {}", self.source)?;
         writeln!(out, "training data {}", self.training_data)?;
@@ -220,154 +198,5 @@ impl fmt::Display for OwnReport {
             writeln!(out, "{name:16} {mean:12.5} {std:12.5} {min:12.5} {max:12.5}")?;
         }
         Ok(())
-    }
-}
-
-/// A file of another program.
-#[derive(Debug, Serialize)]
-struct ForeignReport {
-    file: String,
-    kind: String,
-    file_sha256: String,
-    entries: Vec<EntryReport>,
-    network: Option<FoundReport>,
-    /// Reason that there is no network.
-    problem: Option<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct EntryReport {
-    path: String,
-    what: String,
-}
-
-/// Location of a network.
-#[derive(Debug, Serialize)]
-pub(super) struct FoundReport {
-    feature_set: &'static str,
-    layers: Vec<FoundLayerReport>,
-    activation: &'static str,
-    activation_from: &'static str,
-    /// True if the matrices have one row per input.
-    transposed: bool,
-    biases_paired_by: &'static str,
-    normalisation: Vec<String>,
-    normalisation_from: &'static str,
-}
-
-#[derive(Debug, Serialize)]
-struct FoundLayerReport {
-    inputs: usize,
-    outputs: usize,
-    weight: String,
-    bias: String,
-}
-
-impl FoundReport {
-    pub(super) fn new(found: &Found) -> Self {
-        let layers = found.layers.iter().map(|found| FoundLayerReport {
-            inputs: found.layer.weights.len() / found.layer.bias.len(),
-            outputs: found.layer.bias.len(),
-            weight: found.weight_path.clone(),
-            bias: found.bias_path.clone(),
-        });
-        let by_name = found.paired_by_name;
-        Self {
-            feature_set: found.feature_set.name(),
-            layers: layers.collect(),
-            activation: found.activation.name(),
-            activation_from: match found.activation_from {
-                ActivationFrom::Caller => "as requested",
-                ActivationFrom::File => "as the file states",
-                ActivationFrom::Default => "the default: the file states none",
-            },
-            transposed: found.transposed,
-            biases_paired_by: if by_name { "name" } else { "order" },
-            normalisation: found.normalisation.sources.clone(),
-            normalisation_from: match found.normalisation.from {
-                StatisticsFrom::File => "the file",
-                StatisticsFrom::Assumed => {
-                    "the published model's documentation, if recordings agree: the file has none"
-                }
-                StatisticsFrom::Published => {
-                    "the published model's documentation, as requested: the file has none"
-                }
-                StatisticsFrom::Recordings => "the recordings, as requested: the file has none",
-            },
-        }
-    }
-}
-
-impl fmt::Display for FoundReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (number, layer) in self.layers.iter().enumerate() {
-            let FoundLayerReport { inputs, outputs, weight, bias } = layer;
-            writeln!(out, "layer {number}       {inputs}→{outputs}: {weight:?}, {bias:?}")?;
-        }
-        let rows = if self.transposed { "input" } else { "output" };
-        let by = self.biases_paired_by;
-        writeln!(out, "matrices      a row for each {rows}; biases paired by {by}")?;
-        writeln!(out, "activation    {}, {}", self.activation, self.activation_from)?;
-        writeln!(out, "normalisation from {}", self.normalisation_from)?;
-        let by_recordings = self.normalisation_from.starts_with("the recordings");
-        for source in self.normalisation.iter().filter(|_| !by_recordings) {
-            writeln!(out, "              {source}")?;
-        }
-        Ok(())
-    }
-}
-
-impl ForeignReport {
-    fn new(file: String, checkpoint: &Checkpoint, args: &Args) -> Self {
-        let found = checkpoint.find(args.part.as_deref(), args.activation);
-        let (network, problem) = match found {
-            Ok(found) => (Some(FoundReport::new(&found)), None),
-            Err(error) => (None, Some(error.to_string())),
-        };
-        Self {
-            file,
-            kind: checkpoint.container.to_string(),
-            file_sha256: checkpoint.sha256.clone(),
-            entries: checkpoint.entries.iter().map(entry).collect(),
-            network,
-            problem,
-        }
-    }
-}
-
-fn entry(entry: &Entry) -> EntryReport {
-    let what = match &entry.value {
-        EntryValue::Tensor(tensor) => {
-            let (shape, values) = (tensor.shape(), tensor.values());
-            match values {
-                [value] => format!("{} {shape:?} = {value}", tensor.element()),
-                _ => format!("{} {shape:?}", tensor.element()),
-            }
-        }
-        EntryValue::Number(number) => number.to_string(),
-        EntryValue::Text(text) => format!("{text:?}"),
-        EntryValue::Other(kind) => (*kind).to_owned(),
-        _ => "something else".to_owned(),
-    };
-    EntryReport { path: entry.path.clone(), what }
-}
-
-impl fmt::Display for ForeignReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{} ({}), SHA-256 {}", self.file, self.kind, self.file_sha256)?;
-        for EntryReport { path, what } in self.entries.iter().take(MAX_SHOWN) {
-            writeln!(out, "  {path:?}: {what}")?;
-        }
-        let more = self.entries.len().saturating_sub(MAX_SHOWN);
-        if more > 0 {
-            writeln!(out, "  and {more} more")?;
-        }
-        match (&self.network, &self.problem) {
-            (Some(found), _) => write!(out, "\n{found}"),
-            (None, problem) => {
-                let problem = problem.as_deref().unwrap_or_default();
-                writeln!(out, "\nno network: {problem}")
-            }
-        }
     }
 }

@@ -32,7 +32,7 @@ Lags = Literal["last", "first"]
 Magnitude = Literal["own", "as-velocity", "divided", "raw"]
 Unit = Literal["W", "mW"]
 
-#: Statistics that the paper's README states: m/s, rad/s, mW.
+#: Statistics that the README of the paper's model states: m/s, rad/s, mW. Its file was never to be had.
 PUBLISHED: dict[str, float] = {
     "v_mean": 0.0279,
     "v_std": 0.0736,
@@ -222,6 +222,9 @@ def _torch(data: bytes) -> Any:
 def _onnx(data: bytes) -> dict[str, _Array]:
     onnx = needed("onnx", "files of ONNX")
     graph = onnx.load_model_from_string(data).graph
+    outside = [one.name for one in graph.initializer if onnx.external_data_helper.uses_external_data(one)]
+    if outside:
+        raise ModelError(f"its numbers are in other files: {_listed(outside)}. Save the network as one file")
     arrays = {one.name: onnx.numpy_helper.to_array(one) for one in graph.initializer}
     # In the order in which the graph uses them.
     used = {name: arrays[name] for node in graph.node for name in node.input if name in arrays}
@@ -303,30 +306,27 @@ class _Pickled:
             self.value = dtype.values(data).reshape(shape, order="F" if is_fortran else "C")
 
 
-def _scalar(dtype: _Dtype, data: Any) -> Any:
-    return dtype.values(data)[0]
+def _pickled(value: Any = None) -> _Pickled:
+    made = _Pickled()
+    made.value = value
+    return made
 
 
+_MADE: dict[str, Callable[..., Any]] = {
+    "_reconstruct": lambda *_: _pickled(),
+    "scalar": lambda dtype, data: dtype.values(data)[0],
+    "_frombuffer": lambda data, dtype, shape, order: _pickled(dtype.values(data).reshape(shape, order=order)),
+}
 #: All that a pickle may name.
 _NAMES: dict[str, Callable[..., Any]] = {
-    "ndarray": lambda *_: _Pickled(),
-    "_reconstruct": lambda *_: _Pickled(),
-    "dtype": _Dtype,
-    "scalar": _scalar,
-    "OrderedDict": dict,
-    "encode": lambda text, _="": text.encode("latin1"),
-}
-_MODULES = {
-    f"{module}.{name}": name
-    for name, modules in {
-        "ndarray": ("numpy",),
-        "dtype": ("numpy",),
-        "_reconstruct": ("numpy.core.multiarray", "numpy._core.multiarray"),
-        "scalar": ("numpy.core.multiarray", "numpy._core.multiarray"),
-        "OrderedDict": ("collections",),
-        "encode": ("_codecs",),
-    }.items()
-    for module in modules
+    "numpy.ndarray": lambda *_: _pickled(),
+    "numpy.dtype": _Dtype,
+    "collections.OrderedDict": dict,
+    "_codecs.encode": lambda text, _="": text.encode("latin1"),
+} | {
+    f"numpy.{core}.{'numeric' if name == '_frombuffer' else 'multiarray'}.{name}": made
+    for core in ("core", "_core")
+    for name, made in _MADE.items()
 }
 
 
@@ -339,13 +339,13 @@ class _Unpickler(pickle._Unpickler):  # type: ignore[name-defined, misc]
 
     def find_class(self, module: str, name: str) -> _Stub:
         """The stand-in of one of the few names that files of arrays have."""
-        known = _MODULES.get(f"{module}.{name}")
-        if known is None:
+        made = _NAMES.get(f"{module}.{name}")
+        if made is None:
             raise ModelError(
                 f"the file names {module}.{name}, which is not run. Allowed are arrays, dicts, lists, numbers and texts."
                 " Only if you trust it, read it yourself, and give a mapping of names to arrays"
             )
-        return _Stub(_NAMES[known])
+        return _Stub(made)
 
     def _build(self) -> None:
         state, made = self.stack.pop(), self.stack[-1]
@@ -353,12 +353,17 @@ class _Unpickler(pickle._Unpickler):  # type: ignore[name-defined, misc]
             raise pickle.UnpicklingError(f"a state of {type(made).__name__}")
         made.restore(state)
 
+    def _bytes(self) -> None:
+        # That of the library allocates what the file claims.
+        self.append(self.read(int.from_bytes(self.read(8), "little")))
+
+    def _refuse(self) -> None:
+        raise pickle.UnpicklingError("it makes objects of classes, allowed are arrays, dicts, lists, numbers and texts")
+
     dispatch = dict(pickle._Unpickler.dispatch)  # type: ignore[attr-defined]
-    dispatch[pickle.BUILD[0]] = _build
-    # The last one allocates what the file claims.
-    for _opcode in (pickle.INST, pickle.OBJ, pickle.NEWOBJ, pickle.NEWOBJ_EX, pickle.EXT1, pickle.EXT2, pickle.EXT4,
-                    pickle.BYTEARRAY8):  # fmt: skip
-        del dispatch[_opcode[0]]
+    dispatch[pickle.BUILD[0]], dispatch[pickle.BYTEARRAY8[0]] = _build, _bytes
+    for _opcode in (pickle.INST, pickle.OBJ, pickle.NEWOBJ, pickle.NEWOBJ_EX, pickle.EXT1, pickle.EXT2, pickle.EXT4):
+        dispatch[_opcode[0]] = _refuse
 
 
 # Its numbers.

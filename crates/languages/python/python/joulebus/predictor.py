@@ -16,7 +16,7 @@ HELD_OUT = 0.1
 class Predictor(_native.Predictor):
     """Forecasts the power of any number of robots at once, in SI units.
 
-    model:       a joulebus model file (.safetensors, with the lab also an exported .npz or .onnx), or ``builtin:NAME``
+    model:       a joulebus model file (.safetensors), or ``builtin:NAME``
     feature_set: what `fit` trains on: ``full`` (the paper's 11 features), ``power_only``, and both with the age of
                  the newest reading, ``freshness`` and ``power_freshness`` (13)
     seed, max_epochs, patience: of `fit`, by the paper's recipe. The same seed gives the same bytes

@@ -1,7 +1,5 @@
 //! The readings used to evaluate conventions, and the scores of each.
 
-use super::statistics::Spread;
-use super::{ChooseError, Convention, Origin};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_predictor::{
@@ -9,8 +7,12 @@ use joulebus_predictor::{
     features,
 };
 
-/// Readings per block: ten seconds at 30 Hz.
-pub(super) const BLOCK_ROWS: usize = 300;
+use crate::error::ImportError;
+
+/// Maximum number of readings per block: ten seconds at 30 Hz.
+const BLOCK_ROWS: usize = 300;
+/// Number of blocks of few readings: enough to tell chance from a difference.
+const MIN_BLOCKS: usize = 20;
 /// Minimum number of readings for a choice.
 const MIN_ROWS: usize = 100;
 /// Maximum number of readings that are forecast. If there are more, every n-th block is used.
@@ -55,7 +57,7 @@ impl Score {
 }
 
 impl Data {
-    pub(super) fn new(trials: &[Trial], set: FeatureSet) -> Result<Data, ChooseError> {
+    pub(super) fn new(trials: &[Trial], set: FeatureSet) -> Result<Data, ImportError> {
         let mut rows: Vec<Row> = trials.iter().flat_map(|trial| rows(trial, set)).collect();
         if rows.len() > MAX_ROWS {
             let every = rows.len().div_ceil(MAX_ROWS);
@@ -65,10 +67,10 @@ impl Data {
         let found = rows.len();
         if found < MIN_ROWS {
             let allowed = MIN_ROWS;
-            return Err(ChooseError::TooFewRows { found, allowed });
+            return Err(ImportError::TooFewRows { found, allowed });
         }
         if rows.iter().all(|row| row.target_w == rows[0].target_w) {
-            return Err(ChooseError::ConstantPower { rows: found });
+            return Err(ImportError::ConstantPower { rows: found });
         }
         let period_ns = trials.first().map_or(1, Trial::period_ns);
         Ok(Data { rows, step_s: period_ns as f64 * 1e-9, trials: trials.len() })
@@ -101,15 +103,6 @@ impl Data {
         self.score_of(residuals_w)
     }
 
-    /// Mean and deviation of each feature, and of the readings that are forecast.
-    pub(super) fn spreads(&self) -> (Vec<Spread>, Spread) {
-        let of = |feature: usize| {
-            Spread::new(self.rows.iter().map(move |row| f64::from(row.features[feature])))
-        };
-        let target = Spread::new(self.rows.iter().map(|row| f64::from(row.target_w)));
-        ((0..FEATURES).map(of).collect(), target)
-    }
-
     fn persistence(&self) -> Score {
         let lag = |row: &Row| row.target_w - row.features[FEATURES - LAGS];
         self.score_of(self.rows.iter().map(lag).collect())
@@ -121,7 +114,8 @@ impl Data {
         let mean = targets().sum::<f64>() / count;
         let spread: f64 = targets().map(|power| (power - mean).powi(2)).sum();
         let square = |residual: &f32| f64::from(*residual).powi(2);
-        let blocks = residuals_w.chunks(BLOCK_ROWS);
+        let block_rows = (self.rows.len() / MIN_BLOCKS).clamp(1, BLOCK_ROWS);
+        let blocks = residuals_w.chunks(block_rows);
         let squared: Vec<f64> = blocks.map(|block| block.iter().map(square).sum()).collect();
         let absolute: f64 = residuals_w.iter().map(|r| f64::from(r.abs())).sum();
         let r2 = 1.0 - squared.iter().sum::<f64>() / spread;
@@ -139,16 +133,15 @@ impl Data {
         &self,
         set: FeatureSet,
         score: &Score,
-        origin: &Origin<'_>,
-        convention: Convention,
+        name: &str,
+        source: String,
     ) -> ModelCard {
         let persistence = self.persistence();
         let features = self.rows.iter().map(|row| &row.features);
         let (rows, trials) = (self.rows.len(), self.trials);
-        let Origin { name, file, sha256 } = *origin;
         ModelCard {
             name: name.to_owned(),
-            source: format!("imported from {file} (SHA-256 {sha256}) as {convention}"),
+            source,
             training_data: format!(
                 "not stated by the file; range, residuals and scores are of the {rows} readings of \
                  {trials} trials on which it was imported, and may be of its training"
