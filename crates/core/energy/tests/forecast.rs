@@ -179,8 +179,8 @@ impl Reference<'_> {
         let mut weights: [f64; LEVELS] = std::array::from_fn(|index| {
             Self::at(horizon_s, |place| self.model.weights[place][index].into())
         });
-        for level in 1..LEVELS {
-            weights[level] /= 1.0 + self.contradiction(level);
+        for (level, weight) in weights.iter_mut().enumerate().skip(1) {
+            *weight /= 1.0 + self.contradiction(level);
         }
         let kept: f64 = weights.iter().sum();
         weights.map(|weight| weight / kept)
