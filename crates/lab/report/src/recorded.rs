@@ -56,7 +56,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         return Ok(Document {
             title: format!("Energy in {} recordings", recordings.len()),
             warning: None,
-            summary: vec![usage.summary()],
+            summary: usage.summary(),
             sections: vec![usage.section()],
         });
     }
@@ -105,7 +105,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     Ok(Document {
         title: format!("Power forecasts of {}, on {trials} recordings", material.model()),
         warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
-        summary: vec![usage.summary(), verdict(&scored)],
+        summary: usage.summary().into_iter().chain([verdict(&scored)]).collect(),
         sections,
     })
 }

@@ -180,7 +180,8 @@
     const longest = Math.max(...scale.names.map((name) => name.length));
     const size = Math.min(12 + 6 * longest, width / 3);
     const letters = Math.max(3, Math.floor((size - 12) / 6));
-    const short = (name) => (name.length > letters ? `${name.slice(0, letters - 1)}…` : name);
+    const [begin, end] = [Math.ceil((letters - 1) / 2), Math.floor((letters - 1) / 2)];
+    const short = (name) => (name.length > letters ? `${name.slice(0, begin)}…${name.slice(-end)}` : name);
     return { ...common, size, splits: () => scale.names.map((_, at) => at), values: () => scale.names.map(short) };
   }
 
@@ -191,7 +192,8 @@
     for (const layer of named) {
       const entry = legend.appendChild(document.createElement("span"));
       const swatch = entry.appendChild(document.createElement("i"));
-      const paint = () => (swatch.style.background = tone(layer.colour));
+      const isPale = ["band", "stripe", "columns"].includes(kindOf(layer.mark)[0]);
+      const paint = () => (swatch.style.background = tone(layer.colour, isPale ? "66" : ""));
       paint();
       isDark.addEventListener("change", paint);
       entry.append(layer.label);

@@ -12,7 +12,8 @@ use super::document::{Cell, Column, Part, Section, Table, UNKNOWN};
 use super::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use super::material::label;
 use steps::{
-    AtSpeed, MIN_STEPS, Motion, Plausible, Run, Speeds, Sums, ends, range, significant, spanned,
+    AtSpeed, MANY_RUNS, MIN_STEPS, Motion, Plausible, Run, Speeds, Sums, ends, range, significant,
+    spanned,
 };
 
 /// What recordings say, before any model.
@@ -56,14 +57,10 @@ impl Usage {
         Self { sums: Sums::of(steps), runs, speeds, at_speed, battery, accepted }
     }
 
-    /// The first sentences of a report.
-    pub(super) fn summary(&self) -> String {
-        [
-            self.per_metre(),
-            battery::lasts(self.battery, &self.runs),
-            worst::worst_run(&self.runs, &self.speeds),
-        ]
-        .join(" ")
+    /// The first paragraphs of a report: energy per metre, battery, worst run.
+    pub(super) fn summary(&self) -> Vec<String> {
+        let lasts = battery::lasts(self.battery, &self.runs);
+        vec![self.per_metre(), lasts, worst::worst_run(&self.runs, &self.speeds)]
     }
 
     fn per_metre(&self) -> String {
@@ -83,7 +80,8 @@ impl Usage {
         let per_run: Vec<f64> = self.runs.iter().map(|run| run.sums().wh_per_m()).collect();
         let range = match range(&per_run) {
             [low, high] if low.is_nan() || high.is_nan() => String::new(),
-            ends => format!(" ({} by run)", spanned(ends)),
+            ends if per_run.len() < MANY_RUNS => format!(" ({} by run)", spanned(ends)),
+            ends => format!(" ({} for nine of ten runs)", spanned(ends)),
         };
         format!("Energy per metre: {} Wh{range}.", significant(found).shown())
     }
@@ -95,9 +93,7 @@ impl Usage {
             parts.push(Part::Figure(self.figure()));
         }
         parts.push(Part::Table(self.speed_table()));
-        parts.push(Part::Words(battery::lasts(self.battery, &self.runs)));
         parts.extend(self.battery.map(|battery| Part::Table(battery::table(battery, &self.runs))));
-        parts.push(Part::Words(worst::worst_run(&self.runs, &self.speeds)));
         parts.push(Part::Table(self.run_table()));
         Section {
             id: "usage".to_owned(),

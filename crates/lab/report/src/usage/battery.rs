@@ -81,7 +81,7 @@ pub(super) fn lasts(battery: Option<Battery>, runs: &[Run]) -> String {
     let ends = [battery.hours(greatest_w), battery.hours(least_w)];
     let which = match stretches_w.len() {
         ..MANY_RUNS => "at the power of the hungriest and the thriftiest",
-        _ => "for nine of ten, at the power of each",
+        _ => "for nine of ten runs, at the power of each",
     };
     let honest = match ends {
         [low, high] if low.is_nan() || high.is_nan() => {
