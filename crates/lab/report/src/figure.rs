@@ -274,7 +274,8 @@ fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let (Some([from, _]), Some([to, _])) = (first, last) else {
         return points.to_vec();
     };
-    if points.len() <= 4 * PARTS || !(from < to) {
+    let is_long = points.len() > 4 * PARTS && from < to;
+    if !is_long {
         return points.to_vec();
     }
     let part = |x: f64| ((x - from) / (to - from) * PARTS as f64) as usize;

@@ -44,7 +44,7 @@ impl Usage {
         let runs: Vec<Run> = runs.collect();
         let speeds = Speeds::new(&runs);
         let steps = runs.iter().flat_map(|run| &run.steps);
-        let at_speed = AtSpeed::of(&speeds, steps.clone());
+        let at_speed = AtSpeed::of(&speeds, &steps);
         let mut accepted: Vec<(String, usize)> = Vec::new();
         for found in recordings.iter().flat_map(Recording::implausible) {
             let kind = found.finding.kind.name();
@@ -128,7 +128,7 @@ impl Usage {
         }
         let measured = self.runs.iter().filter(|run| run.is_measured).count();
         words += match measured {
-            _ if !(self.sums.driven_s > 0.0) => " No plausible speed is recorded.",
+            _ if self.sums.driven_s == 0.0 => " No plausible speed is recorded.",
             0 => " Speeds are the commanded ones: a robot that slips or is blocked drove less.",
             all if all == self.runs.len() => " Speeds are the measured ones.",
             _ => " Speeds are the measured ones where they are recorded, else the commanded ones.",

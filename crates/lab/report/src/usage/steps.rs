@@ -160,7 +160,8 @@ impl Run {
         for ((before, before_w), (row, power_w)) in pairs() {
             let duration_s = time_s(row) - time_s(before);
             let charges = (before + 1..row).any(|between| trial.is_on_charger(between));
-            if charges || !(duration_s <= longest_s) {
+            let is_step = duration_s <= longest_s && !charges;
+            if !is_step {
                 left_out.pauses_s += if charges { 0.0 } else { duration_s };
                 continue;
             }
@@ -281,7 +282,7 @@ impl AtSpeed {
     /// Of every motion that occurs in steps.
     pub(super) fn of<'a>(
         speeds: &Speeds,
-        steps: impl Iterator<Item = &'a Step> + Clone,
+        steps: &(impl Iterator<Item = &'a Step> + Clone),
     ) -> Vec<Self> {
         let found = speeds.motions().into_iter().map(|(motion, words)| {
             let own = steps.clone().filter(|step| speeds.motion(step) == motion);

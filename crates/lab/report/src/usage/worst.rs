@@ -71,7 +71,7 @@ fn why<'a>(
     if ratio < HARDLY {
         return "It hardly differs from them.".to_owned();
     }
-    let known = AtSpeed::of(speeds, others.clone());
+    let known = AtSpeed::of(speeds, &others);
     let known = known.iter().filter(|one| one.motion != Motion::Unknown);
     let known: Vec<(Motion, f64)> = known.map(|one| (one.motion, one.mean_w())).collect();
     let (mut used_j, mut expected_j, mut compared_s) = (0.0, 0.0, 0.0);
