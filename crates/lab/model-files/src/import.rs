@@ -323,6 +323,5 @@ fn placeholder(feature_set: FeatureSet) -> ModelCard {
         feature_set,
         min: [0.0; INPUTS],
         max: [0.0; INPUTS],
-        seen: None,
     })
 }
