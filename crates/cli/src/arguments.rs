@@ -51,7 +51,6 @@ pub(crate) enum Command {
     Alarms(alarms::Args),
     Ask(ask::Args),
     Info(info::Args),
-    Cat,
     Recover(recover::Args),
     Serve,
     Bridge,
@@ -78,7 +77,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
     ("What to know of it", &["watch", "ask", "alarms", "serve"]),
-    ("Captures", &["record", "replay", "info", "cat", "recover", "import", "export"]),
+    ("Captures", &["record", "replay", "info", "recover", "import", "export"]),
     (
         "Models and data",
         &["data", "train", "eval", "analyze", "calibrate", "report", "model", "mission"],

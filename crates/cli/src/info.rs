@@ -1,26 +1,27 @@
-//! `joulebus info`: contents of captures and other MCAP files.
+//! `joulebus info` and `joulebus doctor FILE`: contents of captures. Other MCAP files are refused by
+//! name, with the program that reads them.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use joulebus_capture_format::inspect::{Finding, Inspection, inspect};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-/// Show the contents of captures and other MCAP files: counts, rates, gaps, clocks, schemas,
-/// attachments
+/// Show the contents of captures: counts, rates, gaps, clocks, schemas, attachments
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus info run.mcap\n  \
     joulebus info run*.mcap --format json\n\n\
-    Reads any MCAP file, corrupt ones as far as possible, in bounded memory for any \
-    length. `joulebus doctor FILE` reports all errors of a file.\n\
+    Reads corrupt captures as far as possible, in bounded memory for any length. \
+    `joulebus doctor FILE` reports all errors of a file. MCAP files of other programs are refused: \
+    `mcap info`, `mcap doctor` and Foxglove read them.\n\
     Exit codes: 3 if a file is corrupt or inconsistent.")]
 pub(crate) struct Args {
-    /// MCAP files
+    /// Captures
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 }
@@ -49,7 +50,21 @@ pub(crate) fn look(path: &Path) -> anyhow::Result<FileReport> {
         .iter()
         .find(|metadata| metadata.name == "joulebus")
         .map(|metadata| metadata.entries.clone());
+    if joulebus.is_none() && is_of_others(&found) {
+        let (file, library) = (named(), &found.library);
+        bail!(
+            "{file}: an MCAP file of {library:?}, and no capture of joulebus. `mcap info {file}`, \
+             `mcap doctor {file}` and Foxglove read it. `joulebus import` reads bags of ROS 2"
+        );
+    }
     Ok(FileReport { file: named(), joulebus, found })
+}
+
+/// True if another program has written the file. One that lost its beginning may be a capture.
+fn is_of_others(found: &Inspection) -> bool {
+    let has_topic = found.channels.iter().any(|channel| channel.topic.starts_with("joulebus/"));
+    let is_known = found.complete || !found.library.is_empty();
+    is_known && !has_topic && !found.library.starts_with("joulebus")
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {

@@ -78,8 +78,7 @@ fn parse() -> Result<(Command, Output), clap::Error> {
         Some(command) => command,
         None => Command::Demo(default_demo()?),
     };
-    let has_rows = matches!(command, Command::Cat);
-    Ok((command, cli.options.start(has_rows)?))
+    Ok((command, cli.options.start()?))
 }
 
 /// `demo` with default options.
@@ -100,7 +99,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Alarms(args) => alarms::run(args, output),
         Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
-        Command::Cat => external::run_lab("cat"),
         Command::Recover(args) => recover::run(args, output),
         Command::Serve => external::run("serve"),
         Command::Bridge => external::run("bridge"),

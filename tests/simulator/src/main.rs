@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use clap::Parser as _;
 use joulebus_program::exit::{self, Outcome};
-use joulebus_program::output::{self, Output, OutputFormat};
+use joulebus_program::output::{self, Format, Output};
 use joulebus_program::stop::Stop;
 use joulebus_simulator::campaign::{Campaign, play};
 use joulebus_simulator::panics::keep_panics;
@@ -48,8 +48,8 @@ struct Arguments {
     #[arg(long, requires = "seed")]
     until_ns: Option<u64>,
     /// Output format of the report
-    #[arg(long, value_enum, default_value_t = OutputFormat::Text)]
-    format: OutputFormat,
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
 }
 
 /// Numbers of faults.

@@ -25,7 +25,7 @@
 //! **Three types to know.** A [`Writer`] writes messages to a file. Written messages survive a
 //! crash. A [`Reader`] reads them, in constant memory. [`Attachments`] are the config, the models
 //! and the build, which make the file replayable on its own. [`scan`], [`mod@inspect`] and
-//! [`mod@recover`] read any MCAP file, damaged ones too. [`import`] reads recordings of ROS 2.
+//! [`mod@recover`] read damaged files too. [`import`] reads recordings of ROS 2.
 //!
 //! **The file** is MCAP with protobuf messages. Foxglove and PlotJuggler open it directly. It has
 //! one channel per fleet and service, `joulebus/<fleet>/samples` and so on, and optionally channels
@@ -64,7 +64,6 @@ mod writer;
 
 pub use attachments::{Attached, Attachments};
 pub use clock::Clock;
-pub use inspect::values;
 pub use messages::{
     Content, DecodeError, Entry, Frame, Message, MessageKind, OutOfRange, Query, RobotRow,
 };

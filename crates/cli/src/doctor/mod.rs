@@ -23,7 +23,7 @@ use serde::Serialize;
     joulebus doctor run.mcap         checks captures instead: checksums, order, indexes, losses\n\n\
     Checks change nothing. --fix never touches what live processes use.")]
 pub(crate) struct Args {
-    /// Captures or other MCAP files to check, instead of the host
+    /// Captures to check, instead of the host
     #[arg(value_name = "FILE", conflicts_with_all = ["config", "fix"])]
     files: Vec<PathBuf>,
     #[command(flatten)]

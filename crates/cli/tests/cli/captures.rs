@@ -1,16 +1,16 @@
-//! `joulebus import`, `cat`, `info`, `doctor FILE` and `recover` on captures and foreign
-//! recordings.
+//! `joulebus import`, `info`, `doctor FILE` and `recover` on captures and foreign recordings.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
+use joulebus_capture_format::{Attachments, CaptureSettings, Entry, Reader, Writer};
 use joulebus_testkit::recordings::shared;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
 use joulebus_testkit::{assert_contains, eventually};
+use joulebus_wire::Samples;
 use rustix::process::Signal;
 
 /// The program with the words of a line.
@@ -46,27 +46,12 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     assert_contains(&info["joulebus"]["imported"], ["0 a, 1 b"]);
     run(format!("doctor {shown}")).exits(0);
 
-    let lines = stdout(&run(format!("cat {shown} --format ndjson")));
-    assert_eq!(lines.lines().count() as u64, messages);
-    let mut rows = 0;
-    for line in lines.lines() {
-        let line: serde_json::Value = serde_json::from_str(line).unwrap();
-        rows += line["value"]["samples"].as_array().unwrap().len() as u64;
-    }
-    assert_eq!(rows, samples);
-    // A topic that is not there, beside one that is; and an expression that matches none.
-    for (asked, last) in [
-        ("--topics joulebus/cli/samples joulebus/cli/sample", "joulebus/cli/sample"),
-        ("-e budget", "budget"),
-    ] {
-        let refused = run(format!("cat {shown} {asked}")).exits(1);
-        assert_contains(&stderr(&refused), [last, "there are joulebus/cli/samples"]);
-    }
-    let found = run(format!("cat {shown} -e sampl.s$")).exits(0);
-    assert_eq!(stdout(&found).lines().count() as u64, messages);
-    let table = stdout(&run(format!("cat {shown} --format csv")));
-    assert_eq!(table.lines().count() as u64, samples + 1);
-    assert_contains(table.lines().next().unwrap(), ["samples.power_w"]);
+    let read: Vec<Entry> = Reader::open(&whole).unwrap().map(Result::unwrap).collect();
+    let frames = read.iter().filter_map(|entry| entry.message.frame::<Samples>());
+    assert_eq!(
+        (read.len() as u64, frames.map(|frame| frame.rows.len() as u64).sum()),
+        (messages, samples)
+    );
 
     let cut = fleet.path("cut.mcap");
     let bytes = fs::read(&whole).unwrap();
@@ -248,14 +233,40 @@ fn a_recorder_whose_file_is_removed_reports_it_goes_on_and_exits_with_3() {
 fn a_file_that_is_not_a_capture_is_refused() {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 10);
-    for verb in ["info", "doctor", "cat"] {
+    for verb in ["info", "doctor"] {
         let refused = run(format!("{verb} {}", text(&file))).exits(1);
         assert_contains(&stderr(&refused), ["an MCAP file begins with"]);
     }
-    run(format!("info {} --format csv", text(&file))).exits(2);
     let result = fleet.path("x.mcap");
     run(format!("recover {} -o {}", text(&file), text(&result))).exits(1);
     assert!(!result.exists());
+}
+
+#[test]
+fn files_of_other_programs_are_refused_with_the_program_that_reads_them() {
+    let Some(folder) = shared("mcap") else {
+        return;
+    };
+    for (file, library) in
+        [("couguv/SO_lastbag_mcap_0.mcap", "libmcap"), ("conformance/NoData/NoData.mcap", "\"\"")]
+    {
+        let file = folder.join(file);
+        let name = text(&file);
+        for verb in ["info", "doctor"] {
+            let refused = run(format!("{verb} {name}")).exits(1);
+            let way = format!("`mcap {verb} {name}`");
+            assert_contains(&stderr(&refused), ["no capture of joulebus", library, &way]);
+            assert_eq!(stdout(&refused), "");
+        }
+    }
+    // A capture whose beginning is damaged is still one.
+    let fleet = Fleet::new();
+    let (whole, _) = capture(&fleet, 300);
+    let mut bytes = fs::read(&whole).unwrap();
+    bytes[9..60].fill(0);
+    fs::write(&whole, bytes).unwrap();
+    let damaged = run(format!("doctor {}", text(&whole))).exits(3);
+    assert_contains(&stdout(&damaged), ["FAIL", "joulebus recover"]);
 }
 
 #[test]

@@ -86,9 +86,7 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
 #[test]
 fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
     let installed = Installed::new();
-    for words in
-        ["-v publish trial a.csv --rate max", "train sim --seed 1 --out x", "cat a --format csv"]
-    {
+    for words in ["-v publish trial a.csv --rate max", "train sim --seed 1 --out x"] {
         let missing = installed.joulebus("", words);
         assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
         let printed = stderr(&missing);
@@ -115,7 +113,8 @@ fn help_and_usage_errors_need_no_executable() {
         ("config init", 2, "--from"),
         ("serve", 2, "--http"),
         ("bench abacus", 2, "kernel"),
-        ("serve --http --format csv", 2, "--format json"),
+        ("serve --http --format csv", 2, "csv went: the verb `cat`"),
+        ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
         ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
         ("bench wait", 2, "wait went: docs/decisions/waiting.md"),
     ] {

@@ -1,4 +1,4 @@
-//! Options and values that are gone, and what takes their place.
+//! Verbs, options and values that are gone, and what takes their place.
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
@@ -14,8 +14,19 @@ const PARTS: &str = "one `joulebus eval` runs the recordings on all processors. 
 const STATED: &str =
     "it is stated when the network is converted, by joulebus.models.convert of the Python package";
 
-/// The verb of an option, or the argument of a value, with what is gone and what takes its place.
-const GONE: [(&str, &str, &str); 16] = [
+/// Messages of captures and of other MCAP files, without a verb of joulebus.
+const CAT: &str = "`mcap cat FILE --json` prints the messages of captures and of other MCAP files, and \
+                   `joulebus.read` of Python reads captures";
+/// Formats that only `cat` had.
+const ROWS: &str =
+    "the verb `cat`, which had it, went too. Use --format json, or `mcap cat FILE --json`";
+
+/// The verb of an option, the argument of a value, or nothing for a verb, with what is gone and what
+/// takes its place.
+const GONE: &[(&str, &str, &str)] = &[
+    ("", "cat", CAT),
+    ("FORMAT", "ndjson", ROWS),
+    ("FORMAT", "csv", ROWS),
     ("serve", "--foxglove", FOXGLOVE),
     ("serve", "--host", FOXGLOVE),
     ("serve", "--port", FOXGLOVE),
@@ -53,13 +64,18 @@ pub(crate) fn instead(arguments: &clap::Error) -> Option<String> {
         ErrorKind::UnknownArgument => {
             &|verb| text(ContextKind::Usage).contains(&format!("joulebus {verb} "))
         }
-        ErrorKind::InvalidValue => {
-            &|argument| text(ContextKind::InvalidArg).trim_matches(['<', '>', '[', ']']) == argument
-        }
+        // `<BENCHMARK>`, or `--format <FORMAT>`.
+        ErrorKind::InvalidValue => &|argument| {
+            let invalid = text(ContextKind::InvalidArg);
+            let name = invalid.rsplit(['<', '[']).next().unwrap_or_default();
+            !argument.is_empty() && name.trim_end_matches(['>', ']']) == argument
+        },
+        ErrorKind::InvalidSubcommand => &str::is_empty,
         _ => return None,
     };
     let unknown = match arguments.kind() {
         ErrorKind::UnknownArgument => text(ContextKind::InvalidArg),
+        ErrorKind::InvalidSubcommand => text(ContextKind::InvalidSubcommand),
         _ => text(ContextKind::InvalidValue),
     };
     let mut gone = GONE.iter().filter(|(of, ..)| is_of(of));
@@ -71,12 +87,15 @@ pub(crate) fn instead(arguments: &clap::Error) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn refused(verb: &'static str, word: &str) -> Option<String> {
+    fn refused(verb: &'static str, words: &[&str]) -> Option<String> {
+        let format = clap::Arg::new("format").long("format").value_name("FORMAT");
+        let format = format.value_parser(["text", "json"]);
         let known = clap::Arg::new("http").long("http").action(clap::ArgAction::SetTrue);
         let chosen = clap::Arg::new("benchmark").value_name("BENCHMARK").value_parser(["kernel"]);
-        let verb_of = clap::Command::new(verb).arg(known).arg(chosen);
+        let verb_of = clap::Command::new(verb).arg(known).arg(chosen).arg(format);
         let program = clap::Command::new("joulebus").subcommand(verb_of);
-        let refused = program.try_get_matches_from(["joulebus", verb, word]);
+        let words = ["joulebus"].iter().chain(words);
+        let refused = program.try_get_matches_from(words);
         instead(&refused.expect_err("the word is unknown"))
     }
 
@@ -85,14 +104,20 @@ mod tests {
         for (of, word, instead) in GONE {
             let expected = Some(format!("{word} went: {instead}"));
             if word.starts_with("--") {
-                assert_eq!(refused(of, word), expected);
-                assert_eq!(refused(of, &format!("{word}=1")), expected);
-                assert_eq!(refused("new", word), None, "of another verb");
+                assert_eq!(refused(of, &[of, word]), expected);
+                assert_eq!(refused(of, &[of, &format!("{word}=1")]), expected);
+                assert_eq!(refused("new", &["new", word]), None, "of another verb");
+            } else if of.is_empty() {
+                assert_eq!(refused("bench", &[word, "run.mcap"]), expected);
+            } else if of == "FORMAT" {
+                assert_eq!(refused("info", &["info", "--format", word]), expected);
             } else {
-                assert_eq!(refused("bench", word), expected);
+                assert_eq!(refused("bench", &["bench", word]), expected);
             }
         }
-        assert_eq!(refused("serve", "--colour"), None);
-        assert_eq!(refused("bench", "abacus"), None);
+        assert_eq!(refused("serve", &["serve", "--colour"]), None);
+        assert_eq!(refused("bench", &["bench", "abacus"]), None);
+        assert_eq!(refused("bench", &["dog"]), None);
+        assert_eq!(refused("bench", &["bench", "--format", "xml"]), None);
     }
 }

@@ -3,15 +3,15 @@
 use clap::error::ErrorKind;
 
 use crate::logging::LogFormat;
-use crate::output::{Output, OutputFormat};
+use crate::output::{Format, Output};
 use crate::{exit_with_parent, logging, stop};
 
 /// Options of every verb.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct GlobalOptions {
     /// Output format of results
-    #[arg(long, global = true, value_enum, default_value_t = OutputFormat::Text)]
-    format: OutputFormat,
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
+    format: Format,
     /// Log more to stderr: once for events, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
@@ -24,21 +24,16 @@ pub struct GlobalOptions {
 }
 
 impl GlobalOptions {
-    /// Starts logging and, if requested, the watch of stdin. `has_rows`: results may be written row
-    /// by row.
+    /// Starts logging and, if requested, the watch of stdin.
     ///
     /// # Errors
-    /// A format that the verb does not support, or a thread that cannot be started.
-    pub fn start(self, has_rows: bool) -> Result<Output, clap::Error> {
+    /// A thread that cannot be started.
+    pub fn start(self) -> Result<Output, clap::Error> {
         logging::start(self.verbose, self.log_format);
         let failed = |error: anyhow::Error| clap::Error::raw(ErrorKind::Io, format!("{error:#}\n"));
         stop::survive_file_limit().map_err(failed)?;
         if self.exit_with_stdin {
             exit_with_parent::end_with_stdin().map_err(failed)?;
-        }
-        if !has_rows && matches!(self.format, OutputFormat::Ndjson | OutputFormat::Csv) {
-            let what = "--format ndjson and csv are of `cat` alone. Use --format json\n";
-            return Err(clap::Error::raw(ErrorKind::InvalidValue, what));
         }
         Ok(Output::new(self.format))
     }

@@ -13,8 +13,8 @@ use serde::Serialize;
 #[error("stdout was closed")]
 pub struct StdoutClosed;
 
-/// Output format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Value of `--format`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
     /// Text
     Text,
@@ -22,45 +22,23 @@ pub enum Format {
     Json,
 }
 
-/// Value of `--format`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum OutputFormat {
-    /// Text
-    Text,
-    /// JSON, with null for unknown numbers
-    Json,
-    /// JSON, one object per line (`cat`)
-    Ndjson,
-    /// A CSV table (`cat`)
-    Csv,
-}
-
 /// Writes results to stdout.
 #[derive(Debug, Clone, Copy)]
 pub struct Output {
-    asked: OutputFormat,
+    format: Format,
 }
 
 impl Output {
     /// With the requested format.
     #[must_use]
-    pub const fn new(asked: OutputFormat) -> Self {
-        Self { asked }
+    pub const fn new(format: Format) -> Self {
+        Self { format }
     }
 
-    /// The requested format, for verbs with more than two formats.
-    #[must_use]
-    pub const fn asked(self) -> OutputFormat {
-        self.asked
-    }
-
-    /// Text or JSON.
+    /// The requested format.
     #[must_use]
     pub const fn format(self) -> Format {
-        match self.asked {
-            OutputFormat::Text => Format::Text,
-            OutputFormat::Json | OutputFormat::Ndjson | OutputFormat::Csv => Format::Json,
-        }
+        self.format
     }
 
     /// Writes a report: as text or as indented JSON.

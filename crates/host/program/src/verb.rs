@@ -37,13 +37,13 @@ fn parse<A: clap::Args>(
     let matches = program.try_get_matches_from(called.chain(arguments))?;
     let options = GlobalOptions::from_arg_matches(&matches)?;
     let matches = matches.subcommand_matches(verb).unwrap_or(&matches);
-    Ok((A::from_arg_matches(matches)?, options.start(false)?))
+    Ok((A::from_arg_matches(matches)?, options.start()?))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::OutputFormat;
+    use crate::output::Format;
 
     /// A verb's arguments.
     #[derive(Debug, clap::Args)]
@@ -61,7 +61,7 @@ mod tests {
         for words in [["--format", "json", "--http"], ["--http", "--format", "json"]] {
             let (arguments, output) = parsed(&words).expect("both are allowed");
             assert!(arguments.http);
-            assert_eq!(output.asked(), OutputFormat::Json);
+            assert_eq!(output.format(), Format::Json);
         }
     }
 

@@ -7,7 +7,6 @@
 
 mod analyze;
 mod calibrate;
-mod cat;
 mod config_init;
 mod data;
 mod eval;
@@ -45,7 +44,6 @@ struct Cli {
 /// The verb to run.
 #[derive(Debug, Subcommand)]
 enum Command {
-    Cat(cat::Args),
     Import(import::Args),
     Data(data::Args),
     Export(export::Args),
@@ -86,13 +84,11 @@ fn main() -> ExitCode {
 
 fn parse() -> Result<(Command, Output), clap::Error> {
     let cli = Cli::try_parse()?;
-    let has_rows = matches!(cli.command, Command::Cat(_));
-    Ok((cli.command, cli.options.start(has_rows)?))
+    Ok((cli.command, cli.options.start()?))
 }
 
 fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
     match command {
-        Command::Cat(args) => cat::run(args, output),
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
         Command::Export(args) => export::run(args, output),

@@ -9,7 +9,6 @@ mod finding;
 mod records;
 mod report;
 mod summary;
-pub mod values;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};

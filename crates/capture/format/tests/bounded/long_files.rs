@@ -9,8 +9,6 @@ use std::time::Instant;
 
 use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::recover::recover;
-use joulebus_capture_format::scan::ScanError;
-use joulebus_capture_format::values::values;
 use joulebus_capture_format::{
     Attachments, CaptureSettings, Message, Preset, Reader, Times, Writer,
 };
@@ -60,15 +58,6 @@ fn write(file: File, megabytes: u64) -> u64 {
     messages
 }
 
-#[derive(Debug)]
-enum Never {}
-
-impl From<ScanError> for Never {
-    fn from(error: ScanError) -> Self {
-        panic!("{error}")
-    }
-}
-
 fn megabytes() -> u64 {
     std::env::var("JOULEBUS_CAPTURE_MB").map_or(USUAL_MB, |text| text.parse().unwrap())
 }
@@ -100,28 +89,6 @@ fn a_long_file_is_read_in_bounded_memory() {
     assert!(used < MAX_BYTES, "recover: {used} bytes");
     println!(
         "figure: recover {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",
-        rate(start),
-        used as f64 / 1e6
-    );
-
-    let start = Instant::now();
-    let mut bytes = 0;
-    let (passed, used) = counting::peak(|| {
-        values(
-            open(),
-            |_| true,
-            |line| {
-                bytes += line.bytes;
-                Ok::<(), Never>(())
-            },
-        )
-        .unwrap()
-    });
-    assert_eq!(passed.messages, messages);
-    assert_eq!(bytes as u64, messages * MESSAGE_BYTES as u64);
-    assert!(used < MAX_BYTES, "values: {used} bytes");
-    println!(
-        "figure: values {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",
         rate(start),
         used as f64 / 1e6
     );
