@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn what_is_gone_is_refused_by_name_with_what_takes_its_place() {
-        for (of, word, instead) in GONE {
+        for (of, word, instead) in GONE.iter().copied() {
             let expected = Some(format!("{word} went: {instead}"));
             if word.starts_with("--") {
                 assert_eq!(refused(of, &[of, word]), expected);
