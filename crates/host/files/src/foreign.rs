@@ -231,7 +231,8 @@ pub fn of_model(path: &Path, contents: &[u8]) -> Option<String> {
         // The header is looked at as text: a damaged one is one of joulebus if it says so.
         let length = contents.first_chunk().map_or(0, |length| u64::from_le_bytes(*length));
         let end = usize::try_from(length).unwrap_or(usize::MAX).saturating_add(8);
-        let header = &contents[8..contents.len().min(end)];
+        // One that is cut says too little.
+        let header = contents.get(8..end)?;
         let has = |word: &str| header.windows(word.len()).any(|found| found == word.as_bytes());
         if OWN.iter().any(|word| has(word)) {
             return None;
