@@ -102,7 +102,8 @@ impl Plain {
                 }
             });
         }
-        if !(score.r2 > 0.0) {
+        // A score that is no number is minus infinity.
+        if score.r2 <= 0.0 {
             return Err(ImportError::NothingFits { r2: score.r2, rows: data.rows() });
         }
         let source = match self.source.as_str() {
@@ -286,7 +287,10 @@ fn nearest<'a>(
     let contradicting = || others.iter().filter(|(_, other)| is_contradicted(score, other));
     let (_, best) = contradicting().next()?;
     // A best one without any error has no excess.
-    let near = contradicting().filter(|(_, other)| !(best.excess_of(other) >= MIN_EXCESS));
+    let near = contradicting().filter(|(_, other)| {
+        let excess = best.excess_of(other);
+        excess.is_nan() || excess < MIN_EXCESS
+    });
     near.min_by_key(|(other, _)| differences(&stated.convention, &other.convention))
 }
 
