@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_dataset::archive::listings;
 use joulebus_dataset::trial::{Table, Trial};
 
-use crate::recordings::{capture, every_kind, full, sparse};
+use crate::recordings::{capture, every_kind, full};
 use crate::{export_mixed, joulebus};
 
 /// A folder of an archive of the recordings in `from`.
