@@ -153,7 +153,7 @@ impl HeldOut {
 
     /// An undefined skill is none.
     fn is_below_persistence(&self) -> bool {
-        !(self.skill.value > 0.0)
+        self.skill.value.is_nan() || self.skill.value <= 0.0
     }
 }
 
